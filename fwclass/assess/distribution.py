@@ -1,0 +1,107 @@
+"""How a feature is distributed within a class: histograms that add up over tiles, and their quantiles.
+
+The bins are the numbers' own: every power of two is cut into 128 equal steps, so one set of bins serves any
+unit and range, nothing has to be known beforehand, and a quantile is right to 0.4 % of its value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.model import ClassDef, class_index
+from fwclass.schema import Table, column
+
+_MANTISSA = 7
+_LOWEST, _HIGHEST = -12, 20
+_SIDE = (_HIGHEST - _LOWEST) << _MANTISSA
+BINS = 2 * _SIDE + 2
+"""Bins of a histogram: negative values, 0 (below 2^-12 in size), positive values (all above 2^20 in the
+last), and at the end the rows without a value."""
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+def distribution(
+    features: Table, reference: NDArray[np.uint8], classes: Sequence[ClassDef]
+) -> dict[str, NDArray[np.int64]]:
+    """For every column of `features` a histogram (classes, BINS); those of tiles add up to the survey's.
+
+    Rows without a reference class do not count.
+    """
+    index = class_index(reference, classes)
+    rows = np.flatnonzero(index >= 0)
+    base = index[rows].astype(np.int64) * BINS
+    shape = (len(classes), BINS)
+    return {
+        name: np.bincount(base + _bin(values[rows]), minlength=shape[0] * BINS).reshape(shape)
+        for name, values in features.items()
+    }
+
+
+def _bin(values: NDArray) -> NDArray[np.int64]:
+    """The bin of every value: its float32 exponent and seven leading bits of its mantissa."""
+    v = values.astype(np.float32)
+    known = np.isfinite(v)
+    size = np.where(known, np.abs(v), np.float32(1)).astype(np.float32)
+    step = (size.view(np.uint32) >> np.uint32(23 - _MANTISSA)).astype(np.int64)
+    step = np.clip(step - ((_LOWEST + 127) << _MANTISSA) + 1, 0, _SIDE)
+    return np.where(known, _SIDE + np.where(v < 0, -step, step), BINS - 1)
+
+
+def _edges() -> NDArray[np.float64]:
+    """Lower edge of the size of steps 1 .. _SIDE, and the upper edge of the last."""
+    step = np.arange(_SIDE + 1)
+    return np.ldexp(1.0 + (step & ((1 << _MANTISSA) - 1)) / (1 << _MANTISSA), _LOWEST + (step >> _MANTISSA))
+
+
+def quantiles(
+    histogram: NDArray[np.int64], shares: Sequence[float] = QUANTILES, whole: bool = False
+) -> NDArray[np.float64]:
+    """Quantiles (classes, shares) of a histogram (classes, BINS); NaN for a class without a value.
+
+    A quantile is the middle of the bin that holds the value of that rank: the smallest value that at least
+    this share of the values does not exceed. `whole` says that the feature is a whole number (an echo
+    number): the bin's own whole number is given, exact up to 256.
+    """
+    edges = _edges()
+    size = edges[:-1] if whole else 0.5 * (edges[:-1] + edges[1:])
+    value = np.concatenate([-size[::-1], [0.0], size])
+    running = np.cumsum(histogram[:, :-1], axis=1)
+    made = np.full((len(histogram), len(shares)), np.nan)
+    for c, line in enumerate(running):
+        if line[-1] > 0:
+            rank = np.maximum(np.ceil(np.asarray(shares) * line[-1]), 1)
+            made[c] = value[np.searchsorted(line, rank)]
+    return made
+
+
+def summary(
+    histograms: dict[str, NDArray[np.int64]], names: Sequence[str], shares: Sequence[float] = QUANTILES
+) -> dict[str, Any]:
+    """Quantiles of every feature and class as plain data for JSON, beside Fan 2013's Table 1.
+
+    ``{"shares": [...], "features": {feature: {class: {"rows", "without_value", "quantiles"}}}}``; quantiles
+    are None for a class without values.
+    """
+    return {
+        "shares": list(shares),
+        "features": {feature: _by_class(feature, h, names, shares) for feature, h in histograms.items()},
+    }
+
+
+def _by_class(
+    feature: str, histogram: NDArray[np.int64], names: Sequence[str], shares: Sequence[float]
+) -> dict[str, Any]:
+    found = quantiles(histogram, shares, whole=np.dtype(column(feature).dtype).kind in "biu")
+    return {
+        name: {
+            "rows": int(histogram[c].sum()),
+            "without_value": int(histogram[c, -1]),
+            "quantiles": [None if np.isnan(q) else float(q) for q in found[c]],
+        }
+        for c, name in enumerate(names)
+    }

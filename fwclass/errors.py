@@ -1,0 +1,88 @@
+"""Errors for the reader at 3 a.m.: what, where, expected, got, what to do next."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+DONE, FAILED, USAGE, PARTIAL, QUALITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
+
+
+class FwclassError(Exception):
+    """A fault that the user can act on; the command line prints it without a traceback.
+
+    Parameters
+    ----------
+    what : one sentence, what is wrong.
+    where : file, tile, part or configuration key.
+    expected, got : the two values that disagree, as text.
+    do : what to do next.
+    """
+
+    exit_code = FAILED
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        where: object = "",
+        expected: object = "",
+        got: object = "",
+        do: str = "",
+    ) -> None:
+        self.what, self.where, self.do = what, str(where), do
+        self.expected, self.got = str(expected), str(got)
+        super().__init__(self.message())
+
+    def message(self) -> str:
+        rows = [self.what]
+        for label, text in (
+            ("where", self.where),
+            ("expected", self.expected),
+            ("got", self.got),
+            ("what to do", self.do),
+        ):
+            if text:
+                rows.append(f"  {label}: {text}")
+        return "\n".join(rows)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        state = {"where": self.where, "expected": self.expected, "got": self.got, "do": self.do}
+        return (_rebuild, (type(self), self.what, state))
+
+
+def _rebuild(kind: type[FwclassError], what: str, state: dict[str, str]) -> FwclassError:
+    return kind(what, **state)
+
+
+class InputError(FwclassError):
+    """A file or a datum from outside cannot be used."""
+
+
+class ConfigError(FwclassError):
+    """A configuration or a command line is wrong."""
+
+    exit_code = USAGE
+
+
+class StoreError(FwclassError):
+    """The store is damaged, locked, or belongs to something else."""
+
+
+class PartialError(FwclassError):
+    """Some parts failed; everything else was done."""
+
+    exit_code = PARTIAL
+
+
+class QualityError(FwclassError):
+    """A quality threshold was missed."""
+
+    exit_code = QUALITY
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """`did you mean …?` for an unknown name, or the list of known ones."""
+    names = sorted(known)
+    close = difflib.get_close_matches(word, names, n=1)
+    return f"did you mean {close[0]!r}?" if close else "known: " + ", ".join(names)

@@ -1,0 +1,171 @@
+"""Tiles, blocks and rasters of one global grid with a fixed origin.
+
+Everything is decided in whole millimetres, so that a point on an edge has exactly one owner whatever the
+size of the coordinates. Tiles and cells are half-open: [min, max).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import ConfigError
+from fwclass.units import QUANTUM
+
+_KEY = re.compile(r"^(-?\d+)_(-?\d+)$")
+
+
+def millimetres(metres: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Coordinates [m] as whole millimetres, rounded to nearest."""
+    return np.rint(np.asarray(metres, np.float64) / QUANTUM).astype(np.int64)
+
+
+def quantised(metres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Coordinates [m] on the millimetre grid; `millimetres` takes them back exactly."""
+    return np.rint(np.asarray(metres, np.float64) / QUANTUM) * QUANTUM
+
+
+def whole_millimetres(length: float, name: str) -> int:
+    """`length` [m] as a positive whole number of millimetres, or a `ConfigError` naming the setting."""
+    mm = round(length / QUANTUM)
+    if mm <= 0 or abs(mm * QUANTUM - length) > 1e-9 * max(1.0, abs(length)):
+        raise ConfigError(
+            f"{name} must be a positive whole number of millimetres",
+            where=name,
+            expected="for example 100.0 (metres)",
+            got=length,
+            do=f"change {name} in the configuration",
+        )
+    return mm
+
+
+@dataclass(frozen=True)
+class Box:
+    """A half-open rectangle [xmin, xmax) × [ymin, ymax) [m]."""
+
+    xmin: float
+    ymin: float
+    xmax: float
+    ymax: float
+
+    def grown(self, by: float) -> Box:
+        return Box(self.xmin - by, self.ymin - by, self.xmax + by, self.ymax + by)
+
+    def contains(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+        mx, my = millimetres(x), millimetres(y)
+        low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in self.bounds)
+        return (mx >= low_x) & (mx < high_x) & (my >= low_y) & (my < high_y)
+
+    def touches(self, other: Box) -> bool:
+        return self.xmin < other.xmax and other.xmin < self.xmax and self.ymin < other.ymax and other.ymin < self.ymax
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        return self.xmin, self.ymin, self.xmax, self.ymax
+
+
+@dataclass(frozen=True, order=True)
+class Tile:
+    """One square of a `TileGrid`; `key` is its name in the store, for example ``12_34``."""
+
+    ix: int
+    iy: int
+    size: float
+
+    @property
+    def key(self) -> str:
+        return f"{self.ix}_{self.iy}"
+
+    @property
+    def box(self) -> Box:
+        s = self.size
+        return Box(self.ix * s, self.iy * s, (self.ix + 1) * s, (self.iy + 1) * s)
+
+
+@dataclass(frozen=True)
+class TileGrid:
+    """Squares of edge `size` [m] that tile the plane from the origin (0, 0) of the survey's CRS."""
+
+    size: float
+
+    def __post_init__(self) -> None:
+        whole_millimetres(self.size, "tile size")
+
+    def indices(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Column and row of the owner tile of every point."""
+        mm = whole_millimetres(self.size, "tile size")
+        return millimetres(x) // mm, millimetres(y) // mm
+
+    def tile(self, key: str) -> Tile:
+        found = _KEY.match(key)
+        if found is None:
+            raise ConfigError("not a tile key", where="tiles", expected="column_row, for example 12_34", got=key)
+        return Tile(int(found[1]), int(found[2]), self.size)
+
+    def touching(self, box: Box) -> Iterator[Tile]:
+        """Every tile that shares area with `box`, by column, then row."""
+        mm = whole_millimetres(self.size, "tile size")
+        low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in box.bounds)
+        for ix in range(low_x // mm, (high_x - 1) // mm + 1):
+            for iy in range(low_y // mm, (high_y - 1) // mm + 1):
+                yield Tile(ix, iy, self.size)
+
+
+@dataclass(frozen=True)
+class Window:
+    """Cells [col, col + ncols) × [row, row + nrows) of the global raster of `cell` [m].
+
+    Arrays of a window are indexed [row, column] with **row 0 in the south** and y growing with the row;
+    `publish` turns them over for formats that start in the north.
+    """
+
+    cell: float
+    col: int
+    row: int
+    ncols: int
+    nrows: int
+
+    @classmethod
+    def covering(cls, box: Box, cell: float, margin: int = 0) -> Window:
+        """The smallest window that covers `box`, grown by `margin` cells on every side."""
+        mm = whole_millimetres(cell, "cell")
+        low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in box.bounds)
+        col, row = low_x // mm - margin, low_y // mm - margin
+        ncols = -(-high_x // mm) + margin - col
+        nrows = -(-high_y // mm) + margin - row
+        return cls(cell, col, row, ncols, nrows)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.nrows, self.ncols
+
+    @property
+    def box(self) -> Box:
+        c = self.cell
+        return Box(self.col * c, self.row * c, (self.col + self.ncols) * c, (self.row + self.nrows) * c)
+
+    def within(self, outer: Window) -> tuple[slice, slice]:
+        """The slices of `outer`'s array that are this window (which must lie inside it)."""
+        r, c = self.row - outer.row, self.col - outer.col
+        inside = (
+            r >= 0
+            and c >= 0
+            and r + self.nrows <= outer.nrows
+            and c + self.ncols <= outer.ncols
+            and math.isclose(self.cell, outer.cell)
+        )
+        if not inside:
+            raise ValueError(f"window {self} does not lie inside {outer}")
+        return slice(r, r + self.nrows), slice(c, c + self.ncols)
+
+    def common(self, other: Window) -> Window | None:
+        """The cells that both windows have, or None."""
+        col, row = max(self.col, other.col), max(self.row, other.row)
+        ncols = min(self.col + self.ncols, other.col + other.ncols) - col
+        nrows = min(self.row + self.nrows, other.row + other.nrows) - row
+        return Window(self.cell, col, row, ncols, nrows) if ncols > 0 and nrows > 0 else None

@@ -1,0 +1,101 @@
+"""Rasters of heights: the lowest by cell, bilinear values at points, hill shading."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.grid import Window, millimetres, whole_millimetres
+from fwclass.kernel import kernel
+
+
+def lowest(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], window: Window
+) -> NDArray[np.float64]:
+    """Lowest z [m] by cell of `window`, NaN where no point lies; points outside the window are left out."""
+    out = np.full(window.shape, np.inf)
+    flat, inside = cells_of(x, y, window)
+    np.minimum.at(out.reshape(-1), flat, np.asarray(z, np.float64)[inside])
+    out[np.isinf(out)] = np.nan
+    return out
+
+
+def cells_of(
+    x: NDArray[np.float64], y: NDArray[np.float64], window: Window
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Flat cell index of the points inside `window`, and the mask of these points."""
+    mm = whole_millimetres(window.cell, "cell")
+    col = millimetres(x) // mm - window.col
+    row = millimetres(y) // mm - window.row
+    inside = (col >= 0) & (col < window.ncols) & (row >= 0) & (row < window.nrows)
+    return (row * window.ncols + col)[inside], inside
+
+
+def bilinear(
+    raster: NDArray[np.floating], window: Window, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Values of `raster` (cell centres of `window`) at points.
+
+    A point in a NaN cell, or outside the window, gets NaN. Otherwise neighbour cells that are NaN or
+    outside take no part, the weights of the others are scaled up.
+    """
+    if raster.shape != window.shape:
+        raise ValueError(f"raster of shape {raster.shape} for a window of shape {window.shape}")
+    mm = whole_millimetres(window.cell, "cell")
+    out = np.full(len(x), np.nan)
+    _bilinear(
+        np.ascontiguousarray(raster, np.float64),
+        millimetres(x) - window.col * mm,
+        millimetres(y) - window.row * mm,
+        mm,
+        out,
+    )
+    return out
+
+
+@kernel
+def _bilinear(raster, x, y, cell, out):  # type: ignore[no-untyped-def]
+    nrows, ncols = raster.shape
+    for i in range(len(x)):
+        c, r = x[i] // cell, y[i] // cell
+        if c < 0 or r < 0 or c >= ncols or r >= nrows or np.isnan(raster[r, c]):
+            continue
+        # twice the offset from the cell's centre, an exact integer
+        u, v = 2 * (x[i] - c * cell) - cell, 2 * (y[i] - r * cell) - cell
+        fx, fy = abs(u) / (2.0 * cell), abs(v) / (2.0 * cell)
+        side_c = c + 1 if u >= 0 else c - 1
+        side_r = r + 1 if v >= 0 else r - 1
+        total, weight = raster[r, c] * (1.0 - fx) * (1.0 - fy), (1.0 - fx) * (1.0 - fy)
+        if 0 <= side_c < ncols and not np.isnan(raster[r, side_c]):
+            total += raster[r, side_c] * fx * (1.0 - fy)
+            weight += fx * (1.0 - fy)
+        if 0 <= side_r < nrows and not np.isnan(raster[side_r, c]):
+            total += raster[side_r, c] * (1.0 - fx) * fy
+            weight += (1.0 - fx) * fy
+        if 0 <= side_c < ncols and 0 <= side_r < nrows and not np.isnan(raster[side_r, side_c]):
+            total += raster[side_r, side_c] * fx * fy
+            weight += fx * fy
+        out[i] = total / weight
+
+
+def hillshade(
+    dtm: NDArray[np.floating], cell: float, azimuth: float = 315.0, altitude: float = 45.0
+) -> NDArray[np.float32]:
+    """Shaded relief in 0..1 of a raster whose row 0 is in the south; NaN stays NaN.
+
+    Parameters
+    ----------
+    dtm : heights [m].
+    cell : edge of a cell [m].
+    azimuth, altitude : of the light [deg], clockwise from north and above the horizon.
+    """
+    heights = np.asarray(dtm, np.float64)
+    if min(heights.shape) < 2:
+        flat = math.sin(math.radians(altitude))
+        return np.where(np.isfinite(heights), flat, np.nan).astype(np.float32)
+    north, east = np.gradient(heights, cell)
+    a, h = math.radians(azimuth), math.radians(altitude)
+    light = math.sin(h) - math.cos(h) * (east * math.sin(a) + north * math.cos(a))
+    return np.clip(light / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0).astype(np.float32)

@@ -1,0 +1,91 @@
+"""Filling the holes of a surface with a membrane: the solution of Laplace's equation between known cells."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.kernel import kernel
+
+SWEEPS = 40
+"""Sweeps per level of the pyramid; what is left of the error is asserted in the tests."""
+
+OVERRELAXATION = 1.6
+"""Of each sweep; between 1 (Gauss–Seidel) and 2 (no convergence)."""
+
+
+def filled(surface: NDArray[np.float64]) -> NDArray[np.float64]:
+    """`surface` with its NaN cells filled by a membrane that is free at the array's edge.
+
+    Coarse to fine: the surface of half the resolution is filled first and is what the sweeps start from.
+    The number of sweeps is fixed, so the answer is a function of the input alone. All NaN stays all NaN.
+    """
+    known = np.isfinite(surface)
+    if known.all() or not known.any():
+        return surface.copy()
+    coarse = filled(_halved(surface))
+    out = np.where(known, surface, 0.0)
+    _start_from(coarse, known, out)
+    _relax(known, SWEEPS, OVERRELAXATION, out)
+    return out
+
+
+@kernel
+def _halved(surface):  # type: ignore[no-untyped-def]
+    """Mean of the known cells of every 2 × 2, NaN where there is none."""
+    nrows, ncols = surface.shape
+    out = np.full(((nrows + 1) // 2, (ncols + 1) // 2), np.nan)
+    for r in range(out.shape[0]):
+        for c in range(out.shape[1]):
+            total, n = 0.0, 0
+            for i in range(2 * r, min(2 * r + 2, nrows)):
+                for j in range(2 * c, min(2 * c + 2, ncols)):
+                    if not np.isnan(surface[i, j]):
+                        total += surface[i, j]
+                        n += 1
+            if n > 0:
+                out[r, c] = total / n
+    return out
+
+
+@kernel
+def _start_from(coarse, known, out):  # type: ignore[no-untyped-def]
+    """Bilinear values of the coarse surface in the unknown cells of `out`."""
+    nrows, ncols = out.shape
+    last_r, last_c = coarse.shape[0] - 1, coarse.shape[1] - 1
+    for r in range(nrows):
+        r0 = r // 2
+        r1 = min(max(r0 + (1 if r % 2 else -1), 0), last_r)
+        for c in range(ncols):
+            if known[r, c]:
+                continue
+            c0 = c // 2
+            c1 = min(max(c0 + (1 if c % 2 else -1), 0), last_c)
+            near = 0.75 * coarse[r0, c0] + 0.25 * coarse[r0, c1]
+            far = 0.75 * coarse[r1, c0] + 0.25 * coarse[r1, c1]
+            out[r, c] = 0.75 * near + 0.25 * far
+
+
+@kernel
+def _relax(known, sweeps, omega, z):  # type: ignore[no-untyped-def]
+    """Draw every unknown cell towards the mean of its four neighbours; a cell at the edge stands in for the missing.
+
+    Cells of one colour of a chessboard do not see each other: all of one colour first, then the other, so that the
+    processor need not wait for one cell before the next.
+    """
+    nrows, ncols = z.shape
+    unknown = nrows * ncols - np.sum(known)
+    rows, cols = np.empty(unknown, np.int32), np.empty(unknown, np.int32)
+    n = 0
+    for colour in range(2):
+        for r in range(nrows):
+            for c in range((r + colour) % 2, ncols, 2):
+                if not known[r, c]:
+                    rows[n], cols[n] = r, c
+                    n += 1
+    for _ in range(sweeps):
+        for i in range(n):
+            r, c = rows[i], cols[i]
+            across = z[r, max(c - 1, 0)] + z[r, min(c + 1, ncols - 1)]
+            along = z[max(r - 1, 0), c] + z[min(r + 1, nrows - 1), c]
+            z[r, c] += omega * (0.25 * (across + along) - z[r, c])

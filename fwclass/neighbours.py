@@ -1,0 +1,129 @@
+"""A sorted cell grid over millimetre coordinates, and the search that other kernels build on.
+
+Cells hang on the survey's origin, and rows keep their order inside a cell, so the walk over a point's neighbours
+meets them in the same order however the survey was cut into tiles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.grid import millimetres
+from fwclass.kernel import kernel
+
+MAX_CELLS = 1 << 28
+"""A grid above this many cells (2 GiB of offsets) is refused before it is allocated."""
+
+
+@dataclass(frozen=True)
+class CellIndex:
+    """Points sorted by square cells.
+
+    Attributes
+    ----------
+    order : int64 (n,), input row of every sorted point.
+    start : int64 (ncols * nrows + 1,); cell (row, col) holds sorted points ``start[row * ncols + col]`` up to the next.
+    x, y, z : float32 or int64 millimetres relative to (`x0`, `y0`, `z0`), sorted; exact integers.
+    ncols, nrows : cells of the index.
+    cell : edge of a cell [mm].
+    """
+
+    order: NDArray[np.int64]
+    start: NDArray[np.int64]
+    x: NDArray[np.int64]
+    y: NDArray[np.int64]
+    z: NDArray[np.int64]
+    ncols: int
+    nrows: int
+    cell: int
+    x0: int
+    y0: int
+    z0: int
+
+    @classmethod
+    def build(cls, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], cell: float) -> CellIndex:
+        """Index points with coordinates in metres by cells of edge `cell` [m]."""
+        edge = round(cell * 1000)
+        mx, my, mz = millimetres(x), millimetres(y), millimetres(z)
+        if len(mx) == 0:
+            none = np.empty(0, np.int64)
+            return cls(none, np.zeros(2, np.int64), none, none, none, 1, 1, edge, 0, 0, 0)
+        col, row = mx // edge, my // edge
+        col0, row0 = int(col.min()), int(row.min())
+        ncols, nrows = int(col.max()) - col0 + 1, int(row.max()) - row0 + 1
+        if ncols * nrows > MAX_CELLS:
+            raise InputError(
+                "the points spread too far for a neighbour grid",
+                expected=f"at most {MAX_CELLS} cells of {cell} m",
+                got=f"{ncols} x {nrows} cells",
+                do="remove outlying points, use smaller tiles or a larger radius",
+            )
+        x0, y0, z0 = col0 * edge, row0 * edge, int(mz.min())
+        order, start = _sort_by_cell((row - row0) * ncols + (col - col0), ncols * nrows)
+        return cls(
+            order, start, (mx - x0)[order], (my - y0)[order], (mz - z0)[order], ncols, nrows, edge, x0, y0, z0
+        )  # fmt: skip
+
+
+@kernel
+def _sort_by_cell(cell, n_cells):  # type: ignore[no-untyped-def]
+    """Stable counting sort: (order, start)."""
+    start = np.zeros(n_cells + 1, np.int64)
+    for c in cell:
+        start[c + 1] += 1
+    for c in range(n_cells):
+        start[c + 1] += start[c]
+    place = start[:-1].copy()
+    order = np.empty(len(cell), np.int64)
+    for i in range(len(cell)):
+        c = cell[i]
+        order[place[c]] = i
+        place[c] += 1
+    return order, start
+
+
+@kernel
+def _nearest(px, py, pz, x, y, z, start, ncols, nrows, cell, limit, found, distance):  # type: ignore[no-untyped-def]
+    """Sorted row of the nearest indexed point within `limit` mm (first in walk order on a tie), -1 if none."""
+    for i in range(len(px)):
+        c, r = px[i] // cell, py[i] // cell
+        best = limit * limit + 1
+        at = -1
+        for row in range(max(r - 1, 0), min(r + 2, nrows)):
+            for col in range(max(c - 1, 0), min(c + 2, ncols)):
+                k = row * ncols + col
+                for j in range(start[k], start[k + 1]):
+                    dx, dy, dz = x[j] - px[i], y[j] - py[i], z[j] - pz[i]
+                    d = dx * dx + dy * dy + dz * dz
+                    if d < best:
+                        best, at = d, j
+        found[i] = at
+        distance[i] = np.sqrt(float(best)) if at >= 0 else np.nan
+
+
+def nearest_within(
+    points: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    among: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    limit: float,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """For each of `points` the row of the nearest of `among` within `limit` [m], and the distance [m].
+
+    Ties go to the point whose cell comes first (south, then west), then to the lower row of `among`.
+    Rows without one get -1 and NaN.
+    """
+    index = CellIndex.build(*among, cell=limit)
+    found = np.full(len(points[0]), -1, np.int64)
+    distance = np.full(len(found), np.nan)
+    if len(index.order) and len(found):
+        _nearest(
+            millimetres(points[0]) - index.x0, millimetres(points[1]) - index.y0, millimetres(points[2]) - index.z0,
+            index.x, index.y, index.z, index.start, index.ncols, index.nrows, index.cell,
+            round(limit * 1000), found, distance,
+        )  # fmt: skip
+        hit = found >= 0
+        found[hit] = index.order[found[hit]]
+    return found, distance * 0.001

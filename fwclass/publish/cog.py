@@ -1,0 +1,137 @@
+"""Rasters as cloud-optimised GeoTIFF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+import pyproj
+import rasterio
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.grid import Window, millimetres, whole_millimetres
+from fwclass.kernel import kernel
+from fwclass.publish.files import whole
+from fwclass.publish.palette import RGB, colours
+from fwclass.publish.params import PublishParams
+
+NO_CLASS = 0
+
+
+def write_cog(
+    array: NDArray,
+    window: Window,
+    path: Path,
+    crs: pyproj.CRS | None,
+    params: PublishParams,
+    nodata: float,
+    colormap: Mapping[int, RGB] | None = None,
+    tags: Mapping[str, str] | None = None,
+    names: Mapping[int, str] | None = None,
+) -> dict[str, Any]:
+    """Write a raster north up with overviews; the same array gives the same bytes.
+
+    Parameters
+    ----------
+    array : shape ``window.shape``, float32 or uint8, **row 0 in the south**; the outer corner of cell (0, 0)
+        is the south-west corner of ``window.box``.
+    nodata : value of a cell without data; NaN for heights, 0 for classes.
+    colormap : colour per code, for uint8; None takes the house's colours of `names`.
+        Overviews take the commonest value if there are colours or names, else the mean.
+    tags : texts for the file's metadata.
+    names : class name per code; stored as tags ``CLASS_<code>`` and, for desktop GIS, in ``<path>.aux.xml``.
+
+    Returns
+    -------
+    dict with ``path, shape, cell, bytes``.
+
+    Raises
+    ------
+    InputError
+        The array is not of the window's shape, or the window is empty.
+    """
+    if array.shape != window.shape or not array.size:
+        raise InputError("a raster does not fit its window", where=path, expected=window.shape, got=array.shape)
+    codes = bool(names or colormap)
+    profile = {
+        "driver": "COG", "width": window.ncols, "height": window.nrows, "count": 1, "dtype": array.dtype,
+        "nodata": nodata,
+        "transform": north_up(window),
+        "crs": rasterio.crs.CRS.from_wkt(crs.to_wkt()) if crs is not None else None,
+        "compress": params.cog_compression, "blocksize": params.cog_block, "num_threads": 1,
+        "predictor": _predictor(array.dtype, codes), "bigtiff": "IF_SAFER",
+        "overview_resampling": "MODE" if codes else "AVERAGE",
+    }  # fmt: skip
+    known = dict(sorted((names or {}).items()))
+    if codes and known and colormap is None:
+        colormap = colours({"name": name, "code": code} for code, name in known.items())
+    with whole(path) as beside:
+        with rasterio.open(beside, "w", **profile) as file:
+            file.write(np.ascontiguousarray(array[::-1]), 1)
+            if colormap:
+                file.write_colormap(1, dict(sorted(colormap.items())))
+            file.update_tags(AREA_OR_POINT="Area", TIFFTAG_SOFTWARE="fwclass", **(tags or {}))
+            file.update_tags(1, **{f"CLASS_{code}": name for code, name in known.items()})
+        size = beside.stat().st_size
+    if known:
+        _write_names(path, known)
+    return {"path": str(path), "shape": list(window.shape), "cell": window.cell, "bytes": size}
+
+
+def _predictor(dtype: np.dtype, codes: bool) -> str:
+    """What suits the values: differences of neighbours help where values are continuous."""
+    if codes:
+        return "NO"
+    return "FLOATING_POINT" if dtype.kind == "f" else "STANDARD"
+
+
+def north_up(window: Window) -> rasterio.Affine:
+    """From (column, row counted from the north) to coordinates; cell corners lie on the window's box."""
+    return rasterio.Affine(window.cell, 0.0, window.box.xmin, 0.0, -window.cell, window.box.ymax)
+
+
+def _write_names(path: Path, names: Mapping[int, str]) -> None:
+    """Category names where GDAL looks for them: a TIFF has no place of its own."""
+    rows = "\n".join(f"      <Category>{escape(names.get(i, ''))}</Category>" for i in range(max(names) + 1))
+    text = (
+        '<PAMDataset>\n  <PAMRasterBand band="1">\n    <CategoryNames>\n'
+        f"{rows}\n    </CategoryNames>\n  </PAMRasterBand>\n</PAMDataset>\n"
+    )
+    with whole(path.with_name(path.name + ".aux.xml")) as beside:
+        beside.write_text(text, encoding="utf-8")
+
+
+def class_raster(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    classification: NDArray[np.uint8],
+    window: Window,
+) -> NDArray[np.uint8]:
+    """Class of the highest echo in every cell, `window.shape`, row 0 in the south; 0 where there is none.
+
+    Among echoes of one height (to the millimetre) the smallest code wins, so the rows' order does not count;
+    echoes outside the window and those without a class (0) are left out.
+    """
+    mm = whole_millimetres(window.cell, "class_cell")
+    col, row = millimetres(x) // mm - window.col, millimetres(y) // mm - window.row
+    out = np.zeros(window.shape, np.uint8)
+    top = np.full(window.shape, np.iinfo(np.int64).min)
+    _highest(col, row, millimetres(z), np.ascontiguousarray(classification, np.uint8), out, top)
+    return out
+
+
+@kernel
+def _highest(col, row, z, code, out, top):  # type: ignore[no-untyped-def]
+    nrows, ncols = out.shape
+    for i in range(len(z)):
+        r, c = row[i], col[i]
+        if code[i] == 0 or r < 0 or c < 0 or r >= nrows or c >= ncols:
+            continue
+        if z[i] > top[r, c] or (z[i] == top[r, c] and code[i] < out[r, c]):
+            top[r, c] = z[i]
+            out[r, c] = code[i]

@@ -1,0 +1,154 @@
+"""Maps of the report as PNG; the same rasters give the same bytes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from fwclass.grid import Window
+from fwclass.publish.drawing import PAPER, Areas, View, draw, frame, legend, outline, png
+from fwclass.publish.palette import NO_CLASS, colours, css
+from fwclass.publish.params import PublishParams
+
+TINTS = ((0.0, (112, 144, 122)), (0.35, (186, 196, 150)), (0.65, (222, 205, 160)), (1.0, (243, 238, 226)))
+"""Height tints of the terrain: low green, high pale."""
+
+
+def class_map(
+    classes: NDArray[np.uint8],
+    window: Window,
+    names: Sequence[Mapping[str, Any]],
+    params: PublishParams,
+    dtm: tuple[NDArray[np.float32], Window] | None = None,
+    areas: Areas | None = None,
+) -> bytes:
+    """Class raster, shaded by the terrain's relief, with legend, scale bar and the outlined areas.
+
+    Parameters
+    ----------
+    classes : uint8 ``window.shape``, row 0 in the south, 0 where there is no data (stays blank).
+    names : ``[{"name", "code"}]``, order of the legend; a code that occurs but is not named is drawn grey.
+    dtm : heights [m] and their window, of any cell and extent; None draws without shading.
+    areas : ``{"train": [[xmin, ymin, xmax, ymax]], "test": [...]}``, or None.
+    """
+    part, view = thinned(classes, window, params.figure_pixels)
+    table = np.full((256, 3), 165, np.float32)
+    table[0] = NO_CLASS
+    palette = colours(names)
+    for code, colour in palette.items():
+        table[code] = colour
+    part = filled(part)
+    image = table[part]
+    if dtm is not None:
+        light = _sampled(hillshade(dtm[0], dtm[1].cell, params), dtm[1], view, flat_light(params))
+        image = np.where((part > 0)[..., None], image * (0.62 + 0.48 * light[..., None]), image)
+    figure, axes = frame(view)
+    draw(axes, image, view)
+    handles: list[Any] = [
+        Patch(facecolor=css(palette[int(c["code"])]), edgecolor="#00000030", label=str(c["name"])) for c in names
+    ]
+    if (part == 0).any():
+        handles.append(Patch(facecolor=PAPER, edgecolor="#00000060", label="no data"))
+    handles += outline(axes, areas or {}, view)
+    legend(axes, handles, "Class")
+    return png(figure)
+
+
+def relief(dtm: NDArray[np.float32], window: Window, params: PublishParams) -> bytes:
+    """Shaded relief of the terrain model, tinted by height; cells without height stay blank.
+
+    Parameters
+    ----------
+    dtm : float32 ``window.shape`` [m], row 0 in the south, NaN where there is none.
+    """
+    part, view = thinned(dtm, window, params.figure_pixels)
+    known = part[np.isfinite(part)]
+    low, high = np.percentile(known, (1, 99)) if known.size else (0.0, 1.0)
+    share = np.clip((np.nan_to_num(part, nan=low) - low) / max(high - low, 1e-9), 0, 1)
+    tint = _tint(share)
+    light = hillshade(part, view.cell, params)
+    image = np.where(np.isfinite(part)[..., None], tint * (0.35 + 0.78 * light[..., None]), 255.0)
+    figure, axes = frame(view)
+    draw(axes, image, view)
+    steps = np.linspace(low, high, 5)
+    shades = _tint(np.linspace(0, 1, 5)) / 255
+    handles = [
+        Patch(facecolor=tuple(shade), edgecolor="#00000030", label=f"{step:.1f} m")
+        for step, shade in zip(steps[::-1], shades[::-1], strict=True)
+    ]
+    legend(axes, handles, "Height")
+    return png(figure)
+
+
+def _tint(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Colour of heights that lie at `share` of the range, 0 to 255, shape (…, 3)."""
+    stops = [stop for stop, _ in TINTS]
+    return np.stack([np.interp(share, stops, [c[i] for _, c in TINTS]) for i in range(3)], axis=-1)
+
+
+def flat_light(params: PublishParams) -> float:
+    """Light on level ground."""
+    return math.sin(math.radians(params.sun_altitude))
+
+
+def hillshade(dtm: NDArray[np.float32], cell: float, params: PublishParams) -> NDArray[np.float32]:
+    """Light on the terrain, 0 to 1: the cosine between surface normal and sun (Horn 1981).
+
+    A cell without height is lit as flat ground is.
+    """
+    flat = flat_light(params)
+    if min(dtm.shape) < 2:
+        return np.full(dtm.shape, flat, np.float32)
+    north, east = np.gradient(dtm.astype(np.float64) * params.exaggeration, cell)
+    azimuth, altitude = math.radians(params.sun_azimuth), math.radians(params.sun_altitude)
+    sun = (math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude))
+    light = (-east * sun[0] - north * sun[1] + sun[2]) / np.sqrt(1 + east**2 + north**2)
+    return np.where(np.isfinite(light), np.clip(light, 0, 1), flat).astype(np.float32)
+
+
+def thinned(array: NDArray, window: Window, pixels: int) -> tuple[NDArray, View]:
+    """Every k-th cell from the south-west, so that the longer edge has at most `pixels`."""
+    step = max(1, math.ceil(max(window.shape) / pixels))
+    part = array[::step, ::step]
+    box = window.box
+    return part, View(box.xmin, box.ymin, window.cell * step, part.shape[1], part.shape[0])
+
+
+def filled(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """For display: an empty cell takes the commonest class around it where three neighbours of four have one.
+
+    The smallest code wins a tie. Larger gaps in the data stay blank.
+    """
+    shifts = [(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    padded, there = np.pad(codes, 1), np.pad(np.ones(codes.shape, np.uint8), 1)
+    known, neighbours = (_around(a, codes.shape, shifts) for a in ((padded > 0).astype(np.uint8), there))
+    rows, cols = np.nonzero((codes == 0) & (known > 0) & (4 * known >= 3 * neighbours))
+    out = codes.copy()
+    if len(rows):
+        near = np.stack([padded[rows + i, cols + j] for i, j in shifts], axis=1)
+        votes = np.stack([(near == near[:, [k]]).sum(axis=1) * (near[:, k] > 0) for k in range(8)], axis=1)
+        most = (votes == votes.max(axis=1, keepdims=True)) & (near > 0)
+        out[rows, cols] = np.where(most, near, 255).min(axis=1)
+    return out
+
+
+def _around(padded: NDArray[np.uint8], shape: tuple[int, ...], shifts: list[tuple[int, int]]) -> NDArray[np.uint8]:
+    """Sum over the eight neighbours of every cell; `padded` has one cell more on each side."""
+    rows, cols = shape
+    return np.sum([padded[i : i + rows, j : j + cols] for i, j in shifts], axis=0, dtype=np.uint8)
+
+
+def _sampled(light: NDArray[np.float32], window: Window, view: View, flat: float) -> NDArray[np.float32]:
+    """`light` of `window` at the middles of the view's cells; `flat` outside."""
+    x = view.xmin + (np.arange(view.ncols) + 0.5) * view.cell
+    y = view.ymin + (np.arange(view.nrows) + 0.5) * view.cell
+    col = np.floor((x - window.box.xmin) / window.cell).astype(int)
+    row = np.floor((y - window.box.ymin) / window.cell).astype(int)
+    inside = ((row >= 0) & (row < window.nrows))[:, None] & ((col >= 0) & (col < window.ncols))[None, :]
+    taken = light[np.clip(row, 0, window.nrows - 1)[:, None], np.clip(col, 0, window.ncols - 1)[None, :]]
+    return np.where(inside, taken, np.float32(flat))

@@ -1,0 +1,170 @@
+"""A tile's echoes as LAS 1.4, point format 6, compressed."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.grid import millimetres
+from fwclass.publish.extrabytes import descriptor, extra_size, packed, published
+from fwclass.publish.files import whole
+from fwclass.publish.lasbytes import (
+    EXTRA_BYTES,
+    HEADER_SIZE,
+    POINT_SIZE,
+    WKT,
+)
+from fwclass.publish.lazwriter import LazWriter, assemble, record
+from fwclass.publish.params import PublishParams
+from fwclass.schema import Column, Table, require
+from fwclass.units import QUANTUM
+
+NEEDED = ("strip", "echo_number", "number_of_echoes", "x", "y", "z", "classification")
+STANDARD_GPS_TIME = 1
+OFFSET_STEP = 1_000_000
+"""The stored coordinates count from a whole kilometre [mm]."""
+
+POINT6 = np.dtype(
+    [
+        ("X", "<i4"), ("Y", "<i4"), ("Z", "<i4"), ("intensity", "<u2"), ("returns", "u1"), ("flags", "u1"),
+        ("classification", "u1"), ("user_data", "u1"), ("scan_angle", "<i2"), ("source", "<u2"),
+        ("gps_time", "<f8"),
+    ]
+)  # fmt: skip
+
+
+def write_tile_laz(
+    table: Table,
+    path: Path,
+    crs: pyproj.CRS | None,
+    params: PublishParams,
+    *,
+    standard_time: bool = False,
+) -> dict[str, Any]:
+    """Write the echoes of a tile, in the table's row order; the same rows give the same bytes.
+
+    Coordinates are exact millimetres. The point source is strip + 1, the return number is the echo number (15
+    at most, as the format holds four bits). Every column with a LAS name becomes an extra byte; NaN stays
+    NaN.
+    A missing `gps_time` is written as 0. The creation date is 0: nothing of the day or the machine
+    is in the file.
+
+    Parameters
+    ----------
+    table : at least `NEEDED`; `intensity` and `gps_time` if they are there.
+    crs : None leaves the file without one.
+    standard_time : `gps_time` is adjusted standard GPS time, not seconds of the week.
+
+    Returns
+    -------
+    dict with ``path, points, extra_bytes (names), clipped (echo numbers above 15), without_time, bytes``.
+
+    Raises
+    ------
+    InputError
+        A column is missing, or coordinates do not fit the format's 32 bits.
+    """
+    require(table, NEEDED, path)
+    columns = published(table)
+    offset, whole_mm = _local(table, path)
+    points, counts = _points(table, whole_mm)
+    head = _head(columns, points, offset, crs, standard_time)
+    rows = np.concatenate([points.view(np.uint8).reshape(len(points), POINT6.itemsize), packed(columns, table)], axis=1)
+    with whole(path) as beside:
+        with beside.open("w+b") as file:
+            writer = LazWriter(file, head)
+            for first in range(0, len(rows), params.chunk_points):
+                writer.write(rows[first : first + params.chunk_points])
+            writer.finish()
+        size = beside.stat().st_size
+    names = [c.las for c in columns]
+    return {"path": str(path), "points": table.rows, "extra_bytes": names, "bytes": size, **counts}
+
+
+def _local(table: Table, path: Path) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
+    """The offset [mm] and the coordinates from it."""
+    axes = [millimetres(table[a]) for a in ("x", "y", "z")]
+    low = [int(a.min()) // OFFSET_STEP * OFFSET_STEP if len(a) else 0 for a in axes[:2]]
+    offset = np.array([*low, 0], np.int64)
+    local = [a - o for a, o in zip(axes, offset, strict=True)]
+    for name, values in zip("xyz", local, strict=True):
+        if len(values) and (values.min() < -(2**31) or values.max() >= 2**31):
+            raise InputError(
+                f"coordinate {name} does not fit a LAS file",
+                where=path,
+                expected="a spread below 2147 km at steps of 1 mm",
+                got=f"{table[name].min()} to {table[name].max()}",
+                do="remove the outlying points, or correct the CRS",
+            )
+    return offset, local
+
+
+def _points(table: Table, local: list[NDArray[np.int64]]) -> tuple[NDArray, dict[str, int]]:
+    """Records of point format 6."""
+    out = np.zeros(table.rows, POINT6)
+    out["X"], out["Y"], out["Z"] = local
+    number, count = table["echo_number"], table["number_of_echoes"]
+    out["returns"] = np.minimum(number, 15) | (np.minimum(count, 15) << 4)
+    out["classification"] = table["classification"]
+    out["source"] = np.minimum(table["strip"].astype(np.uint32) + 1, 65535)
+    if "intensity" in table:
+        out["intensity"] = table["intensity"]
+    time = table["gps_time"] if "gps_time" in table else np.full(table.rows, np.nan)
+    known = np.isfinite(time)
+    out["gps_time"] = np.where(known, time, 0.0)
+    return out, {"clipped": int(np.count_nonzero(count > 15)), "without_time": int(np.count_nonzero(~known))}
+
+
+def _head(
+    columns: tuple[Column, ...],
+    points: NDArray,
+    offset: NDArray[np.int64],
+    crs: pyproj.CRS | None,
+    standard_time: bool,
+) -> bytes:
+    """Header block and records of the uncompressed file."""
+    size = POINT_SIZE[6] + extra_size(columns)
+    block = bytearray(HEADER_SIZE[4])
+    block[:4], block[24], block[25] = b"LASF", 1, 4
+    struct.pack_into("<H", block, 6, WKT | (STANDARD_GPS_TIME if standard_time else 0))
+    struct.pack_into("<32s32s", block, 26, b"fwclass", b"fwclass")
+    struct.pack_into("<HHH", block, 90, 0, 0, HEADER_SIZE[4])
+    struct.pack_into("<BH", block, 104, 6, size)
+    struct.pack_into("<6d", block, 131, QUANTUM, QUANTUM, QUANTUM, *(offset * QUANTUM))
+    struct.pack_into("<6d", block, 179, *_bounds(points, offset))
+    struct.pack_into("<Q", block, 247, len(points))
+    by_return = np.bincount(points["returns"] & 15, minlength=16)[1:16]
+    struct.pack_into("<15Q", block, 255, *(int(n) for n in by_return))
+    records = []
+    if crs is not None:
+        records.append(record("LASF_Projection", 2112, "OGC WKT", wkt(crs).encode() + b"\0"))
+    if columns:
+        records.append(record(*EXTRA_BYTES, "Extra Bytes Record", b"".join(map(descriptor, columns))))
+    return assemble(bytes(block), records)
+
+
+def _bounds(points: NDArray, offset: NDArray[np.int64]) -> list[float]:
+    """Highest and lowest x, y, z [m], as the stored integers give them."""
+    if not len(points):
+        return [0.0] * 6
+    out = []
+    for name, start in zip("XYZ", offset, strict=True):
+        out += [
+            int(points[name].max()) * QUANTUM + start * QUANTUM,
+            int(points[name].min()) * QUANTUM + start * QUANTUM,
+        ]
+    return out
+
+
+def wkt(crs: pyproj.CRS) -> str:
+    """WKT 1 as LAS 1.4 asks for, or WKT 2 for what only that can say."""
+    try:
+        return str(crs.to_wkt("WKT1_GDAL"))
+    except pyproj.exceptions.CRSError:
+        return str(crs.to_wkt("WKT2_2019"))

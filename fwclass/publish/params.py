@@ -1,0 +1,38 @@
+"""Numbers of the outputs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from fwclass.stage import Params
+
+
+class PublishParams(Params):
+    """Settings of every output; none of them changes a class.
+
+    Attributes
+    ----------
+    class_cell : edge of a cell of the class raster [m].
+    chunk_points : points of a strip held in memory at once.
+    row_group : rows of a Parquet row group.
+    zstd_level : effort of Zstandard in Parquet.
+    cog_block : edge of a raster's internal tile [cells].
+    cog_compression : compression of the rasters.
+    figure_pixels : longer edge of the report's maps [pixels]; a map is never drawn finer than its raster.
+    sun_azimuth : where the light of shaded relief comes from, clockwise from north [deg].
+    sun_altitude : its height above the horizon [deg].
+    exaggeration : factor on heights in shaded relief.
+    """
+
+    class_cell: float = Field(gt=0)
+    chunk_points: int = Field(gt=0, le=50_000_000)
+    row_group: int = Field(gt=0)
+    zstd_level: int = Field(ge=1, le=22)
+    cog_block: int = Field(ge=128, le=4096, multiple_of=16)
+    cog_compression: Literal["deflate", "zstd"]
+    figure_pixels: int = Field(ge=200, le=4000)
+    sun_azimuth: float = Field(ge=0, le=360)
+    sun_altitude: float = Field(gt=0, le=90)
+    exaggeration: float = Field(gt=0)

@@ -1,0 +1,205 @@
+"""The report of a run: one HTML file without any link to the network."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import yaml
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from fwclass.publish.files import whole
+from fwclass.publish.sections import (
+    accuracy,
+    distribution,
+    number,
+    percent,
+    quantity,
+    seconds,
+    stages,
+    training,
+)
+
+TEMPLATE = "report.html.j2"
+LISTED = 8
+"""Outputs of a kind that are listed openly; the others unfold."""
+
+CAPTIONS = {
+    "map": (
+        "Classes",
+        "Class of the highest echo in every cell, shaded by the terrain; single empty cells are filled.",
+    ),
+    "relief": ("Terrain", "Shaded relief of the terrain model, tinted by height."),
+}
+
+
+def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path: Path) -> dict[str, Any]:
+    """Write the report as one HTML file: styles inside, images as data, nothing from the network.
+
+    Every text of `report` is escaped. A section whose data are missing, None or empty is left out.
+
+    Parameters
+    ----------
+    report : ``survey, fwclass, input {files, faults}, counts, stages, classes, accuracy, training,
+        distribution, areas, outputs, config, seconds``; plain data, any key may be missing.
+    figures : PNG by name; ``map`` and ``relief`` come first, others follow under their names.
+
+    Returns
+    -------
+    dict with ``path, bytes, sections``.
+    """
+    view = _view(report, figures)
+    page = _environment().get_template(TEMPLATE).render(view)
+    with whole(path) as beside:
+        beside.write_text(page, encoding="utf-8", newline="\n")
+        size = beside.stat().st_size
+    shown = [name for name in ("maps", "accuracy", "distribution", "stages", "outputs", "config") if view[name]]
+    return {"path": str(path), "bytes": size, "sections": shown}
+
+
+def _environment() -> Environment:
+    made = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters.update(number=number, percent=percent, quantity=quantity, seconds=seconds)
+    return made
+
+
+def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, Any]:
+    """What the template shows, complete: every key is there, empty where there is nothing to show."""
+    classes = list(report.get("classes") or ())
+    counts = dict(report.get("counts") or {})
+    source = report.get("input") or {}
+    config = report.get("config")
+    return {
+        "survey": report.get("survey") or "survey",
+        "version": report.get("fwclass") or "",
+        "total": report.get("seconds"),
+        "summary": _summary(report, classes, counts),
+        "facts": _facts(report, counts),
+        "maps": _images(figures),
+        "accuracy": accuracy(report.get("accuracy"), classes),
+        "distribution": distribution(report.get("distribution"), classes),
+        "training": training(report.get("training")),
+        "counts": counts,
+        "balance": _balance(counts),
+        "files": list(source.get("files") or ()),
+        "faults": dict(source.get("faults") or {}),
+        "stages": stages(report.get("stages") or ()),
+        "outputs": _outputs(report.get("outputs") or {}),
+        "config": _yaml(config) if config else "",
+    }
+
+
+def _summary(report: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], counts: Mapping[str, Any]) -> str:
+    """One or two sentences on what the run was."""
+    files = len((report.get("input") or {}).get("files") or ())
+    text = [f"{files} source file{'s' * (files != 1)}"] if files else ["The survey"]
+    if counts.get("pulses"):
+        text.append(f"with {number(counts['pulses'])} pulses")
+    if counts.get("echoes_decomposed"):
+        text.append(f"gave {number(counts['echoes_decomposed'])} echoes")
+    elif counts.get("echoes_in_tiles"):
+        text.append(f"hold {number(counts['echoes_in_tiles'])} echoes")
+    first = " ".join(text)
+    if classes:
+        names = [str(c["name"]) for c in classes]
+        listed = " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
+        first += f", classified as {listed}"
+    if counts.get("tiles"):
+        first += f", in {number(counts['tiles'])} tile{'s' * (counts['tiles'] != 1)}"
+    training = report.get("training")
+    second = ""
+    if training and training.get("trees"):
+        samples = sum(int(n) for n in (training.get("samples") or {}).values())
+        second = f" The random forest of {number(training['trees'])} trees learned from {number(samples)} samples"
+        second += " and was assessed where it did not learn." if report.get("accuracy") else "."
+    return f"{first}.{second}"
+
+
+def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The figures at the top: (label, value), those that are known."""
+    made = report.get("accuracy") or {}
+    wanted = (
+        ("overall accuracy", percent(made.get("overall_accuracy")), " %"),
+        ("kappa", f"{made['kappa']:.3f}" if made.get("kappa") is not None else "", ""),
+        ("mean IoU", percent(made.get("mean_iou")), " %"),
+        ("pulses", quantity(counts.get("pulses")), ""),
+        ("echoes", quantity(counts.get("echoes_in_tiles")), ""),
+        ("tiles", quantity(counts.get("tiles")), ""),
+        ("time", seconds(report.get("seconds")), ""),
+    )
+    return [(label, value + unit) for label, value, unit in wanted if value]
+
+
+def _balance(counts: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Whether every echo that was made lies in a tile."""
+    made, kept = counts.get("echoes_decomposed"), counts.get("echoes_in_tiles")
+    if made is None or kept is None:
+        return None
+    return {
+        "made": number(made),
+        "kept": number(kept),
+        "equal": made == kept,
+        "lost": number(abs(made - kept)),
+    }
+
+
+def _images(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
+    names = [n for n in CAPTIONS if n in figures] + [n for n in figures if n not in CAPTIONS]
+    out = []
+    for name in names:
+        title, caption = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
+        data = base64.b64encode(figures[name]).decode()
+        out.append({"title": title, "caption": caption, "uri": f"data:image/png;base64,{data}"})
+    return out
+
+
+def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Paths by kind, relative ones as links."""
+    labels = {
+        "laz": "Classified points (LAZ)",
+        "parquet": "GeoParquet",
+        "rasters": "Rasters (GeoTIFF)",
+        "model": "Trained model",
+    }
+    out = []
+    for kind, items in outputs.items():
+        paths = [str(i["path"] if isinstance(i, Mapping) else i) for i in items or ()]
+        links = [{"text": p, "href": _link(p)} for p in paths]
+        if links:
+            out.append(
+                {
+                    "label": labels.get(kind, kind),
+                    "count": len(links),
+                    "open": links[:LISTED],
+                    "more": links[LISTED:],
+                }
+            )
+    return out
+
+
+def _link(path: str) -> str:
+    """A link that can only lead to a file beside the report; "" for any other path."""
+    inside = not path.startswith(("/", "\\")) and ".." not in path.split("/") and ":" not in path.split("/")[0]
+    return "./" + quote(path.replace("\\", "/")) if inside else ""
+
+
+def _yaml(config: Any) -> str:
+    return str(yaml.safe_dump(_plain(config), sort_keys=False, allow_unicode=True, width=100))
+
+
+def _plain(value: Any) -> Any:
+    """Only what YAML writes plainly."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return value if isinstance(value, (str, int, float, bool)) or value is None else str(value)

@@ -1,0 +1,219 @@
+"""Tables of the report, from figures to cells with colours."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from fwclass.publish.palette import colours, css
+from fwclass.schema import column
+
+FAN_2013: dict[str, dict[str, str]] = {
+    "zc": {"building": "3–10 m", "vegetation": "0.5–10 m", "ground": "≈ 0 m"},
+    "inclination": {"building": "≤ 20°", "vegetation": "varies", "ground": "≤ 15°"},
+    "echo_ratio": {"building": "100 %", "vegetation": "< 60 %", "ground": "100 %"},
+    "amplitude": {"building": "high", "vegetation": "low", "ground": "high"},
+    "width": {"building": "wide", "vegetation": "varies", "ground": "wide"},
+    "echo_number": {"building": "one echo", "vegetation": "many", "ground": "one echo"},
+    "backscatter": {"building": "slightly higher", "vegetation": "middle", "ground": "middle"},
+}
+"""Fan 2013, Table 1."""
+
+_BASE = {"number_of_echoes": "echo_number"}
+_CLASS = {"tree": "vegetation", "trees": "vegetation", "buildings": "building"}
+TITLES = {
+    "zc": "height in cell Zc", "inclination": "inclination A", "echo_ratio": "echo ratio ER",
+    "amplitude": "amplitude", "width": "echo width",
+    "echo_number": "echo number", "number_of_echoes": "number of echoes",
+    "backscatter": "backscatter coefficient γ",
+}  # fmt: skip
+PERCENTILES = ("p5", "p25", "p50", "p75", "p95")
+PER_CLASS = ("producers_accuracy", "users_accuracy", "iou")
+RIGHT, WRONG = (23, 105, 122), (196, 78, 40)
+"""Colours of the confusion matrix: on the diagonal and beside it."""
+
+
+def number(value: Any) -> str:
+    """``1 234 567`` with narrow spaces; a dash where there is none."""
+    return "–" if value is None else f"{int(value):,}".replace(",", "\u202f")
+
+
+def quantity(value: Any) -> str:
+    """A count for a headline: ``5.91 M``; "" where there is none."""
+    if value is None:
+        return ""
+    for limit, unit in ((1e9, "\u202fG"), (1e6, "\u202fM")):
+        if value >= limit:
+            return f"{value / limit:.3g}{unit}"
+    return number(value)
+
+
+def percent(value: Any) -> str:
+    """A fraction in percent with one decimal; "" where there is none."""
+    return "" if value is None or not math.isfinite(value) else f"{100 * value:.1f}"
+
+
+def seconds(value: Any) -> str:
+    """``12.3 s``, ``4 min 05 s`` or ``2 h 10 min``; "" where there is none."""
+    if value is None:
+        return ""
+    if value < 59.95:
+        return f"{value:.1f} s"
+    whole = round(value)
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def measure(value: Any) -> str:
+    """A feature's value with three digits that count."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    size = abs(value)
+    if size and (size >= 100_000 or size < 0.001):
+        return f"{value:.2e}"
+    digits = max(0, 2 - math.floor(math.log10(size))) if size else 0
+    return f"{value:.{min(digits, 3)}f}"
+
+
+def accuracy(made: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """The confusion matrix with a colour per cell, and the figures per class; None without an assessment."""
+    if not made or not made.get("confusion"):
+        return None
+    names = [str(c["name"] if isinstance(c, Mapping) else c) for c in made["classes"]]
+    lost = made.get("unclassified") or [0] * len(names)
+    dots = _dots(names, classes)
+    rows = []
+    for i, (name, counts) in enumerate(zip(names, made["confusion"], strict=True)):
+        total = sum(counts) + lost[i]
+        cells = [_cell(n, total, i == j) for j, n in enumerate(counts)]
+        rows.append(
+            {"name": name, "dot": dots[name], "cells": cells, "total": number(total), "lost": number(lost[i])}
+            | {key: percent(_of(made.get(key), i, name)) or "–" for key in PER_CLASS}
+        )
+    two = {"type I error": "type_i", "type II error": "type_ii", "total error": "total_error"}
+    totals = (
+        [("overall accuracy", percent(made.get("overall_accuracy")) + " %")]
+        if made.get("overall_accuracy") is not None
+        else []
+    )
+    totals += [("kappa", f"{made['kappa']:.3f}")] if made.get("kappa") is not None else []
+    totals += [("mean IoU", percent(made["mean_iou"]) + " %")] if made.get("mean_iou") is not None else []
+    totals += [(label, percent(made[key]) + " %") for label, key in two.items() if made.get(key) is not None]
+    return {
+        "names": names, "rows": rows, "totals": totals, "area": made.get("area") or "", "any_lost": any(lost),
+        "count": number(sum(map(sum, made["confusion"])) + sum(lost)),
+    }  # fmt: skip
+
+
+def _of(values: Any, index: int, name: str) -> Any:
+    if isinstance(values, Mapping):
+        return values.get(name)
+    return values[index] if values else None
+
+
+def _cell(count: int, total: int, right: bool) -> dict[str, str]:
+    """Count and share of the row; the deeper the colour the larger the share."""
+    share = count / total if total else 0.0
+    colour, strength = (RIGHT, share) if right else (WRONG, min(1.0, share * 2.5))
+    mixed = [round(255 + (c - 255) * strength * 0.9) for c in colour]
+    dark = 0.299 * mixed[0] + 0.587 * mixed[1] + 0.114 * mixed[2] < 140
+    return {
+        "count": number(count),
+        "share": f"{percent(share)} %" if total else "–",
+        "style": f"background:{css((mixed[0], mixed[1], mixed[2]))};color:{'#fff' if dark else '#1d2a35'}",
+    }
+
+
+def _dots(names: Iterable[str], classes: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    by_code = colours(classes)
+    known = {str(c["name"]): css(by_code[int(c["code"])]) for c in classes}
+    return {n: known.get(n, "#b8c1c9") for n in names}
+
+
+def distribution(made: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]] | None:
+    """Per feature and class: quantiles, a box to draw [% of the feature's range], Fan 2013's words."""
+    if not made:
+        return None
+    out = []
+    for feature, per_class in made.items():
+        low, high = _range(per_class.values())
+        dots = _dots(per_class, classes)
+        base = _base(feature)
+        paper = FAN_2013.get(_BASE.get(base, base), {})
+        rows = []
+        for name, stats in per_class.items():
+            texts = {p: measure(stats.get(p)) for p in PERCENTILES}
+            word = _CLASS.get(name.lower(), name.lower())
+            rows.append(
+                {"name": name, "dot": dots[name], "n": number(stats.get("n")), "paper": paper.get(word, "–")}
+                | texts
+                | {"box": _box(stats, low, high)}
+            )
+        if rows:
+            out.append({"feature": feature, "title": _title(feature), "unit": _unit(feature), "rows": rows})
+    return out or None
+
+
+def training(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Samples per class, the number of trees, the features in words."""
+    if not made:
+        return None
+    features = [_title(str(f)) for f in made.get("features") or ()]
+    return {
+        "samples": dict(made.get("samples") or {}), "trees": made.get("trees"), "features": features,
+        "out_of_bag": percent(made.get("out_of_bag")), "notes": [str(n) for n in made.get("notes") or ()],
+    }  # fmt: skip
+
+
+def _base(feature: str) -> str:
+    return re.sub(r"_r\d+$", "", feature)
+
+
+def _title(feature: str) -> str:
+    base = _base(feature)
+    scale = re.search(r"_r(\d+)$", feature)
+    title = TITLES.get(base, base.replace("_", " "))
+    return f"{title}, r = {int(scale[1]) / 100:g} m" if scale else title
+
+
+def _unit(feature: str) -> str:
+    try:
+        return column(feature).unit
+    except KeyError:
+        return ""
+
+
+def _range(stats: Iterable[Mapping[str, Any]]) -> tuple[float, float]:
+    values = [s[p] for s in stats for p in PERCENTILES if s.get(p) is not None and math.isfinite(s[p])]
+    return (min(values), max(values)) if values else (0.0, 1.0)
+
+
+def _box(stats: Mapping[str, Any], low: float, high: float) -> dict[str, float] | None:
+    """Places of the quantiles from 2 to 98, or None if one is unknown."""
+    values = [stats.get(p) for p in PERCENTILES]
+    if any(v is None or not math.isfinite(v) for v in values):
+        return None
+    span = max(high - low, 1e-12)
+    return {p: round(2 + 96 * (float(v or 0) - low) / span, 2) for p, v in zip(PERCENTILES, values, strict=True)}
+
+
+def stages(made: Iterable[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Rows of the time table, with the length of each bar [% of the longest]."""
+    rows = [dict(s) for s in made]
+    if not rows:
+        return None
+    longest = max((float(r.get("seconds") or 0) for r in rows), default=0) or 1.0
+    total = sum(float(r.get("seconds") or 0) for r in rows)
+    for row in rows:
+        spent = float(row.get("seconds") or 0)
+        row["bar"] = round(100 * spent / longest, 2)
+        row["share"] = f"{100 * spent / total:.0f} %" if total else "–"
+        row["time"] = f"{spent:.1f}"
+        row.setdefault("failed", 0)
+        row["peak"] = number(row["peak_mib"]) if row.get("peak_mib") else "–"
+        for key in ("parts", "computed", "skipped", "rows"):
+            row[key] = number(row[key]) if row.get(key) is not None else "–"
+    return {"rows": rows, "total": f"{total:.1f}", "failed": sum(int(row.get("failed") or 0) for row in rows)}

@@ -1,0 +1,193 @@
+"""A source strip with new classes: every other byte of every point, record and packet stays."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import ConfigError, InputError
+from fwclass.publish.extrabytes import extended, extra_size, packed
+from fwclass.publish.files import whole
+from fwclass.publish.lasbytes import (
+    AT_ENCODING,
+    AT_EVLRS,
+    AT_FORMAT,
+    AT_PACKETS,
+    EXTERNAL,
+    INTERNAL,
+    LasHead,
+    chunk_rows,
+    class_byte,
+    copy_bytes,
+    extended_records,
+    kept_records,
+    point_chunks,
+    read_head,
+)
+from fwclass.publish.lazwriter import LazWriter, assemble
+from fwclass.publish.packets import Packets, carried, find_packets, publish_packets
+from fwclass.publish.params import PublishParams
+from fwclass.publish.verify import verify
+from fwclass.schema import Column, column
+
+LEGACY_MAX = 31
+"""Highest class code of point formats 0 to 5: five bits, beside three flags."""
+
+
+def write_strip_laz(
+    source: Path,
+    output: Path,
+    classes: NDArray[np.uint8],
+    extra: Mapping[str, NDArray] | None,
+    params: PublishParams,
+) -> dict[str, Any]:
+    """Copy a strip as LAZ in its original point order, with `classes` in place of its classification.
+
+    All other fields, the flags beside a legacy class, the variable length records and the packet references
+    stay byte for byte; the output is read back and compared. Waveform packets go with it as an external
+    `.wdp` under the output's name: a source's own `.wdp` is hard-linked if the disk allows it, else copied,
+    internal packets are written out verbatim (offsets count from the record's header in both places). COPC
+    comes out as plain LAZ.
+
+    Parameters
+    ----------
+    source : LAS 1.0 to 1.4 or LAZ, point formats 0 to 10.
+    output : path of the LAZ file.
+    classes : uint8 (points,), class code per point in file order; at most 31 for point formats 0 to 5.
+    extra : columns of the schema by name, one value per point, added as extra bytes; None adds none.
+
+    Returns
+    -------
+    dict with ``path, points, changed (points whose class differs), point_format, extra_bytes, waveforms, wdp
+    (path or None), copc (bool), notes (list of text), bytes``; waveforms is "none", "linked", "copied",
+    "extracted", "missing" or "truncated".
+
+    Raises
+    ------
+    InputError
+        The source is damaged, or `classes` or `extra` are of another length.
+    ConfigError
+        A class code does not fit the point format, or source and output are the same file.
+    StoreError
+        What was read back differs from the source in more than its classification.
+    """
+    head = read_head(source)
+    _check(head, output, classes, extra or {})
+    columns = tuple(column(name) for name in extra or {})
+    packets = find_packets(head)
+    chunk = chunk_rows(params.chunk_points, head.point_size + extra_size(columns))
+    with whole(output) as beside:
+        with beside.open("w+b") as file:
+            changed = _copy(head, file, classes, columns, extra or {}, packets, chunk)
+        verify(head, beside, classes, columns, extra or {}, packets, chunk)
+        size = beside.stat().st_size
+        waveforms, wdp = publish_packets(head, packets, output.with_suffix(".wdp"))
+    copc = _is_copc(head)
+    notes = list(packets.notes) + (["COPC written as plain LAZ, without its octree"] if copc else [])
+    return {
+        "path": str(output), "points": head.points, "changed": changed, "point_format": head.point_format,
+        "extra_bytes": [c.las for c in columns], "waveforms": waveforms, "wdp": str(wdp) if wdp else None,
+        "copc": copc, "notes": notes, "bytes": size,
+    }  # fmt: skip
+
+
+def _check(head: LasHead, output: Path, classes: NDArray[np.uint8], extra: Mapping[str, NDArray]) -> None:
+    if output.exists() and output.samefile(head.path):
+        raise ConfigError(
+            "a strip cannot be written onto itself",
+            where=output,
+            do="name another output directory; the source is never changed",
+        )
+    for name, values in {"classes": classes, **extra}.items():
+        if len(values) != head.points:
+            raise InputError(
+                f"{name} has another length than the strip",
+                where=head.path,
+                expected=f"{head.points} points",
+                got=len(values),
+                do="run the survey again: the source changed after it was read",
+            )
+    if head.point_format < 6 and len(classes) and int(classes.max()) > LEGACY_MAX:
+        raise ConfigError(
+            f"class code {int(classes.max())} does not fit point format {head.point_format}",
+            where=head.path,
+            expected=f"codes up to {LEGACY_MAX} in point formats 0 to 5",
+            got=", ".join(str(c) for c in np.unique(classes[classes > LEGACY_MAX])),
+            do="set legacy_code of that class in classes of the configuration to a code up to 31",
+        )
+
+
+def _copy(
+    head: LasHead,
+    file: BinaryIO,
+    classes: NDArray[np.uint8],
+    columns: tuple[Column, ...],
+    extra: Mapping[str, NDArray],
+    packets: Packets,
+    chunk: int,
+) -> int:
+    """Write head, points and extended records; the number of points whose class differs."""
+    writer = LazWriter(file, _new_head(head, columns, packets))
+    changed = first = 0
+    for part in point_chunks(head, chunk):
+        rows = slice(first, first + len(part))
+        changed += _reclassify(head.point_format, part, classes[rows])
+        if columns:
+            added = packed(columns, {c.name: extra[c.name][rows] for c in columns})
+            part = np.concatenate([part, added], axis=1)
+        writer.write(part)
+        first = rows.stop
+    end = writer.finish(_block(head, columns, packets))
+    start, count = _copy_extended(head, file, end, packets)
+    if head.minor >= 4:
+        file.seek(AT_EVLRS)
+        file.write(struct.pack("<QI", start, count))
+    return changed
+
+
+def _reclassify(point_format: int, part: NDArray[np.uint8], classes: NDArray[np.uint8]) -> int:
+    """Put `classes` into the points; flags beside a legacy class stay."""
+    at = class_byte(point_format)
+    new = classes if point_format >= 6 else (part[:, at] & 0xE0) | classes
+    changed = int(np.count_nonzero(part[:, at] != new))
+    part[:, at] = new
+    return changed
+
+
+def _new_head(head: LasHead, columns: tuple[Column, ...], packets: Packets) -> bytes:
+    return assemble(_block(head, columns, packets), extended(kept_records(head), columns), head.gap)
+
+
+def _is_copc(head: LasHead) -> bool:
+    return any(r.user == "copc" for r in head.records)
+
+
+def _block(head: LasHead, columns: tuple[Column, ...], packets: Packets) -> bytes:
+    """The source's header block, uncompressed, without extended records; packets are outside."""
+    block = bytearray(head.block)
+    block[AT_FORMAT] &= 0x3F
+    struct.pack_into("<H", block, 105, head.point_size + extra_size(columns))
+    if head.minor >= 3:
+        struct.pack_into("<Q", block, AT_PACKETS, 0)
+        if packets.internal:
+            struct.pack_into("<H", block, AT_ENCODING, head.encoding & ~INTERNAL | EXTERNAL)
+    if head.minor >= 4:
+        struct.pack_into("<QI", block, AT_EVLRS, 0, 0)
+    return bytes(block)
+
+
+def _copy_extended(head: LasHead, file: BinaryIO, end: int, packets: Packets) -> tuple[int, int]:
+    """Append the source's extended records verbatim, without packets and octree; their start and number."""
+    count = 0
+    file.seek(end)
+    with head.path.open("rb") as source:
+        for rec in extended_records(source, head):
+            if carried(rec, packets):
+                copy_bytes(source, file, rec.start, rec.end - rec.start)
+                count += 1
+    return (end if count else 0), count

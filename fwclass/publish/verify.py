@@ -1,0 +1,127 @@
+"""Reading a published strip back: nothing but the classification may differ from its source."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import zip_longest
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.publish.extrabytes import extended, packed
+from fwclass.publish.lasbytes import (
+    AT_ENCODING,
+    AT_EVLRS,
+    AT_OFFSET,
+    AT_PACKETS,
+    BLOCK,
+    EXTERNAL,
+    INTERNAL,
+    LasHead,
+    class_byte,
+    differs,
+    extended_records,
+    kept_records,
+    point_chunks,
+    read_head,
+)
+from fwclass.publish.packets import Packets, carried
+from fwclass.schema import Column
+
+
+def verify(
+    head: LasHead,
+    copy: Path,
+    classes: NDArray[np.uint8],
+    columns: tuple[Column, ...],
+    extra: Mapping[str, NDArray],
+    packets: Packets,
+    chunk: int,
+) -> None:
+    """`StoreError` naming the first thing in `copy` that is neither the source's nor meant to differ."""
+    made = replace(read_head(copy), path=copy)
+    _same(copy, "the header", _fixed(head), _fixed(made))
+    _storage(head, made, packets, copy)
+    wanted = b"".join(extended(kept_records(head), columns))
+    _same(copy, "the variable length records", wanted, b"".join(r.raw for r in kept_records(made).records))
+    _same(copy, "the bytes before the points", head.gap, made.gap)
+    _verify_extended(head, made, packets)
+    first = 0
+    pairs = zip_longest(point_chunks(head, chunk), point_chunks(made, chunk))
+    for old, new in pairs:
+        if old is None or new is None or len(old) != len(new):
+            raise differs(copy, "the number of points", head.points, made.points)
+        rows = slice(first, first + len(old))
+        _verify_points(head, copy, old, new, classes[rows], first)
+        if columns:
+            added = packed(columns, {c.name: extra[c.name][rows] for c in columns})
+            _same(copy, "the added extra bytes", added.tobytes(), new[:, head.point_size :].tobytes())
+        first = rows.stop
+
+
+def _fixed(head: LasHead) -> bytes:
+    """The header block without what a copy sets anew: places, counts of records, sizes, storage of packets."""
+    fixed = bytearray(head.block)
+    struct.pack_into("<H", fixed, AT_ENCODING, head.encoding & ~(INTERNAL | EXTERNAL))
+    struct.pack_into("<IIBH", fixed, AT_OFFSET, 0, 0, head.point_format, 0)
+    if head.minor >= 3:
+        struct.pack_into("<Q", fixed, AT_PACKETS, 0)
+    if head.minor >= 4:
+        struct.pack_into("<QI", fixed, AT_EVLRS, 0, 0)
+    return bytes(fixed)
+
+
+def _storage(head: LasHead, made: LasHead, packets: Packets, copy: Path) -> None:
+    """The header of the copy tells where its packets and extended records are."""
+    wanted = head.encoding & ~INTERNAL | EXTERNAL if packets.internal else head.encoding
+    if made.encoding != wanted:
+        raise differs(copy, "the global encoding", wanted, made.encoding)
+    if made.packets_start:
+        raise differs(copy, "the start of the packet record", 0, made.packets_start)
+
+
+def _verify_points(
+    head: LasHead,
+    copy: Path,
+    old: NDArray[np.uint8],
+    new: NDArray[np.uint8],
+    classes: NDArray[np.uint8],
+    first: int,
+) -> None:
+    """Every byte but the classification is the source's, and the classification is the wanted one."""
+    at = class_byte(head.point_format)
+    mask = 0xFF if head.point_format >= 6 else 0x1F
+    wrong = np.flatnonzero((new[:, at] & mask) != classes)
+    if len(wrong):
+        row = wrong[0]
+        raise differs(copy, f"the class of point {first + row}", classes[row], new[row, at] & mask)
+    old[:, at] = new[:, at] & mask | old[:, at] & ~np.uint8(mask)
+    kept = new[:, : head.point_size]
+    if not np.array_equal(old, kept):
+        row, column = np.argwhere(old != kept)[0]
+        raise differs(copy, f"byte {column} of point {first + row}", old[row, column], new[row, column])
+
+
+def _verify_extended(head: LasHead, made: LasHead, packets: Packets) -> None:
+    with head.path.open("rb") as source, made.path.open("rb") as copy:
+        wanted = [r for r in extended_records(source, head) if carried(r, packets)]
+        got = extended_records(copy, made)
+        if len(wanted) != len(got):
+            raise differs(made.path, "the number of extended records", len(wanted), len(got))
+        for a, b in zip(wanted, got, strict=True):
+            source.seek(a.start)
+            copy.seek(b.start)
+            for at in range(0, a.end - a.start, BLOCK):
+                size = min(BLOCK, a.end - a.start - at)
+                _same(made.path, f"extended record {a.user} {a.number}", source.read(size), copy.read(size))
+
+
+def _same(copy: Path, what: str, wanted: bytes, got: bytes) -> None:
+    if wanted != got:
+        size = min(len(wanted), len(got))
+        a, b = np.frombuffer(wanted[:size], np.uint8), np.frombuffer(got[:size], np.uint8)
+        at = int(np.flatnonzero(a != b)[0]) if (a != b).any() else size
+        raise differs(copy, f"byte {at} of {what}", wanted[at : at + 8], got[at : at + 8])

@@ -1,0 +1,1 @@
+"""Reading LAS, LAZ and COPC files, with or without waveform packets."""

@@ -1,0 +1,236 @@
+"""What a file holds and what is wrong with it, in one streaming pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.read.packets import FAULTS, References, judge
+from fwclass.read.points import PointReader, coordinates, gps_times
+from fwclass.read.source import Source, open_source
+
+Z_MARGIN = 100.0
+"""A point is a z outlier this far [m], plus the spread of the middle 98 %, beyond that middle."""
+
+_MAX_RETURN = 16
+
+
+@dataclass
+class _Tally:
+    """What the pass over the points adds up."""
+
+    pairs: NDArray[np.int64] = field(default_factory=lambda: np.zeros((_MAX_RETURN, _MAX_RETURN), np.int64))
+    classes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(256, np.int64))
+    packets: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(FAULTS), np.int64))
+    descriptors: NDArray[np.int64] = field(default_factory=lambda: np.zeros(256, np.int64))
+    low: NDArray[np.float64] = field(default_factory=lambda: np.full(3, np.inf))
+    high: NDArray[np.float64] = field(default_factory=lambda: np.full(3, -np.inf))
+    gps: tuple[float, float] = (np.inf, -np.inf)
+    intensity: tuple[int, int] = (65535, 0)
+    zero_intensity: int = 0
+    heights: dict[int, int] = field(default_factory=dict)
+
+    def add(self, source: Source, points: Any, step: float) -> None:
+        number = np.minimum(np.asarray(points["return_number"], np.int64), _MAX_RETURN - 1)
+        of = np.minimum(np.asarray(points["number_of_returns"], np.int64), _MAX_RETURN - 1)
+        pair = np.bincount(number * _MAX_RETURN + of, minlength=_MAX_RETURN**2)
+        self.pairs += pair.reshape(_MAX_RETURN, _MAX_RETURN)
+        self.classes += np.bincount(np.asarray(points["classification"], np.uint8), minlength=256)
+        xyz = coordinates(source, points)
+        self.low = np.minimum(self.low, [v.min() for v in xyz])
+        self.high = np.maximum(self.high, [v.max() for v in xyz])
+        time = gps_times(source, points)
+        if not np.isnan(time).all():
+            self.gps = (min(self.gps[0], float(np.nanmin(time))), max(self.gps[1], float(np.nanmax(time))))
+        intensity = np.asarray(points["intensity"])
+        self.intensity = (
+            min(self.intensity[0], int(intensity.min())),
+            max(self.intensity[1], int(intensity.max())),
+        )
+        self.zero_intensity += int((intensity == 0).sum())
+        for bin_, n in zip(*np.unique(np.floor(xyz[2] / step), return_counts=True), strict=True):
+            self.heights[int(bin_)] = self.heights.get(int(bin_), 0) + int(n)
+        if source.has_waves:
+            refs = References.of(points)
+            self.packets += np.bincount(judge(source, refs), minlength=len(FAULTS))
+            self.descriptors += np.bincount(refs.descriptor, minlength=256)
+
+
+def info(path: str | Path) -> dict[str, Any]:
+    """Contents and faults of a file as plain data for JSON.
+
+    One pass over the points; memory does not grow with their number.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    source = open_source(path)
+    tally = _Tally()
+    step = max(1.0, abs(source.scales[2]) * 1000.0)
+    with PointReader(source) as reader:
+        extra_names = reader.extra_names
+        for _, points in reader.blocks():
+            tally.add(source, points, step)
+    held = source.n_points > 0
+    crs = source.crs
+    return {
+        "path": str(source.path),
+        "size": source.size,
+        "version": "{}.{}".format(*source.version),
+        "point_format": source.point_format,
+        "compressed": source.compressed,
+        "copc": source.is_copc,
+        "system": source.header.system,
+        "software": source.header.software,
+        "points": source.n_points,
+        "scales": list(source.scales),
+        "offsets": list(source.offsets),
+        "crs": {"name": crs.name, "epsg": crs.to_epsg(), "projected": bool(crs.is_projected)} if crs else None,
+        "bounds": [*tally.low.tolist(), *tally.high.tolist()] if held else None,
+        "header_bounds": [_finite(v) for v in source.bounds],
+        "gps_time": list(tally.gps) if np.isfinite(tally.gps[0]) else None,
+        "returns": _counts(tally.pairs.sum(axis=1)),
+        "numbers_of_returns": _counts(tally.pairs.sum(axis=0)),
+        "classes": _counts(tally.classes),
+        "intensity": {"min": tally.intensity[0], "max": tally.intensity[1], "zero": tally.zero_intensity}
+        if held
+        else None,
+        "extra_bytes": extra_names,
+        "waveforms": _waveforms(source, tally) if source.has_waves else None,
+        "faults": [*source.faults, *_faults(source, tally, step)],
+    }
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no NaN."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _counts(values: NDArray[np.int64]) -> dict[str, int]:
+    return {str(i): int(n) for i, n in enumerate(values) if n}
+
+
+def _waveforms(source: Source, tally: _Tally) -> dict[str, Any]:
+    waves = source.waves
+    return {
+        "where": waves.kind,
+        "path": str(waves.path) if waves.path else None,
+        "bytes": waves.available,
+        "why_not": waves.why_not,
+        "usable": int(tally.packets[0]),
+        "unusable": {FAULTS[i]: int(n) for i, n in enumerate(tally.packets) if n and i},
+        "descriptors": [
+            {
+                "index": i, "bits": d.bits, "compression": d.compression, "samples": d.n_samples,
+                "spacing_ns": _finite(d.spacing_ns), "points": int(tally.descriptors[i]),
+            }
+            for i, d in sorted(source.descriptors.items())
+            if not d.empty or tally.descriptors[i]
+        ],
+        "empty_descriptors": sum(d.empty for d in source.descriptors.values()),
+    }  # fmt: skip
+
+
+def _faults(source: Source, tally: _Tally, step: float) -> list[str]:
+    n = source.n_points
+    if n == 0:
+        return []
+    found = [*_bounds_faults(source, tally)]
+    outliers = _z_outliers(tally.heights, step)
+    if outliers:
+        found.append(f"{outliers} z outliers: points far above or below all others")
+    if tally.zero_intensity:
+        share = "all" if tally.zero_intensity == n else f"{tally.zero_intensity} of {n}"
+        found.append(f"{share} intensities are zero")
+    if tally.pairs[0].sum():
+        found.append(f"{tally.pairs[0].sum()} points have return number 0")
+    above = int(np.tril(tally.pairs, -1).sum())
+    if above:
+        found.append(f"{above} points have a return number above their number of returns")
+    missing = _missing_returns(tally.pairs)
+    if missing:
+        found.append(f"at least {missing} returns of pulses with several are missing (a cropped or filtered file)")
+    if source.has_waves and tally.packets[0] < n:
+        if tally.packets[0] == 0:
+            found.append("NO WAVEFORM CAN BE READ: the returns alone can be used (read.missing_packets=keep)")
+        found += [f"{c} of {n} returns: {FAULTS[i]}" for i, c in enumerate(tally.packets) if c and i]
+    return found
+
+
+def _bounds_faults(source: Source, tally: _Tally) -> list[str]:
+    low, high = np.array(source.bounds[:3]), np.array(source.bounds[3:])
+    slack = 2 * np.abs(source.scales)
+    wide = 1.0 + 0.01 * (tally.high - tally.low)
+    with np.errstate(invalid="ignore"):
+        inside = (tally.low >= low - slack).all() and (tally.high <= high + slack).all()
+        tight = (tally.low <= low + wide).all() and (tally.high >= high - wide).all()
+    if inside and tight:
+        return []
+    return ["the header's bounds disagree with the points"]
+
+
+def _z_outliers(heights: dict[int, int], step: float) -> int:
+    """Points beyond the middle 98 % of heights by more than its spread and `Z_MARGIN`."""
+    bins = np.array(sorted(heights), np.float64)
+    counts = np.array([heights[int(b)] for b in bins])
+    share = np.cumsum(counts) / counts.sum()
+    low, high = bins[np.searchsorted(share, 0.01)] * step, bins[np.searchsorted(share, 0.99)] * step
+    margin = (high - low) + Z_MARGIN
+    far = (bins * step < low - margin) | (bins * step > high + margin)
+    return int(counts[far].sum())
+
+
+def _missing_returns(pairs: NDArray[np.int64]) -> int:
+    """Of pulses with m returns there must be as many of each return number 1 to m."""
+    missing = 0
+    for of in range(2, _MAX_RETURN - 1):
+        counts = pairs[1 : of + 1, of]
+        missing += int((counts.max() - counts).sum())
+    return missing
+
+
+def describe(found: dict[str, Any]) -> str:
+    """`info` for a terminal."""
+    crs, waves = found["crs"], found["waveforms"]
+    kind = "COPC" if found["copc"] else "LAZ" if found["compressed"] else "LAS"
+    rows = [
+        ("file", f"{found['path']}  ({found['size']:,} bytes)"),
+        ("format", f"{kind} {found['version']}, point format {found['point_format']}"),
+        ("written by", " / ".join(t for t in (found["system"], found["software"]) if t)),
+        ("points", f"{found['points']:,}"),
+        ("CRS", f"{crs['name']}" + (f" (EPSG:{crs['epsg']})" if crs["epsg"] else "") if crs else "none"),
+        ("bounds", _bounds_text(found["bounds"])),
+        ("GPS time", "{:.3f} to {:.3f} s".format(*found["gps_time"]) if found["gps_time"] else "none"),
+        ("returns", _counts_text(found["returns"])),
+        ("classes", _counts_text(found["classes"])),
+        ("extra bytes", ", ".join(found["extra_bytes"]) or "none"),
+    ]
+    if waves:
+        where = f"{waves['where']}, {waves['bytes']:,} bytes" if waves["where"] != "none" else waves["why_not"]
+        rows.append(("waveforms", where))
+        rows.append(("packets", f"{waves['usable']:,} returns with a usable one"))
+        for d in waves["descriptors"]:
+            text = f"{d['index']}: {d['samples']} samples of {d['bits']} bits every {d['spacing_ns']} ns"
+            rows.append(("descriptor", f"{text}, {d['points']:,} returns"))
+        if waves["empty_descriptors"]:
+            rows.append(("", f"and {waves['empty_descriptors']} empty ones"))
+    lines = [f"{name:<12} {text}" for name, text in rows]
+    lines += [f"  ! {fault}" for fault in found["faults"]] or ["  no faults found"]
+    return "\n".join(lines)
+
+
+def _bounds_text(bounds: list[float] | None) -> str:
+    if bounds is None:
+        return "none"
+    x0, y0, z0, x1, y1, z1 = bounds
+    return f"x {x0:.2f} to {x1:.2f}, y {y0:.2f} to {y1:.2f}, z {z0:.2f} to {z1:.2f}"
+
+
+def _counts_text(counts: dict[str, int]) -> str:
+    return ", ".join(f"{key}: {n:,}" for key, n in counts.items()) or "none"

@@ -1,0 +1,89 @@
+"""Kernels over packet references: grouping returns into pulses, cutting spans, gathering samples."""
+
+from __future__ import annotations
+
+from fwclass.kernel import kernel
+
+
+@kernel
+def pulse_heads(keys, order, own, most, head):  # type: ignore[no-untyped-def]
+    """For every point the first point of its pulse; `order` sorts `keys` stably.
+
+    Points of key `own`, and of keys that more than `most` points share, are pulses of their own.
+    """
+    n = len(order)
+    a = 0
+    while a < n:
+        key = keys[order[a]]
+        b = a + 1
+        while b < n and keys[order[b]] == key:
+            b += 1
+        alone = key == own or b - a > most
+        for k in range(a, b):
+            head[order[k]] = order[k] if alone else order[a]
+        a = b
+
+
+@kernel
+def number_pulses(head, pulse):  # type: ignore[no-untyped-def]
+    """Number pulses by first appearance into `pulse`; the count."""
+    count = 0
+    for i in range(len(head)):
+        if head[i] == i:
+            pulse[i] = count
+            count += 1
+        else:
+            pulse[i] = pulse[head[i]]
+    return count
+
+
+@kernel
+def cut_spans(head, reach, wanted, cuts):  # type: ignore[no-untyped-def]
+    """Cut runs of at least `wanted` pulses where no pulse straddles; `cuts` rows are (first point, first pulse).
+
+    `reach` is scratch: the last point of every pulse, at its head. Gives (rows written, pulses).
+    """
+    n = len(head)
+    for i in range(n):
+        reach[head[i]] = i
+    rows, pulse, far = 0, 0, -1
+    since = wanted
+    for i in range(n):
+        if since >= wanted and far < i:
+            cuts[rows, 0], cuts[rows, 1] = i, pulse
+            rows += 1
+            since = 0
+        if head[i] == i:
+            pulse += 1
+            since += 1
+            far = max(far, reach[i])
+    return rows, pulse
+
+
+@kernel
+def first_anchors(pulse, usable, return_number, anchor):  # type: ignore[no-untyped-def]
+    """Per pulse the usable point of the lowest return number, the first in the file on a tie; -1 without one."""
+    anchor[:] = -1
+    for i in range(len(pulse)):
+        if not usable[i]:
+            continue
+        best = anchor[pulse[i]]
+        if best < 0 or return_number[i] < return_number[best]:
+            anchor[pulse[i]] = i
+
+
+@kernel
+def gather(data, start, wide, offsets, samples):  # type: ignore[no-untyped-def]
+    """Copy packet i, from byte ``start[i]`` of `data`, to ``samples[offsets[i]:offsets[i + 1]]``.
+
+    `wide` says which packets hold two little-endian bytes a sample.
+    """
+    for i in range(len(start)):
+        at, s = offsets[i], start[i]
+        n = offsets[i + 1] - at
+        if wide[i]:
+            for k in range(n):
+                samples[at + k] = data[s + 2 * k] | (data[s + 2 * k + 1] << 8)
+        else:
+            for k in range(n):
+                samples[at + k] = data[s + k]

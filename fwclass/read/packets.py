@@ -1,0 +1,204 @@
+"""Waveform packets: which of a point's references can be used, and their samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.read.header import EVLR_HEADER
+from fwclass.read.packet_kernels import first_anchors, gather, number_pulses, pulse_heads
+from fwclass.read.source import Source
+from fwclass.units import METRES_PER_NS
+
+OWN = np.uint64(2**64 - 1)
+"""Key of a point that shares its packet with no other: it is a pulse of its own."""
+
+MAX_RETURNS = 255
+"""A packet that more returns than this refer to is a writer's constant, not a pulse."""
+
+FAULTS = (
+    "", "no packet", "unknown descriptor", "compressed packet", "unsupported samples", "invalid sample spacing",
+    "packet size too small", "waveforms missing", "packet inside the record's header", "packet past the end",
+    "packet cut short", "packet shared by too many returns", "no sane return location or beam vector",
+)  # fmt: skip
+"""Why a return has no usable packet; the index is the code in `judge`."""
+
+VECTOR_RANGE = (0.5, 1.5)
+"""Sane lengths of the stored beam vector, in units of c / 2n: water (0.75) passes, zeros and metres do not."""
+
+_OVERLAP = 2
+
+
+@dataclass(frozen=True)
+class References:
+    """The wave packet block of points: descriptor, offset [byte], size [byte], location [ns], step [m/ns]."""
+
+    descriptor: NDArray[np.uint8]
+    offset: NDArray[np.uint64]
+    size: NDArray[np.uint32]
+    location: NDArray[np.float64]
+    step: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, points: Any) -> References:
+        """From a laspy record of point format 4, 5, 9 or 10."""
+        a = points.array
+        step = np.stack([np.asarray(a[n], np.float64) for n in ("x_t", "y_t", "z_t")], axis=1)
+        return cls(
+            a["wavepacket_index"], a["wavepacket_offset"], a["wavepacket_size"],
+            a["return_point_wave_location"].astype(np.float64) * 1e-3, step * 1e3,
+        )  # fmt: skip
+
+
+def packet_keys(points: Any) -> NDArray[np.uint64]:
+    """What the returns of one pulse share: descriptor in the high byte, packet offset below; or `OWN`."""
+    index = points.array["wavepacket_index"]
+    offset = points.array["wavepacket_offset"]
+    refers = (index != 0) & (offset >= EVLR_HEADER) & (offset < np.uint64((1 << 56) - 1))
+    return np.where(refers, (index.astype(np.uint64) << np.uint64(56)) | offset, OWN)
+
+
+def pulses_of(keys: NDArray[np.uint64], shared: tuple[int, ...]) -> tuple[NDArray[np.int64], int]:
+    """Number of the pulse of every point, counted from 0 by first appearance, and how many there are.
+
+    `shared` are the keys that too many points of the whole file share.
+    """
+    if shared:
+        keys = np.where(np.isin(keys, np.array(shared, np.uint64)), OWN, keys)
+    head = np.empty(len(keys), np.int64)
+    pulse_heads(keys, np.argsort(keys, kind="stable"), OWN, MAX_RETURNS, head)
+    pulse = np.empty(len(keys), np.int64)
+    return pulse, int(number_pulses(head, pulse))
+
+
+@dataclass(frozen=True)
+class _Lookup:
+    """The descriptors of a file as arrays over the 256 possible indices."""
+
+    fault: NDArray[np.uint8]
+    samples: NDArray[np.int64]
+    bytes: NDArray[np.int64]
+    wide: NDArray[np.bool_]
+    spacing: NDArray[np.float64]
+    top: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, source: Source) -> _Lookup:
+        fault = np.full(256, FAULTS.index("unknown descriptor"), np.uint8)
+        fault[0] = FAULTS.index("no packet")
+        samples, length = np.zeros(256, np.int64), np.zeros(256, np.int64)
+        wide, spacing, top = np.zeros(256, np.bool_), np.zeros(256), np.zeros(256, np.float32)
+        for i, d in source.descriptors.items():
+            samples[i], length[i], wide[i] = d.n_samples, d.packet_bytes, d.bytes_per_sample == 2
+            spacing[i], top[i] = d.spacing_ns, float(2 ** min(d.bits, 16) - 1)
+            fault[i] = 0
+            if d.compression:
+                fault[i] = FAULTS.index("compressed packet")
+            elif not 1 <= d.bits <= 16 or d.empty:
+                fault[i] = FAULTS.index("unsupported samples")
+            elif d.spacing_ns <= 0:
+                fault[i] = FAULTS.index("invalid sample spacing")
+        return cls(fault, samples, length, wide, spacing, top)
+
+
+def judge(source: Source, refs: References, shared: tuple[int, ...] = ()) -> NDArray[np.uint8]:
+    """Index into `FAULTS` for every point; 0 where its packet can be used."""
+    table = _Lookup.of(source)
+    index = refs.descriptor
+    need = table.bytes[index].astype(np.uint64)
+    available = np.uint64(source.waves.available)
+    fault = table.fault[index].copy()
+
+    def mark(name: str, where: NDArray[np.bool_]) -> None:
+        fault[(fault == 0) & where] = FAULTS.index(name)
+
+    mark("packet size too small", refs.size < need)
+    mark("waveforms missing", np.full(len(fault), source.waves.kind == "none"))
+    mark("packet inside the record's header", refs.offset < EVLR_HEADER)
+    mark("packet past the end", refs.offset >= available)
+    mark("packet cut short", need > available - np.minimum(refs.offset, available))
+    if shared:
+        key = (index.astype(np.uint64) << np.uint64(56)) | refs.offset
+        mark("packet shared by too many returns", np.isin(key, np.array(shared, np.uint64)))
+    mark("no sane return location or beam vector", ~_sane(table, refs))
+    return fault
+
+
+def _sane(table: _Lookup, refs: References) -> NDArray[np.bool_]:
+    """The location lies within one segment's length of the segment, and the vector is as long as light demands."""
+    length = np.sqrt((refs.step**2).sum(axis=1)) / METRES_PER_NS
+    lasts = (table.samples * table.spacing)[refs.descriptor]
+    near = (refs.location >= -lasts) & (refs.location <= 2 * lasts)
+    return near & (length >= VECTOR_RANGE[0]) & (length <= VECTOR_RANGE[1])
+
+
+@dataclass(frozen=True)
+class Packets:
+    """The waveforms of a run of points.
+
+    Attributes
+    ----------
+    anchor : per pulse **with** a usable packet its anchor point.
+    pulse : number of those pulses.
+    spacing, saturation : per such pulse [ns], [DN].
+    samples, offsets : ragged samples.
+    has_packet : per point, whether its pulse has a usable packet.
+    faults : returns without a usable packet, by reason.
+    """
+
+    anchor: NDArray[np.int64]
+    pulse: NDArray[np.int64]
+    spacing: NDArray[np.float64]
+    saturation: NDArray[np.float32]
+    samples: NDArray[np.uint8] | NDArray[np.uint16]
+    offsets: NDArray[np.int64]
+    has_packet: NDArray[np.bool_]
+    faults: Mapping[str, int]
+
+
+def gather_packets(
+    source: Source,
+    refs: References,
+    pulse: NDArray[np.int64],
+    n_pulses: int,
+    return_number: NDArray[np.uint8],
+    shared: tuple[int, ...],
+) -> Packets:
+    """Read the packet of every pulse that has a usable one."""
+    fault = judge(source, refs, shared)
+    anchors = np.empty(n_pulses, np.int64)
+    first_anchors(pulse, fault == 0, return_number, anchors)
+    with_packet = np.flatnonzero(anchors >= 0)
+    anchor = anchors[with_packet]
+    has_packet = anchors[pulse] >= 0
+    counts = np.bincount(fault[~has_packet], minlength=len(FAULTS))
+    table = _Lookup.of(source)
+    index = refs.descriptor[anchor]
+    offsets = np.concatenate([[0], np.cumsum(table.samples[index])]).astype(np.int64)
+    _refuse_overlap(source, int(table.bytes[index].sum()))
+    samples = np.empty(int(offsets[-1]), np.dtype(source.sample_dtype))
+    if len(anchor) and source.waves.path is not None:
+        start = refs.offset[anchor].astype(np.int64) + source.waves.base
+        data = np.asarray(np.memmap(source.waves.path, np.uint8, "r"))
+        gather(data, start, table.wide[index], offsets, samples)
+    return Packets(
+        anchor, with_packet, table.spacing[index], table.top[index], samples, offsets, has_packet,
+        {name: int(n) for name, n in zip(FAULTS, counts, strict=True) if n and name},
+    )  # fmt: skip
+
+
+def _refuse_overlap(source: Source, wanted: int) -> None:
+    """Packets that together are much longer than the record cannot be right, and would fill the memory."""
+    if wanted > _OVERLAP * source.waves.available:
+        raise InputError(
+            "the waveform packets overlap",
+            where=source.path,
+            expected=f"at most {source.waves.available} bytes of packets",
+            got=f"{wanted} bytes by the descriptors' sample counts",
+            do="the descriptors are damaged; export the file again",
+        )

@@ -1,0 +1,91 @@
+"""Cutting a file into spans of consecutive points that never cut a pulse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.read.packet_kernels import cut_spans, pulse_heads
+from fwclass.read.packets import MAX_RETURNS, OWN, packet_keys
+from fwclass.read.points import WAVE_FIELDS, PointReader
+from fwclass.read.source import Source
+
+MAX_SHARED = 1000
+"""More packets than this with too many returns each are no accident of a few points."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """Consecutive points [`first_point`, `last_point`) with whole pulses, numbered from `first_pulse`.
+
+    `shared` holds the packet keys that too many points of the file share; their points are pulses of their own.
+    """
+
+    first_point: int
+    last_point: int
+    first_pulse: int
+    n_pulses: int
+    shared: tuple[int, ...] = ()
+
+    @property
+    def n_points(self) -> int:
+        return self.last_point - self.first_point
+
+
+def spans_by_points(n_points: int, size: int) -> list[Span]:
+    """Spans of a file without waveforms, where every return is a pulse of its own."""
+    return [Span(a, min(a + size, n_points), a, min(size, n_points - a)) for a in range(0, n_points, size)]
+
+
+def spans_by_pulses(source: Source, wanted: int, most_points: int) -> list[Span]:
+    """Spans of about `wanted` pulses; one pass over the packet references, about 32 bytes of memory a point."""
+    with PointReader(source, WAVE_FIELDS) as reader:
+        blocks = [packet_keys(points) for _, points in reader.blocks()]
+    keys = np.concatenate(blocks) if blocks else np.empty(0, np.uint64)
+    del blocks
+    order = np.argsort(keys, kind="stable")
+    shared = _shared(source, keys, order)
+    head = np.empty(len(keys), np.int64)
+    pulse_heads(keys, order, OWN, MAX_RETURNS, head)
+    cuts = np.empty((len(keys) // wanted + 1, 2), np.int64)
+    rows, n_pulses = cut_spans(head, order, wanted, cuts)
+    ends = np.concatenate([cuts[:rows], [[len(keys), n_pulses]]])
+    spans = [
+        Span(int(a[0]), int(b[0]), int(a[1]), int(b[1] - a[1]), shared)
+        for a, b in zip(ends[:-1], ends[1:], strict=True)
+    ]
+    _refuse_long(source, spans, most_points)
+    return spans
+
+
+def _shared(source: Source, keys: NDArray[np.uint64], order: NDArray[np.int64]) -> tuple[int, ...]:
+    """Keys of more than `MAX_RETURNS` points: a key equals the one that many places on in sorted order."""
+    if len(keys) <= MAX_RETURNS:
+        return ()
+    low, high = order[:-MAX_RETURNS], order[MAX_RETURNS:]
+    found = np.unique(keys[low][keys[low] == keys[high]])
+    found = found[found != OWN]
+    if len(found) > MAX_SHARED:
+        raise InputError(
+            "the packet references of the points make no sense",
+            where=source.path,
+            expected="a packet for the few returns of one pulse",
+            got=f"{len(found)} packets with more than {MAX_RETURNS} returns each",
+            do="export the file again with its waveforms, or convert it to a point format without them",
+        )
+    return tuple(int(k) for k in found)
+
+
+def _refuse_long(source: Source, spans: list[Span], most_points: int) -> None:
+    longest = max(spans, key=lambda s: s.n_points, default=None)
+    if longest is not None and longest.n_points > most_points:
+        raise InputError(
+            "the returns of one pulse lie too far apart in the file",
+            where=f"{source.path}, points {longest.first_point} to {longest.last_point}",
+            expected=f"a place to cut the file at least every {most_points} points (read.max_span_points)",
+            got=f"{longest.n_points} points that cannot be cut",
+            do="sort the file by GPS time, or raise read.max_span_points if memory allows",
+        )

@@ -1,0 +1,72 @@
+"""Parts on a Dask cluster. The only file that imports dask.
+
+Data never travels through the scheduler: a task's function reads from and writes to the store, and returns a small
+`Outcome`. The graph's edges are the tasks' needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import dask
+from distributed import Client, LocalCluster, as_completed
+
+from fwclass.errors import FwclassError
+from fwclass.run.part import Name, Outcome, Task, execute
+
+
+class Cluster:
+    """Executor on a Dask scheduler: at `address`, or on `workers` processes of one thread each on this machine."""
+
+    def __init__(self, address: str | None, workers: int, worker_memory_gib: float) -> None:
+        dask.config.set({"distributed.scheduler.allowed-failures": 3, "distributed.admin.tick.limit": "30s"})
+        self._cluster: LocalCluster | None = None
+        try:
+            if address is None:
+                self._cluster = LocalCluster(
+                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+                    memory_limit=f"{worker_memory_gib} GiB", host="127.0.0.1", silence_logs=40,
+                )  # fmt: skip
+            self._client = Client(self._cluster or address, timeout="30s")
+        except (OSError, TimeoutError) as fault:
+            raise FwclassError(
+                "no Dask scheduler answers",
+                where=address or "local cluster",
+                got=fault,
+                do="start one with `dask scheduler`, or leave --scheduler out for a local cluster",
+            ) from fault
+        self.address = str(self._client.dashboard_link)
+        self._batch = 0
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._client.close()
+        if self._cluster is not None:
+            self._cluster.close()
+
+    def run(self, root: Path, tasks: Sequence[Task]) -> Iterator[Outcome]:
+        """Outcomes as parts end, in any order; edges are exactly the tasks' needs."""
+        self._batch += 1
+        futures: dict[Name, object] = {}
+        names: dict[str, Name] = {}
+        for number, task in enumerate(tasks):
+            upstream = [futures[n] for n in task.needs if n in futures]
+            future = self._client.submit(
+                execute, root, task, upstream, key=f"{task.stage}-{task.part}-{self._batch}", pure=False,
+                priority=-number, retries=0,
+            )  # fmt: skip
+            futures[task.name] = future
+            names[future.key] = task.name
+        for future in as_completed(list(futures.values())):
+            stage, part = names[future.key]
+            if future.status == "finished":
+                yield future.result()
+            else:
+                fault = future.exception() if future.status == "error" else future.status
+                yield Outcome(stage, part, "failed", message=f"the worker was lost: {type(fault).__name__}: {fault}")

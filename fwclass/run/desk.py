@@ -1,0 +1,83 @@
+"""What a part's work reads from the store: tables, arrays, and overlapping chunks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.grid import Box, Tile, TileGrid
+from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.stage import Chunk
+from fwclass.store.arrays import read_arrays
+from fwclass.store.run_store import Store
+from fwclass.store.tables import read_table, row_groups
+
+TABLE = "table.parquet"
+
+
+@dataclass(frozen=True)
+class Desk:
+    """Reading side of the store, for one part's work."""
+
+    store: Store
+
+    def table(self, stage: str, part: str, columns: Iterable[str] | None = None, name: str = TABLE) -> Table:
+        return read_table(self.store.path(stage, part, name), columns)
+
+    def fragment(self, stage: str, part: str, group: int) -> Table:
+        """One row group of a scattered chunk."""
+        return read_table(self.store.path(stage, part, TABLE), None, [group])
+
+    def arrays(self, stage: str, part: str, name: str) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        return read_arrays(self.store.path(stage, part, name))
+
+    def meta(self, stage: str, part: str) -> Mapping[str, Any]:
+        receipt = self.store.receipt(stage, part)
+        return receipt.meta if receipt else {}
+
+    def rows(self, part: str, columns: Mapping[str, str], box: Box | None = None, base: str = "tile") -> Table:
+        """Columns of a tile from the stages that wrote them, side by side; only rows inside `box` if given.
+
+        `columns` maps column to stage. All tables of a tile have the rows and row groups of `base`.
+        """
+        groups = row_groups(self.store.path(base, part, TABLE), box)
+        by_stage: dict[str, list[str]] = {}
+        for name, stage in columns.items():
+            by_stage.setdefault(stage, []).append(name)
+        if box is not None:
+            mine = by_stage.setdefault(base, [])
+            mine += [n for n in ("x", "y") if n not in mine]
+        found: dict[str, NDArray] = {}
+        for stage, names in by_stage.items():
+            found |= dict(read_table(self.store.path(stage, part, TABLE), names, groups))
+        table = Table({n: found[n] for n in found})
+        return table if box is None else table.take(box.contains(table["x"], table["y"]))
+
+    def chunk(self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]) -> Chunk:
+        """The overlapping chunk of `tile`: its rows and its neighbours' within `halo` [m], in canonical order."""
+        wanted = {**dict.fromkeys((*IDENTITY, "x", "y"), "tile"), **columns}
+        core = self.rows(tile.key, wanted).select(wanted)
+        parts = [core]
+        box, here = tile.box.grown(halo), set(present)
+        if halo > 0:
+            for other in TileGrid(tile.size).touching(box):
+                if other.key != tile.key and other.key in here:
+                    parts.append(self.rows(other.key, wanted, box).select(wanted))
+        table = Table.concat(parts)
+        order = np.argsort(canonical_key(table), kind="stable")
+        place = np.empty(table.rows, np.int64)
+        place[order] = np.arange(table.rows)
+        return Chunk(table.take(order), place[: core.rows], tile)
+
+    def inside(
+        self, box: Box, size: float, columns: Mapping[str, str], present: Iterable[str], base: str = "tile"
+    ) -> Table:
+        """Rows of every tile inside `box`, with x and y."""
+        here = set(present)
+        wanted = {**dict.fromkeys(("x", "y"), base), **columns}
+        parts = [self.rows(t.key, wanted, box, base) for t in TileGrid(size).touching(box) if t.key in here]
+        return Table.concat([p.select(wanted) for p in parts]) if parts else Table.empty(wanted)

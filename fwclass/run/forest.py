@@ -1,0 +1,165 @@
+"""Work of the parts that learn and judge: sample, trees, train, classify, confusion, assess."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.assess.stage import confusion, distribution, figures, summary, unclassified
+from fwclass.classify.stage import classify
+from fwclass.grid import Box, Tile
+from fwclass.model import ClassDef, Forest, Tree
+from fwclass.run.desk import TABLE, Desk
+from fwclass.schema import Table, canonical_key
+from fwclass.store.arrays import read_arrays, write_arrays
+from fwclass.store.models import load_forest, save_forest
+from fwclass.store.tables import write_table
+from fwclass.train.sample import Sample, review
+from fwclass.train.stage import TrainParams, candidates, grow_trees, merge, train
+
+SAMPLE, TREES, MODEL = "sample.zarr", "trees.zarr", "model"
+_IDENTITY = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
+
+
+def within(table: Table, boxes: tuple[Box, ...]) -> NDArray[np.bool_]:
+    """Rows that lie in any of `boxes`."""
+    inside = np.zeros(table.rows, bool)
+    for box in boxes:
+        inside |= box.contains(table["x"], table["y"])
+    return inside
+
+
+def tested(table: Table, train: tuple[Box, ...], test: tuple[Box, ...], gap: float) -> NDArray[np.bool_]:
+    """Rows to judge on: inside `test` (anywhere if empty), and further than `gap` [m] from every training box."""
+    near = within(table, tuple(b.grown(gap) for b in train))
+    return ~near & (within(table, test) if test else np.ones(table.rows, bool))
+
+
+def sampled(
+    tile: Tile, columns: Mapping[str, str], names: tuple[str, ...], boxes: tuple[Box, ...], params: TrainParams,
+    classes: tuple[ClassDef, ...], desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """The rows of a tile that may train."""
+    table = desk.rows(tile.key, {**_IDENTITY, **columns, "reference": "label"})
+    sample = candidates(
+        table.select(names), table["reference"], canonical_key(table), within(table, boxes), params, classes
+    )
+    _save_sample(directory, sample)
+    return {"rows": sample.rows}
+
+
+def merged(
+    tiles: tuple[str, ...], names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...],
+    desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """The survey's sample; refused where a forest cannot be trained on it."""
+    sample = merge((_load_sample(desk, "sample", t, names) for t in tiles), params)
+    review(sample, classes)
+    _save_sample(directory, sample)
+    return {"rows": sample.rows, "counts": sample.counts.tolist()}
+
+
+def _save_sample(directory: Path, sample: Sample) -> None:
+    write_arrays(directory / SAMPLE, sample.arrays())
+
+
+def _load_sample(desk: Desk, stage: str, part: str, names: tuple[str, ...]) -> Sample:
+    arrays, _ = desk.arrays(stage, part, SAMPLE)
+    return Sample.from_arrays(names, arrays)
+
+
+def grown(
+    first: int, count: int, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...],
+    desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """Some of the forest's trees."""
+    trees = grow_trees(_load_sample(desk, "training", "all", names), classes, first, count, params)
+    arrays: dict[str, NDArray] = {}
+    for number, (feature, threshold, child) in enumerate(trees, first):
+        arrays |= {f"{number:05d}-feature": feature, f"{number:05d}-threshold": threshold, f"{number:05d}-child": child}
+    write_arrays(directory / TREES, arrays)
+    return {"nodes": int(sum(len(t[0]) for t in trees))}
+
+
+def trained(
+    batches: tuple[str, ...], names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...],
+    desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """The forest, delivered as the run's model."""
+    trees: list[Tree] = []
+    for batch in batches:
+        arrays, _ = read_arrays(desk.store.path("trees", batch, TREES))
+        for number in sorted({n.split("-")[0] for n in arrays}):
+            trees.append((arrays[f"{number}-feature"], arrays[f"{number}-threshold"], arrays[f"{number}-child"]))
+    forest = train(_load_sample(desk, "training", "all", names), trees, params, classes)
+    save_forest(directory / MODEL, forest)
+    return {"card": dict(forest.card), "trees": forest.trees, "nodes": len(forest.feature)}
+
+
+_loaded: dict[tuple[str, str], Forest] = {}
+
+
+def forest_at(path: Path, digest: str) -> Forest:
+    """The forest in `path`, kept in this process as long as its digest is the same."""
+    key = (str(path), digest)
+    if key not in _loaded:
+        _loaded.clear()
+        _loaded[key] = load_forest(path)
+    return _loaded[key]
+
+
+def classified(
+    tile: Tile, columns: Mapping[str, str], names: tuple[str, ...], model: tuple[Path, str] | None,
+    desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """Class and confidence of a tile's echoes. `model`: path and digest of a given one, None for the run's own."""
+    if model is None:
+        receipt = desk.store.receipt("train", "model")
+        model = (desk.store.path("train", "model", MODEL), receipt.digest if receipt else "")
+    table = classify(desk.rows(tile.key, columns).select(names), forest_at(*model))
+    write_table(directory / TABLE, table)
+    codes, counts = np.unique(table["classification"], return_counts=True)
+    return {"codes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}}
+
+
+def judged(
+    tile: Tile, columns: Mapping[str, str], names: tuple[str, ...], train: tuple[Box, ...], test: tuple[Box, ...],
+    gap: float, classes: tuple[ClassDef, ...], desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """Confusion counts and feature histograms of a tile's echoes in the test areas."""
+    extra = {"reference": "label", "classification": "classify"}
+    table = desk.rows(tile.key, {**_IDENTITY, **columns, **extra})
+    table = table.take(tested(table, train, test, gap))
+    matrix = confusion(table["reference"], table["classification"], classes)
+    lost = unclassified(table["reference"], table["classification"], classes)
+    write_arrays(directory / "counts.zarr", distribution(table.select(names), table["reference"], classes))
+    return {"matrix": matrix.tolist(), "lost": lost.tolist()}
+
+
+def assessed(
+    tiles: tuple[str, ...],
+    classes: tuple[ClassDef, ...],
+    shares: tuple[float, ...],
+    desk: Desk,
+    directory: Path,
+) -> dict[str, Any]:
+    """Figures over all test areas, and the distribution of the features by class."""
+    n = len(classes)
+    matrix, lost = np.zeros((n, n), np.int64), np.zeros(n, np.int64)
+    histograms: dict[str, NDArray[np.int64]] = {}
+    for tile in tiles:
+        meta = desk.meta("confusion", tile)
+        matrix += np.array(meta["matrix"], np.int64)
+        lost += np.array(meta["lost"], np.int64)
+        arrays, _ = desk.arrays("confusion", tile, "counts.zarr")
+        for name, counts in arrays.items():
+            histograms[name] = histograms[name] + counts if name in histograms else counts
+    names = [c.name for c in classes]
+    return {
+        "accuracy": figures(matrix, names, lost) if matrix.any() or lost.any() else None,
+        "distribution": summary(histograms, names, shares),
+    }

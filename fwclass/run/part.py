@@ -1,0 +1,131 @@
+"""One part of one stage: what it needs, what it does, and doing it. The same function in a loop and on Dask."""
+
+from __future__ import annotations
+
+import os
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from fwclass.errors import FwclassError
+from fwclass.run.desk import Desk
+from fwclass.store.receipts import key_of
+from fwclass.store.run_store import Store
+
+Name = tuple[str, str]
+"""(stage, part)."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A part to be made.
+
+    Attributes
+    ----------
+    stage, part, version : which part, by which version of the stage.
+    params : plain data that enters the key.
+    work : picklable; ``work(desk, directory)`` writes files into `directory` and returns the part's meta.
+    needs : parts read; their digests enter the key.
+    external : digests of files read from outside, by name; they enter the key.
+    place : "store", or "run" for what is delivered to the user.
+    """
+
+    stage: str
+    part: str
+    version: int
+    params: Any
+    work: Callable[[Desk, Path], Mapping[str, Any]]
+    needs: tuple[Name, ...] = ()
+    external: tuple[tuple[str, str], ...] = ()
+    place: Literal["store", "run"] = "store"
+
+    @property
+    def name(self) -> Name:
+        return self.stage, self.part
+
+
+Status = Literal["computed", "skipped", "failed", "blocked"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a part ended; small, because it travels through the scheduler."""
+
+    stage: str
+    part: str
+    status: Status
+    seconds: float = 0.0
+    peak_mib: float = 0.0
+    message: str = ""
+
+    @property
+    def ok(self) -> bool:
+        return self.status in ("computed", "skipped")
+
+
+def input_digests(task: Task, store: Store) -> dict[str, str] | None:
+    """Digests of all that `task` reads, or None while a part that it needs is not done."""
+    digests = dict(task.external)
+    for stage, part in task.needs:
+        receipt = store.receipt(stage, part)
+        if receipt is None:
+            return None
+        digests[f"{stage}/{part}"] = receipt.digest
+    return digests
+
+
+def already_done(task: Task, store: Store) -> bool:
+    """The part is there, made from the inputs as they are now."""
+    inputs = input_digests(task, store)
+    if inputs is None:
+        return False
+    return store.done(task.stage, task.part, key_of(task.stage, task.version, task.params, inputs)) is not None
+
+
+def execute(root: Path, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome:
+    """Make one part, or say why not. Never raises for a fault of the part; the run goes on without it."""
+    broken = [u for u in upstream if not u.ok]
+    if broken:
+        return Outcome(*task.name, "blocked", message=f"{broken[0].stage}/{broken[0].part} {broken[0].status}")
+    _single_thread()
+    store = Store(root)
+    try:
+        inputs = input_digests(task, store)
+        if inputs is None:
+            return Outcome(*task.name, "blocked", message="a part that it needs is not done")
+        key = key_of(task.stage, task.version, task.params, inputs)
+        if store.done(task.stage, task.part, key) is not None:
+            return Outcome(*task.name, "skipped")
+        desk = Desk(store)
+        receipt = store.commit(
+            task.stage, task.part, key, inputs, task.place, lambda directory: task.work(desk, directory)
+        )
+    except FwclassError as fault:
+        return Outcome(*task.name, "failed", message=str(fault))
+    except Exception as fault:
+        _log_traceback(root, task, fault)
+        message = f"{type(fault).__name__}: {fault}"
+        return Outcome(*task.name, "failed", message=f"{message}\n  traceback: {_log_path(root, task)}")
+    return Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
+
+
+def _log_path(root: Path, task: Task) -> Path:
+    return root / "logs" / f"{task.stage}-{task.part}.log"
+
+
+def _log_traceback(root: Path, task: Task, fault: Exception) -> None:
+    path = _log_path(root, task)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(traceback.format_exception(fault)), encoding="utf-8")
+
+
+def _single_thread() -> None:
+    """No thread pools inside a part: parts are what runs in parallel."""
+    import numcodecs.blosc
+    import pyarrow as pa
+
+    numcodecs.blosc.use_threads = False
+    pa.set_cpu_count(1)
+    os.environ.setdefault("NUMBA_NUM_THREADS", "1")

@@ -1,0 +1,193 @@
+"""What a run tells at its end: `report.json`, `report.html`, and the figures for both."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass import __version__
+from fwclass.conf import Config
+from fwclass.grid import Window
+from fwclass.publish.stage import class_map, relief, render_report
+from fwclass.run.desk import Desk
+from fwclass.run.plan import Ground
+from fwclass.run.road import Road, Tally
+from fwclass.run.survey import Survey
+from fwclass.run.tiles import mosaic
+from fwclass.store.atomic import write_json
+from fwclass.store.receipts import Receipt
+from fwclass.store.run_store import Store
+
+MAP_CELLS = 4_000_000
+"""A map is drawn only up to this many cells; a larger survey has the rasters."""
+
+
+def write_report(config: Config, road: Road, survey: Survey, base: Ground, names: tuple[str, ...]) -> dict[str, Any]:
+    """Gather the figures from receipts, write `report.json` and `report.html`, return the dict."""
+    store = road.store
+    report = {
+        "survey": config.survey.name,
+        "fwclass": __version__,
+        "input": _input(store, survey),
+        "counts": _counts(store, base),
+        "stages": [_stage(store, name, tally) for name, tally in road.tallies.items()],
+        "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
+        "accuracy": _accuracy(store, config),
+        "training": _training(store, names),
+        "distribution": _distribution(store),
+        "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
+        "outputs": _outputs(store),
+        "failed": [{"stage": o.stage, "part": o.part, "message": o.message} for o in road.failures],
+        "config": _plain(config.raw),
+        "seconds": round(max((t.ended for t in road.tallies.values()), default=0.0) - road.began, 3),
+    }
+    write_json(road.root / "report.json", report)
+    render_report(report, _figures(config, store, base, report), road.root / "report.html")
+    return report
+
+
+def _receipts(store: Store, stage: str, parts: Iterable[str] | None = None) -> list[Receipt]:
+    wanted = None if parts is None else set(parts)
+    return [r for r in store.receipts(stage) if wanted is None or r.part in wanted]
+
+
+def _input(store: Store, survey: Survey) -> dict[str, Any]:
+    faults: Counter[str] = Counter()
+    for receipt in store.receipts("read"):
+        faults.update(receipt.meta["faults"])
+    indexed = {r.part: r.meta for r in store.receipts("index")}
+    files = []
+    for strip in survey.strips:
+        meta = indexed.get(f"{strip.number:03d}", {})
+        facts = {n: meta.get(n) for n in ("points", "pulses", "point_format")}
+        files.append({"path": strip.path.name, **facts})
+    return {"files": files, "faults": dict(sorted(faults.items()))}
+
+
+def _counts(store: Store, base: Ground) -> dict[str, int]:
+    reads = [r.meta for r in store.receipts("read")]
+    tiles = _receipts(store, "tile", base.keys)
+    return {
+        "pulses": sum(r.meta["pulses"] for r in store.receipts("index")),
+        "returns": sum(m["returns"] for m in reads),
+        "returns_without_packet": sum(m["returns_without_packet"] for m in reads if m["waveforms"])
+        + sum(m["returns_without_packet"] for m in reads if not m["waveforms"] and m["faults"]),
+        "echoes_decomposed": sum(r.meta["echoes"] for r in store.receipts("decompose")),
+        "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
+        "tiles": len(tiles),
+    }
+
+
+def _stage(store: Store, name: str, tally: Tally) -> dict[str, Any]:
+    receipts = _receipts(store, name)
+    return {
+        "name": name,
+        "parts": tally.parts,
+        "computed": tally.computed,
+        "skipped": tally.skipped,
+        "failed": tally.failed,
+        "seconds": round(sum(r.seconds for r in receipts), 3),
+        "peak_mib": max((r.peak_mib for r in receipts), default=0.0),
+        "rows": sum(int(r.meta.get("rows", 0)) for r in receipts),
+    }
+
+
+def _accuracy(store: Store, config: Config) -> dict[str, Any] | None:
+    receipt = store.receipt("assess", "all")
+    if receipt is None or receipt.meta["accuracy"] is None:
+        return None
+    gap = config.areas.gap
+    area = "the listed test areas" if config.areas.test else "all echoes"
+    return {**receipt.meta["accuracy"], "area": f"{area} further than {gap:g} m from every training area"}
+
+
+def _training(store: Store, names: tuple[str, ...]) -> dict[str, Any] | None:
+    receipt = store.receipt("train", "model")
+    if receipt is None:
+        return None
+    card = receipt.meta["card"]
+    samples = {c["name"]: n for c, n in zip(card["classes"], card["samples"], strict=True)}
+    return {
+        "samples": samples, "trees": receipt.meta["trees"], "features": list(names),
+        "out_of_bag": card.get("out_of_bag", {}).get("accuracy"), "notes": card.get("notes", []),
+    }  # fmt: skip
+
+
+def _distribution(store: Store) -> dict[str, Any] | None:
+    receipt = store.receipt("assess", "all")
+    if receipt is None:
+        return None
+    found = receipt.meta["distribution"]
+    labels = [f"p{round(100 * s)}" for s in found["shares"]]
+    return {
+        feature: {
+            name: {
+                **dict(zip(labels, row["quantiles"], strict=True)),
+                "n": row["rows"] - row["without_value"],
+            }
+            for name, row in by_class.items()
+        }
+        for feature, by_class in found["features"].items()
+    }
+
+
+def _outputs(store: Store) -> dict[str, list[str]]:
+    stages = ("publish-tile", "publish-strip", "publish-rasters", "train")
+    names = [n for stage in stages for r in store.receipts(stage) for n in r.outputs]
+    kinds = {"laz": "laz/", "parquet": "parquet/", "rasters": "rasters/", "model": "model/"}
+    return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
+
+
+def _figures(config: Config, store: Store, base: Ground, report: Mapping[str, Any]) -> dict[str, bytes]:
+    """Maps of classes and terrain; none where the survey is too large to draw or its rasters failed."""
+    desk = Desk(store)
+    terrain = Window.covering(base.box, config.ground.cell)
+    window = Window.covering(base.box, config.publish.class_cell)
+    if max(np.prod(terrain.shape), np.prod(window.shape)) > MAP_CELLS:
+        return {}
+    surfaces = tuple(r.part for r in store.receipts("surface"))
+    blocks = tuple(r.part for r in store.receipts("class-block"))
+    dtm = mosaic(desk, "surface", surfaces, terrain, ("dtm",), {"dtm": np.nan})["dtm"]
+    classes = mosaic(desk, "class-block", blocks, window, ("classes",), {"classes": 0})["classes"].astype(np.uint8)
+    return {
+        "map": class_map(classes, window, report["classes"], config.publish, (dtm, terrain), report["areas"]),
+        "relief": relief(dtm, terrain, config.publish),
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return value if isinstance(value, (str, int, float, bool)) or value is None else str(value)
+
+
+def summary(report: Mapping[str, Any], root: Path) -> str:
+    """The last words of a run, for the terminal."""
+    counts = report["counts"]
+    made, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
+    balance = "all of them in tiles" if made == kept else f"{kept:,} of them in the tiles of this run"
+    rows = [
+        f"echoes      {made:,} from {counts['pulses']:,} pulses, {balance} ({counts['tiles']} tiles)",
+    ]
+    if counts["returns_without_packet"]:
+        rows.append(
+            f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"
+        )
+    rows += [f"fault       {name}: {n:,}" for name, n in report["input"]["faults"].items()]
+    accuracy = report["accuracy"]
+    if accuracy:
+        kappa = accuracy["kappa"]
+        rows.append(
+            f"accuracy    {100 * accuracy['overall_accuracy']:.1f} % overall"
+            + (f", kappa {kappa:.3f}" if kappa is not None else "")
+            + f" on {accuracy['area']}"
+        )
+    rows += [f"{kind:<11} {root / kind}  ({len(names)} files)" for kind, names in report["outputs"].items() if names]
+    rows.append(f"report      {root / 'report.html'}")
+    return "\n".join(rows)

@@ -1,0 +1,110 @@
+"""A run under way: the store, the executor, what has been done and what has failed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from fwclass.errors import InputError
+from fwclass.run.part import Name, Outcome, Task, already_done
+from fwclass.run.progress import Display
+from fwclass.store.receipts import Receipt
+from fwclass.store.run_store import Store
+
+
+class Executor(Protocol):
+    """`Loop` or `Cluster`."""
+
+    address: str
+
+    def run(self, root: Path, tasks: Sequence[Task]) -> Iterator[Outcome]: ...
+
+
+@dataclass
+class Tally:
+    """What became of one stage's parts in this run."""
+
+    parts: int = 0
+    computed: int = 0
+    skipped: int = 0
+    failed: int = 0
+    began: float = 0.0
+    ended: float = 0.0
+
+
+@dataclass
+class Road:
+    """Walks batches of tasks; each batch may need parts of earlier ones."""
+
+    root: Path
+    executor: Executor
+    display: Display
+    outcomes: dict[Name, Outcome] = field(default_factory=dict)
+    tallies: dict[str, Tally] = field(default_factory=dict)
+    began: float = field(default_factory=time.perf_counter)
+
+    @property
+    def store(self) -> Store:
+        return Store(self.root)
+
+    def do(self, tasks: Sequence[Task]) -> dict[Name, Receipt]:
+        """Make all parts of `tasks` (each after those it needs); return the receipts of those that are done.
+
+        Parts whose key holds are skipped here, without a worker. Failures are kept in `outcomes`.
+        """
+        self.display.expect(tasks)
+        now = time.perf_counter()
+        for task in tasks:
+            self.tallies.setdefault(task.stage, Tally(began=now))
+        pending = self._skip_what_is_done(tasks)
+        for outcome in self.executor.run(self.root, pending):
+            self._take(outcome)
+        receipts = {}
+        for task in tasks:
+            if self.outcomes[task.name].ok:
+                receipt = self.store.receipt(*task.name)
+                if receipt is not None:
+                    receipts[task.name] = receipt
+        return receipts
+
+    def _skip_what_is_done(self, tasks: Sequence[Task]) -> list[Task]:
+        pending: list[Task] = []
+        waiting: set[Name] = set()
+        for task in tasks:
+            bad = [self.outcomes[n] for n in task.needs if n in self.outcomes and not self.outcomes[n].ok]
+            if bad:
+                self._take(Outcome(*task.name, "blocked", message=f"{bad[0].stage}/{bad[0].part} {bad[0].status}"))
+                waiting.add(task.name)
+            elif waiting.isdisjoint(task.needs) and already_done(task, self.store):
+                self._take(Outcome(*task.name, "skipped"))
+            else:
+                pending.append(task)
+                waiting.add(task.name)
+        return [t for t in pending if t.name not in self.outcomes]
+
+    def _take(self, outcome: Outcome) -> None:
+        self.outcomes[(outcome.stage, outcome.part)] = outcome
+        tally = self.tallies[outcome.stage]
+        tally.parts += 1
+        tally.computed += outcome.status == "computed"
+        tally.skipped += outcome.status == "skipped"
+        tally.failed += outcome.status in ("failed", "blocked")
+        tally.ended = time.perf_counter()
+        self.display.ended(outcome)
+
+    @property
+    def failures(self) -> list[Outcome]:
+        return [o for o in self.outcomes.values() if o.status == "failed"]
+
+
+def require_all(road: Road, tasks: Sequence[Task]) -> dict[Name, Receipt]:
+    """As `Road.do` for parts without which nothing can follow: the first failure ends the run."""
+    done = road.do(tasks)
+    for task in tasks:
+        outcome = road.outcomes[task.name]
+        if not outcome.ok:
+            raise InputError(f"{task.stage} of part {task.part} failed", where=road.root, got=outcome.message)
+    return done

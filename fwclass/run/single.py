@@ -1,0 +1,124 @@
+"""Commands on single files: the same stages, without a run directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.assess.stage import confusion, figures, unclassified
+from fwclass.decompose.stage import DecomposeParams, decompose
+from fwclass.errors import ConfigError, InputError
+from fwclass.grid import quantised
+from fwclass.model import ClassDef
+from fwclass.neighbours import nearest_within
+from fwclass.publish.stage import write_tile_laz
+from fwclass.read.source import open_source
+from fwclass.read.stage import ReadParams, check_source, index_source, read_cloud, read_span
+from fwclass.schema import Table
+
+SAME_POINT = 0.002
+"""Two clouds are in the same order if no pair of points is further apart than this [m]."""
+
+
+def refuse_existing(output: Path, overwrite: bool) -> None:
+    """`ConfigError` if `output` exists and may not be replaced."""
+    if output.exists() and not overwrite:
+        raise ConfigError("the output exists", where=output, do="choose another name, or add --overwrite")
+
+
+def decompose_file(source: Path, output: Path, settings: tuple[str, ...], overwrite: bool) -> str:
+    """Waveforms of one file to echoes in one LAZ file; returns the summary.
+
+    `settings` are ``read.key=value`` and ``decompose.key=value``. The echoes of the whole file are held in memory.
+    """
+    refuse_existing(output, overwrite)
+    read_params: ReadParams = conf.section("read", settings)
+    params: DecomposeParams = conf.section("decompose", settings)
+    opened = open_source(source)
+    check_source(opened, read_params)
+    tables, faults = [], dict[str, int]()
+    for span in index_source(opened, read_params):
+        waves = read_span(opened, span, read_params)
+        tables.append(decompose(waves, 0, params)[0])
+        for name, count in waves.faults.items():
+            faults[name] = faults.get(name, 0) + int(count)
+    if not tables:
+        raise InputError("the file has no points", where=source, do="check the delivery; there is nothing to decompose")
+    table = Table.concat(tables)
+    delivered = table.with_columns({"classification": table["source_class"]})
+    write_tile_laz(delivered, output, opened.crs, conf.section("publish", settings))
+    origin = np.bincount(table["origin"], minlength=3)
+    rows = [
+        f"{table.rows:,} echoes from {opened.n_points:,} returns: {origin[0]:,} fitted, "
+        f"{origin[1]:,} returns kept without waveform, {origin[2]:,} read as echoes",
+        *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
+        f"written: {output}",
+    ]
+    return "\n".join(rows)
+
+
+def _cloud(path: Path) -> Table:
+    source = open_source(path)
+    if source.n_points == 0:
+        raise InputError("the file has no points", where=path, do="there is nothing to assess")
+    table = read_cloud(path, 0, source.n_points)
+    return table.with_columns({n: quantised(table[n]) for n in "xyz"})
+
+
+def parse_classes(text: str) -> tuple[ClassDef, ...]:
+    """``ground=2;vegetation=3,4,5`` as classes; the first code of each is its own."""
+    classes = []
+    for item in text.split(";"):
+        name, equals, codes = item.partition("=")
+        try:
+            numbers = tuple(int(c) for c in codes.split(","))
+        except ValueError:
+            numbers = ()
+        if not equals or not name.strip() or not numbers or not all(0 < n < 256 for n in numbers):
+            raise ConfigError(
+                "--map lists classes by name and codes",
+                where="--map",
+                expected="ground=2;vegetation=3,4,5;building=6",
+                got=text,
+            )
+        classes.append(ClassDef(name.strip(), numbers[0], numbers))
+    return tuple(classes)
+
+
+def assess_files(reference: Path, prediction: Path, codes: str | None) -> dict[str, Any]:
+    """Figures of `prediction` against `reference`: point by point, or by nearest point within `label.max_distance`.
+
+    Without `codes` every code that the reference uses is a class (0 is "never classified").
+    """
+    truth, answer = _cloud(reference), _cloud(prediction)
+    pairs = _pairs(truth, answer, conf.section("label").max_distance)
+    known = pairs >= 0
+    if not known.any():
+        raise InputError(
+            "reference and prediction have no point in common", where=f"{reference}, {prediction}",
+            do="check that they show the same place in the same coordinate system",
+        )  # fmt: skip
+    wanted, given = truth["source_class"][known], answer["source_class"][pairs[known]]
+    if codes is not None:
+        classes = parse_classes(codes)
+        own = np.zeros(256, np.uint8)
+        for one in classes:
+            own[list(one.codes)] = one.code
+        given = own[given]
+    else:
+        classes = tuple(ClassDef(str(c), int(c), (int(c),)) for c in np.unique(wanted) if c)
+    names = [c.name for c in classes]
+    made = figures(confusion(wanted, given, classes), names, unclassified(wanted, given, classes))
+    return {**made, "unmatched": int((~known).sum())}
+
+
+def _pairs(truth: Table, answer: Table, limit: float) -> NDArray[np.int64]:
+    """Row of `answer` for every row of `truth`, -1 if none."""
+    if truth.rows == answer.rows and all(np.abs(truth[n] - answer[n]).max() <= SAME_POINT for n in "xyz"):
+        return np.arange(truth.rows)
+    found, _ = nearest_within((truth["x"], truth["y"], truth["z"]), (answer["x"], answer["y"], answer["z"]), limit)
+    return found

@@ -1,0 +1,154 @@
+"""Work of the parts that read: index, read, decompose, split; and the digests of foreign files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from fwclass.decompose.stage import DecomposeParams, decompose
+from fwclass.grid import TileGrid, quantised
+from fwclass.read.source import open_source
+from fwclass.read.spans import Span
+from fwclass.read.stage import ReadParams, index_source, read_cloud, read_span
+from fwclass.run.desk import TABLE, Desk
+from fwclass.schema import Table
+from fwclass.store.arrays import write_arrays
+from fwclass.store.atomic import file_digest, read_json, write_json
+from fwclass.store.run_store import Store
+from fwclass.store.tables import read_table, write_groups, write_table
+from fwclass.tile.stage import assemble, assemble_points, split
+from fwclass.waveforms import Waveforms
+
+CLOUD_ROWS = 2_000_000
+"""Points of a reference cloud read at a time."""
+
+
+class Digests:
+    """Digests of foreign files, remembered by size and modification time in ``store/inputs.json``."""
+
+    def __init__(self, store: Store) -> None:
+        self._path = store.directory / "inputs.json"
+        self._known: dict[str, Any] = read_json(self._path) if self._path.exists() else {}
+
+    def of(self, paths: Iterable[Path]) -> tuple[tuple[str, str], ...]:
+        """(file name, digest) of every path; files that look unchanged are not read again."""
+        found = []
+        for path in paths:
+            facts = path.stat()
+            seen = self._known.get(str(path))
+            if seen is None or seen[:2] != [facts.st_size, facts.st_mtime_ns]:
+                seen = [facts.st_size, facts.st_mtime_ns, file_digest(path)]
+                self._known[str(path)] = seen
+            found.append((path.name, str(seen[2])))
+        write_json(self._path, self._known)
+        return tuple(found)
+
+
+def index(path: Path, params: ReadParams, desk: Desk, directory: Path) -> dict[str, Any]:
+    """Cut a source file into spans that no pulse straddles."""
+    source = open_source(path)
+    spans = index_source(source, params)
+    return {
+        "spans": [[s.first_point, s.last_point, s.first_pulse, s.n_pulses] for s in spans],
+        "points": source.n_points,
+        "pulses": sum(s.n_pulses for s in spans),
+        "point_format": source.point_format,
+    }
+
+
+def read(path: Path, span: Span, params: ReadParams, desk: Desk, directory: Path) -> dict[str, Any]:
+    """Pulses, returns and waveforms of one span."""
+    waves = read_span(open_source(path), span, params)
+    write_table(directory / "pulses.parquet", waves.pulses)
+    write_table(directory / "returns.parquet", waves.returns)
+    write_arrays(directory / "waveforms.zarr", {"samples": waves.samples, "offsets": waves.offsets})
+    without = int((~waves.returns["has_packet"]).sum())
+    return {
+        "returns": waves.returns.rows,
+        "waveforms": waves.pulses.rows,
+        "returns_without_packet": without,
+        "faults": {k: int(v) for k, v in sorted(waves.faults.items()) if v},
+    }
+
+
+def decomposed(part: str, strip: int, params: DecomposeParams, desk: Desk, directory: Path) -> dict[str, Any]:
+    """Echoes of a chunk, and the echo of every return."""
+    arrays, _ = desk.arrays("read", part, "waveforms.zarr")
+    waves = Waveforms(
+        desk.table("read", part, name="pulses.parquet"),
+        desk.table("read", part, name="returns.parquet"),
+        arrays["samples"],
+        arrays["offsets"],
+    )
+    echoes, links = decompose(waves, strip, params)
+    write_table(directory / TABLE, echoes)
+    write_table(directory / "links.parquet", links)
+    origin = echoes["origin"]
+    return {
+        "echoes": echoes.rows,
+        "fitted": int((origin == 0).sum()),
+        "kept_returns": int((origin == 1).sum()),
+        "read_as_echoes": int((origin == 2).sum()),
+    }
+
+
+def scattered(part: str, grid: TileGrid, desk: Desk, directory: Path) -> dict[str, Any]:
+    """Echoes of a chunk in tile order, one row group a tile."""
+    return _write_split(desk.table("decompose", part), grid, directory)
+
+
+def scattered_cloud(path: Path, first: int, last: int, grid: TileGrid, desk: Desk, directory: Path) -> dict[str, Any]:
+    """Reference points of part of a file, in tile order."""
+    cloud = read_cloud(path, first, last)
+    return _write_split(cloud.with_columns({n: quantised(cloud[n]) for n in "xyz"}), grid, directory)
+
+
+def _write_split(table: Table, grid: TileGrid, directory: Path) -> dict[str, Any]:
+    result = split(table, grid)
+    write_groups(directory / TABLE, result.table, result.offsets)
+    rows = (result.offsets[1:] - result.offsets[:-1]).tolist()
+    return {
+        "tiles": {k: [i, n] for i, (k, n) in enumerate(zip(result.keys, rows, strict=True))},
+        "rows": sum(rows),
+    }
+
+
+def tiled(
+    key: str, fragments: tuple[tuple[str, int], ...], block: float, desk: Desk, directory: Path
+) -> dict[str, Any]:
+    """A tile's echoes from all chunks, in final row order."""
+    table = assemble([desk.fragment("split", part, group) for part, group in fragments], f"tile {key}")
+    write_table(directory / TABLE, table)
+    ix, iy = TileGrid(block).indices(table["x"], table["y"])
+    return {
+        "rows": table.rows,
+        "blocks": sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))}),
+        "bounds": [float(f(table[n])) for f in (min_of, max_of) for n in "xyz"],
+        "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
+    }
+
+
+def min_of(values: Any) -> float:
+    return float(values.min())
+
+
+def max_of(values: Any) -> float:
+    return float(values.max())
+
+
+def tiled_cloud(fragments: tuple[tuple[str, int], ...], desk: Desk, directory: Path) -> dict[str, Any]:
+    """A tile's reference points."""
+    table = assemble_points([desk.fragment("reference-split", part, group) for part, group in fragments])
+    write_table(directory / TABLE, table)
+    return {"rows": table.rows}
+
+
+def link_table(desk: Desk, part: str) -> Table:
+    """Pulse and echo number of every return of a chunk, in file order."""
+    return read_table(desk.store.path("decompose", part, "links.parquet"), ("pulse", "echo_number"))
+
+
+def counted(metas: Iterable[Mapping[str, Any]], name: str) -> int:
+    """Sum of a count over parts."""
+    return sum(int(m[name]) for m in metas)

@@ -1,0 +1,233 @@
+"""The survey's files: found, checked from their headers, and simulated where it has none of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, InputError
+from fwclass.grid import Box
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source
+from fwclass.run.desk import Desk
+from fwclass.run.part import Task
+from fwclass.run.plan import FileDigests, Strip
+from fwclass.run.road import Road
+from fwclass.run.sources import Digests
+from fwclass.simulate.params import SimulateParams
+
+SIMULATED = "survey"
+"""Where a simulated survey lies below its run directory."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Files that can be used, in the order that numbers the strips."""
+
+    strips: tuple[Strip, ...]
+    reference: tuple[tuple[Path, FileDigests, int], ...]
+    crs: str | None
+    box: Box
+
+
+def _simulated(params: SimulateParams, strip: Any, prefix: str, desk: Desk, directory: Path) -> Mapping[str, Any]:
+    from fwclass.simulate.stage import simulate_strip  # a survey with files of its own need not load the simulator
+
+    facts = dict(simulate_strip(params, strip, directory / prefix))
+    facts.pop("seconds", None)
+    return facts
+
+
+def _trajectory(params: SimulateParams, prefix: str, desk: Desk, directory: Path) -> Mapping[str, Any]:
+    from fwclass.simulate.stage import write_trajectory
+
+    (directory / prefix).mkdir(parents=True, exist_ok=True)
+    write_trajectory(params, directory / prefix)
+    return {}
+
+
+def simulate_tasks(params: SimulateParams, prefix: str) -> list[Task]:
+    """One part per strip, and the trajectory; files go to `prefix` below the run directory."""
+    from fwclass.simulate.stage import plan_strips
+
+    plain = params.model_dump(mode="json")
+    strips = plan_strips(params)
+    made = [
+        Task(
+            "simulate",
+            s.name,
+            1,
+            {**plain, "prefix": prefix},
+            partial(_simulated, params, s, prefix),
+            place="run",
+        )
+        for s in strips
+    ]
+    made.append(
+        Task(
+            "simulate",
+            "trajectory",
+            1,
+            {**plain, "prefix": prefix},
+            partial(_trajectory, params, prefix),
+            place="run",
+        )
+    )
+    return made
+
+
+def _found(patterns: Iterable[str], directory: Path, setting: str, where: Path) -> list[Path]:
+    """Files that match, sorted by name; a pattern without a match is an error."""
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        matches = sorted(p for p in directory.glob(pattern) if p.is_file())
+        if not matches:
+            raise InputError(
+                "no file matches",
+                where=f"{setting} in {where}",
+                expected=f"files like {pattern}",
+                got=f"none in {directory}",
+                do=f"check {setting} and survey.directory (--set survey.directory=...)",
+            )
+        found |= dict.fromkeys(matches)
+    return sorted(found, key=lambda p: (p.name, p))
+
+
+def directory_of(config: Config, root: Path) -> Path:
+    """Where the survey's files lie."""
+    if config.survey.directory is None:
+        return root / SIMULATED
+    path = Path(config.survey.directory)
+    return path if path.is_absolute() else (config.path.parent / path).resolve()
+
+
+def gather(config: Config, road: Road) -> Survey:
+    """Find and check all files before anything is computed; simulate them first where the survey has none."""
+    if config.simulate is not None:
+        tasks = simulate_tasks(config.simulate, SIMULATED)
+        if len(road.do(tasks)) < len(tasks):
+            raise InputError("the survey could not be simulated", where=road.root, do="see the failed parts above")
+    directory = directory_of(config, road.root)
+    digests = Digests(road.store)
+    opened = [open_source(p) for p in _found(config.survey.sources, directory, "survey.sources", config.path)]
+    for source in opened:
+        check_source(source, config.read)
+    _distinct([s.path for s in opened])
+    crs = common_crs(config, {s.path: s.crs for s in opened})
+    strips = tuple(Strip(number, s.path, digests.of(_files_of(s)), s.point_format) for number, s in enumerate(opened))
+    box = _bounds([s.bounds for s in opened])
+    _check_areas(config, box)
+    return Survey(strips, _reference(config, directory, digests, box), crs, box)
+
+
+def _files_of(source: Any) -> list[Path]:
+    store = source.waves
+    return [source.path, *([store.path] if store.path is not None and store.path != source.path else [])]
+
+
+def _distinct(paths: list[Path]) -> None:
+    stems = [p.stem for p in paths]
+    twice = sorted({s for s in stems if stems.count(s) > 1})
+    if twice:
+        raise InputError(
+            "two source files have the same name",
+            where=", ".join(str(p) for p in paths if p.stem == twice[0]),
+            do="rename one: strips are delivered under their source's name",
+        )
+
+
+def _bounds(bounds: Iterable[tuple[float, ...]]) -> Box:
+    rows = list(bounds)
+    return Box(min(b[0] for b in rows), min(b[1] for b in rows), max(b[3] for b in rows), max(b[4] for b in rows))
+
+
+def common_crs(config: Config, found: Mapping[Path, CRS | None]) -> str | None:
+    """The survey's CRS as text (WKT), None where the configuration says `none`."""
+    given = _given(config.survey.crs)
+    if config.survey.crs is not None and given is None:
+        return None
+    systems: dict[str, Path] = {}
+    for path, crs in found.items():
+        crs = crs or given
+        if crs is None:
+            raise InputError(
+                "the coordinate system is unknown",
+                where=path,
+                expected="a CRS in the file, or survey.crs in the configuration",
+                got="neither",
+                do="--set survey.crs=EPSG:<code>, or --set survey.crs=none to go without",
+            )
+        if crs.is_geographic:
+            raise InputError(
+                "the coordinates are in degrees",
+                where=path,
+                expected="a projected CRS in metres: every distance here is one",
+                got=crs.name,
+                do="reproject the files (for example with PDAL's filters.reprojection) and run again",
+            )
+        systems.setdefault(crs.to_wkt(), path)
+    if len(systems) > 1:
+        raise InputError(
+            "the files are in different coordinate systems",
+            where=", ".join(str(p) for p in systems.values()),
+            got="; ".join(CRS.from_wkt(w).name for w in systems),
+            do="bring them into one system first",
+        )
+    return next(iter(systems))
+
+
+def _given(text: str | None) -> CRS | None:
+    if text is None or text == "none":
+        return None
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as fault:
+        raise ConfigError(
+            "survey.crs is not a coordinate system",
+            where="survey.crs",
+            expected="for example EPSG:25832, or none",
+            got=text,
+        ) from fault
+
+
+def _check_areas(config: Config, box: Box) -> None:
+    for kind in ("train", "test"):
+        boxes = config.areas.boxes(kind)
+        if boxes and not any(b.touches(box.grown(1.0)) for b in boxes):
+            raise ConfigError(
+                f"no {kind}ing area lies on the survey" if kind == "test" else "no training area lies on the survey",
+                where=f"{config.path}: areas.{kind}",
+                expected=f"boxes that touch {_text(box)}",
+                got=", ".join(_text(b) for b in boxes),
+                do="give the boxes in the survey's coordinates",
+            )
+
+
+def _text(box: Box) -> str:
+    return "[" + ", ".join(f"{v:.1f}" for v in box.bounds) + "]"
+
+
+def _reference(
+    config: Config, directory: Path, digests: Digests, box: Box
+) -> tuple[tuple[Path, FileDigests, int], ...]:
+    if config.survey.reference.kind != "cloud":
+        return ()
+    files = _found(config.survey.reference.files, directory, "survey.reference.files", config.path)
+    opened = [open_source(p) for p in files]
+    place = _bounds([s.bounds for s in opened])
+    if not place.grown(config.label.max_distance).touches(box):
+        raise InputError(
+            "the reference lies in another place than the survey",
+            where=", ".join(str(f) for f in files),
+            expected=f"points around {_text(box)}",
+            got=_text(place),
+            do="check survey.reference.files and the files' coordinate systems",
+        )
+    return tuple((s.path, digests.of([s.path]), s.n_points) for s in opened)

@@ -1,0 +1,65 @@
+"""What a stage is: one function and one record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+from fwclass.grid import Tile
+from fwclass.schema import Table
+
+
+class Params(BaseModel):
+    """Base of every stage's parameters: frozen, closed, without defaults (the numbers live in `conf/base.yaml`)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=False, allow_inf_nan=False)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """The overlapping chunk that a tile stage works on.
+
+    Attributes
+    ----------
+    table : core and halo rows, in canonical order (strip, pulse, echo number), so that sums over
+        neighbours do not depend on how the survey was cut.
+    core : shape (n_core,), for every row that the tile owns, in the tile's row order, its index in `table`.
+    tile : the owner tile.
+    """
+
+    table: Table
+    core: NDArray[np.int64]
+    tile: Tile
+
+
+Kind = Literal["chunk", "scatter", "tile", "block", "gather", "publish"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the road.
+
+    Attributes
+    ----------
+    name : its name in the store, in receipts and on the command line.
+    version : raised by hand whenever the same input and params would give another output.
+    kind : what a part of it is.
+    function : the work; sees columns, its tile and its params, never disk, Dask or another stage.
+    params : the class of its parameters.
+    reads, writes : the columns it reads and the new columns it writes.
+    halo : distance around its tile that it reads [m], from its params.
+    """
+
+    name: str
+    version: int
+    kind: Kind
+    function: Callable[..., Any]
+    params: type[Params]
+    reads: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    halo: Callable[[Any], float] = lambda params: 0.0

@@ -1,0 +1,41 @@
+"""Arrays as Zarr v3: one array per field, sharded; written into a staged directory, never in place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import BloscCodec
+
+CHUNK = 1 << 18
+"""Values of a chunk of a flat array; a shard holds the whole array of a part."""
+
+RASTER_CHUNK = 256
+"""Cells along the edge of a chunk of a raster."""
+
+
+def _layout(array: NDArray) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    edge = CHUNK if array.ndim == 1 else RASTER_CHUNK
+    chunks = tuple(max(1, min(edge, n)) for n in array.shape)
+    shards = tuple(-(-max(n, 1) // c) * c for n, c in zip(array.shape, chunks, strict=True))
+    return chunks, shards
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[str, Any] | None = None) -> None:
+    """Write named arrays as one Zarr group at `path`."""
+    group = zarr.open_group(str(path), mode="w", zarr_format=3, attributes=dict(attributes or {}))
+    codec = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
+    for name, array in arrays.items():
+        chunks, shards = _layout(array)
+        group.create_array(name, data=np.ascontiguousarray(array), chunks=chunks, shards=shards, compressors=codec)
+
+
+def read_arrays(path: Path, names: Iterable[str] | None = None) -> tuple[dict[str, NDArray], dict[str, Any]]:
+    """The named arrays (all) of the group at `path`, and its attributes."""
+    group = zarr.open_group(str(path), mode="r", zarr_format=3)
+    wanted = list(names) if names is not None else sorted(group.array_keys())
+    return {n: np.asarray(group[n][...]) for n in wanted}, dict(group.attrs)

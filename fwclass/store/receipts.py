@@ -1,0 +1,69 @@
+"""Receipts: what was made, from what, and where it is. The only truth about what is done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from fwclass.errors import StoreError
+from fwclass.store.atomic import digest_of
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Receipt:
+    """One part, done.
+
+    Attributes
+    ----------
+    stage, part : which part.
+    key : digest of (stage, its version, params, digests of inputs): the part is done if its key still holds.
+    inputs : digest of everything that was read, by name.
+    outputs : bytes and digest of every file written, by path relative to `place`.
+    digest : digest of all outputs and of `meta`: what enters the keys of the parts that read this one.
+    place : "store" or "run": below which directory the outputs lie.
+    meta : plain data that later parts or the report need (rows, counts, faults).
+    seconds, peak_mib : cost of making it.
+    """
+
+    stage: str
+    part: str
+    key: str
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, Mapping[str, Any]]
+    digest: str
+    place: str
+    meta: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float = 0.0
+    peak_mib: float = 0.0
+    format: int = FORMAT
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, value: Any, where: object) -> Receipt:
+        try:
+            receipt = cls(**value)
+        except TypeError as fault:
+            raise StoreError("not a receipt", where=where, got=fault, do="remove the file") from fault
+        if receipt.format != FORMAT:
+            raise StoreError(
+                "a receipt of another version of the store",
+                where=where,
+                expected=FORMAT,
+                got=receipt.format,
+                do="use another run directory, or remove its `store`",
+            )
+        return receipt
+
+
+def key_of(stage: str, version: int, params: Any, inputs: Mapping[str, str]) -> str:
+    """The key of a part; 24 hex digits, also the name of its directory."""
+    return digest_of({"stage": stage, "version": version, "params": params, "inputs": dict(inputs)})[:24]
+
+
+def digest_of_outputs(outputs: Mapping[str, Mapping[str, Any]], meta: Mapping[str, Any]) -> str:
+    return digest_of({"outputs": {n: o["digest"] for n, o in outputs.items()}, "meta": dict(meta)})

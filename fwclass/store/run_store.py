@@ -1,0 +1,159 @@
+"""The store of one run directory: where parts lie, which are done, how they are read.
+
+``<run>/store/<stage>/<part>/receipt.json`` and beside it one directory, named by the part's key, with the part's files.
+Parts that deliver to the user write below the run directory itself and keep only their receipt here. See FORMAT.md.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from fwclass.errors import StoreError
+from fwclass.store.atomic import (
+    file_digest,
+    files_below,
+    move_into_place,
+    read_json,
+    staged,
+    sync,
+    write_json,
+)
+from fwclass.store.receipts import Receipt, digest_of_outputs
+
+MIB = 1 << 20
+
+
+@dataclass(frozen=True)
+class Store:
+    """Paths, receipts and commits below one run directory `root`."""
+
+    root: Path
+
+    @property
+    def directory(self) -> Path:
+        return self.root / "store"
+
+    def _part(self, stage: str, part: str) -> Path:
+        return self.directory / stage / part
+
+    def receipt(self, stage: str, part: str) -> Receipt | None:
+        """The part's receipt, or None."""
+        path = self._part(stage, part) / "receipt.json"
+        return Receipt.from_json(read_json(path), path) if path.exists() else None
+
+    def receipts(self, stage: str) -> Iterator[Receipt]:
+        """Every receipt of a stage, by part."""
+        directory = self.directory / stage
+        for path in sorted(directory.glob("*/receipt.json")):
+            yield Receipt.from_json(read_json(path), path)
+
+    def done(self, stage: str, part: str, key: str) -> Receipt | None:
+        """The receipt if the part is done under this key and all its files are there."""
+        receipt = self.receipt(stage, part)
+        if receipt is None or receipt.key != key:
+            return None
+        base = self.base(receipt)
+        for name, facts in receipt.outputs.items():
+            path = base / name
+            if not path.is_file() or path.stat().st_size != facts["bytes"]:
+                return None
+        return receipt
+
+    def base(self, receipt: Receipt) -> Path:
+        """The directory that the receipt's outputs are relative to."""
+        return self.root if receipt.place == "run" else self._part(receipt.stage, receipt.part) / receipt.key
+
+    def path(self, stage: str, part: str, name: str) -> Path:
+        """A file or directory of a finished part."""
+        receipt = self.receipt(stage, part)
+        if receipt is None:
+            raise StoreError(
+                "a part that others need is not done",
+                where=f"{stage}/{part} in {self.root}",
+                do="run again; the missing parts are made",
+            )
+        return self.base(receipt) / name
+
+    def commit(
+        self,
+        stage: str,
+        part: str,
+        key: str,
+        inputs: Mapping[str, str],
+        place: str,
+        work: Callable[[Path], Mapping[str, Any]],
+    ) -> Receipt:
+        """Do `work` in a staged directory, flush, rename, write the receipt, collect what it replaces.
+
+        `work` gets the directory and returns the part's meta. With ``place="run"`` the files go to the same relative
+        paths below the run directory, one rename each.
+        """
+        began = time.perf_counter()
+        old = self.receipt(stage, part)
+        with staged(self.directory / "staging") as directory:
+            meta = dict(work(directory))
+            outputs = {}
+            for path in files_below(directory):
+                sync(path)
+                name = path.relative_to(directory).as_posix()
+                outputs[name] = {"bytes": path.stat().st_size, "digest": file_digest(path)}
+            if place == "run":
+                for name in outputs:
+                    move_into_place(directory / name, self.root / name)
+            else:
+                move_into_place(directory, self._part(stage, part) / key)
+        receipt = Receipt(
+            stage=stage, part=part, key=key, inputs=dict(inputs), outputs=outputs, place=place, meta=meta,
+            digest=digest_of_outputs(outputs, meta), seconds=round(time.perf_counter() - began, 4),
+            peak_mib=round(_peak_mib(), 1),
+        )  # fmt: skip
+        write_json(self._part(stage, part) / "receipt.json", receipt.to_json())
+        self._collect(receipt, old)
+        return receipt
+
+    def _collect(self, receipt: Receipt, old: Receipt | None) -> None:
+        """Remove what no receipt names any more."""
+        if receipt.place == "run":
+            for name in set(old.outputs if old else ()) - set(receipt.outputs):
+                (self.root / name).unlink(missing_ok=True)
+            return
+        for path in self._part(receipt.stage, receipt.part).iterdir():
+            if path.is_dir() and path.name != receipt.key:
+                shutil.rmtree(path, ignore_errors=True)
+
+    def forget_others(self, stage: str, parts: Iterable[str]) -> list[str]:
+        """Remove parts of `stage` that the plan no longer has, with what they delivered; return their names."""
+        keep = set(parts)
+        gone = []
+        for receipt in list(self.receipts(stage)):
+            if receipt.part in keep:
+                continue
+            if receipt.place == "run":
+                for name in receipt.outputs:
+                    (self.root / name).unlink(missing_ok=True)
+            shutil.rmtree(self._part(stage, receipt.part), ignore_errors=True)
+            gone.append(receipt.part)
+        return gone
+
+    def clear_staging(self) -> None:
+        """Remove what an interrupted writer left behind (only the holder of the lock calls this)."""
+        shutil.rmtree(self.directory / "staging", ignore_errors=True)
+
+
+def _peak_mib() -> float:
+    """Highest resident memory of this process so far [MiB]; Windows and others give the present one."""
+    info = psutil.Process(os.getpid()).memory_info()
+    try:
+        import resource
+
+        return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * 1024 / MIB
+    except ImportError:
+        return float(info.rss) / MIB

@@ -1,0 +1,102 @@
+"""Scatter echoes to the tiles that own them, and bring each tile into its final row order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.grid import TileGrid, millimetres
+from fwclass.schema import Table, canonical_key
+from fwclass.stage import Params, Stage
+
+MORTON_CELL = 2_000
+"""Edge of the cells of the spatial sort [mm]; only the order of rows in a tile depends on it."""
+
+
+class TileParams(Params):
+    """`size`: edge of a tile [m]. It never changes a result, only what one part holds."""
+
+    size: float
+
+
+@dataclass(frozen=True)
+class Split:
+    """Rows of a chunk in tile order; tile k has rows ``offsets[k]:offsets[k + 1]`` of `table`."""
+
+    table: Table
+    keys: tuple[str, ...]
+    offsets: NDArray[np.int64]
+
+
+def split(table: Table, grid: TileGrid) -> Split:
+    """Sort the rows of a chunk (any table with x, y) by the tile that owns them; the order within a tile is kept."""
+    ix, iy = grid.indices(table["x"], table["y"])
+    order = np.lexsort((iy, ix))
+    sx, sy = ix[order], iy[order]
+    new = np.ones(len(order), bool)
+    new[1:] = (sx[1:] != sx[:-1]) | (sy[1:] != sy[:-1])
+    first = np.flatnonzero(new)
+    keys = tuple(f"{sx[i]}_{sy[i]}" for i in first)
+    return Split(table.take(order), keys, np.append(first, len(order)).astype(np.int64))
+
+
+def _spread(v: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Bits of a 32-bit integer moved to the even places of 64."""
+    for shift, mask in (
+        (16, 0x0000FFFF0000FFFF), (8, 0x00FF00FF00FF00FF), (4, 0x0F0F0F0F0F0F0F0F),
+        (2, 0x3333333333333333), (1, 0x5555555555555555),
+    ):  # fmt: skip
+        v = (v | (v << np.uint64(shift))) & np.uint64(mask)
+    return v
+
+
+def morton(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint64]:
+    """Morton code of the global cells of `MORTON_CELL` that the points lie in."""
+    half = 1 << 31
+    cx = (millimetres(x) // MORTON_CELL + half).astype(np.uint64)
+    cy = (millimetres(y) // MORTON_CELL + half).astype(np.uint64)
+    return _spread(cx) | (_spread(cy) << np.uint64(1))
+
+
+def assemble(fragments: list[Table], where: str) -> Table:
+    """A tile's rows from all chunks, in final order: Morton code, then (strip, pulse, echo_number).
+
+    An identity that occurs twice is an error of the source (the same strip listed twice under two names differs in
+    `strip` and is not one): `InputError`.
+    """
+    table = Table.concat(fragments)
+    key = canonical_key(table)
+    order = np.lexsort((key, morton(table["x"], table["y"])))
+    ranked = np.sort(key)
+    if (ranked[1:] == ranked[:-1]).any():
+        raise InputError(
+            "two echoes of a tile have the same strip, pulse and echo number",
+            where=where,
+            got=f"{int((ranked[1:] == ranked[:-1]).sum())} repeated",
+            do="report this with the source file",
+        )
+    return table.take(order)
+
+
+def assemble_points(fragments: list[Table]) -> Table:
+    """A tile's reference points, sorted by place, time and class: independent of how they were cut."""
+    table = Table.concat(fragments)
+    order = np.lexsort(
+        (
+            table["source_class"],
+            table["gps_time"],
+            table["z"],
+            table["y"],
+            table["x"],
+            morton(table["x"], table["y"]),
+        )
+    )
+    return table.take(order)
+
+
+SPLIT = Stage("split", 1, "scatter", split, TileParams)
+TILE = Stage("tile", 1, "scatter", assemble, TileParams)
+REFERENCE = Stage("reference", 1, "scatter", assemble_points, TileParams)

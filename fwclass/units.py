@@ -1,0 +1,21 @@
+"""Physical constants and conversions, each once."""
+
+from __future__ import annotations
+
+import math
+
+SPEED_OF_LIGHT = 299_792_458.0
+"""In vacuum [m/s]."""
+
+REFRACTIVE_INDEX = 1.000273
+"""Group index of air at 1550 nm, 15 °C, 1013 hPa (Ciddor 1996)."""
+
+METRES_PER_NS = SPEED_OF_LIGHT * 1e-9 / (2.0 * REFRACTIVE_INDEX)
+"""One-way distance that one nanosecond of two-way travel time stands for [m/ns]."""
+
+FWHM_PER_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
+"""Full width at half maximum of a Gaussian of unit standard deviation."""
+
+QUANTUM = 0.001
+"""Step of every coordinate in the store [m]; millimetres are exact integers in float64 and, as
+differences below 16 km, in float32."""

@@ -1,0 +1,47 @@
+"""Pulses with their returns and their waveforms: what reading gives and decomposition takes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.schema import Table
+
+PULSE_COLUMNS = (
+    "pulse", "gps_time", "anchor_x", "anchor_y", "anchor_z", "anchor_time", "step_x", "step_y", "step_z",
+    "sample_spacing", "saturation",
+)  # fmt: skip
+RETURN_COLUMNS = (
+    "pulse", "return_number", "number_of_returns", "x", "y", "z", "gps_time", "intensity", "source_class",
+    "location", "has_packet", "vendor_amplitude", "vendor_width",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Waveforms:
+    """A chunk of consecutive pulses of one strip.
+
+    Attributes
+    ----------
+    pulses : one row per pulse **that has a usable packet**, `PULSE_COLUMNS`, by ascending `pulse`.
+    returns : one row per point of the file, in file order, `RETURN_COLUMNS`. `pulse` counts every pulse of the strip,
+        with or without packet; in files without packets every return is a pulse of its own.
+    samples : all samples one after the other [DN], uint8 or uint16.
+    offsets : int64, shape (pulses + 1,); waveform i is ``samples[offsets[i]:offsets[i + 1]]``.
+    faults : counts of bad data met, by name, for example ``{"packet past the end": 3}``.
+    declared : the file's point format declares waveforms, whether or not they could be read.
+    """
+
+    pulses: Table
+    returns: Table
+    samples: NDArray[np.uint8] | NDArray[np.uint16]
+    offsets: NDArray[np.int64]
+    faults: Mapping[str, int] = field(default_factory=dict)
+    declared: bool = True
+
+    def __post_init__(self) -> None:
+        if len(self.offsets) != self.pulses.rows + 1 or (len(self.offsets) and self.offsets[-1] > len(self.samples)):
+            raise ValueError("offsets do not fit pulses and samples")

@@ -1,0 +1,28 @@
+"""Shared fixtures: real data that may be absent, the project's default numbers, and the maker of small files."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests"))
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The directory of real samples; the test is skipped where it is absent."""
+    folder = ROOT / ".." / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("no real data beside the repository (../shared/data)")
+    return folder.resolve()
+
+
+@pytest.fixture(scope="session")
+def base() -> dict[str, Any]:
+    """`conf/base.yaml` as it stands."""
+    return yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())

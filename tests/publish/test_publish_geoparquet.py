@@ -1,0 +1,133 @@
+"""GeoParquet, read by geopandas and by DuckDB."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pyproj
+import pytest
+
+from fwclass.errors import InputError
+from fwclass.publish.geoparquet import wkb_points
+from fwclass.publish.params import PublishParams
+from fwclass.publish.stage import write_geoparquet
+from fwclass.schema import Table
+
+CRS = pyproj.CRS(2154)
+
+
+def geo(path: Path) -> dict:
+    return json.loads(pq.read_schema(path).metadata[b"geo"])
+
+
+def test_geopandas_reads_points_columns_and_crs(
+    echoes: Callable[..., Table], params: PublishParams, tmp_path: Path
+) -> None:
+    geopandas = pytest.importorskip("geopandas")
+    table = echoes()
+    write_geoparquet(table, tmp_path / "t.parquet", CRS, params)
+    frame = geopandas.read_parquet(tmp_path / "t.parquet")
+    assert frame.crs == CRS and frame.geometry.has_z.all()
+    for axis in "xyz":
+        assert np.array_equal(getattr(frame.geometry, axis), table[axis])
+    for name in table:
+        assert frame[name].dtype == table[name].dtype
+        assert np.array_equal(frame[name], table[name], equal_nan=table[name].dtype.kind == "f")
+    box = (770_010, 6_277_020, 770_040, 6_277_070)
+    part = geopandas.read_parquet(tmp_path / "t.parquet", bbox=box)
+    x, y = table["x"], table["y"]
+    inside = (x >= box[0]) & (y >= box[1]) & (x <= box[2]) & (y <= box[3])
+    assert 0 < len(part) == inside.sum(), "the covering box filters rows"
+
+
+def test_duckdb_reads_box_and_wkb(echoes: Callable[..., Table], params: PublishParams, tmp_path: Path) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    table = echoes()
+    path = tmp_path / "t.parquet"
+    write_geoparquet(table, path, None, params)
+    query = f"select x, bbox.xmin, bbox.ymax, geometry::blob from read_parquet('{path}')"  # noqa: S608
+    rows = duckdb.connect(config={"autoinstall_known_extensions": False}).execute(query).fetchall()
+    assert len(rows) == table.rows
+    for i in (0, 77, table.rows - 1):
+        x, xmin, ymax, wkb = rows[i]
+        assert x == xmin == table["x"][i] and ymax == table["y"][i]
+        found = wkb_xyz(bytes(wkb))
+        assert found[:2] == (table["x"][i], table["y"][i])
+
+
+def wkb_xyz(wkb: bytes) -> tuple[float, ...]:
+    """Coordinates of a little-endian WKB point, ISO with height or plain."""
+    order, kind = struct.unpack_from("<BI", wkb)
+    assert order == 1 and kind in (1, 1001, 0x80000001)
+    return struct.unpack_from("<2d" if kind == 1 else "<3d", wkb, 5)
+
+
+def test_wkb_is_the_standard_s(echoes: Callable[..., Table]) -> None:
+    shapely = pytest.importorskip("shapely")
+    table = echoes(20)
+    made = wkb_points(table["x"], table["y"], table["z"]).to_pylist()
+    assert {len(w) for w in made} == {29}
+    points = shapely.points(np.column_stack([table["x"], table["y"], table["z"]]))
+    assert made == list(shapely.to_wkb(points, flavor="iso"))
+
+
+def test_metadata_follow_the_specification(echoes: Callable[..., Table], params: PublishParams, tmp_path: Path) -> None:
+    table = echoes()
+    write_geoparquet(table, tmp_path / "a.parquet", CRS, params)
+    write_geoparquet(table, tmp_path / "b.parquet", None, params)
+    about = geo(tmp_path / "a.parquet")
+    column = about["columns"]["geometry"]
+    assert about["version"] == "1.1.0" and about["primary_column"] == "geometry"
+    assert column["encoding"] == "WKB" and column["geometry_types"] == ["Point Z"]
+    assert pyproj.CRS.from_json_dict(column["crs"]) == CRS
+    assert column["covering"]["bbox"]["xmax"] == ["bbox", "xmax"]
+    assert column["bbox"] == [f(table[a]) for f in (np.min, np.max) for a in "xyz"]
+    unknown = geo(tmp_path / "b.parquet")["columns"]["geometry"]
+    assert "crs" in unknown and unknown["crs"] is None, "left out would mean longitude and latitude"
+
+
+def test_fields_carry_unit_and_meaning(echoes: Callable[..., Table], params: PublishParams, tmp_path: Path) -> None:
+    write_geoparquet(echoes(), tmp_path / "t.parquet", CRS, params)
+    schema = pq.read_schema(tmp_path / "t.parquet")
+    assert schema.field("amplitude").metadata[b"unit"] == b"DN"
+    assert schema.field("amplitude").metadata[b"null"] == b"NaN"
+    assert b"radius 1 m" in schema.field("echo_ratio_r100").metadata[b"meaning"]
+
+
+def test_row_groups_keep_the_order(echoes: Callable[..., Table], params: PublishParams, tmp_path: Path) -> None:
+    table = echoes(500)
+    small = params.model_copy(update={"row_group": 128})
+    made = write_geoparquet(table, tmp_path / "t.parquet", CRS, small)
+    file = pq.ParquetFile(tmp_path / "t.parquet")
+    assert made["row_groups"] == file.num_row_groups == 4
+    assert [file.metadata.row_group(i).num_rows for i in range(4)] == [128, 128, 128, 116]
+    assert file.metadata.row_group(0).column(0).compression == "ZSTD"
+    assert np.array_equal(file.read(["pulse"])["pulse"], table["pulse"])
+    paths = [file.metadata.row_group(0).column(i).path_in_schema for i in range(file.metadata.num_columns)]
+    stats = file.metadata.row_group(0).column(paths.index("bbox.xmin")).statistics
+    assert stats.min == table["x"][:128].min(), "readers skip row groups by the box's statistics"
+
+
+def test_same_rows_give_same_bytes(echoes: Callable[..., Table], params: PublishParams, tmp_path: Path) -> None:
+    for name in "ab":
+        write_geoparquet(echoes(), tmp_path / f"{name}.parquet", CRS, params)
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_tiny_tables(rows: int, echoes: Callable[..., Table], params: PublishParams, tmp_path: Path) -> None:
+    geopandas = pytest.importorskip("geopandas")
+    table = echoes(1).take(np.arange(rows))
+    write_geoparquet(table, tmp_path / "t.parquet", CRS, params)
+    assert len(geopandas.read_parquet(tmp_path / "t.parquet")) == rows
+    assert ("bbox" in geo(tmp_path / "t.parquet")["columns"]["geometry"]) == bool(rows)
+
+
+def test_a_missing_coordinate_is_said(echoes: Callable[..., Table], params: PublishParams, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'z' is missing"):
+        write_geoparquet(echoes().select(["x", "y"]), tmp_path / "t.parquet", CRS, params)

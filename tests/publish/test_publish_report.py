@@ -1,0 +1,200 @@
+"""The report: complete, self-contained, escaped, and the same bytes for the same run."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fwclass.publish.sections import measure, number, percent, quantity, seconds
+from fwclass.publish.stage import render_report
+
+PNG = b"\x89PNG\r\n\x1a\n-not-really"
+EVIL = "<script>alert('x')</script>&\"'{{ 7 * 7 }}"
+CLASSES = [{"name": "ground", "code": 2}, {"name": "building", "code": 6}]
+
+
+def full(survey: str = "city") -> dict[str, Any]:
+    return {
+        "survey": survey,
+        "fwclass": "0.1.0",
+        "input": {
+            "files": [{"path": "strips/a.las", "points": 1200, "pulses": 1000, "point_format": 9}],
+            "faults": {"packet past the end": 3},
+        },
+        "counts": {
+            "pulses": 1000, "echoes_decomposed": 1234, "echoes_in_tiles": 1234, "tiles": 4, "returns": 1200,
+            "returns_without_packet": 3,
+        },
+        "stages": [
+            {"name": "read", "parts": 4, "computed": 3, "skipped": 1, "seconds": 2.0, "peak_mib": 300, "rows": 99},
+            {"name": "tile", "parts": 4, "computed": 4, "skipped": 0, "seconds": 8.0, "peak_mib": 400, "rows": 98},
+        ],
+        "classes": CLASSES,
+        "accuracy": {
+            "classes": ["ground", "building"], "confusion": [[90, 10], [5, 45]], "overall_accuracy": 0.9,
+            "kappa": 0.7788, "producers_accuracy": [0.9, 0.9], "users_accuracy": [0.947, 0.818], "iou": [0.857, None],
+            "mean_iou": 0.8, "type_i": 0.1, "type_ii": 0.1, "total_error": 0.1, "area": "one tile",
+        },
+        "training": {"samples": {"ground": 500, "building": 400}, "trees": 100, "features": ["zc", "echo_ratio_r100"]},
+        "distribution": {
+            "zc": {
+                "ground": {"p5": 0.0, "p25": 0.01, "p50": 0.05, "p75": 0.1, "p95": 0.3, "n": 900},
+                "building": {"p5": 2.9, "p25": 4.0, "p50": 6.0, "p75": 8.0, "p95": 11.0, "n": 300},
+            },
+            "width": {"ground": {"p5": None, "p25": None, "p50": None, "p75": None, "p95": None, "n": 0}},
+        },
+        "areas": {"train": [[0, 0, 100, 100]], "test": [[100, 0, 200, 100]]},
+        "outputs": {"laz": [f"laz/tiles/{i}.laz" for i in range(12)], "parquet": [], "rasters": ["rasters/dtm.tif"]},
+        "config": {"tile": {"size": 100.0}},
+        "seconds": 12.5,
+    }  # fmt: skip
+
+
+class Page(HTMLParser):
+    """Tags in balance, the text, and every address the page names."""
+
+    VOID = frozenset({"meta", "img", "br"})
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+        self.text = ""
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in self.VOID:
+            self.open.append(tag)
+        for name, value in attrs:
+            assert not name.startswith("on")
+            if name in ("src", "href"):
+                self.addresses.append(value or "")
+            if name == "id":
+                self.ids.append(value or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if not self.open or self.open[-1] != "style":
+            self.text += " " + data
+
+
+def rendered(report: dict[str, Any], tmp_path: Path, figures: dict[str, bytes] | None = None) -> tuple[str, Page]:
+    render_report(report, figures or {}, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    return text, Page(text)
+
+
+def test_everything_is_there(tmp_path: Path) -> None:
+    text, page = rendered(full(), tmp_path, {"relief": PNG, "map": PNG})
+    assert page.ids == [
+        "maps", "accuracy", "training", "distribution", "input", "stages", "outputs", "config",
+    ]  # fmt: skip
+    said = re.sub(r"\s+", " ", page.text)
+    for words in (
+        "90.0 %", "0.779", "type II error", "packet past the end", "All 1 234 decomposed echoes are in tiles",
+        "strips/a.las", "≈ 0 m", "3–10 m", "size: 100.0", "one tile", "echo ratio ER, r = 1 m", "12.5 s", "4 more",
+    ):  # fmt: skip
+        assert words in said, words
+    assert text.index('alt="Classes"') < text.index('alt="Terrain"'), "the map comes first"
+    assert text.count("width:100.0%") == 1 and text.count("width:25.0%") == 1, "bars of 8 s and 2 s"
+
+
+def test_nothing_is_fetched(tmp_path: Path) -> None:
+    text, page = rendered(full(), tmp_path, {"map": PNG})
+    assert all(a.startswith(("data:image/png;base64,", "./")) for a in page.addresses) and page.addresses
+    assert "http" not in text.replace("http-equiv", "") and "@import" not in text and "url(" not in text
+    assert "<script" not in text
+
+
+def test_texts_from_files_are_escaped(tmp_path: Path) -> None:
+    report = full(EVIL)
+    report["input"]["files"][0]["path"] = EVIL
+    report["input"]["faults"] = {EVIL: 1}
+    report["accuracy"]["area"] = EVIL
+    report["accuracy"]["classes"] = [EVIL, "b"]
+    report["distribution"][EVIL] = {EVIL: {"p5": 1, "n": 1}}
+    report["outputs"] = {EVIL: [EVIL, "javascript:alert(1)", "/etc/passwd", "../up.laz", "laz/a b&c.laz"]}
+    report["config"] = {EVIL: EVIL}
+    report["stages"][0]["name"] = EVIL
+    report["training"]["features"] = [EVIL]
+    report["classes"] = [{"name": EVIL, "code": 3}]
+    text, page = rendered(report, tmp_path, {EVIL: PNG})
+    assert "<script" not in text and "49" not in re.findall(r"alert\('x'\).{0,30}", page.text)
+    links = [a for a in page.addresses if not a.startswith("data:")]
+    assert "./laz/a%20b%26c.laz" in links and all(a.startswith("./") for a in links)
+    assert not any("javascript" in a or "passwd" in a or ".." in a for a in links)
+
+
+@pytest.mark.parametrize("key", sorted(full()))
+@pytest.mark.parametrize("empty", ["missing", None])
+def test_a_section_without_data_is_left_out(key: str, empty: Any, tmp_path: Path) -> None:
+    report = full()
+    if empty == "missing":
+        del report[key]
+    else:
+        report[key] = None
+    _, page = rendered(report, tmp_path)
+    section = {"input": None, "counts": None}.get(key, key)
+    assert section is None or section not in page.ids
+    assert "None" not in page.text and "nan" not in page.text
+
+
+def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
+    _, page = rendered({}, tmp_path)
+    assert page.ids == []
+
+
+def test_a_lost_echo_is_shown(tmp_path: Path) -> None:
+    report = full()
+    report["counts"]["echoes_in_tiles"] = 1230
+    _, page = rendered(report, tmp_path)
+    assert "incomplete" in page.text and "4 differ" in page.text
+
+
+def test_failed_parts_are_shown_only_where_there_are_any(tmp_path: Path) -> None:
+    assert "failed" not in rendered(full(), tmp_path)[1].text
+    report = full()
+    report["stages"][0]["failed"] = 2
+    assert "failed" in rendered(report, tmp_path)[1].text
+
+
+def test_notes_on_training_are_told(tmp_path: Path) -> None:
+    report = full()
+    report["training"] |= {"out_of_bag": 0.931, "notes": ["few samples of building"]}
+    said = rendered(report, tmp_path)[1].text
+    assert "Out-of-bag accuracy 93.1 %" in said and "few samples of building" in said
+
+
+def test_unclassified_echoes_get_a_column(tmp_path: Path) -> None:
+    report = full()
+    report["accuracy"]["unclassified"] = [7, 0]
+    _, page = rendered(report, tmp_path)
+    assert "none" in page.text and " 107 " in page.text
+
+
+def test_same_run_same_bytes(tmp_path: Path) -> None:
+    first, _ = rendered(full(), tmp_path, {"map": PNG})
+    assert first == rendered(full(), tmp_path, {"map": PNG})[0]
+
+
+def test_numbers_are_written_for_reading() -> None:
+    assert number(1234567) == "1\u202f234\u202f567" and number(None) == "–"
+    assert quantity(5_912_331) == "5.91\u202fM" and quantity(None) == ""
+    assert percent(0.9166) == "91.7" and percent(float("nan")) == "" and percent(None) == ""
+    assert (seconds(5.25), seconds(59.99), seconds(245), seconds(7810)) == (
+        "5.2 s",
+        "1 min 00 s",
+        "4 min 05 s",
+        "2 h 10 min",
+    )
+    assert [measure(v) for v in (0, 3.14159, 12.345, 1234.5, 0.0125, 2e-5, None, float("nan"))] == [
+        "0", "3.14", "12.3", "1234", "0.013", "2.00e-05", "–", "–",
+    ]  # fmt: skip

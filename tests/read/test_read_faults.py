@@ -1,0 +1,248 @@
+"""Bad input: flagged and counted where a datum is bad, an `InputError` where the file is."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from lasmaker import METRES_PER_NS, Descriptor, survey, to_laz, write_las
+
+from fwclass.errors import InputError
+from fwclass.read.info import describe, info
+from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_cloud, read_span
+
+N = 6
+
+
+@pytest.fixture
+def params(base) -> ReadParams:
+    return ReadParams(**base["read"])
+
+
+def six(path, **options):
+    """Six pulses of one return each."""
+    options.setdefault("waveforms", [np.arange(60)] * N)
+    options.setdefault("location", 10.0)
+    return write_las(path, np.arange(3 * N).reshape(N, 3), **options)
+
+
+def read(path, params):
+    source = open_source(path)
+    (span,) = index_source(source, params)
+    return read_span(source, span, params)
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "value"),
+    [
+        ("no packet", "index", 0),
+        ("unknown descriptor", "index", 5),
+        ("packet size too small", "size", 59),
+        ("packet past the end", "offset", 10**12),
+        ("packet past the end", "offset", 2**64 - 1),
+        ("packet cut short", "offset", 60 + N * 60 - 10),
+        ("packet inside the record's header", "offset", 0),
+        ("no sane return location or beam vector", "location", np.nan),
+        ("no sane return location or beam vector", "location", 1e9),
+        ("no sane return location or beam vector", "step", (0, 0, 0)),
+        ("no sane return location or beam vector", "step", (np.nan, 0, 1.5e-4)),
+        ("no sane return location or beam vector", "step", (0, 0, 0.15)),
+    ],
+)
+def test_a_bad_reference_is_counted_and_its_return_kept(tmp_path, params, name, field, value):
+    path = six(tmp_path / "a.las")
+    raw = bytearray(path.read_bytes())
+    start = int.from_bytes(raw[96:100], "little") + 2 * 59 + 30
+    place = {"index": (0, "B"), "offset": (1, "Q"), "size": (9, "I"), "location": (13, "f"), "step": (17, "3f")}
+    at, form = place[field]
+    values = value if isinstance(value, tuple) else (value,)
+    struct.pack_into("<" + form, raw, start + at, *values)
+    path.write_bytes(raw)
+    waves = read(path, params)
+    assert waves.faults == {name: 1}
+    assert waves.returns.rows == N
+    assert waves.returns["has_packet"].tolist() == [True, True, False, True, True, True]
+    assert np.isnan(waves.returns["location"][2])
+    assert waves.pulses["pulse"].tolist() == [0, 1, 3, 4, 5]
+    assert waves.samples.tolist() == list(range(60)) * 5
+    found = info(path)
+    assert any(f == f"1 of {N} returns: {name}" for f in found["faults"]), found["faults"]
+
+
+@pytest.mark.parametrize(
+    ("name", "descriptor"),
+    [
+        ("compressed packet", Descriptor(compression=1)),
+        ("unsupported samples", Descriptor(bits=32)),
+        ("unsupported samples", Descriptor(bits=0)),
+        ("unsupported samples", Descriptor(n_samples=0)),
+        ("invalid sample spacing", Descriptor(spacing_ps=0)),
+        ("packet size too small", Descriptor(n_samples=2**32 - 1)),
+    ],
+)
+def test_a_bad_descriptor(tmp_path, params, name, descriptor):
+    path = six(tmp_path / "a.las", descriptors={1: descriptor})
+    waves = read(path, params)
+    assert waves.faults == {name: N} and waves.returns.rows == N and waves.pulses.rows == 0
+    with pytest.raises(InputError, match=name):
+        check_source(open_source(path), params)
+
+
+def test_the_anchor_is_the_first_sane_return(tmp_path, params):
+    """Numbered 2, 1, 3 in the file; return 1 has no sane location, so return 2 is the anchor."""
+    path = write_las(
+        tmp_path / "a.las", [(0, 0, 2), (0, 0, 1), (0, 0, 3)], return_number=[2, 1, 3], number_of_returns=3,
+        waveforms=[np.arange(60)], pulse=[0, 0, 0], location=[20.0, 1e8, 30.0],
+    )  # fmt: skip
+    waves = read(path, params)
+    assert waves.pulses["anchor_z"].tolist() == [2.0]
+    assert waves.pulses["anchor_time"].tolist() == [20.0]
+    assert waves.returns["has_packet"].all() and waves.faults == {}
+
+
+def test_descriptors_that_make_packets_overlap_are_refused(tmp_path, params):
+    n = 300
+    path = write_las(
+        tmp_path / "a.las", np.zeros((n, 3)), waveforms=[np.arange(60)] * n, location=10.0,
+        descriptors={1: Descriptor(n_samples=6000)}, wave={"size": 2**31},
+    )  # fmt: skip
+    with pytest.raises(InputError, match="overlap"):
+        read(path, params)
+
+
+def test_missing_wdp(tmp_path, params):
+    truth = survey(tmp_path / "a.las", pulses=10)
+    truth.path.with_suffix(".wdp").unlink()
+    source = open_source(truth.path)
+    assert source.waves.kind == "none" and any("put a.wdp beside a.las" in f for f in source.faults)
+    with pytest.raises(InputError, match=r"put a complete a\.wdp beside it"):
+        check_source(source, params)
+    check_source(source, params.model_copy(update={"missing_packets": "keep"}))
+    waves = read(truth.path, params)
+    assert waves.declared and waves.pulses.rows == 0 and waves.returns.rows == len(truth.pulse)
+    assert waves.faults == {"waveforms missing": len(truth.pulse)}
+    np.testing.assert_array_equal(waves.returns["pulse"], truth.pulse)
+
+
+def test_one_usable_packet_is_enough(tmp_path, params):
+    path = six(tmp_path / "a.las", wave={"index": [0, 0, 0, 0, 0, 1]})
+    check_source(open_source(path), params)
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "text"),
+    [
+        ("a.las", lambda b: b"", "empty"),
+        ("a.las", lambda b: b"PK\3\4" + b[4:], "no LAS"),
+        ("a.las", lambda b: b[:100], "ends inside its header"),
+        ("a.las", lambda b: b[:-30], "cut short"),
+        ("a.las", lambda b: b[:104] + b"\x0b" + b[105:], "unknown point format"),
+        ("a.las", lambda b: b[:105] + b"\x05\0" + b[107:], "too short"),
+        ("a.las", lambda b: b[:24] + b"\x02\x05" + b[26:], "unknown LAS version"),
+        ("a.las", lambda b: b[:96] + b"\xff\xff\xff\xff" + b[100:], "do not fit"),
+        ("a.las", lambda b: b[:131] + struct.pack("<d", np.nan) + b[139:], "scales"),
+        ("a.las", lambda b: b[:131] + struct.pack("<d", 0.0) + b[139:], "scales"),
+        ("a.wdp", lambda b: b, "not points"),
+    ],
+)
+def test_a_useless_file_is_an_input_error(tmp_path, name, change, text):
+    path = six(tmp_path / "a.las")
+    raw = change(path.read_bytes())
+    target = tmp_path / name
+    target.write_bytes(raw)
+    with pytest.raises(InputError, match=text) as caught:
+        open_source(target)
+    assert str(target) in str(caught.value) and "what to do" in str(caught.value)
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(InputError, match="cannot open"):
+        open_source(tmp_path / "none.las")
+    with pytest.raises(InputError, match=r"cannot open|no LAS"):
+        open_source(tmp_path)
+
+
+@pytest.mark.parametrize("point_format", [3, 9])
+@pytest.mark.parametrize("keep", [0.3, 0.6, 0.95])
+def test_a_cut_laz_is_an_input_error(tmp_path, params, point_format, keep):
+    n = 3000
+    path = write_las(
+        tmp_path / "a.las", np.random.default_rng(0).uniform(0, 99, (n, 3)), point_format=point_format,
+        waveforms=[np.arange(60)] * n, location=10.0,
+    )  # fmt: skip
+    laz = to_laz(path, tmp_path / "a.laz")
+    raw = laz.read_bytes()
+    start = int.from_bytes(raw[96:100], "little")
+    laz.write_bytes(raw[: start + int(keep * (len(raw) - start))])
+    with pytest.raises(InputError):
+        read_cloud(laz)
+
+
+def test_header_promises_more_points_than_a_laz_holds(tmp_path):
+    path = to_laz(write_las(tmp_path / "a.las", np.zeros((50, 3)), point_format=1), tmp_path / "a.laz")
+    raw = bytearray(path.read_bytes())
+    struct.pack_into("<I", raw, 107, 4_000_000_000)
+    path.write_bytes(raw)
+    with pytest.raises(InputError):
+        info(path)
+
+
+def test_crs_faults(tmp_path):
+    assert any("no usable CRS" in f for f in open_source(six(tmp_path / "a.las", keys=None)).faults)
+    degrees = open_source(six(tmp_path / "b.las", keys={2048: 4326}))
+    assert any("degrees" in f for f in degrees.faults) and degrees.crs.is_geographic
+    unknown = open_source(six(tmp_path / "c.las", keys={3072: 31}))
+    assert unknown.crs is None and any("EPSG:31" in f for f in unknown.faults)
+    junk = open_source(six(tmp_path / "d.las", keys=None, wkt="PROJCS[nonsense"))
+    assert junk.crs is None and any("no valid WKT" in f for f in junk.faults)
+    by_wkt = open_source(six(tmp_path / "e.las", keys=None, wkt=degrees.crs.to_wkt("WKT1_GDAL")))
+    assert by_wkt.crs.is_geographic
+
+
+def test_info_tells_faults_of_the_points(tmp_path):
+    xyz = np.random.default_rng(0).uniform(0, 20, (500, 3))
+    xyz[7, 2] = 2000.0
+    path = write_las(tmp_path / "a.las", xyz, point_format=1, intensity=0, return_number=np.r_[0, 2, [1] * 498],
+                     number_of_returns=np.r_[1, 2, [1] * 498])  # fmt: skip
+    raw = bytearray(path.read_bytes())
+    struct.pack_into("<d", raw, 179, 5.0)
+    path.write_bytes(raw)
+    text = "\n".join(info(path)["faults"])
+    for expected in (
+        "1 z outliers", "all intensities are zero", "1 points have return number 0", "at least 1 returns",
+        "header's bounds disagree",
+    ):  # fmt: skip
+        assert expected in text
+
+
+def test_empty_file_of_points(tmp_path):
+    path = write_las(tmp_path / "a.las", np.empty((0, 3)), point_format=9)
+    found = info(path)
+    assert found["points"] == 0 and "no points" in describe(found)
+    assert read_cloud(path).rows == 0
+
+
+def test_truncated_leica_file(shared_data, params):
+    path = shared_data / "waveform" / "leica_truncated_internal.las"
+    source = open_source(path)
+    with pytest.raises(InputError, match="999 packet past the end"):
+        check_source(source, params)
+    waves = read(path, params)
+    assert waves.returns.rows == 999 and waves.faults == {"packet past the end": 999}
+    assert "NO WAVEFORM CAN BE READ" in describe(info(path))
+
+
+def test_yellowscan_without_wdp(shared_data, params):
+    path = shared_data / "waveform" / "yellowscan_missing_wdp.laz"
+    source = open_source(path)
+    with pytest.raises(InputError, match=r"yellowscan_missing_wdp\.wdp"):
+        check_source(source, params)
+    waves = read(path, params)
+    assert waves.returns.rows == 10750 and waves.faults == {"waveforms missing": 10750}
+    assert source.crs.to_epsg() == 32723
+
+
+def test_step_is_metres_per_nanosecond(tmp_path, params):
+    waves = read(six(tmp_path / "a.las"), params)
+    np.testing.assert_allclose(waves.pulses["step_z"], METRES_PER_NS, rtol=1e-6)

@@ -1,0 +1,35 @@
+"""A small simulated survey, made once, and a run over it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from runmaker import SETTINGS, walk
+
+from fwclass import conf
+from fwclass.run.local import Loop
+from fwclass.run.progress import Display
+from fwclass.run.road import Road
+from fwclass.run.survey import simulate_tasks
+
+
+@pytest.fixture(scope="session")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two strips over 80 m x 80 m with their reference."""
+    root = tmp_path_factory.mktemp("survey")
+    with Display() as display:
+        road = Road(root, Loop(), display)
+        config = conf.load("demo", SETTINGS)
+        road.do(simulate_tasks(config.simulate, "."))
+        assert not road.failures
+    return root
+
+
+@pytest.fixture(scope="session")
+def finished(survey: Path, tmp_path_factory: pytest.TempPathFactory):
+    """The survey run in the plain loop: (root, report)."""
+    root = tmp_path_factory.mktemp("loop")
+    road, report = walk(survey, root)
+    assert not road.failures, road.failures
+    return root, report

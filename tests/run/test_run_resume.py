@@ -1,0 +1,116 @@
+"""Re-runs: done parts are skipped, changed ones and what follows them are made again, broken ones are told."""
+
+import json
+import os
+import re
+import shutil
+
+import pytest
+from runmaker import SETTINGS, delivered, shifted_reference, walk
+
+from fwclass import conf
+from fwclass.errors import ConfigError, InputError
+from fwclass.run.local import Loop
+from fwclass.run.part import Task
+from fwclass.run.progress import Display
+from fwclass.run.road import Road
+
+
+def statuses(road):
+    found = {}
+    for outcome in road.outcomes.values():
+        found.setdefault(outcome.stage, set()).add(outcome.status)
+    return found
+
+
+@pytest.fixture
+def copy(finished, tmp_path):
+    root = tmp_path / "copy"
+    shutil.copytree(finished[0], root)
+    return root
+
+
+def test_a_second_run_makes_nothing(survey, copy):
+    road, _ = walk(survey, copy)
+    assert {s for found in statuses(road).values() for s in found} == {"skipped"}
+
+
+def test_a_changed_parameter_re_runs_its_stage_and_what_follows(survey, copy, tmp_path):
+    road, _ = walk(survey, copy, "train.trees=11")
+    found = statuses(road)
+    for stage in ("read", "decompose", "tile", "surface", "ground", "features", "label"):
+        assert found[stage] == {"skipped"}, stage
+    assert "computed" in found["trees"] and found["train"] == found["classify"] == {"computed"}
+    fresh, _ = walk(survey, tmp_path / "fresh", "train.trees=11")
+    assert not fresh.failures
+    assert delivered(copy) == delivered(tmp_path / "fresh")
+
+
+def test_lost_and_damaged_parts_are_made_again(survey, copy, finished):
+    shutil.rmtree(next((copy / "store" / "features").iterdir()))
+    victim = next((copy / "laz" / "tiles").iterdir())
+    victim.write_bytes(b"")
+    road, _ = walk(survey, copy)
+    assert not road.failures
+    assert "computed" in statuses(road)["features"]
+    assert delivered(copy) == delivered(finished[0])
+
+
+def test_a_part_that_fails_stops_only_what_needs_it(tmp_path):
+    def work(desk, directory):
+        (directory / "a").write_text("a")
+        return {}
+
+    def broken(desk, directory):
+        raise RuntimeError("disk on fire")
+
+    tasks = [
+        Task("one", "a", 1, {}, work),
+        Task("one", "b", 1, {}, broken),
+        Task("two", "a", 1, {}, work, needs=(("one", "a"),)),
+        Task("two", "b", 1, {}, work, needs=(("one", "b"),)),
+    ]
+    road = Road(tmp_path, Loop(), Display())
+    done = road.do(tasks)
+    assert set(done) == {("one", "a"), ("two", "a")}
+    assert {n: o.status for n, o in road.outcomes.items() if not o.ok} == {
+        ("one", "b"): "failed",
+        ("two", "b"): "blocked",
+    }
+    assert "disk on fire" in road.failures[0].message
+    assert "disk on fire" in (tmp_path / "logs" / "one-b.log").read_text()
+
+
+def test_a_failure_of_today_does_not_let_yesterdays_part_through(tmp_path):
+    """If the source of a part breaks, a part that read its older version must not count as done."""
+
+    def work(desk, directory):
+        (directory / "a").write_text("a")
+        return {}
+
+    def broken(desk, directory):
+        raise RuntimeError
+
+    follow = Task("two", "a", 1, {}, work, needs=(("one", "a"),))
+    assert len(Road(tmp_path, Loop(), Display()).do([Task("one", "a", 1, {}, work), follow])) == 2
+    road = Road(tmp_path, Loop(), Display())
+    assert road.do([Task("one", "a", 2, {}, broken), follow]) == {}
+
+
+def test_reference_of_another_place_is_refused(survey, tmp_path):
+    shifted_reference(survey, tmp_path / "far.las")
+    with pytest.raises(InputError, match="another place"):
+        walk(survey, tmp_path / "run", f"survey.reference.files=['{os.path.relpath(tmp_path / 'far.las', survey)}']")
+
+
+def test_the_report_is_whole(finished):
+    root, report = finished
+    assert json.loads((root / "report.json").read_text())["accuracy"] == report["accuracy"]
+    page = (root / "report.html").read_text()
+    assert not re.search(r"(src|href)\s*=\s*[\"']?(https?:)?//", page)
+    assert "vegetation" in page
+
+
+def test_settings_that_cannot_be_are_refused():
+    with pytest.raises(ConfigError, match="did you mean 'slope'"):
+        conf.load("demo", (*SETTINGS, "ground.slop=1"))

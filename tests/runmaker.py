@@ -1,0 +1,47 @@
+"""Runs over a small simulated survey, for tests."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from pathlib import Path
+
+import laspy
+
+from fwclass import conf
+from fwclass.run.local import Loop
+from fwclass.run.progress import Display
+from fwclass.run.road import Road
+from fwclass.store.lock import writer
+from workflows import WORKFLOWS
+
+SETTINGS = (
+    "simulate.size=120", "simulate.strips=2", "train.trees=10", "train.samples_per_class=3000", "areas.gap=5",
+    "areas.train=[[512000, 5403000, 512060, 5403120]]", "read.chunk_pulses=9000", "ground.block=64",
+)  # fmt: skip
+
+
+def walk(survey: Path, root: Path, *settings: str, executor=None, tiles=None):
+    """Run the classification of `survey` into `root`; return the road and the report."""
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
+    root.mkdir(parents=True, exist_ok=True)
+    with writer(root), Display() as display, executor or contextlib.nullcontext(Loop()) as running:
+        road = Road(root, running, display)
+        return road, WORKFLOWS["classification"](config, road, tiles)
+
+
+def delivered(root: Path) -> dict[str, str]:
+    """Digest of every delivered file but the report, which tells times."""
+    found = {}
+    for kind in ("laz", "parquet", "rasters", "model"):
+        for path in sorted((root / kind).rglob("*")):
+            if path.is_file():
+                found[path.relative_to(root).as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+def shifted_reference(survey: Path, output: Path) -> None:
+    """A reference file of `survey`, moved 10 km to the east."""
+    cloud = laspy.read(next((survey / "reference").glob("*.las")))
+    cloud.x = cloud.x + 10_000.0
+    cloud.write(output)

@@ -1,0 +1,108 @@
+"""The store: whole parts or none, receipts, the lock."""
+
+import json
+
+import pytest
+
+from fwclass.errors import StoreError
+from fwclass.store.lock import writer
+from fwclass.store.run_store import Store
+
+
+def write(text):
+    def work(directory):
+        (directory / "a.txt").write_text(text)
+        return {"rows": len(text)}
+
+    return work
+
+
+def test_a_committed_part_is_done_under_its_key_only(tmp_path):
+    store = Store(tmp_path)
+    made = store.commit("stage", "1_2", "k1", {"file": "d"}, "store", write("abc"))
+    assert store.done("stage", "1_2", "k1") == made == store.receipt("stage", "1_2")
+    assert store.done("stage", "1_2", "k2") is None
+    assert store.path("stage", "1_2", "a.txt").read_text() == "abc"
+
+
+def test_the_digest_follows_content_not_time(tmp_path):
+    digests = [
+        Store(tmp_path / n).commit("s", "p", "k", {}, "store", write(t)).digest
+        for n, t in (("a", "abc"), ("b", "abc"), ("c", "abd"))
+    ]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_a_part_that_breaks_leaves_no_receipt_and_no_litter(tmp_path):
+    store = Store(tmp_path)
+
+    def work(directory):
+        (directory / "half.txt").write_text("half")
+        raise RuntimeError("killed")
+
+    with pytest.raises(RuntimeError):
+        store.commit("stage", "p", "k", {}, "store", work)
+    assert store.receipt("stage", "p") is None
+    assert [p.name for p in tmp_path.rglob("*.txt")] == []
+
+
+def test_a_break_keeps_the_older_version(tmp_path):
+    store = Store(tmp_path)
+    store.commit("stage", "p", "old", {}, "store", write("old"))
+
+    def work(directory):
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        store.commit("stage", "p", "new", {}, "store", work)
+    assert store.path("stage", "p", "a.txt").read_text() == "old"
+
+
+def test_a_truncated_output_is_not_done(tmp_path):
+    store = Store(tmp_path)
+    store.commit("stage", "p", "k", {}, "store", write("abc"))
+    store.path("stage", "p", "a.txt").write_text("a")
+    assert store.done("stage", "p", "k") is None
+
+
+def test_a_new_version_removes_the_old_one(tmp_path):
+    store = Store(tmp_path)
+    store.commit("stage", "p", "k1", {}, "store", write("abc"))
+    store.commit("stage", "p", "k2", {}, "store", write("abd"))
+    assert sorted(p.name for p in (tmp_path / "store" / "stage" / "p").iterdir()) == ["k2", "receipt.json"]
+
+
+def test_delivered_files_go_to_the_run_directory_and_vanish_with_their_part(tmp_path):
+    store = Store(tmp_path)
+
+    def work(name):
+        def inner(directory):
+            (directory / "laz").mkdir()
+            (directory / "laz" / name).write_text(name)
+            return {}
+
+        return inner
+
+    store.commit("publish", "p", "k1", {}, "run", work("one"))
+    assert (tmp_path / "laz" / "one").read_text() == "one"
+    store.commit("publish", "p", "k2", {}, "run", work("two"))
+    assert [p.name for p in (tmp_path / "laz").iterdir()] == ["two"]
+
+
+def test_a_damaged_receipt_is_named(tmp_path):
+    store = Store(tmp_path)
+    store.commit("stage", "p", "k", {}, "store", write("abc"))
+    path = tmp_path / "store" / "stage" / "p" / "receipt.json"
+    path.write_text(path.read_text()[:20])
+    with pytest.raises(StoreError, match=r"receipt\.json"):
+        store.receipt("stage", "p")
+    path.write_text(json.dumps({"stage": "s"}))
+    with pytest.raises(StoreError, match="not a receipt"):
+        store.receipt("stage", "p")
+
+
+def test_a_second_writer_is_told_who_the_first_is(tmp_path):
+    with writer(tmp_path), pytest.raises(StoreError, match=r"another run[\s\S]*pid"), writer(tmp_path):
+        pass
+    with writer(tmp_path):
+        pass

@@ -1,0 +1,136 @@
+"""Tables and arrays: what is read is what was written, part by part, and the same rows give the same bytes."""
+
+import numpy as np
+import pytest
+
+from fwclass.errors import InputError, StoreError
+from fwclass.grid import Box
+from fwclass.model import FORMAT, LEAF, Forest
+from fwclass.schema import Table
+from fwclass.store.arrays import read_arrays, write_arrays
+from fwclass.store.models import load_forest, save_forest
+from fwclass.store.tables import open_parquet, read_table, row_groups, write_groups, write_table
+
+
+def table(n=5000, seed=0):
+    r = np.random.default_rng(seed)
+    x = np.sort(np.round(r.uniform(0, 1000, n), 3))
+    return Table(
+        {
+            "x": x,
+            "y": np.round(r.uniform(0, 10, n), 3),
+            "pulse": np.arange(n),
+            "echo_number": r.integers(1, 5, n),
+            "amplitude": np.where(r.random(n) < 0.1, np.nan, r.random(n)),
+            "ground": r.random(n) < 0.5,
+        }
+    )
+
+
+def equal(a, b):
+    assert list(a) == list(b)
+    for n in a:
+        assert a[n].dtype == b[n].dtype
+        np.testing.assert_array_equal(a[n], b[n])
+
+
+@pytest.mark.parametrize("n", [0, 1, 5000])
+def test_tables_round_trip_with_their_dtypes_and_nan(tmp_path, n):
+    write_table(tmp_path / "t", table(n))
+    equal(read_table(tmp_path / "t"), table(n))
+    equal(read_table(tmp_path / "t", ["pulse", "x"]), table(n).select(["pulse", "x"]))
+
+
+def test_the_same_rows_give_the_same_bytes(tmp_path):
+    for name in "ab":
+        write_table(tmp_path / name, table())
+        write_arrays(tmp_path / f"{name}.zarr", {"v": np.arange(10_000)})
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    files = [[p.read_bytes() for p in sorted((tmp_path / f"{n}.zarr").rglob("*")) if p.is_file()] for n in "ab"]
+    assert files[0] == files[1] and files[0]
+
+
+def test_row_groups_never_miss_a_row_of_the_box(tmp_path):
+    whole = table()
+    write_table(tmp_path / "t", whole, row_group=256)
+    for box in (Box(100, 0, 110, 10), Box(999, 0, 2000, 10), Box(-5, 0, 0.5, 10), Box(5000, 0, 6000, 1)):
+        groups = row_groups(tmp_path / "t", box)
+        part = read_table(tmp_path / "t", None, groups)
+        equal(part.take(box.contains(part["x"], part["y"])), whole.take(box.contains(whole["x"], whole["y"])))
+        assert len(groups) < 20
+
+
+def test_groups_are_one_row_group_each(tmp_path):
+    whole = table(100)
+    write_groups(tmp_path / "t", whole, [0, 10, 10, 100])
+    with open_parquet(tmp_path / "t") as file:
+        assert [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)][-1] == 90
+    equal(read_table(tmp_path / "t"), whole)
+
+
+def test_a_damaged_table_is_named(tmp_path):
+    (tmp_path / "t").write_bytes(b"PAR1 nonsense")
+    with pytest.raises(StoreError, match="cannot be read"):
+        read_table(tmp_path / "t")
+    write_table(tmp_path / "u", table(10))
+    with pytest.raises(StoreError, match="lacks z"):
+        read_table(tmp_path / "u", ["z"])
+
+
+@pytest.mark.parametrize("shape", [(0,), (1,), (300_000,), (300, 700)])
+def test_arrays_round_trip(tmp_path, shape):
+    r = np.random.default_rng(1)
+    arrays = {"a": r.integers(0, 255, shape).astype(np.uint8), "b": r.normal(size=shape).astype(np.float32)}
+    write_arrays(tmp_path / "z", arrays, {"cell": 1.5})
+    found, about = read_arrays(tmp_path / "z")
+    assert about["cell"] == 1.5
+    for n in arrays:
+        np.testing.assert_array_equal(found[n], arrays[n])
+        assert found[n].dtype == arrays[n].dtype
+
+
+def forest():
+    card = {
+        "format": FORMAT,
+        "features": ["zc", "width"],
+        "classes": [{"name": "a", "code": 2}, {"name": "b", "code": 6}],
+    }
+    return Forest(
+        np.array([0, LEAF, 1, LEAF, LEAF], np.uint16), np.array([1, 0, 2, 0, 0], np.float32),
+        np.array([1, 0, 3, 1, 0], np.uint32), np.array([0, 5]), card,
+    )  # fmt: skip
+
+
+def test_a_forest_round_trips(tmp_path):
+    save_forest(tmp_path / "m", forest())
+    found = load_forest(tmp_path / "m")
+    for n in ("feature", "threshold", "child", "offsets"):
+        np.testing.assert_array_equal(getattr(found, n), getattr(forest(), n))
+    assert found.features == ("zc", "width")
+
+
+def test_damaged_models_are_refused(tmp_path):
+    """Any byte of any file set to any of a few values: loading refuses, or gives a forest that can be walked."""
+    save_forest(tmp_path / "m", forest())
+    refused = 0
+    for path in sorted((tmp_path / "m").iterdir()):
+        good = path.read_bytes()
+        for at in range(0, len(good), 3):
+            for value in (0, 1, 127, 255):
+                path.write_bytes(good[:at] + bytes([value]) + good[at + 1 :])
+                try:
+                    load_forest(tmp_path / "m").check()
+                except InputError:
+                    refused += 1
+        path.write_bytes(good[: len(good) // 2])
+        with pytest.raises(InputError):
+            load_forest(tmp_path / "m")
+        path.write_bytes(good)
+    assert refused > 100
+
+
+def test_a_pickled_array_is_not_loaded(tmp_path):
+    save_forest(tmp_path / "m", forest())
+    np.save(tmp_path / "m" / "child.npy", np.array([{"a": 1}], object), allow_pickle=True)
+    with pytest.raises(InputError, match="not a model"):
+        load_forest(tmp_path / "m")

@@ -1,0 +1,140 @@
+"""The command line as a user meets it: exit codes, what goes where, and messages instead of tracebacks."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def fwclass(*words, cwd=None):
+    command = [sys.executable, "-c", "from fwclass.cli import main; main()", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300)
+
+
+def cloud(path, xyz, classes, point_format=6):
+    las = laspy.LasData(laspy.LasHeader(point_format=point_format, version="1.4"))
+    las.header.scales, las.header.offsets = [0.001] * 3, [0.0] * 3
+    las.x, las.y, las.z = np.asarray(xyz, float).T
+    las.classification = classes
+    las.write(path)
+    return path
+
+
+def config(path, **survey):
+    lines = [
+        "survey:", "  name: t", f"  directory: {survey.get('directory', path.parent)}",
+        f"  sources: [{survey.get('sources', 'a.las')}]", "  reference: {kind: source}",
+        f"  crs: {survey.get('crs', 'null')}",
+        "  classes: [{name: a, code: 2, codes: [2]}, {name: b, code: 6, codes: [6]}]",
+        "areas: {train: [[0, 0, 5, 10]]}", *survey.get("extra", ()),
+    ]  # fmt: skip
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.fixture
+def small(tmp_path):
+    r = np.random.default_rng(0)
+    return cloud(tmp_path / "a.las", r.uniform(0, 10, (400, 3)), r.choice([2, 6], 400))
+
+
+def told(result, code, *texts):
+    """The command ended with `code`, said all `texts` on standard error, and showed no traceback."""
+    assert result.returncode == code, result.stderr
+    assert "Traceback" not in result.stderr + result.stdout
+    for text in texts:
+        assert text in result.stderr, result.stderr
+    return True
+
+
+def test_usage_errors_end_with_two():
+    assert told(fwclass("nonsense"), 2, "No such command")
+    assert told(fwclass("run"), 2, "Missing argument")
+    assert told(fwclass("run", "nowhere.yaml"), 2, "no such configuration", "riegl-sample")
+
+
+def test_an_unknown_key_names_the_nearest(tmp_path, small):
+    path = config(tmp_path / "c.yaml", extra=["ground:", "  slop: 0.2"])
+    assert told(fwclass("run", path, "--out", tmp_path / "r"), 2, "ground.slop", "did you mean 'slope'")
+    assert told(fwclass("run", path, "--set", "grund.slope=1"), 2, "did you mean 'ground'")
+    assert told(fwclass("run", path, "--set", "nonsense"), 2, "section.key=value")
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_missing_or_geographic_crs_is_told(tmp_path, small):
+    path = config(tmp_path / "c.yaml")
+    args = ("run", path, "--workers", 0, "--out", tmp_path / "r")
+    assert told(fwclass(*args), 1, "coordinate system is unknown", "a.las", "survey.crs=EPSG")
+    assert told(fwclass(*args, "--set", "survey.crs=EPSG:4326"), 1, "in degrees", "reproject")
+    assert told(fwclass(*args, "--set", "survey.crs=EPSG:nonsense"), 2, "not a coordinate system")
+
+
+def test_sources_that_do_not_exist_and_areas_elsewhere(tmp_path, small):
+    path = config(tmp_path / "c.yaml", sources="b*.las", crs="none")
+    assert told(fwclass("run", path, "--out", tmp_path / "r"), 1, "no file matches", "b*.las")
+    path = config(tmp_path / "c.yaml", crs="none")
+    away = ("--set", "areas.train=[[1000,0,1100,10]]", "--workers", 0, "--out", tmp_path / "r")
+    assert told(fwclass("run", path, *away), 2, "no training area lies on the survey", "[0.")
+
+
+def test_an_empty_and_a_foreign_file(tmp_path):
+    (tmp_path / "a.las").write_bytes(b"")
+    path = config(tmp_path / "c.yaml", crs="none")
+    assert told(fwclass("run", path, "--workers", 0, "--out", tmp_path / "r"), 1, "a.las")
+    (tmp_path / "a.las").write_text("x y z\n1 2 3\n" * 200)
+    assert told(fwclass("run", path, "--workers", 0, "--out", tmp_path / "r"), 1, "a.las")
+    assert told(fwclass("info", tmp_path / "a.las", "--json"), 1, "a.las")
+
+
+def test_info_json_is_alone_on_standard_output(small):
+    facts = json.loads(fwclass("info", small, "--json").stdout)
+    assert facts["points"] == 400
+    result = fwclass("info", small)
+    assert result.returncode == 0 and "400" in result.stdout
+
+
+def test_assess_counts_what_is_there(tmp_path):
+    r = np.random.default_rng(1)
+    xyz = r.uniform(0, 50, (1000, 3))
+    truth = r.choice([2, 6], 1000)
+    answer = np.where(r.random(1000) < 0.2, 8 - truth, truth)
+    a, b = cloud(tmp_path / "a.las", xyz, truth), cloud(tmp_path / "b.las", xyz, answer)
+    made = json.loads(fwclass("assess", a, b, "--json").stdout)
+    assert made["classes"] == ["2", "6"]
+    assert made["overall_accuracy"] == pytest.approx((truth == answer).mean())
+    assert made["confusion"][0][1] == ((truth == 2) & (answer == 6)).sum()
+    assert made["type_i"] == pytest.approx(((truth == 2) & (answer == 6)).sum() / (truth == 2).sum())
+    named = json.loads(fwclass("assess", a, b, "--map", "ground=2;building=6", "--json").stdout)
+    assert named["classes"] == ["ground", "building"] and named["confusion"] == made["confusion"]
+    shuffled = cloud(tmp_path / "c.las", xyz[::-1], answer[::-1])
+    assert json.loads(fwclass("assess", a, shuffled, "--json").stdout)["confusion"] == made["confusion"]
+    far = cloud(tmp_path / "d.las", xyz + 1000, answer)
+    assert told(fwclass("assess", a, far), 1, "no point in common")
+    assert told(fwclass("assess", a, b, "--map", "ground"), 2, "ground=2;vegetation=3,4,5")
+
+
+def test_an_output_is_not_overwritten(tmp_path, small):
+    out = tmp_path / "out.laz"
+    assert fwclass("decompose", small, out).returncode == 0
+    before = out.read_bytes()
+    assert told(fwclass("decompose", small, out), 2, "the output exists", "--overwrite")
+    assert out.read_bytes() == before
+    assert fwclass("decompose", small, out, "--overwrite").returncode == 0
+
+
+def test_a_run_on_echoes_without_waveforms_and_its_threshold(tmp_path, small):
+    path = config(tmp_path / "c.yaml", crs="none", extra=["train: {trees: 5}", "publish: {figure_pixels: 200}"])
+    settings = ["--set", "survey.features=[zc, echo_ratio_r100]", "--set", "areas.gap=0.5"]
+    args = ("run", path, "--workers", 0, "--out", tmp_path / "r", *settings)
+    assert told(fwclass(*args), 0, "400", "accuracy", "report.html")
+    assert told(fwclass(*args, "--set", "assess.min_kappa=0.99"), 4, "kappa misses its threshold")
+    strip = laspy.read(tmp_path / "r" / "laz" / "strips" / "a.laz")
+    source = laspy.read(small)
+    np.testing.assert_array_equal(strip.X, source.X)
+    assert set(np.unique(strip.classification)) <= {2, 6}

@@ -1,0 +1,86 @@
+"""Tiles and windows: one owner for every point, whole millimetres, slices that fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fwclass.errors import ConfigError
+from fwclass.grid import Box, TileGrid, Window, millimetres, quantised, whole_millimetres
+
+coordinate = st.integers(-(10**10), 10**10)
+
+
+@settings(max_examples=200)
+@given(coordinate, coordinate, st.sampled_from([0.5, 7.0, 50.0, 100.0, 150.0]))
+def test_every_point_has_exactly_one_owner(mx, my, size):
+    x, y = np.array([mx / 1000.0]), np.array([my / 1000.0])
+    grid = TileGrid(size)
+    ix, iy = grid.indices(x, y)
+    owner = grid.tile(f"{ix[0]}_{iy[0]}")
+    assert owner.box.contains(x, y)[0]
+    around = [tile for tile in grid.touching(owner.box.grown(size)) if tile.box.contains(x, y)[0]]
+    assert around == [owner]
+
+
+@given(coordinate)
+def test_millimetres_go_there_and_back(mm):
+    metres = np.array([mm / 1000.0])
+    assert millimetres(metres)[0] == mm
+    assert millimetres(quantised(metres))[0] == mm
+
+
+def test_touching_is_every_tile_that_shares_area_and_no_other():
+    keys = [t.key for t in TileGrid(10.0).touching(Box(-10.0, 0.0, 10.001, 10.0))]
+    assert keys == ["-1_0", "0_0", "1_0"]
+
+
+@pytest.mark.parametrize("length", [0.0, -1.0, 0.0005, 1.00049])
+def test_lengths_that_are_no_whole_millimetres_are_refused(length):
+    with pytest.raises(ConfigError):
+        whole_millimetres(length, "cell")
+    with pytest.raises(ConfigError):
+        TileGrid(length)
+
+
+@pytest.mark.parametrize("key", ["", "3", "3_", "a_b", "1_2_3", "1.5_2"])
+def test_what_is_no_tile_key_is_refused(key):
+    with pytest.raises(ConfigError):
+        TileGrid(10.0).tile(key)
+
+
+def test_boxes_are_half_open():
+    box = Box(0.0, 0.0, 1.0, 1.0)
+    np.testing.assert_array_equal(box.contains(np.array([0.0, 1.0, 0.5]), np.array([0.0, 0.5, 0.999])), [1, 0, 1])
+    assert not box.touches(Box(1.0, 0.0, 2.0, 1.0))
+    assert box.touches(box.grown(-0.25))
+
+
+def test_window_covers_its_box_and_no_cell_more():
+    w = Window.covering(Box(-0.5, 2.0, 3.0, 4.25), 1.0)
+    assert (w.col, w.row, w.ncols, w.nrows) == (-1, 2, 4, 3)
+    assert w.shape == (3, 4)
+    assert w.box == Box(-1.0, 2.0, 3.0, 5.0)
+    grown = Window.covering(Box(-0.5, 2.0, 3.0, 4.25), 1.0, margin=2)
+    assert (grown.col, grown.row, grown.ncols, grown.nrows) == (-3, 0, 8, 7)
+    assert w.within(grown) == (slice(2, 5), slice(2, 6))
+
+
+def test_common_cells_of_two_windows_index_the_same_ground():
+    one, other = Window(1.0, 0, 0, 6, 5), Window(1.0, 4, 3, 6, 5)
+    common = one.common(other)
+    assert common == Window(1.0, 4, 3, 2, 2)
+    rows, cols = np.mgrid[:5, :6]
+    a = (rows * 100 + cols)[common.within(one)]
+    b = ((rows + 3) * 100 + cols + 4)[common.within(other)]
+    np.testing.assert_array_equal(a, b)
+    assert one.common(Window(1.0, 6, 0, 2, 2)) is None
+
+
+def test_a_window_outside_or_of_another_cell_does_not_lie_within():
+    outer = Window(1.0, 0, 0, 6, 5)
+    for inner in (Window(1.0, -1, 0, 2, 2), Window(1.0, 5, 0, 2, 2), Window(2.0, 0, 0, 2, 2)):
+        with pytest.raises(ValueError, match="does not lie inside"):
+            inner.within(outer)
