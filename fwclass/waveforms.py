@@ -28,11 +28,10 @@ class Waveforms:
     ----------
     pulses : one row per pulse **that has a usable packet**, `PULSE_COLUMNS`, by ascending `pulse`.
     returns : one row per point of the file, in file order, `RETURN_COLUMNS`. `pulse` counts every pulse of the strip,
-        with or without packet; in files without packets every return is a pulse of its own.
+        with or without packet; in files without packets every return is a pulse of its own, and its `location` is NaN.
     samples : all samples one after the other [DN], uint8 or uint16.
     offsets : int64, shape (pulses + 1,); waveform i is ``samples[offsets[i]:offsets[i + 1]]``.
     faults : counts of bad data met, by name, for example ``{"packet past the end": 3}``.
-    declared : the file's point format declares waveforms, whether or not they could be read.
     """
 
     pulses: Table
@@ -40,7 +39,6 @@ class Waveforms:
     samples: NDArray[np.uint8] | NDArray[np.uint16]
     offsets: NDArray[np.int64]
     faults: Mapping[str, int] = field(default_factory=dict)
-    declared: bool = True
 
     def __post_init__(self) -> None:
         if len(self.offsets) != self.pulses.rows + 1 or (len(self.offsets) and self.offsets[-1] > len(self.samples)):

@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.run import plan
+from fwclass.errors import ConfigError
+from fwclass.run.plan import forest, outputs, sources
+from fwclass.run.plan import tiles as ground
+from fwclass.run.plan.layout import Layout
 from fwclass.run.report import write_report
-from fwclass.run.road import Road, require_all
+from fwclass.run.road import Road, ancestors, require_all
 from fwclass.run.survey import gather
 from fwclass.store.models import load_forest
 
@@ -16,28 +19,44 @@ from fwclass.store.models import load_forest
 def classification(config: Config, road: Road, tiles: frozenset[str] | None = None) -> dict[str, Any]:
     """Run all stages on `road` and write the report; return the report's dict.
 
-    `tiles` restricts the work after decomposition to these tiles and what they need.
+    `tiles`: deliver only these tiles; what they need (their neighbours' echoes, the training areas) is made too, so
+    that they come out as in a whole run.
     """
     survey = gather(config, road)
     model = _given_model(config)
     names = load_forest(model[0]).features if model else config.survey.features
 
-    indexed = require_all(road, plan.index_tasks(config, survey.strips))
-    chunks = plan.chunk_tasks(config, survey.strips, indexed)
-    splits = road.do(chunks + plan.cloud_tasks(config, survey.reference))
-    tiled = road.do(plan.tile_tasks(config, splits, tiles))
-    base = plan.Ground.of(config, tiled)
+    indexed = require_all(road, sources.index_tasks(config, survey.strips))
+    chunks = sources.chunk_tasks(config, survey.strips, indexed)
+    splits = road.do(chunks + sources.cloud_tasks(config, survey.reference))
+    layout = Layout.of(config, road.do(sources.tile_tasks(config, splits)))
 
     labelled = config.survey.reference.kind != "none"
-    tasks = plan.surface_tasks(base) + plan.ground_tasks(base) + plan.feature_tasks(base)
-    tasks += plan.label_tasks(base) if labelled else []
-    tasks += [] if model else plan.training_tasks(base)
-    tasks += plan.classify_tasks(base, names, model)
-    tasks += plan.assess_tasks(base, names) if labelled else []
-    whole = tiles is None
-    tasks += plan.output_tasks(base, names, survey.strips if whole else (), survey.crs, *plan.where(chunks, splits))
+    tasks = ground.surface_tasks(layout) + ground.ground_tasks(layout) + ground.feature_tasks(layout)
+    tasks += ground.label_tasks(layout) if labelled else []
+    tasks += [] if model else forest.training_tasks(layout)
+    tasks += forest.classify_tasks(layout, names, model)
+    tasks += forest.assess_tasks(layout, names) if labelled else []
+    tasks += outputs.output_tasks(layout, names, survey, *sources.where(chunks, splits))
+    if tiles is not None:
+        tasks = ancestors(tasks, _wanted(layout, tiles))
     road.do(tasks)
-    return write_report(config, road, survey, base, names)
+    if tiles is None and not road.failures:
+        road.retire()
+    return write_report(config, road, survey, layout, names)
+
+
+def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:
+    unknown = sorted(tiles - layout.keys)
+    if unknown:
+        raise ConfigError(
+            "no such tile in this survey",
+            where="--tiles",
+            expected="keys of tiles with echoes, for example " + ", ".join(t.key for t in layout.tiles[:3]),
+            got=", ".join(unknown),
+            do="the keys are the names of the files in laz/tiles",
+        )
+    return [("publish-tile", key) for key in sorted(tiles)]
 
 
 def _given_model(config: Config) -> tuple[Path, str] | None:
@@ -46,4 +65,4 @@ def _given_model(config: Config) -> tuple[Path, str] | None:
         return None
     path = Path(config.survey.model)
     path = path if path.is_absolute() else (config.path.parent / path).resolve()
-    return path, plan.digest_of_model(path)
+    return path, forest.digest_of_model(path)

@@ -138,7 +138,9 @@ def _fitted(waves: Waveforms, params: DecomposeParams) -> tuple[dict[str, NDArra
     row, place = np.nonzero(np.arange(params.max_echoes) < count[:, None])
     amplitude, time, width = (result["values"][row, place, c] for c in range(3))
     step = np.stack([pulses[f"step_{axis}"] for axis in "xyz"], axis=1)
-    behind, gap = _behind_anchor(row, time, pulses, params.register_within)
+    flags = result["flags"][row, place]
+    clear = (flags & pulse_fit.OVERLAPPING) == 0
+    behind, gap = _behind_anchor(row, time, clear, pulses, params.register_within)
     far = np.where(gap[row] > params.vendor_tolerance, FAR_FROM_VENDOR, 0)
     columns = {
         "pulse": pulses["pulse"][row],
@@ -151,7 +153,7 @@ def _fitted(waves: Waveforms, params: DecomposeParams) -> tuple[dict[str, NDArra
         "time": time,
         "baseline": result["baseline"][row],
         "misfit": result["misfit"][row],
-        "fit_flags": (result["flags"][row, place] | far).astype(np.uint8),
+        "fit_flags": (flags | far).astype(np.uint8),
     }
     beam = -step / np.sqrt((step**2).sum(axis=1))[:, None]
     for c, axis in enumerate("xyz"):
@@ -161,15 +163,18 @@ def _fitted(waves: Waveforms, params: DecomposeParams) -> tuple[dict[str, NDArra
 
 
 def _behind_anchor(
-    row: NDArray, time: NDArray, pulses: Table, register_within: float
+    row: NDArray, time: NDArray, clear: NDArray, pulses: Table, register_within: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How long before the anchor return every echo is [ns], and per pulse the distance of its nearest echo [ns]."""
+    """How long before the anchor return every echo is [ns], and per pulse the distance of its nearest echo [ns].
+
+    An echo that is not `clear` of others does not move its pulse: the vendor may have seen several as one.
+    """
     behind = pulses["anchor_time"].astype(np.float64)[row] - time
     gap = np.full(pulses.rows, np.inf)
     np.minimum.at(gap, row, np.abs(behind))
     nearest = np.flatnonzero(np.abs(behind) == gap[row])
     shift = np.zeros(pulses.rows)
-    shift[row[nearest[::-1]]] = behind[nearest[::-1]]  # the first of two equally near ones is written last
+    shift[row[nearest[::-1]]] = (behind * clear)[nearest[::-1]]  # of two equally near ones the first is written last
     shift[gap > register_within] = 0.0
     return behind - shift[row], gap
 
@@ -184,11 +189,10 @@ def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
     amplitude = np.where(np.isnan(table["vendor_amplitude"]), table["intensity"], table["vendor_amplitude"])
     nothing = np.full(n, np.nan)
     unseen = table["has_packet"]
-    origin = np.where(unseen, FITTED, KEPT)
-    if not waves.declared:
-        origin = np.full(n, READ_AS_ECHO)
-        rank = np.maximum(table["return_number"], 1).astype(np.int64)
-        size = np.maximum(table["number_of_returns"], rank)
+    undeclared = np.isnan(table["location"])
+    origin = np.where(undeclared, READ_AS_ECHO, np.where(unseen, FITTED, KEPT))
+    rank = np.where(undeclared, np.maximum(table["return_number"], 1), rank)
+    size = np.where(undeclared, np.maximum(table["number_of_returns"], rank), size)
     columns = {
         "pulse": table["pulse"],
         "echo_number": rank,
@@ -197,7 +201,7 @@ def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
         "gps_time": table["gps_time"],
         "amplitude": amplitude,
         "width": table["vendor_width"],
-        "time": table["location"],
+        "time": np.where(unseen, table["location"], np.nan),
         "baseline": nothing,
         "misfit": nothing,
         "fit_flags": np.where(unseen, VENDOR_KEPT, 0).astype(np.uint8),

@@ -25,6 +25,20 @@ def pulse_heads(keys, order, own, most, head):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def crowded_keys(keys, order, own, most, found):  # type: ignore[no-untyped-def]
+    """Keys other than `own` that more than `most` points share, into `found`; how many there are."""
+    count, run = 0, 0
+    for k in range(len(order)):
+        key = keys[order[k]]
+        run = run + 1 if k > 0 and keys[order[k - 1]] == key else 1
+        if run == most + 1 and key != own:
+            if count < len(found):
+                found[count] = key
+            count += 1
+    return count
+
+
+@kernel
 def number_pulses(head, pulse):  # type: ignore[no-untyped-def]
     """Number pulses by first appearance into `pulse`; the count."""
     count = 0
@@ -83,7 +97,7 @@ def gather(data, start, wide, offsets, samples):  # type: ignore[no-untyped-def]
         n = offsets[i + 1] - at
         if wide[i]:
             for k in range(n):
-                samples[at + k] = data[s + 2 * k] | (data[s + 2 * k + 1] << 8)
+                samples[at + k] = int(data[s + 2 * k]) | (int(data[s + 2 * k + 1]) << 8)
         else:
             for k in range(n):
                 samples[at + k] = data[s + k]

@@ -15,7 +15,7 @@ from fwclass.errors import InputError
 from fwclass.read.laz import varies_chunks
 from fwclass.read.source import Source
 
-BLOCK = 500_000
+BLOCK = 200_000
 """Points that a streaming pass holds at a time."""
 
 _BROKEN = (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError, InputError)
@@ -64,7 +64,7 @@ class PointReader:
     def read(self, first: int, last: int) -> Any:
         """The laspy record of points [first, last)."""
         with _guarded(self.source):
-            if self._las.points_read != first:
+            if first < last and self._las.points_read != first:
                 self._las.seek(first)
             points = self._las.read_points(last - first)
         if len(points) != last - first:
@@ -77,10 +77,10 @@ class PointReader:
             )
         return points
 
-    def blocks(self, size: int = BLOCK) -> Iterator[tuple[int, Any]]:
+    def blocks(self) -> Iterator[tuple[int, Any]]:
         """(first point, record) of consecutive runs over the whole file."""
-        for first in range(0, self.source.n_points, size):
-            yield first, self.read(first, min(first + size, self.source.n_points))
+        for first in range(0, self.source.n_points, BLOCK):
+            yield first, self.read(first, min(first + BLOCK, self.source.n_points))
 
 
 def coordinates(source: Source, points: Any) -> tuple[NDArray[np.float64], ...]:

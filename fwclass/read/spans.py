@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.read.packet_kernels import cut_spans, pulse_heads
+from fwclass.read.packet_kernels import crowded_keys, cut_spans, pulse_heads
 from fwclass.read.packets import MAX_RETURNS, OWN, packet_keys
 from fwclass.read.points import WAVE_FIELDS, PointReader
 from fwclass.read.source import Source
@@ -41,7 +41,7 @@ def spans_by_points(n_points: int, size: int) -> list[Span]:
 
 
 def spans_by_pulses(source: Source, wanted: int, most_points: int) -> list[Span]:
-    """Spans of about `wanted` pulses; one pass over the packet references, about 32 bytes of memory a point."""
+    """Spans of about `wanted` pulses; one pass over the packet references, at most 40 bytes of memory a point."""
     with PointReader(source, WAVE_FIELDS) as reader:
         blocks = [packet_keys(points) for _, points in reader.blocks()]
     keys = np.concatenate(blocks) if blocks else np.empty(0, np.uint64)
@@ -62,21 +62,18 @@ def spans_by_pulses(source: Source, wanted: int, most_points: int) -> list[Span]
 
 
 def _shared(source: Source, keys: NDArray[np.uint64], order: NDArray[np.int64]) -> tuple[int, ...]:
-    """Keys of more than `MAX_RETURNS` points: a key equals the one that many places on in sorted order."""
-    if len(keys) <= MAX_RETURNS:
-        return ()
-    low, high = order[:-MAX_RETURNS], order[MAX_RETURNS:]
-    found = np.unique(keys[low][keys[low] == keys[high]])
-    found = found[found != OWN]
-    if len(found) > MAX_SHARED:
+    """Keys of more than `MAX_RETURNS` points."""
+    found = np.empty(MAX_SHARED, np.uint64)
+    count = int(crowded_keys(keys, order, OWN, MAX_RETURNS, found))
+    if count > MAX_SHARED:
         raise InputError(
             "the packet references of the points make no sense",
             where=source.path,
             expected="a packet for the few returns of one pulse",
-            got=f"{len(found)} packets with more than {MAX_RETURNS} returns each",
+            got=f"{count} packets with more than {MAX_RETURNS} returns each",
             do="export the file again with its waveforms, or convert it to a point format without them",
         )
-    return tuple(int(k) for k in found)
+    return tuple(int(k) for k in found[:count])
 
 
 def _refuse_long(source: Source, spans: list[Span], most_points: int) -> None:

@@ -84,7 +84,8 @@ def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
     -------
     Waveforms
         `location` and `anchor_time` [ns], `step` [m/ns] up the beam. Returns without a usable packet are kept with
-        `has_packet` False and counted in `faults` by reason.
+        `has_packet` False and counted in `faults` by reason. `location` is NaN only where the file declares no
+        waveforms.
     """
     with PointReader(source) as reader:
         points = reader.read(span.first_point, span.last_point)
@@ -103,13 +104,13 @@ def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
         nothing = np.zeros(len(points), np.bool_)
         columns |= {"pulse": pulse, "has_packet": nothing, "location": np.full(len(points), np.nan)}
         none = np.empty(0, np.dtype(source.sample_dtype))
-        return Waveforms(Table.empty(PULSE_COLUMNS), _returns(columns), none, np.zeros(1, np.int64), faults, False)
+        return Waveforms(Table.empty(PULSE_COLUMNS), _returns(columns), none, np.zeros(1, np.int64), faults)
     refs = References.of(points)
     local, n_pulses = pulses_of(packet_keys(points), span.shared)
     packets = gather_packets(source, refs, local, n_pulses, columns["return_number"], span.shared)
     columns["pulse"] = local + span.first_pulse
     columns["has_packet"] = packets.has_packet
-    columns["location"] = np.where(packets.has_packet, refs.location, np.nan)
+    columns["location"] = np.where(np.isfinite(refs.location), refs.location, 0.0)
     pulses = _pulses(columns, refs, packets, span.first_pulse)
     faults |= packets.faults
     return Waveforms(pulses, _returns(columns), packets.samples, packets.offsets, faults)

@@ -14,10 +14,9 @@ from fwclass.conf import Config
 from fwclass.grid import Window
 from fwclass.publish.stage import class_map, relief, render_report
 from fwclass.run.desk import Desk
-from fwclass.run.plan import Ground
+from fwclass.run.plan.layout import Layout, Survey
 from fwclass.run.road import Road, Tally
-from fwclass.run.survey import Survey
-from fwclass.run.tiles import mosaic
+from fwclass.run.work.tiles import mosaic
 from fwclass.store.atomic import write_json
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
@@ -26,14 +25,14 @@ MAP_CELLS = 4_000_000
 """A map is drawn only up to this many cells; a larger survey has the rasters."""
 
 
-def write_report(config: Config, road: Road, survey: Survey, base: Ground, names: tuple[str, ...]) -> dict[str, Any]:
+def write_report(config: Config, road: Road, survey: Survey, layout: Layout, names: tuple[str, ...]) -> dict[str, Any]:
     """Gather the figures from receipts, write `report.json` and `report.html`, return the dict."""
     store = road.store
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
         "input": _input(store, survey),
-        "counts": _counts(store, base),
+        "counts": _counts(store, layout),
         "stages": [_stage(store, name, tally) for name, tally in road.tallies.items()],
         "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
         "accuracy": _accuracy(store, config),
@@ -46,7 +45,7 @@ def write_report(config: Config, road: Road, survey: Survey, base: Ground, names
         "seconds": round(max((t.ended for t in road.tallies.values()), default=0.0) - road.began, 3),
     }
     write_json(road.root / "report.json", report)
-    render_report(report, _figures(config, store, base, report), road.root / "report.html")
+    render_report(report, _figures(config, store, layout, report), road.root / "report.html")
     return report
 
 
@@ -68,14 +67,13 @@ def _input(store: Store, survey: Survey) -> dict[str, Any]:
     return {"files": files, "faults": dict(sorted(faults.items()))}
 
 
-def _counts(store: Store, base: Ground) -> dict[str, int]:
+def _counts(store: Store, layout: Layout) -> dict[str, int]:
     reads = [r.meta for r in store.receipts("read")]
-    tiles = _receipts(store, "tile", base.keys)
+    tiles = _receipts(store, "tile", layout.keys)
     return {
         "pulses": sum(r.meta["pulses"] for r in store.receipts("index")),
         "returns": sum(m["returns"] for m in reads),
-        "returns_without_packet": sum(m["returns_without_packet"] for m in reads if m["waveforms"])
-        + sum(m["returns_without_packet"] for m in reads if not m["waveforms"] and m["faults"]),
+        "returns_without_packet": sum(r.meta["kept_returns"] for r in store.receipts("decompose")),
         "echoes_decomposed": sum(r.meta["echoes"] for r in store.receipts("decompose")),
         "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
         "tiles": len(tiles),
@@ -142,11 +140,11 @@ def _outputs(store: Store) -> dict[str, list[str]]:
     return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
 
 
-def _figures(config: Config, store: Store, base: Ground, report: Mapping[str, Any]) -> dict[str, bytes]:
+def _figures(config: Config, store: Store, layout: Layout, report: Mapping[str, Any]) -> dict[str, bytes]:
     """Maps of classes and terrain; none where the survey is too large to draw or its rasters failed."""
     desk = Desk(store)
-    terrain = Window.covering(base.box, config.ground.cell)
-    window = Window.covering(base.box, config.publish.class_cell)
+    terrain = Window.covering(layout.box, config.ground.cell)
+    window = Window.covering(layout.box, config.publish.class_cell)
     if max(np.prod(terrain.shape), np.prod(window.shape)) > MAP_CELLS:
         return {}
     surfaces = tuple(r.part for r in store.receipts("surface"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -95,6 +95,11 @@ class Road:
         tally.ended = time.perf_counter()
         self.display.ended(outcome)
 
+    def retire(self) -> None:
+        """Remove parts of earlier runs that this run's plan does not have, with what they delivered."""
+        for stage in self.tallies:
+            self.store.forget_others(stage, (part for name, part in self.outcomes if name == stage))
+
     @property
     def failures(self) -> list[Outcome]:
         return [o for o in self.outcomes.values() if o.status == "failed"]
@@ -108,3 +113,16 @@ def require_all(road: Road, tasks: Sequence[Task]) -> dict[Name, Receipt]:
         if not outcome.ok:
             raise InputError(f"{task.stage} of part {task.part} failed", where=road.root, got=outcome.message)
     return done
+
+
+def ancestors(tasks: Sequence[Task], wanted: Iterable[Name]) -> list[Task]:
+    """The tasks named `wanted` and all of `tasks` that they need, in order."""
+    by_name = {t.name: t for t in tasks}
+    keep: set[Name] = set()
+    todo = [n for n in wanted if n in by_name]
+    while todo:
+        name = todo.pop()
+        if name not in keep:
+            keep.add(name)
+            todo += [n for n in by_name[name].needs if n in by_name]
+    return [t for t in tasks if t.name in keep]

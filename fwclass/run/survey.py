@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,23 +17,16 @@ from fwclass.read.source import open_source
 from fwclass.read.stage import check_source
 from fwclass.run.desk import Desk
 from fwclass.run.part import Task
-from fwclass.run.plan import FileDigests, Strip
+from fwclass.run.plan.layout import FileDigests, Strip, Survey
 from fwclass.run.road import Road
-from fwclass.run.sources import Digests
+from fwclass.run.work.sources import Digests
 from fwclass.simulate.params import SimulateParams
 
 SIMULATED = "survey"
 """Where a simulated survey lies below its run directory."""
 
-
-@dataclass(frozen=True)
-class Survey:
-    """Files that can be used, in the order that numbers the strips."""
-
-    strips: tuple[Strip, ...]
-    reference: tuple[tuple[Path, FileDigests, int], ...]
-    crs: str | None
-    box: Box
+STANDARD_GPS_TIME = 1
+"""Bit of the global encoding of LAS: times are adjusted standard GPS time."""
 
 
 def _simulated(params: SimulateParams, strip: Any, prefix: str, desk: Desk, directory: Path) -> Mapping[str, Any]:
@@ -124,7 +116,8 @@ def gather(config: Config, road: Road) -> Survey:
     strips = tuple(Strip(number, s.path, digests.of(_files_of(s)), s.point_format) for number, s in enumerate(opened))
     box = _bounds([s.bounds for s in opened])
     _check_areas(config, box)
-    return Survey(strips, _reference(config, directory, digests, box), crs, box)
+    standard = all(s.header.global_encoding & STANDARD_GPS_TIME for s in opened)
+    return Survey(strips, _reference(config, directory, digests, box), crs, standard)
 
 
 def _files_of(source: Any) -> list[Path]:

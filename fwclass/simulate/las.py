@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from datetime import date, timedelta
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -24,6 +25,9 @@ SHORT, LONG = 1, 2
 
 PICOSECONDS = 1000
 """Sample spacing [ps]."""
+
+GPS_EPOCH, GPS_ADJUSTMENT = date(1980, 1, 6), 1e9
+"""Day from which GPS time counts, and what adjusted standard GPS time leaves off [s]."""
 
 INTENSITY_SCALE = 64.0
 """Intensity of a return per DN of its peak."""
@@ -86,7 +90,7 @@ def _header(params: SimulateParams, version: str, point_format: int) -> laspy.La
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
     header.system_identifier = "fwclass simulated scanner"
     header.generating_software = "fwclass simulate"
-    header.creation_date = None
+    header.creation_date = GPS_EPOCH + timedelta(seconds=params.flight.first_gps_time + GPS_ADJUSTMENT)
     header.add_crs(_crs(params))
     return header
 

@@ -8,7 +8,6 @@ from pydantic import Field, model_validator
 
 from fwclass.stage import Params
 
-
 MAX_FOOTPRINT = 0.5
 """Largest footprint on the ground that the search along a beam allows for [m]."""
 

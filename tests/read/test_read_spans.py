@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -128,3 +130,21 @@ def test_no_points(tmp_path, base):
         source = open_source(write_las(tmp_path / "a.las", np.empty((0, 3)), point_format=point_format))
         assert index_source(source, whole(base)) == []
         assert "the file has no points" in source.faults
+
+
+def test_indexing_needs_little_memory(tmp_path, base, monkeypatch):
+    """At most 40 bytes a point, beside one block of the stream."""
+    n = 200_000
+    monkeypatch.setattr("fwclass.read.points.BLOCK", 5_000)
+    offset = 60 + 60 * (np.arange(n) // 2)
+    path = write_las(tmp_path / "a.las", np.zeros((n, 3)), wave={"index": 1, "offset": offset, "size": 60})
+    source = open_source(path)
+    index_source(source, whole(base))
+    tracemalloc.start()
+    try:
+        spans = index_source(source, whole(base))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert sum(s.n_pulses for s in spans) == n // 2
+    assert peak < 40 * n

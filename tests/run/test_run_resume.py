@@ -56,6 +56,27 @@ def test_lost_and_damaged_parts_are_made_again(survey, copy, finished):
     assert delivered(copy) == delivered(finished[0])
 
 
+def test_chosen_tiles_come_out_as_in_a_whole_run(survey, finished, tmp_path):
+    whole = delivered(finished[0])
+    key = sorted(n for n in whole if n.startswith("parquet/"))[0].split("/")[1].split(".")[0]
+    road, _ = walk(survey, tmp_path, tiles=frozenset({key}))
+    assert not road.failures
+    part = delivered(tmp_path)
+    assert {n for n in part if "model" not in n} == {f"parquet/{key}.parquet", f"laz/tiles/{key}.laz"}
+    assert part == {n: whole[n] for n in part}
+    with pytest.raises(ConfigError, match="no such tile"):
+        walk(survey, tmp_path, tiles=frozenset({"1_1"}))
+
+
+def test_another_tiling_leaves_nothing_of_the_old_one(survey, copy, tmp_path):
+    walk(survey, copy, "tile.size=1000")
+    walk(survey, tmp_path / "fresh", "tile.size=1000")
+    assert delivered(copy) == delivered(tmp_path / "fresh")
+    assert {p.name for p in (copy / "store" / "tile").iterdir()} == {
+        p.name for p in (tmp_path / "fresh" / "store" / "tile").iterdir()
+    }
+
+
 def test_a_part_that_fails_stops_only_what_needs_it(tmp_path):
     def work(desk, directory):
         (directory / "a").write_text("a")

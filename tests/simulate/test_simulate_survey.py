@@ -66,6 +66,7 @@ def read_raw(path: Path) -> dict[str, Any]:
     return {
         "version": (data[24], data[25]),
         "encoding": struct.unpack_from("<H", data, 6)[0],
+        "created": struct.unpack_from("<HH", data, 90),
         "start_of_packets": struct.unpack_from("<Q", data, 227)[0],
         "format": point_format,
         "vlrs": vlrs,
@@ -106,6 +107,7 @@ def test_header_says_what_the_strip_is(strip: tuple[StripPlan, dict[str, Any], b
     assert las["format"] == plan.recording.point_format
     assert las["encoding"] & 0b0111 == 0b0101  # adjusted GPS time, packets outside, none inside
     assert las["start_of_packets"] == 0
+    assert las["created"] == (76, 2021)  # the day of the flight, 1.3e9 s after 6 January 1980; not today
     projection = {record for user, record, _ in las["vlrs"] if user == "LASF_Projection"}
     if plan.recording.point_format >= 6:
         assert las["encoding"] & 16

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.assess.stage import confusion, distribution, figures, summary, unclassified
 from fwclass.classify.stage import classify
+from fwclass.errors import InputError
 from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, Forest, Tree
 from fwclass.run.desk import TABLE, Desk
@@ -57,6 +58,10 @@ def merged(
     desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """The survey's sample; refused where a forest cannot be trained on it."""
+    if not tiles:
+        raise InputError(
+            "no echo lies in any training area", where="areas.train", do="give boxes on the survey, in its coordinates"
+        )
     sample = merge((_load_sample(desk, "sample", t, names) for t in tiles), params)
     review(sample, classes)
     _save_sample(directory, sample)

@@ -50,7 +50,7 @@ def index(path: Path, params: ReadParams, desk: Desk, directory: Path) -> dict[s
     source = open_source(path)
     spans = index_source(source, params)
     return {
-        "spans": [[s.first_point, s.last_point, s.first_pulse, s.n_pulses] for s in spans],
+        "spans": [[s.first_point, s.last_point, s.first_pulse, s.n_pulses, list(s.shared)] for s in spans],
         "points": source.n_points,
         "pulses": sum(s.n_pulses for s in spans),
         "point_format": source.point_format,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.errors import StoreError
-from fwclass.grid import Box, Tile, TileGrid, Window
+from fwclass.grid import Box, Tile, Window
 from fwclass.ground.dtm import hillshade
 from fwclass.publish.stage import (
     PublishParams,
@@ -23,8 +23,8 @@ from fwclass.publish.stage import (
     write_tile_laz,
 )
 from fwclass.run.desk import Desk
-from fwclass.run.sources import link_table
-from fwclass.run.tiles import mosaic, write_rasters
+from fwclass.run.work.sources import link_table
+from fwclass.run.work.tiles import mosaic, write_rasters
 from fwclass.schema import Table
 
 _ECHO_BITS = 8
@@ -38,6 +38,7 @@ def delivered_tile(
     tile: Tile,
     columns: Mapping[str, str],
     crs: str | None,
+    standard_time: bool,
     params: PublishParams,
     desk: Desk,
     directory: Path,
@@ -46,7 +47,8 @@ def delivered_tile(
     table = desk.rows(tile.key, columns)
     for name in ("laz/tiles", "parquet"):
         (directory / name).mkdir(parents=True)
-    write_tile_laz(table, directory / "laz" / "tiles" / f"{tile.key}.laz", crs_of(crs), params)
+    path = directory / "laz" / "tiles" / f"{tile.key}.laz"
+    write_tile_laz(table, path, crs_of(crs), params, standard_time=standard_time)
     write_geoparquet(table, directory / "parquet" / f"{tile.key}.parquet", crs_of(crs), params)
     return {"rows": table.rows}
 
@@ -158,13 +160,3 @@ def delivered_rasters(
         names=dict(names),
     )
     return {"dtm_cells": int(np.isfinite(dtm).sum()), "class_cells": int((classes > 0).sum())}
-
-
-def blocks_around(occupied: set[str], size: float) -> list[Tile]:
-    """Blocks that own an echo and their neighbours: the same set whatever the tiles."""
-    grid = TileGrid(size)
-    found = set()
-    for key in occupied:
-        tile = grid.tile(key)
-        found |= {Tile(tile.ix + a, tile.iy + b, size) for a in (-1, 0, 1) for b in (-1, 0, 1)}
-    return sorted(found)

@@ -1,0 +1,133 @@
+"""What all plans stand on: the source strips, the tiles there are, and where their columns come from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.decompose.stage import DECOMPOSE
+from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.features.stage import names as feature_names
+from fwclass.grid import Box, Tile, TileGrid
+from fwclass.ground.stage import GROUND
+from fwclass.run.part import Name
+from fwclass.store.receipts import Receipt
+
+FileDigests = tuple[tuple[str, str], ...]
+"""(file name, digest of its bytes)."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A source file with its place in the survey's sorted list."""
+
+    number: int
+    path: Path
+    digests: FileDigests
+    point_format: int
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Files that can be used, checked.
+
+    `strips` in the order that numbers them; `reference` is (file, digests, points); `crs` is WKT or None;
+    `standard_time`: all GPS times are adjusted standard time.
+    """
+
+    strips: tuple[Strip, ...]
+    reference: tuple[tuple[Path, FileDigests, int], ...]
+    crs: str | None
+    standard_time: bool
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What phase three stands on: the tiles there are, where their echoes lie, and the reference tiles."""
+
+    config: Config
+    tiles: tuple[Tile, ...]
+    blocks: tuple[Tile, ...]
+    clouds: frozenset[str]
+    box: Box
+
+    @classmethod
+    def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
+        grid = TileGrid(config.tile.size)
+        mine = {part: r for (stage, part), r in done.items() if stage == "tile"}
+        if not mine:
+            raise InputError(
+                "there is no echo to classify",
+                where=config.path,
+                expected="source files with points",
+                got="no tile with an echo",
+                do="look at the files with `fwclass info`, and at the failed parts above",
+            )
+        occupied = {b for r in mine.values() for b in r.meta["blocks"]}
+        low = [min(r.meta["bounds"][k] for r in mine.values()) for k in range(2)]
+        high = [max(r.meta["bounds"][k] for r in mine.values()) for k in range(3, 5)]
+        return cls(
+            config,
+            tuple(sorted(grid.tile(k) for k in mine)),
+            tuple(blocks_around(occupied, config.ground.block)),
+            frozenset(part for stage, part in done if stage == "reference"),
+            Box(low[0], low[1], high[0] + 0.001, high[1] + 0.001),
+        )
+
+    @property
+    def keys(self) -> frozenset[str]:
+        return frozenset(t.key for t in self.tiles)
+
+    def around(self, box: Box, among: Iterable[str]) -> tuple[str, ...]:
+        """Tiles of `among` that touch `box`."""
+        here = set(among)
+        return tuple(t.key for t in TileGrid(self.config.tile.size).touching(box) if t.key in here)
+
+    def columns(self, names: Iterable[str]) -> dict[str, str]:
+        """The stage whose tables hold each of `names`, or a `ConfigError` for one that no stage writes."""
+        known = self.providers()
+        for name in names:
+            if name not in known:
+                raise ConfigError(
+                    f"no stage writes the column {name!r}",
+                    where=f"{self.config.path}: survey.features",
+                    expected="a column, or a feature at a radius of features.radii",
+                    got=name,
+                    do=nearest(name, known),
+                )
+        return {n: known[n] for n in names}
+
+    def providers(self) -> dict[str, str]:
+        """Which stage's tables hold each column that the forest or the outputs may ask for."""
+        config = self.config
+        found = dict.fromkeys(DECOMPOSE.writes, "tile")
+        found |= dict.fromkeys(GROUND.writes, "ground")
+        found |= dict.fromkeys(feature_names(config.features), "features")
+        found |= {"reference": "label", "classification": "classify", "confidence": "classify"}
+        return found
+
+
+def plain(params: Any) -> Any:
+    """Params as plain data for a key."""
+    return params.model_dump(mode="json")
+
+
+def plain_classes(config: Config) -> list[dict[str, Any]]:
+    return [c.model_dump(mode="json") for c in config.survey.classes]
+
+
+def needs_of(columns: Mapping[str, str], parts: Iterable[str]) -> tuple[Name, ...]:
+    return tuple((stage, part) for part in parts for stage in sorted({*columns.values(), "tile"}))
+
+
+def blocks_around(occupied: set[str], size: float) -> list[Tile]:
+    """Blocks that own an echo and their neighbours: the same set whatever the tiles."""
+    grid = TileGrid(size)
+    found = set()
+    for key in occupied:
+        tile = grid.tile(key)
+        found |= {Tile(tile.ix + a, tile.iy + b, size) for a in (-1, 0, 1) for b in (-1, 0, 1)}
+    return sorted(found)

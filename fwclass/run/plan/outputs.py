@@ -1,0 +1,82 @@
+"""Parts that deliver: tiles, strips, rasters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import partial
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.grid import Window
+from fwclass.run.part import Task
+from fwclass.run.plan.layout import Layout, Strip, Survey, needs_of, plain, plain_classes
+from fwclass.run.work import outputs
+
+DELIVERED = (
+    "x", "y", "z", "strip", "pulse", "echo_number", "number_of_echoes", "gps_time", "intensity", "amplitude", "width",
+    "height_above_ground", "ground", "classification", "confidence",
+)  # fmt: skip
+"""Columns of the delivered tiles, besides the forest's features."""
+
+
+def output_tasks(
+    layout: Layout, names: tuple[str, ...], survey: Survey,
+    chunks: Mapping[int, tuple[str, ...]], in_strip: Mapping[int, tuple[str, ...]],
+) -> list[Task]:  # fmt: skip
+    """Tiles (LAZ, GeoParquet), strips (LAZ), class blocks and rasters."""
+    config = layout.config
+    params = {**plain(config.publish), "crs": survey.crs, "classes": plain_classes(config)}
+    wanted = tuple(dict.fromkeys((*DELIVERED, *names)))
+    columns = layout.columns(wanted)
+    made = [
+        Task(
+            "publish-tile", t.key, 1, {**params, "columns": list(wanted), "standard_time": survey.standard_time},
+            partial(outputs.delivered_tile, t, columns, survey.crs, survey.standard_time, config.publish),
+            needs=needs_of(columns, (t.key,)), place="run",
+        )
+        for t in layout.tiles
+    ]  # fmt: skip
+    made += _strip_tasks(config, params, survey.strips, chunks, in_strip)
+    owned = [b for b in layout.blocks if b.box.touches(layout.box)]
+    for block in owned:
+        cells = Window.covering(block.box, config.publish.class_cell).box
+        present = layout.around(cells, layout.keys)
+        made.append(
+            Task(
+                "class-block", block.key, 1, params,
+                partial(outputs.class_block, block, config.tile.size, present, config.publish),
+                needs=needs_of({"a": "classify"}, present),
+            )
+        )  # fmt: skip
+    keys = tuple(b.key for b in owned)
+    codes = {c.code: c.name for c in config.survey.classes}
+    made.append(
+        Task(
+            "publish-rasters", "all", 1, {**params, "box": list(layout.box.bounds), "cell": config.ground.cell},
+            partial(
+                outputs.delivered_rasters, layout.box, config.ground.cell, keys, keys, codes, survey.crs, config.publish
+            ),
+            needs=(*(("surface", k) for k in keys), *(("class-block", k) for k in keys)), place="run",
+        )
+    )  # fmt: skip
+    return made
+
+
+def _strip_tasks(
+    config: Config, params: Any, strips: Iterable[Strip], chunks: Mapping[int, tuple[str, ...]],
+    in_strip: Mapping[int, tuple[str, ...]],
+) -> list[Task]:  # fmt: skip
+    made = []
+    for strip in strips:
+        legacy = strip.point_format <= 5
+        codes = {c.code: c.legacy_code for c in config.survey.classes if legacy and c.legacy_code is not None}
+        mine, here = chunks[strip.number], in_strip[strip.number]
+        made.append(
+            Task(
+                "publish-strip", strip.path.stem, 1, params,
+                partial(outputs.delivered_strip, strip.path, strip.number, mine, here, codes, config.publish),
+                needs=(*(("decompose", c) for c in mine), *needs_of({"a": "classify"}, here)),
+                external=strip.digests, place="run",
+            )
+        )  # fmt: skip
+    return made

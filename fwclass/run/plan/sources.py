@@ -1,0 +1,121 @@
+"""Parts that read: index, chunks, reference clouds, tiles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import partial
+from pathlib import Path
+
+from fwclass.conf import Config
+from fwclass.decompose.stage import DECOMPOSE
+from fwclass.grid import TileGrid
+from fwclass.read.spans import Span
+from fwclass.read.stage import READ
+from fwclass.run.part import Name, Task
+from fwclass.run.plan.layout import FileDigests, Strip, plain
+from fwclass.run.work import sources
+from fwclass.store.receipts import Receipt
+from fwclass.tile.stage import REFERENCE, SPLIT, TILE
+
+
+def _spans(receipt: Receipt) -> list[Span]:
+    return [Span(a, b, first, pulses, tuple(shared)) for a, b, first, pulses, shared in receipt.meta["spans"]]
+
+
+def index_tasks(config: Config, strips: Iterable[Strip]) -> list[Task]:
+    return [
+        Task(
+            "index", f"{s.number:03d}", 1, plain(config.read),
+            partial(sources.index, s.path, config.read), external=s.digests,
+        )
+        for s in strips
+    ]  # fmt: skip
+
+
+def chunk_name(strip: int, span: int) -> str:
+    return f"{strip:03d}-{span:05d}"
+
+
+def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, Receipt]) -> list[Task]:
+    """read, decompose and split of every span of every strip."""
+    grid = TileGrid(config.tile.size)
+    made = []
+    for strip in strips:
+        for k, span in enumerate(_spans(indexed["index", f"{strip.number:03d}"])):
+            part = chunk_name(strip.number, k)
+            rows = [span.first_point, span.last_point, span.first_pulse, span.n_pulses, list(span.shared)]
+            made += [
+                Task(
+                    "read", part, READ.version, {**plain(config.read), "span": rows},
+                    partial(sources.read, strip.path, span, config.read), external=strip.digests,
+                ),
+                Task(
+                    "decompose", part, DECOMPOSE.version, {**plain(config.decompose), "strip": strip.number},
+                    partial(sources.decomposed, part, strip.number, config.decompose), needs=(("read", part),),
+                ),
+                Task(
+                    "split", part, SPLIT.version, plain(config.tile),
+                    partial(sources.scattered, part, grid), needs=(("decompose", part),),
+                ),
+            ]  # fmt: skip
+    return made
+
+
+def cloud_tasks(config: Config, files: Iterable[tuple[Path, FileDigests, int]]) -> list[Task]:
+    """Splits of the reference files, `CLOUD_ROWS` points at a time."""
+    grid = TileGrid(config.tile.size)
+    made = []
+    for number, (path, digests, points) in enumerate(files):
+        for k, first in enumerate(range(0, points, sources.CLOUD_ROWS)):
+            last = min(points, first + sources.CLOUD_ROWS)
+            params = {**plain(config.tile), "rows": [first, last]}
+            work = partial(sources.scattered_cloud, path, first, last, grid)
+            part = chunk_name(number, k)
+            made.append(Task("reference-split", part, SPLIT.version, params, work, external=digests))
+    return made
+
+
+def _fragments(splits: Mapping[Name, Receipt], stage: str) -> dict[str, list[tuple[str, int]]]:
+    """For every tile the (chunk, row group) pairs that hold its rows, in chunk order."""
+    found: dict[str, list[tuple[str, int]]] = {}
+    for (name, part), receipt in sorted(splits.items()):
+        if name == stage:
+            for key, (group, _) in receipt.meta["tiles"].items():
+                found.setdefault(key, []).append((part, group))
+    return found
+
+
+def tile_tasks(config: Config, splits: Mapping[Name, Receipt]) -> list[Task]:
+    """Tiles of echoes and of reference points."""
+    made = []
+    block = config.ground.block
+    for key, pairs in sorted(_fragments(splits, "split").items()):
+        made.append(
+            Task(
+                "tile", key, TILE.version, {**plain(config.tile), "block": block},
+                partial(sources.tiled, key, tuple(pairs), block), needs=tuple(("split", p) for p, _ in pairs),
+            )
+        )  # fmt: skip
+    for key, pairs in sorted(_fragments(splits, "reference-split").items()):
+        made.append(
+            Task(
+                "reference", key, REFERENCE.version, plain(config.tile),
+                partial(sources.tiled_cloud, tuple(pairs)), needs=tuple(("reference-split", p) for p, _ in pairs),
+            )
+        )  # fmt: skip
+    return made
+
+
+def where(
+    chunks: Iterable[Task], splits: Mapping[Name, Receipt]
+) -> tuple[dict[int, tuple[str, ...]], dict[int, tuple[str, ...]]]:
+    """For every strip its chunks, and the tiles that hold its echoes."""
+    parts: dict[int, list[str]] = {}
+    held: dict[int, set[str]] = {}
+    for task in chunks:
+        if task.stage == "split":
+            strip = int(task.part.split("-")[0])
+            parts.setdefault(strip, []).append(task.part)
+            receipt = splits.get(task.name)
+            held.setdefault(strip, set()).update(receipt.meta["tiles"] if receipt else ())
+    return {s: tuple(p) for s, p in parts.items()}, {s: tuple(sorted(t)) for s, t in held.items()}
