@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from distributed import LocalCluster
 from runmaker import delivered, walk
 
 from fwclass.run.cluster import Cluster
@@ -37,6 +38,14 @@ def test_tiles_and_chunks_change_no_number_of_any_echo(setting, survey, finished
 @pytest.mark.parametrize("workers", [1, 2])
 def test_workers_give_the_same_bytes_as_the_loop(workers, survey, finished, tmp_path):
     road, _ = walk(survey, tmp_path, executor=Cluster(None, workers, 4.0))
+    assert not road.failures
+    assert delivered(tmp_path) == delivered(finished[0])
+
+
+@pytest.mark.slow
+def test_a_scheduler_by_address_gives_the_same_bytes(survey, finished, tmp_path):
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
+        road, _ = walk(survey, tmp_path, executor=Cluster(cluster.scheduler_address, 0, 4.0))
     assert not road.failures
     assert delivered(tmp_path) == delivered(finished[0])
 

@@ -105,7 +105,7 @@ def assess_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
     made.append(
         Task(
             "assess", "all", 1, {**params, "quantiles": list(config.assess.quantiles)},
-            partial(forest.assessed, keys, config.classes, config.assess.quantiles),
+            partial(forest.assessed, keys, names, config.classes, config.assess.quantiles),
             needs=tuple(("confusion", k) for k in keys),
         )
     )  # fmt: skip

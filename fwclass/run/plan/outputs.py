@@ -68,6 +68,8 @@ def _strip_tasks(
 ) -> list[Task]:  # fmt: skip
     made = []
     for strip in strips:
+        if strip.number not in chunks:  # a file without points
+            continue
         legacy = strip.point_format <= 5
         codes = {c.code: c.legacy_code for c in config.survey.classes if legacy and c.legacy_code is not None}
         mine, here = chunks[strip.number], in_strip[strip.number]

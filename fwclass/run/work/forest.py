@@ -22,7 +22,7 @@ from fwclass.store.tables import write_table
 from fwclass.train.sample import Sample, review
 from fwclass.train.stage import TrainParams, candidates, grow_trees, merge, train
 
-SAMPLE, TREES, MODEL = "sample.zarr", "trees.zarr", "model"
+SAMPLE, TREES, MODEL, COUNTS = "sample.zarr", "trees.zarr", "model", "counts.zarr"
 _IDENTITY = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
 
 
@@ -141,12 +141,14 @@ def judged(
     table = table.take(tested(table, train, test, gap))
     matrix = confusion(table["reference"], table["classification"], classes)
     lost = unclassified(table["reference"], table["classification"], classes)
-    write_arrays(directory / "counts.zarr", distribution(table.select(names), table["reference"], classes))
+    counts = distribution(table.select(names), table["reference"], classes)
+    write_arrays(directory / COUNTS, {"counts": np.concatenate([counts[n].reshape(-1) for n in names])})
     return {"matrix": matrix.tolist(), "lost": lost.tolist()}
 
 
 def assessed(
     tiles: tuple[str, ...],
+    names: tuple[str, ...],
     classes: tuple[ClassDef, ...],
     shares: tuple[float, ...],
     desk: Desk,
@@ -155,16 +157,16 @@ def assessed(
     """Figures over all test areas, and the distribution of the features by class."""
     n = len(classes)
     matrix, lost = np.zeros((n, n), np.int64), np.zeros(n, np.int64)
-    histograms: dict[str, NDArray[np.int64]] = {}
+    total: NDArray[np.int64] = np.zeros(1, np.int64)
     for tile in tiles:
         meta = desk.meta("confusion", tile)
         matrix += np.array(meta["matrix"], np.int64)
         lost += np.array(meta["lost"], np.int64)
-        arrays, _ = desk.arrays("confusion", tile, "counts.zarr")
-        for name, counts in arrays.items():
-            histograms[name] = histograms[name] + counts if name in histograms else counts
-    names = [c.name for c in classes]
+        arrays, _ = desk.arrays("confusion", tile, COUNTS)
+        total = total + arrays["counts"]
+    histograms = dict(zip(names, total.reshape(len(names), n, -1), strict=True))
+    called = [c.name for c in classes]
     return {
-        "accuracy": figures(matrix, names, lost) if matrix.any() or lost.any() else None,
-        "distribution": summary(histograms, names, shares),
+        "accuracy": figures(matrix, called, lost) if matrix.any() or lost.any() else None,
+        "distribution": summary(histograms, called, shares),
     }
