@@ -78,7 +78,7 @@ def _road(root: Path, workers: int, scheduler: str | None, memory: float) -> Ite
         from fwclass.run.cluster import Cluster
 
         with Cluster(scheduler, workers, memory) as cluster:
-            display.say(f"dashboard    {cluster.address}")
+            display.say(f"dask         {cluster.address}")
             road = Road(root, cluster, display)
             road.store.clear_staging()
             yield road

@@ -128,6 +128,20 @@ def test_an_output_is_not_overwritten(tmp_path, small):
     assert fwclass("decompose", small, out, "--overwrite").returncode == 0
 
 
+def test_a_class_without_samples_ends_with_three_and_says_which(tmp_path, small):
+    path = config(tmp_path / "c.yaml", crs="none")
+    classes = "survey.classes=[{name: a, code: 2, codes: [2]}, {name: water, code: 9, codes: [9]}]"
+    result = fwclass("run", path, "--workers", 0, "--out", tmp_path / "r", "--set", classes, "--set", "areas.gap=0.5")
+    assert told(result, 3, "no training rows of class 'water'", "parts failed", "fwclass run")
+    assert (tmp_path / "r" / "report.html").exists()
+
+
+def test_a_feature_that_no_stage_writes(tmp_path, small):
+    path = config(tmp_path / "c.yaml", crs="none")
+    args = ("run", path, "--workers", 0, "--out", tmp_path / "r")
+    assert told(fwclass(*args, "--set", "survey.features=[echo_ratio_r10]"), 2, "echo_ratio_r100", "features.radii")
+
+
 def test_a_run_on_echoes_without_waveforms_and_its_threshold(tmp_path, small):
     path = config(tmp_path / "c.yaml", crs="none", extra=["train: {trees: 5}", "publish: {figure_pixels: 200}"])
     settings = ["--set", "survey.features=[zc, echo_ratio_r100]", "--set", "areas.gap=0.5"]

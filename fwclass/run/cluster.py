@@ -6,6 +6,7 @@ Data never travels through the scheduler: a task's function reads from and write
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -37,7 +38,9 @@ class Cluster:
                 got=fault,
                 do="start one with `dask scheduler`, or leave --scheduler out for a local cluster",
             ) from fault
-        self.address = str(self._client.dashboard_link)
+        self.address = self._client.scheduler.address
+        if importlib.util.find_spec("bokeh"):  # without it the scheduler serves no page
+            self.address = str(self._client.dashboard_link)
         self._batch = 0
 
     def __enter__(self) -> Cluster:

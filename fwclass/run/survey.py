@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -79,7 +80,8 @@ def _found(patterns: Iterable[str], directory: Path, setting: str, where: Path) 
     """Files that match, sorted by name; a pattern without a match is an error."""
     found: dict[Path, None] = {}
     for pattern in patterns:
-        matches = sorted(p for p in directory.glob(pattern) if p.is_file())
+        wanted = str(Path(glob.escape(str(directory))) / pattern)
+        matches = sorted(p for p in map(Path, glob.glob(wanted, recursive=True)) if p.is_file())  # noqa: PTH207
         if not matches:
             raise InputError(
                 "no file matches",

@@ -56,6 +56,19 @@ def test_lost_and_damaged_parts_are_made_again(survey, copy, finished):
     assert delivered(copy) == delivered(finished[0])
 
 
+def test_a_model_of_another_run_classifies_without_labels(survey, finished, tmp_path):
+    root = finished[0]
+    given = (f"survey.model={root / 'model'}", "survey.reference={kind: none, files: []}", "areas.train=[]")
+    road, report = walk(survey, tmp_path, *given)
+    assert not road.failures and report["accuracy"] is None
+    assert "sample" not in statuses(road) and "trees" not in statuses(road)
+    before, after = delivered(root), delivered(tmp_path)
+    assert after == {n: d for n, d in before.items() if not n.startswith("model/")}
+    (tmp_path / "bad").mkdir()
+    with pytest.raises(InputError, match="not a model"):
+        walk(survey, tmp_path / "run", f"survey.model={tmp_path / 'bad'}")
+
+
 def test_chosen_tiles_come_out_as_in_a_whole_run(survey, finished, tmp_path):
     whole = delivered(finished[0])
     key = sorted(n for n in whole if n.startswith("parquet/"))[0].split("/")[1].split(".")[0]
