@@ -12,12 +12,12 @@ import numpy as np
 from fwclass import __version__
 from fwclass.conf import Config
 from fwclass.grid import Window
-from fwclass.publish.stage import class_map, relief, render_report
+from fwclass.publish.report import render_report
 from fwclass.run.desk import Desk
 from fwclass.run.plan.layout import Layout, Survey
 from fwclass.run.road import Road, Tally
 from fwclass.run.work.tiles import mosaic
-from fwclass.store.atomic import write_json
+from fwclass.store.atomic import read_json, write_json
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
 
@@ -26,8 +26,14 @@ MAP_CELLS = 4_000_000
 
 
 def write_report(config: Config, road: Road, survey: Survey, layout: Layout, names: tuple[str, ...]) -> dict[str, Any]:
-    """Gather the figures from receipts, write `report.json` and `report.html`, return the dict."""
+    """Gather the figures from receipts, write `report.json` and `report.html`, return the dict.
+
+    Where this run made nothing new, the report of the run that did is left as it is.
+    """
     store = road.store
+    standing = _standing(config, road)
+    if standing is not None:
+        return standing
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
@@ -47,6 +53,16 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
     write_json(road.root / "report.json", report)
     render_report(report, _figures(config, store, layout, report), road.root / "report.html")
     return report
+
+
+def _standing(config: Config, road: Road) -> dict[str, Any] | None:
+    """The report that is there, if it still tells everything."""
+    path = road.root / "report.json"
+    made = any(o.status != "skipped" for o in road.outcomes.values())
+    if made or not path.exists() or not (road.root / "report.html").exists():
+        return None
+    found = read_json(path)
+    return dict(found) if found.get("config") == _plain(config.raw) and not found.get("failed") else None
 
 
 def _receipts(store: Store, stage: str, parts: Iterable[str] | None = None) -> list[Receipt]:
@@ -142,6 +158,8 @@ def _outputs(store: Store) -> dict[str, list[str]]:
 
 def _figures(config: Config, store: Store, layout: Layout, report: Mapping[str, Any]) -> dict[str, bytes]:
     """Maps of classes and terrain; none where the survey is too large to draw or its rasters failed."""
+    from fwclass.publish.figures import class_map, relief  # matplotlib is slow to load, and only a report needs it
+
     desk = Desk(store)
     terrain = Window.covering(layout.box, config.ground.cell)
     window = Window.covering(layout.box, config.publish.class_cell)

@@ -15,7 +15,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantised
 from fwclass.model import ClassDef
 from fwclass.neighbours import nearest_within
-from fwclass.publish.stage import write_tile_laz
+from fwclass.publish.laz import write_tile_laz
 from fwclass.read.source import open_source
 from fwclass.read.stage import ReadParams, check_source, index_source, read_cloud, read_span
 from fwclass.schema import Table

@@ -13,15 +13,12 @@ from pyproj import CRS
 from fwclass.errors import StoreError
 from fwclass.grid import Box, Tile, Window
 from fwclass.ground.dtm import hillshade
-from fwclass.publish.stage import (
-    PublishParams,
-    class_raster,
-    colours,
-    write_cog,
-    write_geoparquet,
-    write_strip_laz,
-    write_tile_laz,
-)
+from fwclass.publish.cog import class_raster, write_cog
+from fwclass.publish.geoparquet import write_geoparquet
+from fwclass.publish.laz import write_tile_laz
+from fwclass.publish.palette import colours
+from fwclass.publish.params import PublishParams
+from fwclass.publish.strips import write_strip_laz
 from fwclass.run.desk import Desk
 from fwclass.run.work.sources import link_table
 from fwclass.run.work.tiles import mosaic, write_rasters
