@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -78,24 +76,3 @@ def _bilinear(raster, x, y, cell, out):  # type: ignore[no-untyped-def]
             total += raster[side_r, side_c] * fx * fy
             weight += fx * fy
         out[i] = total / weight
-
-
-def hillshade(
-    dtm: NDArray[np.floating], cell: float, azimuth: float = 315.0, altitude: float = 45.0
-) -> NDArray[np.float32]:
-    """Shaded relief in 0..1 of a raster whose row 0 is in the south; NaN stays NaN.
-
-    Parameters
-    ----------
-    dtm : heights [m].
-    cell : edge of a cell [m].
-    azimuth, altitude : of the light [deg], clockwise from north and above the horizon.
-    """
-    heights = np.asarray(dtm, np.float64)
-    if min(heights.shape) < 2:
-        flat = math.sin(math.radians(altitude))
-        return np.where(np.isfinite(heights), flat, np.nan).astype(np.float32)
-    north, east = np.gradient(heights, cell)
-    a, h = math.radians(azimuth), math.radians(altitude)
-    light = math.sin(h) - math.cos(h) * (east * math.sin(a) + north * math.cos(a))
-    return np.clip(light / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0).astype(np.float32)

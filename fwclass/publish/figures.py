@@ -14,6 +14,7 @@ from fwclass.grid import Window
 from fwclass.publish.drawing import PAPER, Areas, View, draw, frame, legend, outline, png
 from fwclass.publish.palette import NO_CLASS, colours, css
 from fwclass.publish.params import PublishParams
+from fwclass.publish.shade import flat_light, hillshade
 
 TINTS = ((0.0, (112, 144, 122)), (0.35, (186, 196, 150)), (0.65, (222, 205, 160)), (1.0, (243, 238, 226)))
 """Height tints of the terrain: low green, high pale."""
@@ -89,26 +90,6 @@ def _tint(share: NDArray[np.float64]) -> NDArray[np.float64]:
     """Colour of heights that lie at `share` of the range, 0 to 255, shape (…, 3)."""
     stops = [stop for stop, _ in TINTS]
     return np.stack([np.interp(share, stops, [c[i] for _, c in TINTS]) for i in range(3)], axis=-1)
-
-
-def flat_light(params: PublishParams) -> float:
-    """Light on level ground."""
-    return math.sin(math.radians(params.sun_altitude))
-
-
-def hillshade(dtm: NDArray[np.float32], cell: float, params: PublishParams) -> NDArray[np.float32]:
-    """Light on the terrain, 0 to 1: the cosine between surface normal and sun (Horn 1981).
-
-    A cell without height is lit as flat ground is.
-    """
-    flat = flat_light(params)
-    if min(dtm.shape) < 2:
-        return np.full(dtm.shape, flat, np.float32)
-    north, east = np.gradient(dtm.astype(np.float64) * params.exaggeration, cell)
-    azimuth, altitude = math.radians(params.sun_azimuth), math.radians(params.sun_altitude)
-    sun = (math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude))
-    light = (-east * sun[0] - north * sun[1] + sun[2]) / np.sqrt(1 + east**2 + north**2)
-    return np.where(np.isfinite(light), np.clip(light, 0, 1), flat).astype(np.float32)
 
 
 def thinned(array: NDArray, window: Window, pixels: int) -> tuple[NDArray, View]:

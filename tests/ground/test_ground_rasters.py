@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from fwclass.grid import Window
-from fwclass.ground.dtm import bilinear, hillshade, lowest
+from fwclass.ground.dtm import bilinear, lowest
 from fwclass.ground.fill import filled
 from fwclass.ground.opening import opened
 from fwclass.ground.smrf import domain, gradient, low_limit, objects
@@ -135,16 +133,6 @@ def test_lowest_is_by_half_open_cell():
     z = np.array([3.0, 2.0, 5.0, -9.0, -9.0])
     np.testing.assert_array_equal(lowest(x, np.full(5, 20.5), z, w), [[2.0, 5.0]])
     assert np.isnan(lowest(x[:0], x[:0], x[:0], w)).all()
-
-
-def test_hillshade_of_flat_ground_and_of_slopes_to_and_from_the_light():
-    sine = math.sin(math.radians(45.0))
-    np.testing.assert_allclose(hillshade(np.zeros((4, 4)), 1.0), sine, atol=1e-6)
-    y, x = np.mgrid[:6, :6].astype(float)
-    # 45 degrees towards the north-west faces the light squarely
-    np.testing.assert_allclose(hillshade((x - y) / math.sqrt(2.0), 1.0), 1.0, atol=1e-6)
-    np.testing.assert_allclose(hillshade((y - x) / math.sqrt(2.0), 1.0), 0.0, atol=1e-6)
-    assert hillshade(np.zeros((1, 1)), 1.0).shape == (1, 1)
 
 
 def test_gradient_of_a_plane():

@@ -12,9 +12,10 @@ from matplotlib import image
 
 from fwclass.grid import Window
 from fwclass.publish.drawing import area_edges, round_length
-from fwclass.publish.figures import class_map, filled, hillshade, relief, thinned
+from fwclass.publish.figures import class_map, filled, relief, thinned
 from fwclass.publish.palette import BY_NAME, colours, css
 from fwclass.publish.params import PublishParams
+from fwclass.publish.shade import hillshade
 
 WINDOW = Window(1.0, 500_000, 5_400_000, 80, 60)
 NAMES = [{"name": "ground", "code": 2}, {"name": "building", "code": 6}, {"name": "cars", "code": 64}]

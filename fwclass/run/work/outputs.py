@@ -12,12 +12,12 @@ from pyproj import CRS
 
 from fwclass.errors import StoreError
 from fwclass.grid import Box, Tile, Window
-from fwclass.ground.dtm import hillshade
 from fwclass.publish.cog import class_raster, write_cog
 from fwclass.publish.geoparquet import write_geoparquet
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.palette import colours
 from fwclass.publish.params import PublishParams
+from fwclass.publish.shade import hillshade
 from fwclass.publish.strips import write_strip_laz
 from fwclass.run.desk import Desk
 from fwclass.run.work.sources import link_table
@@ -132,8 +132,7 @@ def delivered_rasters(
         nodata=float("nan"),
         tags={"what": "terrain height [m]"},
     )
-    shade = hillshade(dtm, cell)
-    tone = np.where(np.isfinite(shade), 1 + 254 * np.clip(np.nan_to_num(shade), 0, 1), 0).astype(np.uint8)
+    tone = np.where(np.isfinite(dtm), 1 + 254 * hillshade(dtm, cell, params), 0).astype(np.uint8)
     write_cog(
         tone,
         terrain,

@@ -1,0 +1,239 @@
+"""Every column of every table, declared once.
+
+The stages, the store, the LAS extra bytes, the GeoParquet metadata and the manual all read these records.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of any table.
+
+    Attributes
+    ----------
+    name : the field's standard term; neighbourhood features carry their scale, as in ``echo_ratio_r100``.
+    dtype : numpy dtype as text.
+    unit : SI or field unit; "" for counts, codes and fractions.
+    meaning : one sentence.
+    null : the value that says "no value"; None where every row has one.
+    low, high : range of valid values, or None.
+    source : paper and equation, or the format's field.
+    las : name as a LAS extra byte, or "" if the column has a field of its own in LAS or is not published.
+    """
+
+    name: str
+    dtype: str
+    unit: str
+    meaning: str
+    null: float | None = None
+    low: float | None = None
+    high: float | None = None
+    source: str = ""
+    las: str = ""
+
+
+NAN = float("nan")
+
+_DECLARED = (
+    # who an echo is; (strip, pulse, echo_number) is unique and the canonical order
+    Column("strip", "u2", "", "index of the source file in the survey's sorted list"),
+    Column("pulse", "u4", "", "index of the pulse in its strip, in order of first appearance in the file"),
+    Column("echo_number", "u1", "", "place of the echo in its pulse, 1 is nearest to the sensor", low=1),
+    Column("number_of_echoes", "u1", "", "echoes of the pulse", low=1),
+    Column("origin", "u1", "", "0 fitted to a waveform, 1 vendor return without usable packet, 2 read as an echo"),
+    # where it is
+    Column("x", "f8", "m", "easting in the survey's CRS, whole millimetres"),
+    Column("y", "f8", "m", "northing in the survey's CRS, whole millimetres"),
+    Column("z", "f8", "m", "height in the survey's CRS, whole millimetres"),
+    Column("gps_time", "f8", "s", "time of the pulse as the source gives it", null=NAN),
+    Column("beam_x", "f4", "", "unit vector from sensor to target, east", null=NAN, low=-1, high=1),
+    Column("beam_y", "f4", "", "unit vector from sensor to target, north", null=NAN, low=-1, high=1),
+    Column("beam_z", "f4", "", "unit vector from sensor to target, up (negative)", null=NAN, low=-1, high=1),
+    # what the waveform says
+    Column(
+        "amplitude",
+        "f4",
+        "DN",
+        "height of the fitted echo above the baseline",
+        null=NAN,
+        low=0,
+        las="fw amplitude",
+    ),
+    Column("width", "f4", "ns", "echo width, full width at half maximum", null=NAN, low=0, las="echo width"),
+    Column("time", "f4", "ns", "time of the echo in its waveform, from the first sample", null=NAN),
+    Column("baseline", "f4", "DN", "level of the waveform without echoes", null=NAN),
+    Column("misfit", "f4", "", "reduced chi-square of the pulse's fit", null=NAN, low=0),
+    Column(
+        "fit_flags",
+        "u1",
+        "",
+        "1 saturated, 2 overlapping, 4 poor fit, 8 at the segment's edge, 16 vendor return kept, "
+        "32 far from the vendor's returns",
+    ),
+    Column("source_class", "u1", "", "class code of the nearest return of the pulse in the source file"),
+    Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
+    # returns, as read
+    Column("return_number", "u1", "", "vendor's return number; 0 occurs in faulty files"),
+    Column("number_of_returns", "u1", "", "vendor's number of returns of the pulse"),
+    Column("location", "f4", "ns", "vendor's return location in the waveform, from the first sample", null=NAN),
+    Column("has_packet", "bool", "", "the return's waveform packet could be read"),
+    Column("vendor_amplitude", "f4", "dB", "extra byte `Amplitude` of the source", null=NAN),
+    Column("vendor_width", "f4", "ns", "extra byte `Pulse width` of the source", null=NAN),
+    # pulses, as read
+    Column("anchor_x", "f8", "m", "easting of the pulse's anchor return"),
+    Column("anchor_y", "f8", "m", "northing of the pulse's anchor return"),
+    Column("anchor_z", "f8", "m", "height of the pulse's anchor return"),
+    Column("anchor_time", "f4", "ns", "return location of the anchor return"),
+    Column(
+        "step_x",
+        "f8",
+        "m/ns",
+        "stored beam vector, east; P(t) = P_anchor + (anchor_time - t) step",
+        source="LAS 1.4 R15",
+    ),
+    Column("step_y", "f8", "m/ns", "stored beam vector, north"),
+    Column("step_z", "f8", "m/ns", "stored beam vector, up"),
+    Column("sample_spacing", "f4", "ns", "time between samples", low=0),
+    Column("saturation", "f4", "DN", "highest value that the digitiser can record"),
+    # ground
+    Column("ground", "bool", "", "the ground filter took the echo for ground"),
+    Column(
+        "height_above_ground",
+        "f4",
+        "m",
+        "z minus the terrain model under the echo",
+        null=NAN,
+        las="HeightAboveGround",
+    ),
+    # neighbourhood features; the name in the tables carries the radius
+    Column(
+        "zc",
+        "f4",
+        "m",
+        "z minus the lowest z of the 12 m x 10 m cell",
+        null=NAN,
+        low=0,
+        source="Fan 2013, 2.1",
+        las="zc",
+    ),
+    Column(
+        "inclination",
+        "f4",
+        "deg",
+        "angle between local normal and vertical",
+        null=NAN,
+        low=0,
+        high=90,
+        source="Fan 2013, 2.2",
+        las="inclination",
+    ),
+    Column(
+        "echo_ratio",
+        "f4",
+        "",
+        "echoes in the sphere / echoes in the vertical cylinder",
+        null=NAN,
+        low=0,
+        high=1,
+        source="Fan 2013, eq. 2",
+        las="echo ratio",
+    ),
+    Column(
+        "backscatter",
+        "f4",
+        "",
+        "backscatter coefficient gamma, uncalibrated unless a constant is given",
+        null=NAN,
+        low=0,
+        source="Fan 2013, eq. 3",
+        las="backscatter",
+    ),
+    Column(
+        "linearity",
+        "f4",
+        "",
+        "(l1 - l2) / l1 of the neighbourhood's covariance, l1 >= l2 >= l3",
+        null=NAN,
+        low=0,
+        high=1,
+        source="Demantke 2011",
+    ),
+    Column(
+        "planarity",
+        "f4",
+        "",
+        "(l2 - l3) / l1 of the neighbourhood's covariance",
+        null=NAN,
+        low=0,
+        high=1,
+        source="Demantke 2011",
+    ),
+    Column(
+        "sphericity",
+        "f4",
+        "",
+        "l3 / l1 of the neighbourhood's covariance",
+        null=NAN,
+        low=0,
+        high=1,
+        source="Demantke 2011",
+    ),
+    Column(
+        "roughness",
+        "f4",
+        "m",
+        "root mean square distance of the neighbours from their fitted plane",
+        null=NAN,
+        low=0,
+        source="Shi 2019, plane residual",
+    ),
+    Column(
+        "height_std",
+        "f4",
+        "m",
+        "standard deviation of z in the sphere",
+        null=NAN,
+        low=0,
+        source="Xiong 2018; Shi 2019, HV",
+    ),
+    Column(
+        "height_range",
+        "f4",
+        "m",
+        "highest minus lowest z in the sphere",
+        null=NAN,
+        low=0,
+        source="Xiong 2018",
+    ),
+    Column("height_above_lowest", "f4", "m", "z minus the lowest z in the vertical cylinder", null=NAN, low=0),
+    Column("density", "f4", "1/m2", "echoes in the vertical cylinder per area of its circle", null=NAN, low=0),
+    Column(
+        "first_share",
+        "f4",
+        "",
+        "share of first echoes, single ones included, in the sphere",
+        null=NAN,
+        low=0,
+        high=1,
+        source="Xiong 2018, EBI",
+    ),
+    Column(
+        "last_share",
+        "f4",
+        "",
+        "share of last echoes, single ones included, in the sphere",
+        null=NAN,
+        low=0,
+        high=1,
+        source="Xiong 2018, EGI",
+    ),
+    # classes
+    Column("reference", "u1", "", "reference class code; 0 is none"),
+    Column("classification", "u1", "", "class code given by the forest"),
+    Column("confidence", "f4", "", "share of the forest's votes for the class", low=0, high=1, las="confidence"),
+)
+
+COLUMNS: dict[str, Column] = {c.name: c for c in _DECLARED}
