@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from typing import Any
 import click
 
 from fwclass import __version__
-from fwclass.errors import FAILED, INTERRUPTED, PARTIAL, ConfigError, FwclassError, nearest
+from fwclass.errors import FAILED, INTERRUPTED, PARTIAL, ConfigError, FwclassError, nearest, system_error
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
@@ -43,6 +44,9 @@ def main() -> None:
         click.echo(f"fwclass: {fault}", err=True)
         sys.exit(fault.exit_code)
     except BrokenPipeError:
+        sys.exit(FAILED)
+    except OSError as fault:
+        click.echo(f"fwclass: {system_error(fault)}", err=True)
         sys.exit(FAILED)
 
 
@@ -96,6 +100,8 @@ def _run(
     if workflow not in WORKFLOWS:
         raise ConfigError("no such workflow", where="--workflow", got=workflow, do=nearest(workflow, WORKFLOWS))
     config = configuration.load(conf, settings)
+    if out is not None and str(out) in ("", "."):
+        raise ConfigError("--out is empty", where="--out", do="name a directory for this run alone")
     root = out if out is not None else Path("runs") / config.survey.name
     count = config.run.workers if workers is None else workers
     with _road(root, count, scheduler, config.run.worker_memory_gib) as road:
@@ -103,18 +109,19 @@ def _run(
         failures = road.failures
     click.echo(summary(report, root), err=True)
     if failures:
-        _tell_failures(failures, conf, root)
+        _tell_failures(failures)
         sys.exit(PARTIAL)
     if report["accuracy"]:
         judge(report["accuracy"], config.assess)
 
 
-def _tell_failures(failures: list[Any], conf: Path, root: Path) -> None:
+def _tell_failures(failures: list[Any]) -> None:
     click.echo(f"{len(failures)} parts failed; everything else is done and kept:", err=True)
     for outcome in failures:
         first = outcome.message.splitlines()[0] if outcome.message else ""
         click.echo(f"  {outcome.stage}/{outcome.part}: {first}", err=True)
-    click.echo(f"replay the missing parts alone with: fwclass run {conf} --out {root}", err=True)
+    again = shlex.join(["fwclass", *sys.argv[1:]])
+    click.echo(f"mend the cause and run the same again; only the missing parts are made: {again}", err=True)
 
 
 @cli.command()
@@ -166,7 +173,7 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | No
     pulses = sum(int(r.meta.get("pulses", 0)) for r in receipts.values())
     click.echo(f"{pulses:,} pulses in {out / 'strips'}, reference in {out / 'reference'}", err=True)
     if failures:
-        _tell_failures(failures, conf, out)
+        _tell_failures(failures)
         sys.exit(FAILED)
 
 
@@ -217,3 +224,7 @@ def assess(reference: Path, prediction: Path, codes: str | None, as_json: bool) 
 
     figures = assess_files(reference, prediction, codes)
     click.echo(json.dumps(figures, indent=1) if as_json else describe(figures))
+    matched, lost = figures["matched"], figures["unmatched"]
+    click.echo(f"{matched:,} of {matched + lost:,} reference points have a predicted point", err=True)
+    if lost > matched:
+        click.echo("WARNING: the two clouds hardly overlap; the figures stand for the small part that does", err=True)

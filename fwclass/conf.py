@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fwclass.assess.stage import AssessParams
 from fwclass.decompose.stage import DecomposeParams
@@ -57,17 +57,17 @@ class ReferenceSection(Section):
 class SurveySection(Section):
     """What is classified.
 
-    `directory` is relative to the survey's file; null: simulated into the run directory. `crs` is used only for files
-    that name none. `features`: columns the forest decides by. `model`: directory of a trained model to use instead of
-    training, or null.
+    `directory` is relative to the survey's file; null: simulated into the run directory. `crs`, if given, is used for
+    all files, whatever they name; `none` goes without. `features`: columns the forest decides by. `model`: directory
+    of a trained model to use instead of training, or null.
     """
 
-    name: str
+    name: str = Field(pattern=r"^\w[\w .-]*$")
     directory: str | None
-    sources: tuple[str, ...]
+    sources: tuple[str, ...] = Field(min_length=1)
     crs: str | None
     reference: ReferenceSection
-    features: tuple[str, ...]
+    features: tuple[str, ...] = Field(min_length=1)
     model: str | None
     classes: tuple[ClassSection, ...]
 
@@ -80,7 +80,7 @@ class AreasSection(Section):
 
     train: tuple[tuple[float, float, float, float], ...]
     test: tuple[tuple[float, float, float, float], ...]
-    gap: float
+    gap: float = Field(ge=0)
 
     def boxes(self, name: Literal["train", "test"]) -> tuple[Box, ...]:
         return tuple(Box(*b) for b in getattr(self, name))
@@ -89,8 +89,8 @@ class AreasSection(Section):
 class RunSection(Section):
     """Where it runs; never changes a result."""
 
-    workers: int
-    worker_memory_gib: float
+    workers: int = Field(ge=0)
+    worker_memory_gib: float = Field(gt=0)
 
 
 _PARAMS: dict[str, type[BaseModel]] = {
@@ -189,9 +189,9 @@ def _read(path: Path) -> dict[str, Any]:
             raise ConfigError("a configuration this large is not one", where=path, got=f"{path.stat().st_size} bytes")
         value = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)  # noqa: S506 - a SafeLoader
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as fault:
-        raise ConfigError(
-            "a configuration cannot be read", where=path, got=" ".join(str(fault).split()), do="mend the YAML there"
-        ) from fault
+        told = " ".join(str(fault).split()).replace('"<unicode string>"', path.name)
+        tabs = "indent with spaces: YAML knows no tabs" if "\\t" in told else "mend the YAML at the place named"
+        raise ConfigError("a configuration cannot be read", where=path, got=told, do=tabs) from fault
     if value is None:
         return {}
     if not isinstance(value, dict):
@@ -229,7 +229,7 @@ def load(name: str | Path, settings: tuple[str, ...] = ()) -> Config:
     raw = _merged(_read(conf_directory() / "base.yaml"), _read(path))
     for text in settings:
         raw = _merged(raw, _setting(text))
-    return build(path, raw)
+    return build(path, raw, f"{path} with --set {' --set '.join(settings)}" if settings else str(path))
 
 
 def section(name: str, settings: tuple[str, ...] = ()) -> Any:
@@ -238,22 +238,25 @@ def section(name: str, settings: tuple[str, ...] = ()) -> Any:
     raw = _read(path)
     for text in settings:
         raw = _merged(raw, _setting(text))
-    return _build(name, raw.get(name), path)
+    where = f"{path} with --set {' --set '.join(settings)}" if settings else path
+    return _build(name, raw.get(name), where)
 
 
-def build(path: Path, raw: dict[str, Any]) -> Config:
+def build(path: Path, raw: dict[str, Any], where: str = "") -> Config:
+    """A checked configuration; `where` names its origin in messages."""
+    where = where or str(path)
     for name in raw:
         if name not in _PARAMS:
-            raise ConfigError(f"unknown section {name!r}", where=path, got=name, do=nearest(str(name), _PARAMS))
-    values = {n: _build(n, raw.get(n), path) for n in _PARAMS if n != "simulate"}
+            raise ConfigError(f"unknown section {name!r}", where=where, got=name, do=nearest(str(name), _PARAMS))
+    values = {n: _build(n, raw.get(n), where) for n in _PARAMS if n != "simulate"}
     simulated = values["survey"].directory is None
-    simulate = _build("simulate", raw.get("simulate"), path) if simulated else None
+    simulate = _build("simulate", raw.get("simulate"), where) if simulated else None
     config = Config(path=path, raw=raw, simulate=simulate, **values)
     _check(config)
     return config
 
 
-def _build(name: str, value: Any, path: Path) -> Any:
+def _build(name: str, value: Any, path: object) -> Any:
     if value is None:
         raise ConfigError(f"section {name!r} is missing", where=path, do=f"add `{name}:`")
     model = _PARAMS[name]
@@ -274,7 +277,20 @@ def _explain(name: str, model: type[BaseModel], error: Any) -> str:
         return f"unknown key {key} ({nearest(str(error['loc'][-1]), fields)})" if fields else f"unknown key {key}"
     if error["type"] == "missing":
         return f"{key} is missing"
-    return f"{key}: {error['msg']} (got {error['input']!r})"
+    wanted = _WANTED.get(error["type"].split("_")[0], error["msg"])
+    return f"{key}: {wanted} (got {str(error['input'])[:80]!r})"
+
+
+_WANTED = {
+    "tuple": "a list is wanted, as in [a, b]",
+    "model": "keys with values are wanted, as in `key: value`",
+    "dict": "keys with values are wanted, as in `key: value`",
+    "string": "a text is wanted; put it in quotes if YAML takes it for something else",
+    "float": "a number is wanted",
+    "int": "a whole number is wanted",
+    "bool": "true or false is wanted",
+}
+"""What to say for pydantic's kinds of error."""
 
 
 def _check(config: Config) -> None:

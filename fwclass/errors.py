@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable
 
 DONE, FAILED, USAGE, PARTIAL, QUALITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -86,3 +87,21 @@ def nearest(word: str, known: Iterable[str]) -> str:
     names = sorted(known)
     close = difflib.get_close_matches(word, names, n=1)
     return f"did you mean {close[0]!r}?" if close else "known: " + ", ".join(names)
+
+
+def system_error(fault: OSError, where: object = "") -> FwclassError:
+    """A refusal of the operating system (no such place, no permission, disk full) in words for the user."""
+    advice = {
+        errno.ENOSPC: "free some space, then run the same command again; what is done is kept",
+        errno.EACCES: "choose a place that you may write to, or change its permissions",
+        errno.EPERM: "choose a place that you may write to, or change its permissions",
+        errno.EROFS: "choose a place that can be written to",
+        errno.ENOENT: "check the path",
+        errno.ENOTDIR: "check the path: one of its directories is a file",
+        errno.EEXIST: "check the path: there is a file where a directory is wanted",
+    }
+    return FwclassError(
+        fault.strerror or type(fault).__name__,
+        where=fault.filename or where,
+        do=advice.get(fault.errno or 0, "check the disk and the path, then run the same command again"),
+    )

@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, what goes where, and messages instead of tracebacks."""
 
 import json
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -131,7 +132,8 @@ def test_an_output_is_not_overwritten(tmp_path, small):
 def test_a_class_without_samples_ends_with_three_and_says_which(tmp_path, small):
     path = config(tmp_path / "c.yaml", crs="none")
     classes = "survey.classes=[{name: a, code: 2, codes: [2]}, {name: water, code: 9, codes: [9]}]"
-    result = fwclass("run", path, "--workers", 0, "--out", tmp_path / "r", "--set", classes, "--set", "areas.gap=0.5")
+    settings = ("--set", classes, "--set", "areas.gap=0.5", "--set", "survey.features=[zc]")
+    result = fwclass("run", path, "--workers", 0, "--out", tmp_path / "r", *settings)
     assert told(result, 3, "no training rows of class 'water'", "parts failed", "fwclass run")
     assert (tmp_path / "r" / "report.html").exists()
 
@@ -140,6 +142,64 @@ def test_a_feature_that_no_stage_writes(tmp_path, small):
     path = config(tmp_path / "c.yaml", crs="none")
     args = ("run", path, "--workers", 0, "--out", tmp_path / "r")
     assert told(fwclass(*args, "--set", "survey.features=[echo_ratio_r10]"), 2, "echo_ratio_r100", "features.radii")
+    for answer in ("source_class", "reference", "confidence", "x"):
+        assert told(fwclass(*args, "--set", f"survey.features=[{answer},zc]"), 2, f"'{answer}' is not a feature")
+    assert not (tmp_path / "r" / "store" / "index").exists()
+
+
+def test_without_waveforms_the_template_s_width_is_refused_with_what_to_set(tmp_path, small):
+    path = config(tmp_path / "c.yaml", crs="none")
+    result = fwclass("run", path, "--workers", 0, "--out", tmp_path / "r")
+    assert told(result, 2, "no echo of this survey has one", '--set "survey.features=[height_above_ground')
+
+
+def test_a_failed_run_does_not_show_an_older_run_s_figures(tmp_path, small):
+    path = config(tmp_path / "c.yaml", crs="none")
+    settings = ["--set", "survey.features=[zc, echo_ratio_r100]", "--set", "areas.gap=0.5", "--set", "train.trees=3"]
+    args = ("run", path, "--workers", 0, "--out", tmp_path / "r", *settings)
+    assert told(fwclass(*args), 0, "accuracy")
+    classes = "survey.classes=[{name: a, code: 2, codes: [2]}, {name: water, code: 9, codes: [9]}]"
+    result = fwclass(*args, "--set", classes)
+    assert told(result, 3, "no training rows of class 'water'", "survey.classes=")
+    assert "accuracy" not in result.stderr and "tiles  (" not in result.stderr
+    report = json.loads((tmp_path / "r" / "report.json").read_text())
+    assert report["accuracy"] is None and not report["outputs"]["laz"] and report["failed"]
+
+
+@pytest.mark.parametrize("place", ["file", "file/below", "/proc/nope/x"])
+def test_an_impossible_place_for_the_outputs(tmp_path, small, place):
+    (tmp_path / "file").write_text("")
+    path = config(tmp_path / "c.yaml", crs="none")
+    target = place if place.startswith("/") else tmp_path / place
+    assert told(fwclass("run", path, "--workers", 0, "--out", target), 1, "where:", "what to do:")
+    assert told(fwclass("decompose", small, f"{target}/o.laz"), 2, "does not exist")
+    assert told(fwclass("decompose", small, tmp_path / "o.las"), 2, "ends in .laz")
+
+
+def test_feet_and_the_same_file_twice(tmp_path, small):
+    path = config(tmp_path / "c.yaml", crs="EPSG:2263")
+    args = ("run", path, "--workers", 0, "--out", tmp_path / "r")
+    assert told(fwclass(*args), 1, "not in metres", "foot")
+    (tmp_path / "ab.las").write_bytes(small.read_bytes())
+    both = ("--set", "survey.sources=['*.las']", "--set", "survey.crs=none")
+    assert told(fwclass(*args, *both), 1, "the same file", "ab.las")
+
+
+def test_settings_out_of_range(tmp_path, small):
+    path = config(tmp_path / "c.yaml", crs="none")
+    for setting in ("survey.sources=[]", "areas.gap=-1", "tile.size=0.5", "survey.name=../../x", "survey.features=zc"):
+        result = fwclass("run", path, "--set", setting)
+        assert told(result, 2, setting.split("=")[0], f"--set {setting}")
+    assert told(fwclass("run", path, "--out", tmp_path / "r", "--scheduler", "rubbish"), 1, "no Dask scheduler")
+
+
+def test_a_wrong_header_does_not_hide_the_points(tmp_path, small):
+    data = bytearray(small.read_bytes())
+    struct.pack_into("<6d", data, 179, *[9e5] * 6)
+    small.write_bytes(data)
+    path = config(tmp_path / "c.yaml", crs="none")
+    settings = ["--set", "survey.features=[zc]", "--set", "areas.gap=0.5", "--set", "train.trees=3"]
+    assert told(fwclass("run", path, "--workers", 0, "--out", tmp_path / "r", *settings), 0, "accuracy")
 
 
 def test_a_run_on_echoes_without_waveforms_and_its_threshold(tmp_path, small):

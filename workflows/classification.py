@@ -9,10 +9,10 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.run.plan import forest, outputs, sources
 from fwclass.run.plan import tiles as ground
-from fwclass.run.plan.layout import Layout
+from fwclass.run.plan.layout import Layout, check_features
 from fwclass.run.report import write_report
-from fwclass.run.road import Road, ancestors, require_all
-from fwclass.run.survey import gather
+from fwclass.run.road import Road, ancestors, require_all, stop_if_nothing
+from fwclass.run.survey import check_widths, gather
 from fwclass.store.models import load_forest
 
 
@@ -22,14 +22,18 @@ def classification(config: Config, road: Road, tiles: frozenset[str] | None = No
     `tiles`: deliver only these tiles; what they need (their neighbours' echoes, the training areas) is made too, so
     that they come out as in a whole run.
     """
-    survey = gather(config, road)
     model = _given_model(config)
     names = load_forest(model[0]).features if model else config.survey.features
+    check_features(config, names, model[0] if model else f"{config.path}: survey.features")
+    survey = gather(config, road)
 
     indexed = require_all(road, sources.index_tasks(config, survey.strips))
     chunks = sources.chunk_tasks(config, survey.strips, indexed)
     splits = road.do(chunks + sources.cloud_tasks(config, survey.reference))
-    layout = Layout.of(config, road.do(sources.tile_tasks(config, splits)))
+    check_widths(config, names, splits, road.store)
+    tiled = road.do(sources.tile_tasks(config, splits))
+    stop_if_nothing(road, tiled)
+    layout = Layout.of(config, tiled)
 
     labelled = config.survey.reference.kind != "none"
     tasks = ground.surface_tasks(layout) + ground.ground_tasks(layout) + ground.feature_tasks(layout)

@@ -16,10 +16,10 @@ from fwclass.model import ClassDef, class_index
 from fwclass.schema import Table, column
 
 _MANTISSA = 7
-_LOWEST, _HIGHEST = -12, 20
+_LOWEST, _HIGHEST = -12, 40
 _SIDE = (_HIGHEST - _LOWEST) << _MANTISSA
 BINS = 2 * _SIDE + 2
-"""Bins of a histogram: negative values, 0 (below 2^-12 in size), positive values (all above 2^20 in the
+"""Bins of a histogram: negative values, 0 (below 2^-12 in size), positive values (all above 2^40 in the
 last), and at the end the rows without a value."""
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,17 +98,10 @@ def publish_packets(head: LasHead, packets: Packets, target: Path) -> tuple[str,
         return ("truncated" if packets.truncated else "extracted"), target
     if packets.sidecar is None:
         return ("missing" if head.point_format in WAVE_FORMATS else "none"), None
-    if target.exists() and target.samefile(packets.sidecar):
-        return "linked", target
-    with whole(target) as beside:
-        try:
-            os.link(packets.sidecar.resolve(), beside)
-            done = "linked"
-        except OSError:
-            shutil.copyfile(packets.sidecar, beside)
-            _compare(packets.sidecar, 0, packets.sidecar.stat().st_size, beside)
-            done = "copied"
-    return done, target
+    with whole(target) as beside:  # never a link: a delivery that is edited must not change the client's raw data
+        shutil.copyfile(packets.sidecar, beside)
+        _compare(packets.sidecar, 0, packets.sidecar.stat().st_size, beside)
+    return "copied", target
 
 
 def _compare(source: Path, start: int, length: int, copy: Path) -> None:

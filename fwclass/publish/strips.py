@@ -48,11 +48,10 @@ def write_strip_laz(
 ) -> dict[str, Any]:
     """Copy a strip as LAZ in its original point order, with `classes` in place of its classification.
 
-    All other fields, the flags beside a legacy class, the variable length records and the packet references
-    stay byte for byte; the output is read back and compared. Waveform packets go with it as an external
-    `.wdp` under the output's name: a source's own `.wdp` is hard-linked if the disk allows it, else copied,
-    internal packets are written out verbatim (offsets count from the record's header in both places). COPC
-    comes out as plain LAZ.
+    All other fields, the flags beside a legacy class, the variable length records and the packet references stay byte
+    for byte; the output is read back and compared. Waveform packets go with it as an external `.wdp` under the
+    output's name: a source's own `.wdp` is copied, internal packets are written out verbatim (offsets count from the
+    record's header in both places). COPC comes out as plain LAZ.
 
     Parameters
     ----------
@@ -64,7 +63,7 @@ def write_strip_laz(
     Returns
     -------
     dict with ``path, points, changed (points whose class differs), point_format, extra_bytes, waveforms, wdp
-    (path or None), copc (bool), notes (list of text), bytes``; waveforms is "none", "linked", "copied",
+    (path or None), copc (bool), notes (list of text), bytes``; waveforms is "none", "copied",
     "extracted", "missing" or "truncated".
 
     Raises

@@ -49,16 +49,25 @@ def check_source(source: Source, params: ReadParams) -> None:
                 counts += np.bincount(judge(source, References.of(points)), minlength=len(FAULTS))
                 if counts[0]:
                     return
-    reasons = ", ".join(f"{n} {FAULTS[i]}" for i, n in enumerate(counts) if n) or source.waves.why_not
+    reasons = ", ".join(f"{n} returns: {FAULTS[i]}" for i, n in enumerate(counts) if n) or source.waves.why_not
     wdp = source.path.with_suffix(".wdp").name
     raise InputError(
         "the file declares waveforms, but none can be read",
         where=source.path,
         expected=f"point format {source.point_format} with its waveforms in {source.waves.path or wdp}",
         got=reasons,
-        do=f"put a complete {wdp} beside it (or copy the file again), or set read.missing_packets=keep to use its "
-        f"{source.n_points} returns without waveforms",
+        do=f"{_advice(source, wdp)}, or set read.missing_packets=keep to use its {source.n_points} returns without "
+        "waveforms",
     )
+
+
+def _advice(source: Source, wdp: str) -> str:
+    """Where usable waveforms could come from."""
+    if source.waves.kind == "none":
+        return f"put {wdp} beside it"
+    if source.waves.kind == "internal":
+        return "ask for the file again: the waveforms inside it are cut off or damaged"
+    return f"ask for {wdp} and the file again: they do not fit each other, or one is damaged"
 
 
 def index_source(source: Source, params: ReadParams) -> list[Span]:

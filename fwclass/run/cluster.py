@@ -31,7 +31,7 @@ class Cluster:
                     memory_limit=f"{worker_memory_gib} GiB", host="127.0.0.1", silence_logs=40,
                 )  # fmt: skip
             self._client = Client(self._cluster or address, timeout="30s")
-        except (OSError, TimeoutError) as fault:
+        except (OSError, TimeoutError, ValueError) as fault:
             raise FwclassError(
                 "no Dask scheduler answers",
                 where=address or "local cluster",

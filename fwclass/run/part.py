@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from fwclass.errors import FwclassError
+from fwclass.errors import FwclassError, system_error
 from fwclass.run.desk import Desk
 from fwclass.store.receipts import key_of
 from fwclass.store.run_store import Store
@@ -104,6 +104,8 @@ def execute(root: Path, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome
         )
     except FwclassError as fault:
         return Outcome(*task.name, "failed", message=str(fault))
+    except OSError as fault:
+        return Outcome(*task.name, "failed", message=str(system_error(fault, root)))
     except Exception as fault:
         _log_traceback(root, task, fault)
         message = f"{type(fault).__name__}: {fault}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from fwclass.run.road import Road, Tally
 from fwclass.run.work.tiles import mosaic
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.receipts import Receipt
-from fwclass.store.run_store import Store
 
 MAP_CELLS = 4_000_000
 """A map is drawn only up to this many cells; a larger survey has the rasters."""
@@ -30,28 +29,27 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
 
     Where this run made nothing new, the report of the run that did is left as it is.
     """
-    store = road.store
     standing = _standing(config, road)
     if standing is not None:
         return standing
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
-        "input": _input(store, survey),
-        "counts": _counts(store, layout),
-        "stages": [_stage(store, name, tally) for name, tally in road.tallies.items()],
+        "input": _input(road, survey),
+        "counts": _counts(road),
+        "stages": [_stage(road, name, tally) for name, tally in road.tallies.items()],
         "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
-        "accuracy": _accuracy(store, config),
-        "training": _training(store, names),
-        "distribution": _distribution(store),
+        "accuracy": _accuracy(road, config),
+        "training": _training(road, names),
+        "distribution": _distribution(road),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
-        "outputs": _outputs(store),
+        "outputs": _outputs(road),
         "failed": [{"stage": o.stage, "part": o.part, "message": o.message} for o in road.failures],
         "config": _plain(config.raw),
         "seconds": round(max((t.ended for t in road.tallies.values()), default=0.0) - road.began, 3),
     }
     write_json(road.root / "report.json", report)
-    render_report(report, _figures(config, store, layout, report), road.root / "report.html")
+    render_report(report, _figures(config, road, layout, report), road.root / "report.html")
     return report
 
 
@@ -65,16 +63,17 @@ def _standing(config: Config, road: Road) -> dict[str, Any] | None:
     return dict(found) if found.get("config") == _plain(config.raw) and not found.get("failed") else None
 
 
-def _receipts(store: Store, stage: str, parts: Iterable[str] | None = None) -> list[Receipt]:
-    wanted = None if parts is None else set(parts)
-    return [r for r in store.receipts(stage) if wanted is None or r.part in wanted]
+def _made(road: Road, stage: str) -> list[Receipt]:
+    """Receipts of a stage's parts that are done in this run; what an earlier run left is not this run's result."""
+    parts = sorted(part for name, part in road.outcomes if name == stage and road.made(stage, part))
+    return [r for r in (road.store.receipt(stage, part) for part in parts) if r is not None]
 
 
-def _input(store: Store, survey: Survey) -> dict[str, Any]:
+def _input(road: Road, survey: Survey) -> dict[str, Any]:
     faults: Counter[str] = Counter()
-    for receipt in store.receipts("read"):
+    for receipt in _made(road, "read"):
         faults.update(receipt.meta["faults"])
-    indexed = {r.part: r.meta for r in store.receipts("index")}
+    indexed = {r.part: r.meta for r in _made(road, "index")}
     files = []
     for strip in survey.strips:
         meta = indexed.get(f"{strip.number:03d}", {})
@@ -83,21 +82,21 @@ def _input(store: Store, survey: Survey) -> dict[str, Any]:
     return {"files": files, "faults": dict(sorted(faults.items()))}
 
 
-def _counts(store: Store, layout: Layout) -> dict[str, int]:
-    reads = [r.meta for r in store.receipts("read")]
-    tiles = _receipts(store, "tile", layout.keys)
+def _counts(road: Road) -> dict[str, int]:
+    reads = [r.meta for r in _made(road, "read")]
+    tiles = _made(road, "tile")
     return {
-        "pulses": sum(r.meta["pulses"] for r in store.receipts("index")),
+        "pulses": sum(r.meta["pulses"] for r in _made(road, "index")),
         "returns": sum(m["returns"] for m in reads),
-        "returns_without_packet": sum(r.meta["kept_returns"] for r in store.receipts("decompose")),
-        "echoes_decomposed": sum(r.meta["echoes"] for r in store.receipts("decompose")),
+        "returns_without_packet": sum(r.meta["kept_returns"] for r in _made(road, "decompose")),
+        "echoes_decomposed": sum(r.meta["echoes"] for r in _made(road, "decompose")),
         "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
         "tiles": len(tiles),
     }
 
 
-def _stage(store: Store, name: str, tally: Tally) -> dict[str, Any]:
-    receipts = _receipts(store, name)
+def _stage(road: Road, name: str, tally: Tally) -> dict[str, Any]:
+    receipts = _made(road, name)
     return {
         "name": name,
         "parts": tally.parts,
@@ -110,8 +109,8 @@ def _stage(store: Store, name: str, tally: Tally) -> dict[str, Any]:
     }
 
 
-def _accuracy(store: Store, config: Config) -> dict[str, Any] | None:
-    receipt = store.receipt("assess", "all")
+def _accuracy(road: Road, config: Config) -> dict[str, Any] | None:
+    receipt = next(iter(_made(road, "assess")), None)
     if receipt is None or receipt.meta["accuracy"] is None:
         return None
     gap = config.areas.gap
@@ -119,8 +118,8 @@ def _accuracy(store: Store, config: Config) -> dict[str, Any] | None:
     return {**receipt.meta["accuracy"], "area": f"{area} further than {gap:g} m from every training area"}
 
 
-def _training(store: Store, names: tuple[str, ...]) -> dict[str, Any] | None:
-    receipt = store.receipt("train", "model")
+def _training(road: Road, names: tuple[str, ...]) -> dict[str, Any] | None:
+    receipt = next(iter(_made(road, "train")), None)
     if receipt is None:
         return None
     card = receipt.meta["card"]
@@ -131,8 +130,8 @@ def _training(store: Store, names: tuple[str, ...]) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def _distribution(store: Store) -> dict[str, Any] | None:
-    receipt = store.receipt("assess", "all")
+def _distribution(road: Road) -> dict[str, Any] | None:
+    receipt = next(iter(_made(road, "assess")), None)
     if receipt is None:
         return None
     found = receipt.meta["distribution"]
@@ -149,24 +148,24 @@ def _distribution(store: Store) -> dict[str, Any] | None:
     }
 
 
-def _outputs(store: Store) -> dict[str, list[str]]:
+def _outputs(road: Road) -> dict[str, list[str]]:
     stages = ("publish-tile", "publish-strip", "publish-rasters", "train")
-    names = [n for stage in stages for r in store.receipts(stage) for n in r.outputs]
+    names = [n for stage in stages for r in _made(road, stage) for n in r.outputs]
     kinds = {"laz": "laz/", "parquet": "parquet/", "rasters": "rasters/", "model": "model/"}
     return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
 
 
-def _figures(config: Config, store: Store, layout: Layout, report: Mapping[str, Any]) -> dict[str, bytes]:
+def _figures(config: Config, road: Road, layout: Layout, report: Mapping[str, Any]) -> dict[str, bytes]:
     """Maps of classes and terrain; none where the survey is too large to draw or its rasters failed."""
     from fwclass.publish.figures import class_map, relief  # matplotlib is slow to load, and only a report needs it
 
-    desk = Desk(store)
+    desk = Desk(road.store)
     terrain = Window.covering(layout.box, config.ground.cell)
     window = Window.covering(layout.box, config.publish.class_cell)
     if max(np.prod(terrain.shape), np.prod(window.shape)) > MAP_CELLS:
         return {}
-    surfaces = tuple(r.part for r in store.receipts("surface"))
-    blocks = tuple(r.part for r in store.receipts("class-block"))
+    surfaces = tuple(r.part for r in _made(road, "surface"))
+    blocks = tuple(r.part for r in _made(road, "class-block"))
     dtm = mosaic(desk, "surface", surfaces, terrain, ("dtm",), {"dtm": np.nan})["dtm"]
     classes = mosaic(desk, "class-block", blocks, window, ("classes",), {"classes": 0})["classes"].astype(np.uint8)
     return {
@@ -188,9 +187,8 @@ def summary(report: Mapping[str, Any], root: Path) -> str:
     counts = report["counts"]
     made, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
     balance = "all of them in tiles" if made == kept else f"{kept:,} of them in the tiles of this run"
-    rows = [
-        f"echoes      {made:,} from {counts['pulses']:,} pulses, {balance} ({counts['tiles']} tiles)",
-    ]
+    source = f"{counts['pulses']:,} pulses" if counts["pulses"] else f"{counts['returns']:,} returns"
+    rows = [f"echoes      {made:,} from {source}, {balance} ({counts['tiles']} tiles)"]
     if counts["returns_without_packet"]:
         rows.append(
             f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"
@@ -204,6 +202,8 @@ def summary(report: Mapping[str, Any], root: Path) -> str:
             + (f", kappa {kappa:.3f}" if kappa is not None else "")
             + f" on {accuracy['area']}"
         )
+    elif report["training"]:
+        rows.append("accuracy    unknown: no labelled echo lies in a test area (areas.test, areas.gap)")
     rows += [f"{kind:<11} {root / kind}  ({len(names)} files)" for kind, names in report["outputs"].items() if names]
     rows.append(f"report      {root / 'report.html'}")
     return "\n".join(rows)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from fwclass.errors import InputError
+from fwclass.errors import FwclassError, InputError
 from fwclass.run.part import Name, Outcome, Task, already_done
 from fwclass.run.progress import Display
 from fwclass.store.receipts import Receipt
@@ -102,7 +102,14 @@ class Road:
 
     @property
     def failures(self) -> list[Outcome]:
-        return [o for o in self.outcomes.values() if o.status == "failed"]
+        """Parts that failed; if none did and yet some were blocked, those."""
+        broken = [o for o in self.outcomes.values() if not o.ok]
+        return [o for o in broken if o.status == "failed"] or broken
+
+    def made(self, stage: str, part: str) -> bool:
+        """The part is done, by this run or an earlier one, from the inputs and parameters of this run."""
+        outcome = self.outcomes.get((stage, part))
+        return outcome is not None and outcome.ok
 
 
 def require_all(road: Road, tasks: Sequence[Task]) -> dict[Name, Receipt]:
@@ -113,6 +120,18 @@ def require_all(road: Road, tasks: Sequence[Task]) -> dict[Name, Receipt]:
         if not outcome.ok:
             raise InputError(f"{task.stage} of part {task.part} failed", where=road.root, got=outcome.message)
     return done
+
+
+def stop_if_nothing(road: Road, done: Mapping[Name, Receipt]) -> None:
+    """End the run with the first failure's own words if nothing at all came of it."""
+    if not done and road.failures:
+        first = road.failures[0]
+        raise FwclassError(
+            f"nothing could be made: {len(road.failures)} parts failed, first {first.stage}/{first.part}",
+            where=road.root,
+            got=first.message,
+            do="mend the cause and run the same command again; what is done is kept",
+        )
 
 
 def ancestors(tasks: Sequence[Task], wanted: Iterable[Name]) -> list[Task]:

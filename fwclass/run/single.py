@@ -25,7 +25,15 @@ SAME_POINT = 0.002
 
 
 def refuse_existing(output: Path, overwrite: bool) -> None:
-    """`ConfigError` if `output` exists and may not be replaced."""
+    """`ConfigError` if `output` is not a LAZ file that may be written."""
+    if output.suffix.lower() != ".laz":
+        raise ConfigError(
+            "the output is a LAZ file", where=output, expected="a name that ends in .laz", got=output.suffix or "none"
+        )
+    if output.exists() and not output.is_file():
+        raise ConfigError("the output is not a file", where=output, do="choose another name")
+    if not output.parent.is_dir():
+        raise ConfigError("the output's directory does not exist", where=output.parent, do="make it first")
     if output.exists() and not overwrite:
         raise ConfigError("the output exists", where=output, do="choose another name, or add --overwrite")
 
@@ -86,6 +94,9 @@ def parse_classes(text: str) -> tuple[ClassDef, ...]:
                 got=text,
             )
         classes.append(ClassDef(name.strip(), numbers[0], numbers))
+    names = [c.name for c in classes]
+    if len(set(names)) < len(names):
+        raise ConfigError("a class is listed twice", where="--map", got=text, do="list its codes together: ground=2,8")
     return tuple(classes)
 
 
@@ -113,7 +124,7 @@ def assess_files(reference: Path, prediction: Path, codes: str | None) -> dict[s
         classes = tuple(ClassDef(str(c), int(c), (int(c),)) for c in np.unique(wanted) if c)
     names = [c.name for c in classes]
     made = figures(confusion(wanted, given, classes), names, unclassified(wanted, given, classes))
-    return {**made, "unmatched": int((~known).sum())}
+    return {**made, "matched": int(known.sum()), "unmatched": int((~known).sum())}
 
 
 def _pairs(truth: Table, answer: Table, limit: float) -> NDArray[np.int64]:

@@ -14,17 +14,22 @@ from pyproj.exceptions import CRSError
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
-from fwclass.read.source import open_source
-from fwclass.read.stage import check_source
+from fwclass.read.source import Source, open_source
+from fwclass.read.stage import check_source, read_cloud
 from fwclass.run.desk import Desk
-from fwclass.run.part import Task
+from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import FileDigests, Strip, Survey
 from fwclass.run.road import Road
-from fwclass.run.work.sources import Digests
+from fwclass.run.work.sources import Digests, max_of, min_of
 from fwclass.simulate.params import SimulateParams
+from fwclass.store.receipts import Receipt
+from fwclass.store.run_store import Store
 
 SIMULATED = "survey"
 """Where a simulated survey lies below its run directory."""
+
+LOOKED_AT = 100_000
+"""Points at the start of a file that its header is held against."""
 
 STANDARD_GPS_TIME = 1
 """Bit of the global encoding of LAS: times are adjusted standard GPS time."""
@@ -114,9 +119,17 @@ def gather(config: Config, road: Road) -> Survey:
     for source in opened:
         check_source(source, config.read)
     _distinct([s.path for s in opened])
-    crs = common_crs(config, {s.path: s.crs for s in opened})
+    full = [s for s in opened if s.n_points]
+    if not full:
+        raise InputError(
+            "the source files have no points",
+            where=", ".join(str(s.path) for s in opened[:3]),
+            do="check the delivery; there is nothing to classify",
+        )
+    crs = common_crs(config, {s.path: s.crs for s in full}, road)
     strips = tuple(Strip(number, s.path, digests.of(_files_of(s)), s.point_format) for number, s in enumerate(opened))
-    box = _bounds([s.bounds for s in opened])
+    _different(strips)
+    box = _bounds([_true_bounds(s) for s in full])
     _check_areas(config, box)
     standard = all(s.header.global_encoding & STANDARD_GPS_TIME for s in opened)
     return Survey(strips, _reference(config, directory, digests, box), crs, standard)
@@ -138,19 +151,45 @@ def _distinct(paths: list[Path]) -> None:
         )
 
 
+def _different(strips: tuple[Strip, ...]) -> None:
+    """Refuse a file that is listed under two names: its echoes would count twice."""
+    seen: dict[str, Path] = {}
+    for strip in strips:
+        digest = strip.digests[0][1]
+        if digest in seen:
+            raise InputError(
+                "two source files are the same file", where=f"{seen[digest]}, {strip.path}", do="remove one of them"
+            )
+        seen[digest] = strip.path
+
+
+def _true_bounds(source: Source) -> tuple[float, ...]:
+    """The header's bounds, widened by those of the first points: some writers leave them empty or swapped."""
+    low, high = source.bounds[:3], source.bounds[3:]
+    cloud = read_cloud(source.path, 0, min(source.n_points, LOOKED_AT))
+    points = [cloud[n] for n in "xyz"]
+    wrong = any(p.min() < a - 1.0 or p.max() > b + 1.0 for p, a, b in zip(points, low, high, strict=True))
+    if not wrong:
+        return source.bounds
+    cloud = read_cloud(source.path)
+    return tuple(float(f(cloud[n])) for f in (min_of, max_of) for n in "xyz")
+
+
 def _bounds(bounds: Iterable[tuple[float, ...]]) -> Box:
     rows = list(bounds)
     return Box(min(b[0] for b in rows), min(b[1] for b in rows), max(b[3] for b in rows), max(b[4] for b in rows))
 
 
-def common_crs(config: Config, found: Mapping[Path, CRS | None]) -> str | None:
-    """The survey's CRS as text (WKT), None where the configuration says `none`."""
+def common_crs(config: Config, found: Mapping[Path, CRS | None], road: Road) -> str | None:
+    """The survey's CRS as text (WKT), None where the configuration says `none`; what the user names wins."""
     given = _given(config.survey.crs)
     if config.survey.crs is not None and given is None:
         return None
     systems: dict[str, Path] = {}
     for path, crs in found.items():
-        crs = crs or given
+        if given is not None and crs is not None and not crs.equals(given, ignore_axis_order=True):
+            road.display.say(f"note: survey.crs ({given.name}) is used for {path.name}, which names {crs.name}")
+        crs = given or crs
         if crs is None:
             raise InputError(
                 "the coordinate system is unknown",
@@ -166,6 +205,15 @@ def common_crs(config: Config, found: Mapping[Path, CRS | None]) -> str | None:
                 expected="a projected CRS in metres: every distance here is one",
                 got=crs.name,
                 do="reproject the files (for example with PDAL's filters.reprojection) and run again",
+            )
+        units = sorted({a.unit_name for a in crs.axis_info if a.unit_name not in ("metre", "meter")})
+        if units:
+            raise InputError(
+                "the coordinates are not in metres",
+                where=path,
+                expected="a projected CRS with x, y and z in metres: every distance here is one",
+                got=f"{crs.name}, in {', '.join(units)}",
+                do="convert the files (for example with PDAL's filters.reprojection) and run again",
             )
         systems.setdefault(crs.to_wkt(), path)
     if len(systems) > 1:
@@ -201,7 +249,7 @@ def _check_areas(config: Config, box: Box) -> None:
                 where=f"{config.path}: areas.{kind}",
                 expected=f"boxes that touch {_text(box)}",
                 got=", ".join(_text(b) for b in boxes),
-                do="give the boxes in the survey's coordinates",
+                do="give the boxes in the survey's coordinates; `fwclass info` shows the files' bounds",
             )
 
 
@@ -226,3 +274,19 @@ def _reference(
             do="check survey.reference.files and the files' coordinate systems",
         )
     return tuple((s.path, digests.of([s.path]), s.n_points) for s in opened)
+
+
+def check_widths(config: Config, names: tuple[str, ...], splits: Mapping[Name, Receipt], store: Store) -> None:
+    """`ConfigError` early if the forest is to decide by echo widths and no source has any."""
+    chunks = [store.receipt("decompose", part) for stage, part in splits if stage == "split"]
+    echoes = sum(int(r.meta["echoes"]) for r in chunks if r)
+    without = sum(int(r.meta["without_width"]) for r in chunks if r)
+    if "width" in names and echoes and echoes == without:
+        others = ", ".join(n for n in names if n != "width")
+        raise ConfigError(
+            "the forest is to decide by 'width', and no echo of this survey has one",
+            where=f"{config.path}: survey.features",
+            expected="waveforms, or an extra byte `Pulse width`",
+            got=f"{echoes} echoes without a width",
+            do=f'--set "survey.features=[{others}]"',
+        )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from fwclass.errors import InputError
 from fwclass.grid import TileGrid, millimetres
@@ -17,9 +18,9 @@ MORTON_CELL = 2_000
 
 
 class TileParams(Params):
-    """`size`: edge of a tile [m]. It never changes a result, only what one part holds."""
+    """`size`: edge of a tile [m], at least 5. It never changes a result, only what one part holds."""
 
-    size: float
+    size: float = Field(ge=5.0)
 
 
 @dataclass(frozen=True)

@@ -153,7 +153,7 @@ def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
                 f"feature {name!r} has no value in any training row",
                 where="training areas",
                 got=f"{sample.rows} rows without value",
-                do=f"take {name!r} out of the features, or see why the stage that computes it found nothing",
+                do=f"take {name!r} out of survey.features, or see why the stage that computes it found nothing",
             )
         if known.min() == known.max():
             notes.append(f"feature {name!r} is {known[0]:g} in every training row that has it")

@@ -116,7 +116,7 @@ def test_missing_wdp(tmp_path, params):
     truth.path.with_suffix(".wdp").unlink()
     source = open_source(truth.path)
     assert source.waves.kind == "none" and any("put a.wdp beside a.las" in f for f in source.faults)
-    with pytest.raises(InputError, match=r"put a complete a\.wdp beside it"):
+    with pytest.raises(InputError, match=r"put a\.wdp beside it"):
         check_source(source, params)
     check_source(source, params.model_copy(update={"missing_packets": "keep"}))
     waves = read(truth.path, params)
@@ -226,7 +226,7 @@ def test_empty_file_of_points(tmp_path):
 def test_truncated_leica_file(shared_data, params):
     path = shared_data / "waveform" / "leica_truncated_internal.las"
     source = open_source(path)
-    with pytest.raises(InputError, match="999 packet past the end"):
+    with pytest.raises(InputError, match="999 returns: packet past the end"):
         check_source(source, params)
     waves = read(path, params)
     assert waves.returns.rows == 999 and waves.faults == {"packet past the end": 999}

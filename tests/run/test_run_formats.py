@@ -132,7 +132,7 @@ def test_a_file_without_points_beside_a_good_one(tmp_path):
     (tmp_path / "b.wdp").write_bytes((tmp_path / "a.wdp").read_bytes())
     report = run(tmp_path, "'*.las'")
     assert [f["points"] for f in report["input"]["files"]] == [report["counts"]["returns"], 0]
-    with pytest.raises(InputError, match="no echo to classify"):
+    with pytest.raises(InputError, match="no points"):
         run(tmp_path, "b.las")
 
 

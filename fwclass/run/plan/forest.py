@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fwclass.classify.stage import CLASSIFY
 from fwclass.run.part import Name, Task
-from fwclass.run.plan.layout import Layout, needs_of, plain, plain_classes
+from fwclass.run.plan.layout import Layout, needs_of, plain, plain_classes, providers
 from fwclass.run.work import forest
 from fwclass.store.atomic import digest_of, file_digest, files_below
 from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, TRAIN_TREES
@@ -82,7 +82,7 @@ FAN_2013 = ("zc", "echo_number", "amplitude", "echo_ratio", "backscatter", "incl
 
 def described(layout: Layout, names: tuple[str, ...]) -> tuple[str, ...]:
     """The forest's features, then those of the paper's seven that the forest leaves out, at every radius."""
-    others = [n for n in layout.providers() if re.sub(r"_r\d+$", "", n) in FAN_2013]
+    others = [n for n in providers(layout.config) if re.sub(r"_r\d+$", "", n) in FAN_2013]
     return tuple(dict.fromkeys((*names, *others)))
 
 

@@ -16,6 +16,9 @@ from fwclass.ground.stage import GROUND
 from fwclass.run.part import Name
 from fwclass.store.receipts import Receipt
 
+NO_FEATURE = ("strip", "pulse", "source_class", "origin", "gps_time", "x", "y", "z")
+"""Columns that no forest may decide by: they name an echo, its place, or the class that it came with."""
+
 FileDigests = tuple[tuple[str, str], ...]
 """(file name, digest of its bytes)."""
 
@@ -87,27 +90,31 @@ class Layout:
         return tuple(t.key for t in TileGrid(self.config.tile.size).touching(box) if t.key in here)
 
     def columns(self, names: Iterable[str]) -> dict[str, str]:
-        """The stage whose tables hold each of `names`, or a `ConfigError` for one that no stage writes."""
-        known = self.providers()
-        for name in names:
-            if name not in known:
-                raise ConfigError(
-                    f"no stage writes the column {name!r}",
-                    where=f"{self.config.path}: survey.features",
-                    expected="a column, or a feature at a radius of features.radii",
-                    got=name,
-                    do=nearest(name, known),
-                )
+        """The stage whose tables hold each of `names`."""
+        known = providers(self.config)
         return {n: known[n] for n in names}
 
-    def providers(self) -> dict[str, str]:
-        """Which stage's tables hold each column that the forest or the outputs may ask for."""
-        config = self.config
-        found = dict.fromkeys(DECOMPOSE.writes, "tile")
-        found |= dict.fromkeys(GROUND.writes, "ground")
-        found |= dict.fromkeys(feature_names(config.features), "features")
-        found |= {"reference": "label", "classification": "classify", "confidence": "classify"}
-        return found
+
+def providers(config: Config) -> dict[str, str]:
+    """Which stage's tables hold each column that the forest or the outputs may ask for."""
+    found = dict.fromkeys(DECOMPOSE.writes, "tile")
+    found |= dict.fromkeys(GROUND.writes, "ground")
+    found |= dict.fromkeys(feature_names(config.features), "features")
+    return found | {"reference": "label", "classification": "classify", "confidence": "classify"}
+
+
+def check_features(config: Config, names: Iterable[str], where: object) -> None:
+    """`ConfigError` for a feature that no stage writes, or that would tell the forest the answer or the place."""
+    known = {n: s for n, s in providers(config).items() if n not in NO_FEATURE and s not in ("label", "classify")}
+    for name in names:
+        if name not in known:
+            raise ConfigError(
+                f"{name!r} is not a feature",
+                where=where,
+                expected="a measured column, or a feature at a radius of features.radii",
+                got=name,
+                do=nearest(name, known),
+            )
 
 
 def plain(params: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from fwclass.errors import StoreError
+from fwclass.errors import InputError, StoreError
 from fwclass.grid import Box, Tile, Window
 from fwclass.publish.cog import class_raster, write_cog
 from fwclass.publish.geoparquet import write_geoparquet
@@ -25,6 +26,8 @@ from fwclass.run.work.tiles import mosaic, write_rasters
 from fwclass.schema import Table
 
 _ECHO_BITS = 8
+MAX_CELLS = 1 << 29
+"""Cells of a survey-wide raster; one array of them has 2 GiB."""
 
 
 def crs_of(text: str | None) -> CRS | None:
@@ -121,6 +124,15 @@ def delivered_rasters(
     target = directory / "rasters"
     target.mkdir(parents=True)
     terrain = Window.covering(box, cell)
+    if max(math.prod(terrain.shape), math.prod(Window.covering(box, params.class_cell).shape)) > MAX_CELLS:
+        raise InputError(
+            "the survey's rasters would be too large",
+            where="rasters",
+            expected=f"at most {MAX_CELLS:,} cells",
+            got=f"{terrain.shape[1]:,} x {terrain.shape[0]:,} cells of {cell:g} m from {box.bounds}",
+            do="look for stray points with `fwclass info` and remove them, or choose larger ground.cell and "
+            "publish.class_cell",
+        )
     dtm = mosaic(desk, "surface", blocks, terrain, ("dtm",), {"dtm": np.nan})["dtm"]
     system = crs_of(crs)
     write_cog(

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fwclass.decompose.stage import DecomposeParams, decompose
 from fwclass.grid import TileGrid, quantised
 from fwclass.read.source import open_source
@@ -52,7 +54,7 @@ def index(path: Path, params: ReadParams, desk: Desk, directory: Path) -> dict[s
     return {
         "spans": [[s.first_point, s.last_point, s.first_pulse, s.n_pulses, list(s.shared)] for s in spans],
         "points": source.n_points,
-        "pulses": sum(s.n_pulses for s in spans),
+        "pulses": sum(s.n_pulses for s in spans) if source.has_waves else 0,
         "point_format": source.point_format,
     }
 
@@ -90,6 +92,7 @@ def decomposed(part: str, strip: int, params: DecomposeParams, desk: Desk, direc
         "fitted": int((origin == 0).sum()),
         "kept_returns": int((origin == 1).sum()),
         "read_as_echoes": int((origin == 2).sum()),
+        "without_width": int(np.isnan(echoes["width"]).sum()),
     }
 
 
