@@ -206,7 +206,7 @@ def common_crs(config: Config, found: Mapping[Path, CRS | None], road: Road) -> 
                 got=crs.name,
                 do="reproject the files (for example with PDAL's filters.reprojection) and run again",
             )
-        units = sorted({a.unit_name for a in crs.axis_info if a.unit_name not in ("metre", "meter")})
+        units = sorted({a.unit_name for a in crs.axis_info if abs(a.unit_conversion_factor - 1.0) > 1e-9})
         if units:
             raise InputError(
                 "the coordinates are not in metres",
