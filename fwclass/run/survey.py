@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
@@ -20,7 +21,7 @@ from fwclass.run.desk import Desk
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import FileDigests, Strip, Survey
 from fwclass.run.road import Road
-from fwclass.run.work.sources import Digests, max_of, min_of
+from fwclass.run.work.sources import CLOUD_ROWS, Digests, max_of, min_of
 from fwclass.simulate.params import SimulateParams
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
@@ -164,15 +165,19 @@ def _different(strips: tuple[Strip, ...]) -> None:
 
 
 def _true_bounds(source: Source) -> tuple[float, ...]:
-    """The header's bounds, widened by those of the first points: some writers leave them empty or swapped."""
+    """The header's bounds, or the points' own where the first points disagree: some writers leave them empty."""
     low, high = source.bounds[:3], source.bounds[3:]
     cloud = read_cloud(source.path, 0, min(source.n_points, LOOKED_AT))
     points = [cloud[n] for n in "xyz"]
     wrong = any(p.min() < a - 1.0 or p.max() > b + 1.0 for p, a, b in zip(points, low, high, strict=True))
     if not wrong:
         return source.bounds
-    cloud = read_cloud(source.path)
-    return tuple(float(f(cloud[n])) for f in (min_of, max_of) for n in "xyz")
+    least, most = np.full(3, np.inf), np.full(3, -np.inf)
+    for first in range(0, source.n_points, CLOUD_ROWS):
+        cloud = read_cloud(source.path, first, min(source.n_points, first + CLOUD_ROWS))
+        least = np.minimum(least, [min_of(cloud[n]) for n in "xyz"])
+        most = np.maximum(most, [max_of(cloud[n]) for n in "xyz"])
+    return (*least.tolist(), *most.tolist())
 
 
 def _bounds(bounds: Iterable[tuple[float, ...]]) -> Box:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.features.stage import FeaturesParams, features
-from fwclass.grid import Tile, TileGrid, Window
+from fwclass.grid import Tile, Window
 from fwclass.ground.stage import GroundParams, ground, surface
 from fwclass.label.stage import LabelParams, from_cloud, from_source
 from fwclass.run.desk import TABLE, Desk
@@ -120,7 +120,3 @@ def _write_labels(table: Table, directory: Path) -> dict[str, Any]:
     write_table(directory / TABLE, table)
     codes, counts = np.unique(table["reference"], return_counts=True)
     return {"codes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}}
-
-
-def tile_of(key: str, size: float) -> Tile:
-    return TileGrid(size).tile(key)
