@@ -177,11 +177,52 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | No
         sys.exit(FAILED)
 
 
+def _numbers(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[int, ...]:
+    """``3,17`` as numbers."""
+    try:
+        return tuple(int(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no list of whole numbers like 3,17,200") from None
+
+
 @cli.command()
 @click.argument("files", nargs=-1, required=True, type=_path)
+@click.option("--waveforms", is_flag=True, help="Fit the waveforms of one file, and draw some of its pulses.")
+@click.option("--pulse", "pulses", metavar="N,N,…", callback=_numbers, help="With --waveforms: these, from 0.")
+@click.option("--out", type=_path, help="With --waveforms: the picture (default: <file>-waveforms.png, here).")
+@_set
+@_overwrite
 @_json
-def info(files: tuple[Path, ...], as_json: bool) -> None:
-    """What files hold: formats, packets, descriptors, CRS, classes, and what is wrong with them."""
+def info(
+    files: tuple[Path, ...], waveforms: bool, pulses: tuple[int, ...], out: Path | None, settings: tuple[str, ...],
+    overwrite: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """What files hold: formats, packets, descriptors, CRS, classes, and what is wrong with them.
+
+    With --waveforms: chosen pulses of one file with their fitted echoes, and the echoes that its vendor's returns miss.
+    """
+    if waveforms:
+        _info_waveforms(files, pulses, settings, out, overwrite, as_json)
+    elif pulses or settings or overwrite or out is not None:
+        raise click.UsageError("--pulse, --out, --set and --overwrite belong to --waveforms")
+    else:
+        _info_facts(files, as_json)
+
+
+def _info_waveforms(
+    files: tuple[Path, ...], pulses: tuple[int, ...], settings: tuple[str, ...], out: Path | None, overwrite: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    from fwclass.run.waveforms_text import describe
+    from fwclass.run.waveforms_view import look
+
+    if len(files) > 1:
+        raise click.UsageError("--waveforms takes one file")
+    found = look(files[0], pulses, settings, out, overwrite)
+    click.echo(json.dumps(found, indent=1) if as_json else describe(found))
+
+
+def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
     from fwclass.read.info import describe
     from fwclass.read.info import info as facts_of
 
@@ -203,13 +244,14 @@ def info(files: tuple[Path, ...], as_json: bool) -> None:
 @cli.command()
 @click.argument("source", type=_path)
 @click.argument("output", type=_path)
+@click.option("--trajectory", type=_path, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
 @_set
 @_overwrite
-def decompose(source: Path, output: Path, settings: tuple[str, ...], overwrite: bool) -> None:
+def decompose(source: Path, output: Path, trajectory: Path | None, settings: tuple[str, ...], overwrite: bool) -> None:
     """One file: waveforms to echoes with extra bytes (LAZ)."""
-    from fwclass.run.single import decompose_file
+    from fwclass.run.decompose_file import decompose_file
 
-    click.echo(decompose_file(source, output, settings, overwrite), err=True)
+    click.echo(decompose_file(source, output, settings, overwrite, trajectory), err=True)
 
 
 @cli.command()
@@ -220,7 +262,7 @@ def decompose(source: Path, output: Path, settings: tuple[str, ...], overwrite: 
 def assess(reference: Path, prediction: Path, codes: str | None, as_json: bool) -> None:
     """Confusion matrix and figures of a classified cloud against a reference cloud."""
     from fwclass.assess.stage import describe
-    from fwclass.run.single import assess_files
+    from fwclass.run.assess_files import assess_files
 
     figures = assess_files(reference, prediction, codes)
     click.echo(json.dumps(figures, indent=1) if as_json else describe(figures))

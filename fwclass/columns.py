@@ -22,6 +22,9 @@ class Column:
     low, high : range of valid values, or None.
     source : paper and equation, or the format's field.
     las : name as a LAS extra byte, or "" if the column has a field of its own in LAS or is not published.
+    las_dtype, las_scale : how the extra byte stores it: value = scale x stored number; "" stores `dtype` itself.
+        Where `null` is NaN and the stored type is whole, the lowest number (signed) or the highest (unsigned) stands
+        for "no value" and is declared as the extra byte's no-data value.
     """
 
     name: str
@@ -33,6 +36,8 @@ class Column:
     high: float | None = None
     source: str = ""
     las: str = ""
+    las_dtype: str = ""
+    las_scale: float = 1.0
 
 
 NAN = float("nan")
@@ -60,11 +65,53 @@ _DECLARED = (
         "height of the fitted echo above the baseline",
         null=NAN,
         low=0,
-        las="fw amplitude",
+        las="amplitude DN",
+    ),
+    Column(
+        "amplitude_db",
+        "f4",
+        "dB",
+        "10 log10 of amplitude over the strip's detection limit; vendor's value where read",
+        null=NAN,
+        source="RIEGL extra byte `Amplitude`",
+        las="Amplitude",
+        las_dtype="i2",
+        las_scale=0.01,
     ),
     Column("width", "f4", "ns", "echo width, full width at half maximum", null=NAN, low=0, las="echo width"),
-    Column("time", "f4", "ns", "time of the echo in its waveform, from the first sample", null=NAN),
+    Column(
+        "time",
+        "f4",
+        "ns",
+        "time of the echo in its waveform, from the first sample of the pulse's first segment",
+        null=NAN,
+    ),
+    Column("energy", "f4", "DN ns", "area under the fitted echo", null=NAN, low=0, las="echo energy"),
+    Column("amplitude_sigma", "f4", "DN", "standard error of amplitude, from the fit's covariance", null=NAN, low=0),
+    Column("width_sigma", "f4", "ns", "standard error of width, from the fit's covariance", null=NAN, low=0),
+    Column(
+        "range_sigma",
+        "f4",
+        "m",
+        "standard error of the echo's place along the beam, from the fit's covariance",
+        null=NAN,
+        low=0,
+        las="range sigma",
+    ),
+    Column(
+        "deviation",
+        "f4",
+        "",
+        "1000 x root mean square residual around the echo over its amplitude; 0 is the system's pulse",
+        null=NAN,
+        low=0,
+        source="RIEGL extra byte `Deviation`",
+        las="Deviation",
+        las_dtype="u2",
+    ),
+    Column("beam_range", "f4", "m", "distance from the sensor, where the source gives its place", null=NAN, low=0),
     Column("baseline", "f4", "DN", "level of the waveform without echoes", null=NAN),
+    Column("noise", "f4", "DN", "standard deviation of the waveform's noise", null=NAN, low=0),
     Column("misfit", "f4", "", "reduced chi-square of the pulse's fit", null=NAN, low=0),
     Column(
         "fit_flags",
@@ -72,16 +119,20 @@ _DECLARED = (
         "",
         "1 saturated, 2 overlapping, 4 poor fit, 8 at the segment's edge, 16 vendor return kept, "
         "32 far from the vendor's returns",
+        las="fit flags",
     ),
     Column("source_class", "u1", "", "class code of the nearest return of the pulse in the source file"),
     Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
     # returns, as read
     Column("return_number", "u1", "", "vendor's return number; 0 occurs in faulty files"),
     Column("number_of_returns", "u1", "", "vendor's number of returns of the pulse"),
-    Column("location", "f4", "ns", "vendor's return location in the waveform, from the first sample", null=NAN),
+    Column(
+        "location", "f4", "ns", "vendor's return location, from the first sample of the pulse's first segment", null=NAN
+    ),
     Column("has_packet", "bool", "", "the return's waveform packet could be read"),
     Column("vendor_amplitude", "f4", "dB", "extra byte `Amplitude` of the source", null=NAN),
     Column("vendor_width", "f4", "ns", "extra byte `Pulse width` of the source", null=NAN),
+    Column("vendor_deviation", "f4", "", "extra byte `Deviation` of the source", null=NAN),
     # pulses, as read
     Column("anchor_x", "f8", "m", "easting of the pulse's anchor return"),
     Column("anchor_y", "f8", "m", "northing of the pulse's anchor return"),
@@ -96,6 +147,17 @@ _DECLARED = (
     ),
     Column("step_y", "f8", "m/ns", "stored beam vector, north"),
     Column("step_z", "f8", "m/ns", "stored beam vector, up"),
+    Column(
+        "segment_start", "f4", "ns", "first sample of the segment after the first sample of the pulse's first segment"
+    ),
+    Column("anchor_range", "f8", "m", "distance from the sensor to the anchor, where the source gives it", null=NAN),
+    Column(
+        "outgoing_start",
+        "f4",
+        "ns",
+        "first sample of the recorded outgoing pulse after the pulse's time origin",
+        null=NAN,
+    ),
     Column("sample_spacing", "f4", "ns", "time between samples", low=0),
     Column("saturation", "f4", "DN", "highest value that the digitiser can record"),
     # ground
@@ -140,16 +202,6 @@ _DECLARED = (
         high=1,
         source="Fan 2013, eq. 2",
         las="echo ratio",
-    ),
-    Column(
-        "backscatter",
-        "f4",
-        "",
-        "backscatter coefficient gamma, uncalibrated unless a constant is given",
-        null=NAN,
-        low=0,
-        source="Fan 2013, eq. 3",
-        las="backscatter",
     ),
     Column(
         "linearity",
@@ -229,6 +281,60 @@ _DECLARED = (
         low=0,
         high=1,
         source="Xiong 2018, EGI",
+    ),
+    # the local surface, for radiometry
+    Column("normal_x", "f4", "", "upward unit normal of the neighbourhood, east", null=NAN, low=-1, high=1),
+    Column("normal_y", "f4", "", "upward unit normal of the neighbourhood, north", null=NAN, low=-1, high=1),
+    Column("normal_z", "f4", "", "upward unit normal of the neighbourhood, up", null=NAN, low=0, high=1),
+    # radiometry
+    Column("range", "f4", "m", "distance from the sensor to the echo", null=NAN, low=0, las="range"),
+    Column(
+        "incidence",
+        "f4",
+        "deg",
+        "angle between the beam and the local normal",
+        null=NAN,
+        low=0,
+        high=90,
+        las="incidence angle",
+    ),
+    Column(
+        "cross_section",
+        "f4",
+        "m2",
+        "backscatter cross-section sigma of the echo",
+        null=NAN,
+        low=0,
+        source="Wagner 2006, eq. 9; Wagner 2008",
+        las="cross section",
+    ),
+    Column(
+        "backscatter",
+        "f4",
+        "",
+        "backscatter coefficient gamma = sigma / (A_i cos(incidence)); relative where no target calibrates it",
+        null=NAN,
+        low=0,
+        source="Fan 2013, eq. 3; Wagner 2008",
+        las="backscatter",
+    ),
+    Column(
+        "reflectance",
+        "f4",
+        "dB",
+        "10 log10 of the cross-section over that of a white matt surface that faces the beam",
+        null=NAN,
+        source="RIEGL extra byte `Reflectance`",
+        las="Reflectance",
+        las_dtype="i2",
+        las_scale=0.01,
+    ),
+    Column(
+        "radiometry_flags",
+        "u1",
+        "",
+        "1 one of several echoes, 2 no range, 4 no normal, 8 incidence clipped, 16 saturated, 32 uncalibrated",
+        las="radiometry flags",
     ),
     # classes
     Column("reference", "u1", "", "reference class code; 0 is none"),

@@ -15,7 +15,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fwclass.assess.stage import AssessParams
-from fwclass.decompose.stage import DecomposeParams
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.pulse_sample import PulseParams
 from fwclass.errors import ConfigError, nearest
 from fwclass.features.stage import FeaturesParams
 from fwclass.grid import Box
@@ -23,6 +24,7 @@ from fwclass.ground.stage import GroundParams
 from fwclass.label.stage import LabelParams
 from fwclass.model import ClassDef
 from fwclass.publish.params import PublishParams
+from fwclass.radiometry.params import RadiometryParams
 from fwclass.read.stage import ReadParams
 from fwclass.simulate.params import SimulateParams
 from fwclass.tile.stage import TileParams
@@ -67,9 +69,18 @@ class SurveySection(Section):
     sources: tuple[str, ...] = Field(min_length=1)
     crs: str | None
     reference: ReferenceSection
+    trajectory: TrajectorySection
     features: tuple[str, ...] = Field(min_length=1)
     model: str | None
     classes: tuple[ClassSection, ...]
+
+
+class TrajectorySection(Section):
+    """Where the sensor flew: files (text or SBET), and the height of the survey's zero above the ellipsoid [m], taken
+    from their heights."""
+
+    files: tuple[str, ...]
+    undulation: float
 
 
 class AreasSection(Section):
@@ -99,11 +110,13 @@ _PARAMS: dict[str, type[BaseModel]] = {
     "run": RunSection,
     "simulate": SimulateParams,
     "read": ReadParams,
+    "pulse": PulseParams,
     "decompose": DecomposeParams,
     "tile": TileParams,
     "label": LabelParams,
     "ground": GroundParams,
     "features": FeaturesParams,
+    "radiometry": RadiometryParams,
     "train": TrainParams,
     "assess": AssessParams,
     "publish": PublishParams,
@@ -121,11 +134,13 @@ class Config:
     run: RunSection
     simulate: SimulateParams | None
     read: ReadParams
+    pulse: PulseParams
     decompose: DecomposeParams
     tile: TileParams
     label: LabelParams
     ground: GroundParams
     features: FeaturesParams
+    radiometry: RadiometryParams
     train: TrainParams
     assess: AssessParams
     publish: PublishParams

@@ -12,11 +12,11 @@ from fwclass.schema import Table
 
 PULSE_COLUMNS = (
     "pulse", "gps_time", "anchor_x", "anchor_y", "anchor_z", "anchor_time", "step_x", "step_y", "step_z",
-    "sample_spacing", "saturation",
+    "segment_start", "anchor_range", "outgoing_start", "sample_spacing", "saturation",
 )  # fmt: skip
 RETURN_COLUMNS = (
     "pulse", "return_number", "number_of_returns", "x", "y", "z", "gps_time", "intensity", "source_class",
-    "location", "has_packet", "vendor_amplitude", "vendor_width",
+    "location", "has_packet", "vendor_amplitude", "vendor_width", "vendor_deviation",
 )  # fmt: skip
 
 
@@ -26,11 +26,14 @@ class Waveforms:
 
     Attributes
     ----------
-    pulses : one row per pulse **that has a usable packet**, `PULSE_COLUMNS`, by ascending `pulse`.
+    pulses : one row per **segment** of a pulse that has a usable packet, `PULSE_COLUMNS`, by ascending `pulse`,
+        then `segment_start`. Segments that continue each other without a gap are one row; most pulses have one.
     returns : one row per point of the file, in file order, `RETURN_COLUMNS`. `pulse` counts every pulse of the strip,
         with or without packet; in files without packets every return is a pulse of its own, and its `location` is NaN.
     samples : all samples one after the other [DN], uint8 or uint16.
     offsets : int64, shape (pulses + 1,); waveform i is ``samples[offsets[i]:offsets[i + 1]]``.
+    outgoing, outgoing_offsets : the same for the recorded outgoing pulses; a row without one is empty, and its
+        `outgoing_start` is NaN. The outgoing pulse has the row's sample spacing and saturation.
     faults : counts of bad data met, by name, for example ``{"packet past the end": 3}``.
     """
 
@@ -39,7 +42,13 @@ class Waveforms:
     samples: NDArray[np.uint8] | NDArray[np.uint16]
     offsets: NDArray[np.int64]
     faults: Mapping[str, int] = field(default_factory=dict)
+    outgoing: NDArray[np.uint8] | NDArray[np.uint16] = field(default_factory=lambda: np.empty(0, np.uint8))
+    outgoing_offsets: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __post_init__(self) -> None:
+        if len(self.outgoing_offsets) == 0:
+            object.__setattr__(self, "outgoing_offsets", np.zeros(self.pulses.rows + 1, np.int64))
         if len(self.offsets) != self.pulses.rows + 1 or (len(self.offsets) and self.offsets[-1] > len(self.samples)):
             raise ValueError("offsets do not fit pulses and samples")
+        if len(self.outgoing_offsets) != self.pulses.rows + 1 or self.outgoing_offsets[-1] > len(self.outgoing):
+            raise ValueError("outgoing_offsets do not fit pulses and outgoing")

@@ -10,6 +10,7 @@ from fwclass.errors import ConfigError
 from fwclass.run.plan import forest, outputs, sources
 from fwclass.run.plan import tiles as ground
 from fwclass.run.plan.layout import Layout, check_features
+from fwclass.run.plan.radiometry import radiometry_tasks
 from fwclass.run.report import write_report
 from fwclass.run.road import Road, ancestors, require_all, stop_if_nothing
 from fwclass.run.survey import check_widths, gather
@@ -37,6 +38,7 @@ def classification(config: Config, road: Road, tiles: frozenset[str] | None = No
 
     labelled = config.survey.reference.kind != "none"
     tasks = ground.surface_tasks(layout) + ground.ground_tasks(layout) + ground.feature_tasks(layout)
+    tasks += radiometry_tasks(layout, survey)
     tasks += ground.label_tasks(layout) if labelled else []
     tasks += [] if model else forest.training_tasks(layout)
     tasks += forest.classify_tasks(layout, names, model)

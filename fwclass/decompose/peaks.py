@@ -1,102 +1,124 @@
-"""Level, noise and peaks of one waveform, before any fit. All per pulse, so that chunks cannot matter."""
+"""Level, noise and peaks of one waveform, before any fit. All per waveform, so that chunks cannot matter."""
 
 from __future__ import annotations
 
 import math
 
-from fwclass.kernel import inlined, kernel
+import numpy as np
 
-ROUNDS = 8
+from fwclass.kernel import inlined, kernel, vectorised
+
+BINS = 256
+ROUNDS = 12
 CLIP = 2.5
-CLIP_LOSS = 1.0 / 0.9508
-"""Samples above `CLIP` sigma are dropped; the spread of what is left of a normal distribution, undone."""
+CLIP_LOSS = 0.9556
+"""Variance that is left of a normal distribution cut off `CLIP` standard deviations above its mean."""
+CLIP_SHIFT = 0.0176
+"""How far below the whole distribution's mean that of the rest is, in standard deviations."""
+LEAST_CUT = 2.0
+"""Bins above the level that are never cut off: ties of whole numbers hide a spread of less than a bin."""
 
 
 @inlined
-def _sort(values, n):  # type: ignore[no-untyped-def]
-    """Shell sort in place, without allocation."""
-    gap = 1
-    while gap < n // 3:
-        gap = 3 * gap + 1
-    while gap > 0:
-        for i in range(gap, n):
-            v = values[i]
-            j = i
-            while j >= gap and values[j - gap] > v:
-                values[j] = values[j - gap]
-                j -= gap
-            values[j] = v
-        gap //= 3
+def _count(samples, first, n, shift, bins):  # type: ignore[no-untyped-def]
+    """Fill `bins` with counts of the samples, `shift` bits coarser, from the least sample on; the least sample.
+
+    The last bin takes all that is higher.
+    """
+    least = samples[first]
+    for i in range(first + 1, first + n):
+        if samples[i] < least:
+            least = samples[i]
+    bins[:] = 0
+    for i in range(first, first + n):
+        bins[min((np.int64(samples[i]) - np.int64(least)) >> shift, BINS)] += 1
+    return np.int64(least)
 
 
 @kernel
-def level_and_noise(y, n, floor, scratch):  # type: ignore[no-untyped-def]
-    """(baseline, noise's standard deviation, samples) [DN] of ``y[:n]``: what stays when echoes are clipped from above.
+def level_and_noise(samples, first, n, floor, bins):  # type: ignore[no-untyped-def]
+    """(baseline, standard deviation of the noise, samples) [DN] of ``samples[first:first + n]``.
 
-    `floor` is the least standard deviation of a digitised signal.
+    The level is where the samples that no echo lifts lie: the lowest half to begin with, then all that are not above
+    the level by more than `CLIP` of their own spread downwards. `floor` is the least standard deviation of a
+    digitised signal; `bins` is integer room for `BINS` + 1 counts.
     """
     if n == 0:
         return 0.0, floor, 0
-    for i in range(n):
-        scratch[i] = y[i]
-    _sort(scratch, n)
-    kept = n
-    level, noise = 0.0, floor
-    for _ in range(ROUNDS):
-        level = 0.5 * (scratch[(kept - 1) // 2] + scratch[kept // 2])
-        below, count = 0.0, 0
-        for i in range(kept):
-            if scratch[i] > level:
+    shift = 0
+    while True:
+        least = _count(samples, first, n, shift, bins)
+        size = float(1 << shift)
+        kept, top = (n + 1) // 2, -1
+        level, noise, inside = 0.0, floor, True
+        for _ in range(ROUNDS):
+            middle = 0.5 * kept
+            total, at, upper = 0, 0, -1
+            while total < middle:
+                total += bins[at]
+                at += 1
+            level = at - 1.0
+            if total == middle:
+                upper = at
+                while upper < BINS and bins[upper] == 0:
+                    upper += 1
+                level = 0.5 * (level + upper)
+            below, count = 0.0, 0.0
+            for v in range(at):
+                d = v - level
+                below += bins[v] * d * d
+                count += bins[v] if d < 0.0 else 0.5 * bins[v]
+            noise = max(math.sqrt(below / count) if count > 0.0 else 0.0, floor / size)
+            last = int(level + max(CLIP * noise, LEAST_CUT))
+            if last >= BINS:
+                inside = False
                 break
-            below += (scratch[i] - level) ** 2
-            count += 1
-        noise = max(math.sqrt(below / max(count, 1)), floor)
-        before = kept
-        while kept > 1 and scratch[kept - 1] > level + CLIP * noise:
-            kept -= 1
-        if kept == before:
+            if last == top:
+                break
+            top = last
+            kept = 0
+            for v in range(top + 1):
+                kept += bins[v]
+        if inside or shift >= 8:
             break
-    mean = 0.0
-    for i in range(kept):
-        mean += scratch[i]
-    mean /= kept
-    square = 0.0
-    for i in range(kept):
-        square += (scratch[i] - mean) ** 2
-    return mean, max(CLIP_LOSS * math.sqrt(square / max(kept - 1, 1)), floor), kept
+        shift += 2
+    top = min(top, BINS) if top >= 0 else BINS
+    mean = level
+    for _ in range(ROUNDS):
+        kept, one, two = 0, 0.0, 0.0
+        for v in range(top + 1):
+            c = bins[v]
+            kept += c
+            one += c * v
+            two += c * v * v
+        mean = one / max(kept, 1)
+        noise = max(math.sqrt(max(two - one * mean, 0.0) / (max(kept - 1, 1) * CLIP_LOSS)), floor / size)
+        before = top
+        top = min(int(mean + max(CLIP * noise, LEAST_CUT)), BINS)
+        if top == before:
+            break
+    noise *= size
+    return least + size * mean + 0.5 * (size - 1.0) + CLIP_SHIFT * noise, noise, kept
 
 
 @inlined
 def surer(threshold, freedom):  # type: ignore[no-untyped-def]
-    """The threshold in Student's t that is as rare as `threshold` in the normal distribution, to first order:
+    """The threshold in Student's t that is as rare as `threshold` in the normal distribution, to second order:
     noise estimated from few samples may be underestimated. Source: Cornish and Fisher 1937."""
-    return threshold * (1.0 + (threshold * threshold + 1.0) / (4.0 * max(freedom, 4)))
+    f, z = max(freedom, 4.0), threshold * threshold
+    return threshold * (1.0 + (z + 1.0) / (4.0 * f) + (5.0 * z * z + 16.0 * z + 3.0) / (96.0 * f * f))
 
 
-@inlined
-def make_template(sigma, template):  # type: ignore[no-untyped-def]
-    """Fill ``template[:2 h + 1]`` with a Gaussian of `sigma` samples over its own energy; (h, energy)."""
-    half = min(int(math.ceil(3.0 * sigma)), (len(template) - 1) // 2)
-    energy = 0.0
-    for j in range(-half, half + 1):
-        g = math.exp(-0.5 * (j / sigma) ** 2)
-        template[j + half] = g
-        energy += g * g
-    for j in range(2 * half + 1):
-        template[j] /= energy
-    return half, energy
-
-
-@inlined
-def match_filter(signal, n, template, half, out):  # type: ignore[no-untyped-def]
-    """Amplitude of a system pulse at every sample, by correlation with the template."""
+@vectorised
+def match_filter(signal, pad, n, template, template_first, out):  # type: ignore[no-untyped-def]
+    """``out[:n]``: height of a system pulse at every sample of ``signal[pad:pad + n]``, which is 0 around."""
     for i in range(n):
-        first, last = max(i - half, 0), min(i + half + 1, n)
-        s = 0.0
-        shift = half - i
-        for j in range(first, last):
-            s += signal[j] * template[j + shift]
-        out[i] = s
+        out[i] = 0.0
+    for j in range(len(template)):
+        c = template[j]
+        part = signal[pad + template_first + j :]
+        for i in range(n):
+            out[i] += c * part[i]
 
 
 @inlined
@@ -106,8 +128,10 @@ def is_peak(z, n, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def first_echoes(z, n, threshold, sigma, most, p):  # type: ignore[no-untyped-def]
+def first_echoes(z, n, threshold, sigma, response, response_first, most, p):  # type: ignore[no-untyped-def]
     """Starting values of the peaks of `z` above `threshold`, at most the `most` highest; how many.
+
+    Of what the highest peak itself leaves around it (`response`), a receiver's ringing, no echo is made.
 
     Time and width come from the parabola through the logarithms around the peak: a Gaussian of variance v
     filtered by one of variance sigma^2 has variance v + sigma^2.
@@ -115,8 +139,17 @@ def first_echoes(z, n, threshold, sigma, most, p):  # type: ignore[no-untyped-de
     count = 0
     if most <= 0:
         return 0
+    main = 0
+    for i in range(1, n):
+        if z[i] > z[main]:
+            main = i
+    if not z[main] > threshold:
+        return 0
     for i in range(n):
         if z[i] <= threshold or not is_peak(z, n, i):
+            continue
+        lag = i - main - response_first
+        if i != main and 0 <= lag < len(response) and z[i] - z[main] * max(response[lag], 0.0) <= threshold:
             continue
         left = max(z[max(i - 1, 0)], 0.05 * z[i])
         right = max(z[min(i + 1, n - 1)], 0.05 * z[i])

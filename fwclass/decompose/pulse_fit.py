@@ -1,25 +1,64 @@
-"""One waveform to its echoes: peaks, fit, a second look at the residuals, pruning."""
+"""One waveform to its echoes: peaks, fit, a second look at the residuals, pruning, standard errors."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fwclass.decompose.gaussians import evaluate, fit
-from fwclass.decompose.peaks import first_echoes, is_peak, level_and_noise, make_template, match_filter, surer
-from fwclass.kernel import inlined, kernel
+from fwclass.decompose.least_squares import evaluate, factorise, fit, moments, normal_equations, variances
+from fwclass.decompose.peaks import BINS, first_echoes, is_peak, level_and_noise, match_filter, surer
+from fwclass.decompose.system_pulse import FWHM_PER_SIGMA
+from fwclass.kernel import inlined, kernel, vectorised
 
-SQRT_PI = math.sqrt(math.pi)
 SATURATED, OVERLAPPING, POOR, EDGE = 1, 2, 4, 8
 PRUNE = 0.8
 """Share of the detection threshold below which a fitted echo goes: a wide one is surer than its peak."""
-FWHM = 2.0 * math.sqrt(2.0 * math.log(2.0))
+TRIGGER = 0.6
+"""Share of the gain that a split must bring, at which the score test lets a split be tried."""
+WEAK = 0.1
+"""Information of the level's prior where the receiver is not known, in samples."""
+HIGHEST, HIGHEST_SATURATED = 1.25, 10.0
+"""An echo is at most this many times as high as the highest sample; where samples are saturated, as the range."""
+CLIPPED = 0.85
+"""Degrees of freedom of the clipped estimate of the noise, per sample kept; measured on noise alone."""
+FEWEST = 5
+"""Samples without which nothing is fitted."""
 
-# places in the settings vector of `fit_all`
-PULSE_WIDTH, DETECTION, SPLIT_GAIN, NARROWEST, WIDEST, SEPARATION = 0, 1, 2, 3, 4, 5
-NOISE_FLOOR, SHAPE_ERROR, POOR_MISFIT, ITERATIONS, TOLERANCE, TAIL_SHARE, TAIL_REACH = 6, 7, 8, 9, 10, 11, 12
-SETTINGS = 13
+
+class Settings(NamedTuple):
+    """Numbers of `DecomposeParams` that the kernels need; times and widths in samples, heights in DN."""
+
+    detection: float
+    split_gain: float
+    narrowest: float
+    widest: float
+    separation: float
+    noise_floor: float
+    shape_error: float
+    poor_misfit: float
+    iterations: float
+    tolerance: float
+    tail_share: float
+    tail_reach: float
+    sigma: float
+    between: float
+
+
+class Echoes(NamedTuple):
+    """Room for the echoes of a batch, one after the other; times and widths in samples."""
+
+    row: NDArray[np.int64]
+    amplitude: NDArray[np.float64]
+    time: NDArray[np.float64]
+    width: NDArray[np.float64]
+    amplitude_sigma: NDArray[np.float64]
+    time_sigma: NDArray[np.float64]
+    width_sigma: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    flags: NDArray[np.uint8]
 
 
 @inlined
@@ -28,55 +67,86 @@ def _copy(source, size, target):  # type: ignore[no-untyped-def]
         target[a] = source[a]
 
 
-@inlined
-def _weigh(y, n, top, level, variance, shape_error, weight):  # type: ignore[no-untyped-def]
-    """Weights 1 / variance; saturated samples count nothing; the pulse's own shape is known to `shape_error` of its
-    height. The number of samples that count."""
+@vectorised
+def _load(samples, first, n, base, pad, after, top, y, weight):  # type: ignore[no-untyped-def]
+    """Samples less `base` into the padded buffer `y`, weights 1, or 0 where saturated; samples that count."""
     used = 0
+    part = samples[first : first + n]
+    into, weigh = y[pad : pad + n + after], weight[pad : pad + n + after]
     for i in range(n):
-        if y[i] >= top:
-            weight[i] = 0.0
-            continue
-        height = 0.25 * y[max(i - 1, 0)] + 0.5 * y[i] + 0.25 * y[min(i + 1, n - 1)] - level
-        shape = shape_error * max(height, 0.0)
-        weight[i] = 1.0 / (variance + shape * shape)
-        used += 1
+        value = float(part[i])
+        into[i] = value - base
+        good = value < top
+        weigh[i] = 1.0 if good else 0.0
+        used += good
+    for i in range(n, n + after):
+        into[i], weigh[i] = 0.0, 0.0
     return used
 
 
-@inlined
-def _worst_shape(p, count, y, weight, n, model, basis, window, tried):  # type: ignore[no-untyped-def]
-    """The echo whose residuals look most like two echoes: (score, echo, skewness).
+@vectorised
+def _highest(y, pad, n):  # type: ignore[no-untyped-def]
+    high = y[pad]
+    for i in range(pad + 1, pad + n):
+        high = y[i] if y[i] > high else high
+    return high
 
-    Score test against Gauss-Hermite terms of third and fourth order; chi-square with two degrees of freedom.
+
+@inlined
+def _weigh(y, pad, n, level, variance, shape_error, weight):  # type: ignore[no-untyped-def]
+    """The pulse's own shape is known to `shape_error` of its height: less weight where echoes are high."""
+    for i in range(pad, pad + n):
+        height = 0.25 * y[max(i - 1, pad)] + 0.5 * y[i] + 0.25 * y[min(i + 1, pad + n - 1)] - level
+        shape = shape_error * max(height, 0.0)
+        weight[i] *= variance / (variance + shape * shape)
+
+
+@vectorised
+def _scores(parts, weight, residual, length):  # type: ignore[no-untyped-def]
+    """(sum of w r h_ts, of w r h_ss, of w h^2, of h^2) over an echo's samples."""
+    lean, flat, weighted, plain = 0.0, 0.0, 0.0, 0.0
+    for j in range(length):
+        wr = weight[j] * residual[j]
+        h = parts[0, j]
+        lean += wr * parts[4, j]
+        flat += wr * parts[5, j]
+        weighted += weight[j] * h * h
+        plain += h * h
+    return lean, flat, weighted, plain
+
+
+@inlined
+def _worst_shape(count, weight, residual, window, look, tried):  # type: ignore[no-untyped-def]
+    """The echo whose residuals look most like two echoes: (score [DN^2], echo, skewness).
+
+    Two echoes close together differ from a wide one in the directions of the second derivatives by (t, s) and (s, s)
+    of the model: score test with two degrees of freedom.
     """
-    worst, at, lean = 0.0, -1, 0.0
+    worst, at, skew = 0.0, -1, 0.0
     for k in range(count):
         if tried[k]:
             continue
-        t, s = p[3 * k + 2], p[3 * k + 3]
-        skew, peaked, information = 0.0, 0.0, 0.0
-        for i in range(window[k, 0], window[k, 1]):
-            d = (i - t) / s
-            g = weight[i] * (y[i] - model[i]) * basis[k, 0, i]
-            skew += g * d * (8.0 * d * d - 12.0)
-            peaked += g * (16.0 * d**4 - 48.0 * d * d + 12.0)
-            information += weight[i] * basis[k, 0, i] ** 2
-        scale = information if information > 0.0 else 1.0
-        score = (skew * skew / 48.0 + peaked * peaked / 384.0) / scale
+        cell = window[k, 2]
+        start, length = window[k, 0], look.length[cell]
+        lean, flat, weighted, plain = _scores(
+            look.table[window[k, 3]], weight[start : start + length], residual[start : start + length], length
+        )
+        share = max(weighted / plain, 1e-3)
+        inverse = look.score[cell]
+        score = (lean * lean * inverse[0] + 2.0 * lean * flat * inverse[1] + flat * flat * inverse[2]) / share
         if score > worst:
-            worst, at, lean = score, k, skew
-    return worst, at, lean
+            worst, at, skew = score, k, lean
+    return worst, at, skew
 
 
 @inlined
-def _split_start(p, count, k, lean, later, sigma, trial):  # type: ignore[no-untyped-def]
+def _split_start(p, count, k, later, sigma, trial):  # type: ignore[no-untyped-def]
     """``trial`` = `p` with echo k as two system pulses of the same mean and variance, `later` the second's share."""
     _copy(p, 3 * count + 1, trial)
     a, b = 3 * k + 1, 3 * count + 1
     narrow = 1.02 * sigma
-    spread = max(p[a + 2] ** 2 - sigma * sigma, 0.3)
-    apart = max(math.sqrt(spread / (later * (1.0 - later))), 1.2)
+    spread = max(p[a + 2] ** 2 - sigma * sigma, 0.14 * sigma * sigma)
+    apart = max(math.sqrt(spread / (later * (1.0 - later))), 0.8 * sigma)
     whole = p[a] * p[a + 2] / narrow
     trial[a], trial[a + 1], trial[a + 2] = whole * (1.0 - later), p[a + 1] - later * apart, narrow
     trial[b], trial[b + 1], trial[b + 2] = whole * later, p[a + 1] + (1.0 - later) * apart, narrow
@@ -94,74 +164,105 @@ def _sound(p, count, least, apart):  # type: ignore[no-untyped-def]
     return True
 
 
-@kernel
-def second_look(p, count, chi, y, weight, n, prior, limits, bounds, template, half, work, spare):  # type: ignore[no-untyped-def]
+@inlined
+def _posterior(chi, freedom, known):  # type: ignore[no-untyped-def]
+    """(variance of the noise, its degrees of freedom) after a fit; `known` is the receiver's (variance, freedom,
+    least variance)."""
+    freedom = max(freedom, 1.0)
+    return max((known[0] * known[1] + chi) / (known[1] + freedom), known[2]), known[1] + freedom
+
+
+@inlined
+def _pays(chi, new, freedom, gain, known):  # type: ignore[no-untyped-def]
+    """Whether a fit's drop of chi-square from `chi` to `new` pays for one more echo: an F test on this waveform alone,
+    so that neither an underestimated noise nor a pulse of another shape makes echoes."""
+    freedom = max(freedom, 1.0)
+    return chi - new > gain * (1.0 + 0.5 * gain / freedom) * max(new / freedom, known[2])
+
+
+@inlined
+def second_look(  # type: ignore[no-untyped-def]
+    p, count, chi, y, weight, pad, n, prior, limits, used, quiet, known, settings, most, look, sums, work, spare,
+):  # fmt: skip
     """Add or split echoes while the fit gains significantly; (echoes, chi).
 
-    The gain counts in units of the new fit's own misfit where that is above 1, so that neither an underestimated
-    noise nor a pulse of another shape makes echoes (an F test).
-    `bounds` is (sigma, detection threshold, gain, separation, most echoes, variance of the noise, samples used).
+    `quiet` is (variance, degrees of freedom) of the noise as first estimated. On return `residual`, `basis` and
+    `window` of `work` belong to `p`.
     """
-    sigma, threshold, gain, apart, most = bounds[0], bounds[1], bounds[2], bounds[3], int(bounds[4])
-    model, basis, window = work[0], work[1], work[2]
-    residual, filtered, trial, best, tried = spare
-    variance, used = bounds[5], bounds[6]
+    residual, basis, window = work[0], work[1], work[2]
+    weighted, filtered, trial, best, tried = spare
     tried[:] = False
+    gain = settings.split_gain
+    evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
     for _ in range(2 * most):
-        if count >= most or 3 * count + 5 > n:
+        if count >= most or 3 * count + 5 > used:
             break
-        for i in range(n):
-            residual[i] = (y[i] - model[i]) * weight[i] * variance
-        match_filter(residual, n, template, half, filtered)
+        variance, freedom = _posterior(chi, used - 3.0 * count - 1.0, known)
+        variance = min(variance, quiet[0])
+        threshold = surer(settings.detection, freedom) * math.sqrt(variance / look.energy)
+        for i in range(pad, pad + n):
+            weighted[i] = residual[i] * weight[i]
+        match_filter(weighted, pad, n, look.template, look.template_first, filtered)
         peak = -1
         for i in range(n):
             if filtered[i] > threshold and is_peak(filtered, n, i) and (peak < 0 or filtered[i] > filtered[peak]):
                 peak = i
-        score, k, lean = _worst_shape(p, count, y, weight, n, model, basis, window, tried)
-        split = score > gain
+        score, k, skew = _worst_shape(count, weight, residual, window, look, tried)
+        split = score > TRIGGER * gain * variance
         if peak < 0 and not split:
             break
-        price = gain / max(used - 3.0 * count - 4.0, 1.0)
-        best_chi = chi
-        found = False
+        found, best_chi = False, chi
+        left = used - 3.0 * count - 4.0
+        least = 0.5 * threshold
         if peak >= 0:
             _copy(p, 3 * count + 1, trial)
             a = 3 * count + 1
-            trial[a], trial[a + 1], trial[a + 2] = filtered[peak], float(peak), 1.02 * sigma
-            new = fit(trial, count + 1, y, weight, n, prior, limits, work)
-            if new < best_chi and chi - new > max(gain, price * new) and _sound(trial, count, 0.5 * threshold, apart):
+            trial[a], trial[a + 1], trial[a + 2] = filtered[peak], float(peak), 1.02 * settings.sigma
+            new = fit(trial, count + 1, y, weight, pad, n, prior, limits, look, sums, work)
+            if (
+                new < best_chi
+                and _pays(chi, new, left, gain, known)
+                and _sound(trial, count, least, settings.separation)
+            ):
                 found, best_chi = True, new
                 _copy(trial, 3 * count + 4, best)
-        if split:
+        if split and not found:
             tried[k] = True
             for attempt in range(2):
-                later = 0.5 if attempt == 1 else (0.28 if lean > 0.0 else 0.72)
-                _split_start(p, count, k, lean, later, sigma, trial)
-                new = fit(trial, count + 1, y, weight, n, prior, limits, work)
-                if (
-                    new < best_chi
-                    and chi - new > max(gain, price * new)
-                    and _sound(trial, count, 0.5 * threshold, apart)
-                ):
+                later = 0.5 if attempt == 1 else (0.28 if skew > 0.0 else 0.72)
+                _split_start(p, count, k, later, settings.sigma, trial)
+                new = fit(trial, count + 1, y, weight, pad, n, prior, limits, look, sums, work)
+                if _pays(chi, new, left, gain, known) and _sound(trial, count, least, settings.separation):
                     found, best_chi = True, new
                     _copy(trial, 3 * count + 4, best)
+                    break
         if found:
             _copy(best, 3 * count + 4, p)
             count += 1
             chi = best_chi
             tried[:] = False
-        evaluate(p, count, y, weight, n, model, basis, window)
+        evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
         if not found and not split:
             break
     return count, chi
 
 
+@vectorised
+def _energy(profile, weight, length):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for j in range(length):
+        total += weight[j] * profile[j] * profile[j]
+    return total
+
+
 @inlined
-def _weakest(p, count, noise):  # type: ignore[no-untyped-def]
-    """(significance, echo) of the least significant echo: its height over the noise of a filter of its width."""
+def _weakest(p, count, weight, basis, window, noise):  # type: ignore[no-untyped-def]
+    """(significance, echo) of the least significant echo: its height over the noise of a filter of its shape."""
     least, at = 1e300, -1
     for k in range(count):
-        q = p[3 * k + 1] * math.sqrt(SQRT_PI * p[3 * k + 3]) / noise
+        start = window[k, 0]
+        energy = _energy(basis[k, 0], weight[start:], window[k, 1] - start)
+        q = p[3 * k + 1] * math.sqrt(energy) / noise
         if q < least:
             least, at = q, k
     return least, at
@@ -169,134 +270,220 @@ def _weakest(p, count, noise):  # type: ignore[no-untyped-def]
 
 @inlined
 def _by_time(p, count):  # type: ignore[no-untyped-def]
-    """Sort the echoes of `p` by time."""
+    """Sort the echoes of `p` by time; whether any moved."""
+    moved = False
     for a in range(1, count):
         b = a
         while b > 0 and p[3 * b + 2] < p[3 * b - 1]:
             for c in range(1, 4):
                 p[3 * b + c], p[3 * (b - 1) + c] = p[3 * (b - 1) + c], p[3 * b + c]
             b -= 1
+            moved = True
+    return moved
 
 
 @inlined
-def _without_tails(p, count, share, reach):  # type: ignore[no-untyped-def]
-    """Drop echoes lower than `share` of one up to `reach` samples before: the receiver's ringing. The others, by
-    time as before, keep the values that they have beside it."""
-    kept = 0
+def _dropped(p, count, n, share, reach, drop):  # type: ignore[no-untyped-def]
+    """Mark echoes that are fitted but not reported: those that peak outside the segment, and those lower than `share`
+    of one up to `reach` samples before, the receiver's ringing."""
     for k in range(count):
-        ringing = False
+        t = p[3 * k + 2]
+        drop[k] = t < -0.5 or t > n - 0.5
         for m in range(k):
-            near = p[3 * k + 2] - p[3 * m + 2] <= reach
-            if near and p[3 * k + 1] < share * p[3 * m + 1]:
-                ringing = True
-        p[3 * k + 3] = -1.0 if ringing else p[3 * k + 3]
-    for k in range(count):
-        if p[3 * k + 3] > 0.0:
-            for c in range(1, 4):
-                p[3 * kept + c] = p[3 * k + c]
-            kept += 1
-    return kept
+            if t - p[3 * m + 2] <= reach and p[3 * k + 1] < share * p[3 * m + 1]:
+                drop[k] = True
 
 
 @inlined
-def _flags(p, count, k, y, n, top, misfit, poor):  # type: ignore[no-untyped-def]
+def _flags(p, count, k, y, pad, n, top, misfit, poor, drop):  # type: ignore[no-untyped-def]
     t, s = p[3 * k + 2], p[3 * k + 3]
     flags = 0
     for i in range(max(int(t - 2.0 * s), 0), min(int(t + 2.0 * s) + 2, n)):
-        if y[i] >= top:
+        if y[pad + i] >= top:
             flags |= SATURATED
     for m in range(count):
-        if m != k and abs(p[3 * m + 2] - t) < 0.75 * FWHM * (s + p[3 * m + 3]):
+        if m != k and not drop[m] and abs(p[3 * m + 2] - t) < 0.75 * FWHM_PER_SIGMA * (s + p[3 * m + 3]):
             flags |= OVERLAPPING
     if misfit > poor:
         flags |= POOR
-    if t - FWHM * s < 0.0 or t + FWHM * s > n - 1.0:
+    if t - FWHM_PER_SIGMA * s < 0.0 or t + FWHM_PER_SIGMA * s > n - 1.0:
         flags |= EDGE
     return flags
 
 
-@kernel
-def fit_pulse(y, n, top, spacing, settings, most, p, work, spare, weight, template):  # type: ignore[no-untyped-def]
-    """Echoes of ``y[:n]`` into `p`, sorted by time; (count, misfit)."""
-    residual, filtered = spare[0], spare[1]
-    sigma = settings[PULSE_WIDTH] / (FWHM * spacing)
-    level, noise, kept = level_and_noise(y, n, settings[NOISE_FLOOR], residual)
-    p[0] = level
-    if n < 5:
-        return 0, np.nan
+@inlined
+def _rms_near(residual, weight, pad, n, t, reach):  # type: ignore[no-untyped-def]
+    """Root mean square residual [DN] of the samples that count within `reach` of t."""
+    total, count = 0.0, 0
+    for i in range(max(int(math.ceil(t - reach)), 0), min(int(math.floor(t + reach)) + 1, n)):
+        if weight[pad + i] > 0.0:
+            total += residual[pad + i] ** 2
+            count += 1
+    return math.sqrt(total / count) if count > 0 else np.nan
+
+
+@inlined
+def fit_pulse(  # type: ignore[no-untyped-def]
+    samples, first, n, top, channel, settings, most, look, p, y, weight, bins, work, spare,
+):  # fmt: skip
+    """Echoes of one waveform into `p`, sorted by time, level less the returned base: (count, base, noise, misfit).
+
+    `channel` is (baseline, its standard deviation, noise, freedom) of the receiver; freedom 0 where it is unknown.
+    """
+    residual, basis, window = work[0], work[1], work[2]
+    filtered = spare[1]
+    level, noise, kept = level_and_noise(samples, first, n, settings.noise_floor, bins)
+    quiet = CLIPPED * max(kept - 1.0, 0.0)
     variance = noise * noise
-    used = _weigh(y, n, top, level, variance, settings[SHAPE_ERROR], weight)
-    half, energy = make_template(sigma, template)
-    detection = surer(settings[DETECTION], kept - 1)
-    threshold = detection * noise / math.sqrt(energy)
-    for i in range(n):
+    known = (channel[2] * channel[2], channel[3], settings.noise_floor * settings.noise_floor)
+    prior_level, information = level, WEAK
+    if channel[3] > 0.0:
+        variance = (known[0] * known[1] + variance * quiet) / (known[1] + quiet)
+        quiet += known[1]
+        prior_level, information = channel[0], variance / max(channel[1] * channel[1], 1e-4 * variance)
+        level = (level * kept + prior_level * information) / (kept + information)
+    p[0] = level
+    noise = math.sqrt(variance)
+    if n < FEWEST:
+        return 0, 0.0, noise, np.nan
+    base = math.floor(level)
+    level -= base
+    p[0] = level
+    pad = look.before + 2
+    used = _load(samples, first, n, base, pad, look.after + 2, top, y, weight)
+    detection = surer(settings.detection, quiet)
+    threshold = detection * noise / math.sqrt(look.energy)
+    for i in range(pad, pad + n):
         residual[i] = y[i] - level
-    match_filter(residual, n, template, half, filtered)
-    count = first_echoes(filtered, n, threshold, sigma, min(most, max((used - 2) // 3, 0)), p)
-    if count == 0:
-        return 0, np.nan
-    prior = (level, 0.25 / variance)
-    limits = (
-        settings[NARROWEST] * sigma,
-        settings[WIDEST] * sigma,
-        settings[ITERATIONS],
-        settings[TOLERANCE],
-    )
-    chi = fit(p, count, y, weight, n, prior, limits, work)
-    bounds = (
-        sigma,
+    # profiles of the waveform before have reached into the padding
+    residual[:pad] = 0.0
+    residual[pad + n : pad + n + look.after + 2] = 0.0
+    match_filter(residual, pad, n, look.template, look.template_first, filtered)
+    count = first_echoes(
+        filtered,
+        n,
         threshold,
-        settings[SPLIT_GAIN],
-        settings[SEPARATION] / spacing,
-        float(most),
-        variance,
-        float(used),
+        settings.sigma,
+        look.response,
+        look.response_first,
+        min(most, max((used - 2) // 3, 0)),
+        p,
     )
-    count, chi = second_look(p, count, chi, y, weight, n, prior, limits, bounds, template, half, work, spare)
+    if count == 0:
+        return 0, base, noise, np.nan
+    if settings.shape_error > 0.0:
+        _weigh(y, pad, n, level, variance, settings.shape_error, weight)
+    sums = moments(y, weight, pad, n)
+    highest = _highest(y, pad, n) - level
+    highest = HIGHEST_SATURATED * (top - base) if used < n else settings.between * highest + 5.0 * noise
+    prior = (prior_level - base, information)
+    limits = (settings.narrowest, settings.widest, settings.iterations, settings.tolerance * variance, highest)
+    chi = fit(p, count, y, weight, pad, n, prior, limits, look, sums, work)
+    count, chi = second_look(
+        p, count, chi, y, weight, pad, n, prior, limits, float(used), (variance, quiet), known, settings, most, look,
+        sums, work, spare,
+    )  # fmt: skip
     while count > 0:
-        least, k = _weakest(p, count, noise)
-        if least >= PRUNE * detection:
+        final, freedom = _posterior(chi, used - 3.0 * count - 1.0, known)
+        least, k = _weakest(p, count, weight, basis, window, math.sqrt(final))
+        if least >= PRUNE * surer(settings.detection, freedom):
             break
         for a in range(3 * k + 1, 3 * count - 2):
             p[a] = p[a + 3]
         count -= 1
         if count > 0:
-            chi = fit(p, count, y, weight, n, prior, limits, work)
-    _by_time(p, count)
-    misfit = chi / max(used - 3 * count - 1, 1)
-    return _without_tails(p, count, settings[TAIL_SHARE], settings[TAIL_REACH] / spacing), misfit
+            chi = fit(p, count, y, weight, pad, n, prior, limits, look, sums, work)
+            evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
+    if count == 0:
+        return 0, base, noise, np.nan
+    if _by_time(p, count):
+        evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
+    freedom = max(used - 3.0 * count - 1.0, 1.0)
+    misfit = chi / (freedom * variance)
+    final, freedom = _posterior(chi, freedom, known)
+    return count, base, math.sqrt(final), misfit
+
+
+@inlined
+def _standard_errors(p, count, weight, noise, prior_information, sums, work, out):  # type: ignore[no-untyped-def]
+    """Fill ``out[:3 count + 1]`` with the parameters' standard errors, after `evaluate` at `p`; NaN if singular."""
+    residual, basis, window, hessian, gradient, lower, move, _, frozen = work
+    size = 3 * count + 1
+    normal_equations(p, count, weight, residual, basis, window, sums[0], 0.0, hessian, gradient)
+    hessian[0, 0] += prior_information
+    for a in range(size):
+        frozen[a] = 0.0
+    if factorise(hessian, frozen, 0.0, size, lower):
+        variances(lower, size, move, out)
+        for a in range(size):
+            out[a] = noise * math.sqrt(out[a])
+    else:
+        out[:size] = np.nan
 
 
 @kernel
-def fit_all(samples, offsets, spacing, top, settings, most, length, count, values, baseline, misfit, flags):  # type: ignore[no-untyped-def]
-    """Every waveform of a batch.
+def fit_all(  # type: ignore[no-untyped-def]
+    samples, offsets, rows, top, channels, channel_of, settings, most, length, look, count, baseline, noise, misfit,
+    echoes,
+):  # fmt: skip
+    """The waveforms `rows` of a batch, all of one sample spacing; how many echoes.
 
     Parameters
     ----------
     samples, offsets : ragged samples [DN].
-    spacing, top : per waveform, sample spacing [ns] and saturation [DN].
-    settings : `SETTINGS` numbers, in the order of this module's constants.
+    top : saturation per waveform [DN].
+    channels, channel_of : (c, 4) baseline, its standard deviation, noise [DN] and freedom of the receiver's channels,
+        and every waveform's channel; the last is all zeros: unknown.
+    settings : `Settings`.
     most, length : echoes at most; samples of the longest waveform.
-    count : int64 (n,), filled with the number of echoes.
-    values : float64 (n, most, 3), filled with amplitude [DN], time [ns], FWHM [ns].
-    baseline, misfit : float64 (n,) [DN], reduced chi-square.
-    flags : uint8 (n, most).
+    look : `Lookup`.
+    count, baseline, noise, misfit : per waveform, filled at `rows`.
+    echoes : `Echoes`, filled from the start in the order of `rows`.
     """
     size = 3 * most + 1
+    padded = length + look.before + look.after + 4
+    longest = look.table.shape[2]
     work = (
-        np.empty(length), np.empty((most, 3, length)), np.zeros((most, 2), np.int64), np.empty((size, size)),
-        np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size),
+        np.zeros(padded), np.empty((most, 3, longest)), np.zeros((most, 4), np.int64), np.empty((size, size)),
+        np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size), np.zeros(size),
     )  # fmt: skip
-    spare = (np.empty(length), np.empty(length), np.empty(size), np.empty(size), np.zeros(most, np.bool_))
-    y, weight, p, template = np.empty(length), np.empty(length), np.empty(size), np.empty(257)
-    for w in range(len(count)):
-        n = offsets[w + 1] - offsets[w]
-        for i in range(n):
-            y[i] = samples[offsets[w] + i]
-        found, chi = fit_pulse(y, n, top[w], spacing[w], settings, most, p, work, spare, weight, template)
-        count[w], misfit[w], baseline[w] = found, chi, p[0]
+    spare = (np.zeros(padded), np.empty(length), np.empty(size), np.empty(size), np.zeros(most, np.bool_))
+    y, weight, p, errors = np.zeros(padded), np.zeros(padded), np.empty(size), np.empty(size)
+    bins, drop = np.empty(BINS + 1, np.int32), np.zeros(most, np.bool_)
+    pad = look.before + 2
+    total = 0
+    for w in rows:
+        first, n = offsets[w], offsets[w + 1] - offsets[w]
+        channel = channels[channel_of[w]]
+        spare[0][pad + n : pad + n + look.after + 2] = 0.0
+        found, base, sigma, chi = fit_pulse(
+            samples, first, n, top[w], channel, settings, most, look, p, y, weight, bins, work, spare
+        )
+        baseline[w], noise[w], misfit[w] = p[0] + base, sigma, chi
+        if found == 0:
+            count[w] = 0
+            continue
+        _dropped(p, found, n, settings.tail_share, settings.tail_reach, drop)
+        information = WEAK
+        if channel[3] > 0.0:
+            information = sigma * sigma / max(channel[1] * channel[1], 1e-4 * sigma * sigma)
+        _standard_errors(p, found, weight, sigma, information, moments(y, weight, pad, n), work, errors)
+        kept = 0
         for k in range(found):
-            values[w, k, 0] = p[3 * k + 1]
-            values[w, k, 1] = p[3 * k + 2] * spacing[w]
-            values[w, k, 2] = p[3 * k + 3] * FWHM * spacing[w]
-            flags[w, k] = _flags(p, found, k, y, n, top[w], chi, settings[POOR_MISFIT])
+            if drop[k]:
+                continue
+            a = 3 * k + 1
+            echoes.row[total] = w
+            echoes.amplitude[total], echoes.time[total], echoes.width[total] = p[a], p[a + 1], p[a + 2]
+            echoes.amplitude_sigma[total], echoes.time_sigma[total] = errors[a], errors[a + 1]
+            echoes.width_sigma[total] = errors[a + 2]
+            reach = FWHM_PER_SIGMA * p[a + 2]
+            rms = _rms_near(work[0], weight, pad, n, p[a + 1], reach)
+            echoes.deviation[total] = 1000.0 * rms / p[a]
+            echoes.flags[total] = _flags(p, found, k, y, pad, n, top[w] - base, chi, settings.poor_misfit, drop)
+            total += 1
+            kept += 1
+        count[w] = kept
+        if kept == 0:
+            misfit[w] = np.nan
+    return total

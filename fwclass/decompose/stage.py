@@ -2,186 +2,119 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
-from fwclass.decompose import pulse_fit
+from fwclass.decompose.fitting import fit_waveforms
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.placing import beams, detection_limits, from_anchor, outgoing_times
+from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse
+from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import quantised
 from fwclass.schema import IDENTITY, Table
-from fwclass.stage import Params, Stage
+from fwclass.stage import Stage
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 FITTED, KEPT, READ_AS_ECHO = 0, 1, 2
 """Values of `origin`."""
 
 VENDOR_KEPT, FAR_FROM_VENDOR = 16, 32
-"""Values of `fit_flags` beside those of `pulse_fit`."""
+"""Values of `fit_flags` beside those of `fitting`."""
 
 ECHO_COLUMNS = (
-    *IDENTITY, "number_of_echoes", "origin", "x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z", "amplitude",
-    "width", "time", "baseline", "misfit", "fit_flags", "source_class", "intensity",
+    *IDENTITY, "number_of_echoes", "origin", "x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z", "beam_range",
+    "amplitude", "amplitude_db", "width", "energy", "time", "amplitude_sigma", "width_sigma", "range_sigma",
+    "deviation", "baseline", "noise", "misfit", "fit_flags", "source_class", "intensity",
 )  # fmt: skip
 LINK_COLUMNS = ("pulse", "echo_number")
+AREA_PER_FWHM = math.sqrt(math.pi / (4.0 * math.log(2.0)))
+"""Area of a Gaussian of unit height and unit full width at half maximum."""
+MOST = 255
+"""Echoes of a pulse at most, all its segments together: `echo_number` has one byte. Later ones are left out."""
 
 
-class DecomposeParams(Params):
-    """Parameters of the Gaussian decomposition; the numbers are in `conf/base.yaml`.
-
-    Attributes
-    ----------
-    pulse_width : FWHM of the system's pulse as the receiver records it [ns].
-    detection : least height of a peak after the matched filter, in standard deviations of the noise.
-    split_gain : least drop of chi-square that pays for one more echo (three parameters).
-    narrowest, widest : range of an echo's width, in pulse widths.
-    separation : least distance of two echoes of a pulse [ns].
-    max_echoes : echoes of a pulse at most.
-    noise_floor : least standard deviation of the noise, from digitisation [DN].
-    shape_error : how far the system's pulse departs from a Gaussian, as a share of its height.
-    poor_misfit : reduced chi-square above which a fit is flagged poor.
-    vendor_tolerance : a pulse without an echo this close to its anchor return is flagged [ns].
-    register_within : the pulse is shifted so that the echo nearest to its anchor return falls on it, if they are this
-        close [ns]; 0 trusts the stored return location. Without the outgoing pulse the location of some systems
-        jitters by half a sample.
-    tail_share, tail_reach : an echo lower than this share of an earlier one, up to this long after it [ns], is the
-        receiver's ringing and is left out; a share of 0 keeps all.
-    iterations, tolerance : end of the fit: steps, and gain of chi-square in one step.
-    """
-
-    pulse_width: float = Field(gt=0.0)
-    detection: float = Field(gt=0.0)
-    split_gain: float = Field(gt=0.0)
-    narrowest: float = Field(gt=0.0, le=1.0)
-    widest: float = Field(ge=1.0)
-    separation: float = Field(ge=0.0)
-    max_echoes: int = Field(ge=1, le=64)
-    noise_floor: float = Field(gt=0.0)
-    shape_error: float = Field(ge=0.0, lt=1.0)
-    poor_misfit: float = Field(gt=0.0)
-    vendor_tolerance: float = Field(gt=0.0)
-    register_within: float = Field(ge=0.0)
-    tail_share: float = Field(ge=0.0, lt=1.0)
-    tail_reach: float = Field(ge=0.0)
-    iterations: int = Field(ge=1)
-    tolerance: float = Field(gt=0.0)
-
-
-def decompose(waves: Waveforms, strip: int, params: DecomposeParams) -> tuple[Table, Table]:
+def decompose(waves: Waveforms, strip: int, params: DecomposeParams, pulse: SystemPulse) -> tuple[Table, Table]:
     """Echoes of a chunk, and the echo that every return belongs to.
 
-    Fitted echoes are placed relative to the pulse's anchor return: P(t) = P_anchor + (anchor_time - t) step, with
-    the anchor time moved onto the nearest echo if that is within `register_within`. A pulse whose waveform shows no
-    echo, and every return without a usable packet, keeps its returns as echoes.
+    Fitted echoes are placed along the beam from the anchor of their segment: P(t) = P_anchor + (anchor_time - t) step,
+    see `placing`. A pulse whose waveforms show no echo, and every return without a usable packet, keeps its returns
+    as echoes. Echoes of a file without waveforms have an energy relative to the vendor's detection limit where it
+    gives amplitude [dB] and width. A pulse of a format without returns has echoes of class 0 and intensity 0.
 
     Parameters
     ----------
     waves : pulses, returns and samples of a chunk.
     strip : index of the source file in the survey.
     params : `DecomposeParams`.
+    pulse : the system's pulse.
 
     Returns
     -------
     echoes : `ECHO_COLUMNS`, one row per echo in canonical order (pulse, echo_number).
     links : `LINK_COLUMNS`, one row per return, in file order: the nearest echo of its pulse.
     """
-    fitted, alive = _fitted(waves, params)
-    kept = _kept(waves, alive)
-    echoes = {name: np.concatenate([fitted[name], kept[name]]) for name in fitted}
-    order = np.lexsort((echoes["echo_number"], echoes["pulse"]))
-    echoes = {name: values[order] for name, values in echoes.items()}
+    echoes = _fitted(waves, params, pulse)
+    kept = _kept(waves, echoes["pulse"])
+    if len(kept["pulse"]):
+        echoes = {name: np.concatenate([echoes[name], kept[name]]) for name in echoes}
+        order = np.lexsort((echoes["echo_number"], echoes["pulse"]))
+        echoes = {name: values[order] for name, values in echoes.items()}
     links = _tie(waves.returns, echoes)
-    echoes["strip"] = np.full(len(order), strip)
+    echoes["strip"] = np.full(len(echoes["pulse"]), strip)
     for axis in "xyz":
         echoes[axis] = quantised(echoes[axis])
     return Table({name: echoes[name] for name in ECHO_COLUMNS}), links
 
 
-def fit_waveforms(waves: Waveforms, params: DecomposeParams) -> dict[str, NDArray]:
-    """The fit alone: count (n,), values (n, max_echoes, 3: amplitude [DN], time [ns], FWHM [ns]), baseline, misfit,
-    flags (n, max_echoes); rows are `waves.pulses`."""
-    n, most = waves.pulses.rows, params.max_echoes
-    settings = np.empty(pulse_fit.SETTINGS)
-    settings[pulse_fit.PULSE_WIDTH] = params.pulse_width
-    settings[pulse_fit.DETECTION] = params.detection
-    settings[pulse_fit.SPLIT_GAIN] = params.split_gain
-    settings[pulse_fit.NARROWEST] = params.narrowest
-    settings[pulse_fit.WIDEST] = params.widest
-    settings[pulse_fit.SEPARATION] = params.separation
-    settings[pulse_fit.NOISE_FLOOR] = params.noise_floor
-    settings[pulse_fit.SHAPE_ERROR] = params.shape_error
-    settings[pulse_fit.POOR_MISFIT] = params.poor_misfit
-    settings[pulse_fit.ITERATIONS] = params.iterations
-    settings[pulse_fit.TOLERANCE] = params.tolerance
-    settings[pulse_fit.TAIL_SHARE] = params.tail_share
-    settings[pulse_fit.TAIL_REACH] = params.tail_reach
-    result: dict[str, NDArray] = {
-        "count": np.zeros(n, np.int64),
-        "values": np.full((n, most, 3), np.nan),
-        "baseline": np.full(n, np.nan),
-        "misfit": np.full(n, np.nan),
-        "flags": np.zeros((n, most), np.uint8),
-    }
-    length = int(np.diff(waves.offsets).max(initial=0))
-    pulse_fit.fit_all(
-        waves.samples, waves.offsets, waves.pulses["sample_spacing"].astype(np.float64),
-        waves.pulses["saturation"].astype(np.float64), settings, most, length, result["count"], result["values"],
-        result["baseline"], result["misfit"], result["flags"],
-    )  # fmt: skip
-    return result
-
-
-def _fitted(waves: Waveforms, params: DecomposeParams) -> tuple[dict[str, NDArray], NDArray]:
-    """Columns of the fitted echoes, and the pulses that have some."""
-    result = fit_waveforms(waves, params)
-    count, pulses = result["count"], waves.pulses
-    row, place = np.nonzero(np.arange(params.max_echoes) < count[:, None])
-    amplitude, time, width = (result["values"][row, place, c] for c in range(3))
-    step = np.stack([pulses[f"step_{axis}"] for axis in "xyz"], axis=1)
-    flags = result["flags"][row, place]
-    clear = (flags & pulse_fit.OVERLAPPING) == 0
-    behind, gap = _behind_anchor(row, time, clear, pulses, params.register_within)
-    far = np.where(gap[row] > params.vendor_tolerance, FAR_FROM_VENDOR, 0)
+def _fitted(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> dict[str, NDArray]:
+    """Columns of the fitted echoes, by pulse and echo number."""
+    fits = fit_waveforms(waves, params, pulse)
+    row, pulses = fits.row, waves.pulses
+    late = outgoing_times(waves, params, pulse)
+    after, far = from_anchor(fits, waves, late, params)
+    beam, speed = beams(waves)
+    time = pulses["segment_start"].astype(np.float64)[row] + fits.time
+    with np.errstate(divide="ignore"):
+        decibels = 10.0 * np.log10(fits.amplitude / detection_limits(waves, params, pulse)[row])
     columns = {
         "pulse": pulses["pulse"][row],
-        "echo_number": place + 1,
-        "number_of_echoes": count[row],
         "origin": np.full(len(row), FITTED, np.uint8),
         "gps_time": pulses["gps_time"][row],
-        "amplitude": amplitude,
-        "width": width,
+        "beam_range": pulses["anchor_range"][row] + after * speed[row],
+        "amplitude": fits.amplitude,
+        "amplitude_db": decibels,
+        "width": fits.width,
+        "energy": fits.energy,
         "time": time,
-        "baseline": result["baseline"][row],
-        "misfit": result["misfit"][row],
-        "fit_flags": (flags | far).astype(np.uint8),
+        "amplitude_sigma": fits.amplitude_sigma,
+        "width_sigma": fits.width_sigma,
+        "range_sigma": fits.time_sigma * speed[row],
+        "deviation": fits.deviation,
+        "baseline": fits.baseline[row],
+        "noise": fits.noise[row],
+        "misfit": fits.misfit[row],
+        "fit_flags": fits.flags | np.where(far, FAR_FROM_VENDOR, 0).astype(np.uint8),
     }
-    beam = -step / np.sqrt((step**2).sum(axis=1))[:, None]
     for c, axis in enumerate("xyz"):
-        columns[axis] = pulses[f"anchor_{axis}"][row] + behind * step[row, c]
+        columns[axis] = pulses[f"anchor_{axis}"][row] + (after * speed[row]) * beam[row, c]
         columns[f"beam_{axis}"] = beam[row, c]
-    return columns, pulses["pulse"][count > 0]
-
-
-def _behind_anchor(
-    row: NDArray, time: NDArray, clear: NDArray, pulses: Table, register_within: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """How long before the anchor return every echo is [ns], and per pulse the distance of its nearest echo [ns].
-
-    An echo that is not `clear` of others does not move its pulse: the vendor may have seen several as one.
-    """
-    behind = pulses["anchor_time"].astype(np.float64)[row] - time
-    gap = np.full(pulses.rows, np.inf)
-    np.minimum.at(gap, row, np.abs(behind))
-    nearest = np.flatnonzero(np.abs(behind) == gap[row])
-    shift = np.zeros(pulses.rows)
-    shift[row[nearest[::-1]]] = (behind * clear)[nearest[::-1]]  # of two equally near ones the first is written last
-    shift[gap > register_within] = 0.0
-    return behind - shift[row], gap
+    if (np.diff(pulses["pulse"].astype(np.int64)) <= 0).any():  # pulses of several segments
+        order = np.lexsort((time, columns["pulse"]))
+        columns = {name: values[order] for name, values in columns.items()}
+    number, size = np.empty(len(row), np.int64), np.empty(len(row), np.int64)
+    rank_in_pulse(columns["pulse"], number, size)
+    columns |= {"echo_number": number, "number_of_echoes": np.minimum(size, MOST)}
+    if size.max(initial=0) > MOST:
+        columns = {name: values[number <= MOST] for name, values in columns.items()}
+    return columns
 
 
 def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
     """Columns of the returns that are echoes themselves: of pulses not among `alive`."""
-    table = waves.returns.take(~np.isin(waves.returns["pulse"], alive))
+    table = waves.returns.take(np.flatnonzero(~_among(waves.returns["pulse"], alive)))
     table = table.take(np.lexsort((table["return_number"], table["pulse"])))
     n = table.rows
     rank, size = np.empty(n, np.int64), np.empty(n, np.int64)
@@ -193,35 +126,41 @@ def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
     origin = np.where(undeclared, READ_AS_ECHO, np.where(unseen, FITTED, KEPT))
     rank = np.where(undeclared, np.maximum(table["return_number"], 1), rank)
     size = np.where(undeclared, np.maximum(table["number_of_returns"], rank), size)
+    energy = AREA_PER_FWHM * 10.0 ** (table["vendor_amplitude"].astype(np.float64) / 10.0) * table["vendor_width"]
+    unknown = ("beam_range", "amplitude_sigma", "width_sigma", "range_sigma", "baseline", "noise", "misfit")
     columns = {
+        **dict.fromkeys(unknown, nothing),
         "pulse": table["pulse"],
         "echo_number": rank,
         "number_of_echoes": size,
         "origin": origin,
         "gps_time": table["gps_time"],
         "amplitude": amplitude,
+        "amplitude_db": table["vendor_amplitude"],
         "width": table["vendor_width"],
+        "energy": np.where(undeclared, energy, np.nan),
+        "deviation": table["vendor_deviation"],
         "time": np.where(unseen, table["location"], np.nan),
-        "baseline": nothing,
-        "misfit": nothing,
         "fit_flags": np.where(unseen, VENDOR_KEPT, 0).astype(np.uint8),
     }
-    at = np.searchsorted(waves.pulses["pulse"], table["pulse"])
-    beam = _beams(waves.pulses, np.where(unseen, at, -1))
+    beam = np.full((n, 3), np.nan)
+    if waves.pulses.rows:
+        at = np.searchsorted(waves.pulses["pulse"], table["pulse"][unseen])
+        beam[unseen] = beams(waves)[0][at]
     for c, axis in enumerate("xyz"):
         columns[axis] = table[axis]
         columns[f"beam_{axis}"] = beam[:, c]
     return columns
 
 
-def _beams(pulses: Table, row: NDArray) -> NDArray[np.float64]:
-    """Unit vector from sensor to target of pulse rows; NaN for row -1."""
-    step = np.stack([pulses[f"step_{axis}"] for axis in "xyz"], axis=1)
-    beam = np.full((len(row), 3), np.nan)
-    known = row >= 0
-    chosen = step[row[known]]
-    beam[known] = -chosen / np.sqrt((chosen**2).sum(axis=1))[:, None]
-    return beam
+def _among(values: NDArray, known: NDArray) -> NDArray[np.bool_]:
+    """Which of `values` occur in `known`; both are whole numbers of a narrow range."""
+    if len(known) == 0 or len(values) == 0:
+        return np.zeros(len(values), bool)
+    low = int(min(values.min(), known.min()))
+    seen = np.zeros(int(max(values.max(), known.max())) - low + 1, bool)
+    seen[known - low] = True
+    return np.asarray(seen[values - low], bool)
 
 
 def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
@@ -233,7 +172,10 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     to_return = np.empty(len(targets), np.int64)
     nearest_of_pulse(echoes["pulse"], targets, pulse, places, to_return)
     for name in ("source_class", "intensity"):
-        echoes[name] = returns[name][order][to_return]
+        if returns.rows:
+            echoes[name] = np.where(to_return >= 0, returns[name][order][to_return], 0)
+        else:
+            echoes[name] = np.zeros(len(targets), np.uint8)
     to_echo = np.empty(len(places), np.int64)
     nearest_of_pulse(pulse, places, echoes["pulse"], targets, to_echo)
     number = np.empty(len(places), np.uint8)
@@ -241,9 +183,10 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
+PULSE = Stage(name="pulse", version=1, kind="gather", function=estimate_pulse, params=PulseParams, reads=PULSE_COLUMNS)
 DECOMPOSE = Stage(
     name="decompose",
-    version=1,
+    version=2,
     kind="chunk",
     function=decompose,
     params=DecomposeParams,

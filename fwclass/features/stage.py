@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from fwclass.features.walk import SHAPE, walk
 from fwclass.grid import millimetres, whole_millimetres
@@ -23,18 +23,13 @@ class FeaturesParams(Params):
     ----------
     radii : radii of the neighbourhoods [m], one walk each; names carry them, as in ``planarity_r100``.
     cell_x, cell_y : edges of the cells of `zc` [m].
-    platform_altitude : height of the sensor in the survey's height system [m]; None leaves `backscatter`
-        without values.
-    calibration : the constant C_cal of `backscatter`.
-    max_incidence : incidence angles above this [deg] count as this in `backscatter`.
+    normal_radius : the one of `radii` whose normals are kept, for radiometry [m]; None is the smallest.
     """
 
     radii: tuple[float, ...] = Field(min_length=1)
     cell_x: float = Field(gt=0)
     cell_y: float = Field(gt=0)
-    platform_altitude: float | None
-    calibration: float = Field(gt=0)
-    max_incidence: float = Field(ge=0, lt=90)
+    normal_radius: float | None
 
     @field_validator("radii")
     @classmethod
@@ -45,10 +40,19 @@ class FeaturesParams(Params):
             raise ValueError("radii must differ and be positive whole centimetres, as columns are named by them")
         return radii
 
+    @model_validator(mode="after")
+    def _normals(self) -> FeaturesParams:
+        if self.normal_radius is not None and self.normal_radius not in self.radii:
+            raise ValueError(f"normal_radius {self.normal_radius:g} must be one of radii")
+        return self
+
+
+NORMAL = ("normal_x", "normal_y", "normal_z")
+
 
 def names(params: FeaturesParams) -> tuple[str, ...]:
     """Columns that `features` writes under `params`, in order."""
-    return ("zc", *(scaled(base, radius) for radius in params.radii for base in (*SHAPE, "backscatter")))
+    return ("zc", *(scaled(base, radius) for radius in params.radii for base in SHAPE), *NORMAL)
 
 
 def features(chunk: Chunk, params: FeaturesParams) -> Table:
@@ -56,9 +60,9 @@ def features(chunk: Chunk, params: FeaturesParams) -> Table:
 
     ``zc`` is z minus the lowest z of the cell (plain minimum, as the paper has it) of a grid that hangs on
     the global origin. For every radius: `SHAPE` from the sphere and the vertical cylinder, the point itself
-    included, and ``backscatter``, see there. With fewer than three neighbours, or all at one place, the
-    shape (linearity, planarity, sphericity, roughness) and the inclination are NaN; on a line the
-    inclination is NaN.
+    included; ``normal_x, normal_y, normal_z`` at `normal_radius`. With fewer than three neighbours, or all at one
+    place, the shape (linearity, planarity, sphericity, roughness), the inclination and the normal are NaN; on a line
+    the inclination and the normal are NaN.
 
     Sums over neighbours are of exact integer millimetres, so that the results depend on the set of
     neighbours only.
@@ -67,13 +71,13 @@ def features(chunk: Chunk, params: FeaturesParams) -> Table:
     """
     require(chunk.table, FEATURES.reads, chunk.tile.key)
     out: dict[str, NDArray] = {}
-    echoes = chunk.table.select(("z", "amplitude", "width", "beam_x", "beam_y", "beam_z")).take(chunk.core)
     for radius in params.radii:
         shape = neighbourhoods(chunk, radius)
         for k, base in enumerate(SHAPE):
             out[scaled(base, radius)] = shape[:, k]
-        out[scaled("backscatter", radius)] = backscatter(echoes, shape[:, -3:], params)
-    return Table({"zc": height_in_cell(chunk, params), **out})
+        if radius == (params.normal_radius or min(params.radii)):
+            normals = {name: shape[:, len(SHAPE) + k] for k, name in enumerate(NORMAL)}
+    return Table({"zc": height_in_cell(chunk, params), **out, **normals})
 
 
 def height_in_cell(chunk: Chunk, params: FeaturesParams) -> NDArray[np.float64]:
@@ -108,40 +112,14 @@ def neighbourhoods(chunk: Chunk, radius: float) -> NDArray[np.float32]:
     return out
 
 
-def backscatter(echoes: Table, normals: NDArray[np.float32], params: FeaturesParams) -> NDArray[np.float64]:
-    """Backscatter coefficient γ = σ / (A_i cos θ) of echoes with known local normals.
-
-    With σ = C R⁴ P S_p and the beam's cross-section A_i = π R² β² / 4 this is γ = C_cal R² P S_p / cos θ;
-    C_cal holds the constants. For an extended Lambertian surface γ is proportional to its reflectance,
-    whatever its slope and range.
-
-    R = (platform_altitude − z) / −beam_z [m], P amplitude [DN], S_p echo width [ns], θ the angle between
-    beam and normal, at most `max_incidence` (cos θ would vanish on walls). NaN where the beam, normal,
-    amplitude, width or altitude is missing, or the sensor is not above the echo.
-
-    Source: Fan 2013, eq. 3; Wagner 2008.
-    """
-    if params.platform_altitude is None:
-        return np.full(echoes.rows, np.nan)
-    down = -echoes["beam_z"].astype(np.float64)
-    drop = params.platform_altitude - echoes["z"]
-    range_ = np.divide(drop, down, out=np.full(len(down), np.nan), where=(down > 0) & (drop > 0))
-    beam = np.stack([echoes["beam_x"], echoes["beam_y"], echoes["beam_z"]], axis=1)
-    cosine = np.abs(np.einsum("ij,ij->i", beam, normals, dtype=np.float64))
-    cosine = np.clip(cosine, np.cos(np.radians(params.max_incidence)), 1.0)
-    return params.calibration * range_**2 * echoes["amplitude"] * echoes["width"] / cosine
-
-
 FEATURES = Stage(
     name="features",
-    version=1,
+    version=2,
     kind="tile",
     function=features,
     params=FeaturesParams,
-    reads=(
-        "x", "y", "z", "echo_number", "number_of_echoes", "amplitude", "width", "beam_x", "beam_y", "beam_z"
-    ),
-    writes=("zc", *SHAPE, "backscatter"),
+    reads=("x", "y", "z", "echo_number", "number_of_echoes"),
+    writes=("zc", *SHAPE, *NORMAL),
     halo=lambda params: float(max(*params.radii, params.cell_x, params.cell_y)),
-)  # fmt: skip
+)
 """`writes` has the features without their scale; `names` has the columns under given params."""

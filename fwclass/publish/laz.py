@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.grid import millimetres
-from fwclass.publish.extrabytes import descriptor, extra_size, packed, published
+from fwclass.publish.extrabytes import ExtraByte, descriptor, extra_bytes, extra_size, packed, published
 from fwclass.publish.files import whole
 from fwclass.publish.lasbytes import (
     EXTRA_BYTES,
@@ -22,7 +22,7 @@ from fwclass.publish.lasbytes import (
 )
 from fwclass.publish.lazwriter import LazWriter, assemble, record
 from fwclass.publish.params import PublishParams
-from fwclass.schema import Column, Table, require
+from fwclass.schema import Table, require
 from fwclass.units import QUANTUM
 
 NEEDED = ("strip", "echo_number", "number_of_echoes", "x", "y", "z", "classification")
@@ -50,8 +50,9 @@ def write_tile_laz(
     """Write the echoes of a tile, in the table's row order; the same rows give the same bytes.
 
     Coordinates are exact millimetres. The point source is strip + 1, the return number is the echo number (15
-    at most, as the format holds four bits). Every column with a LAS name becomes an extra byte; NaN stays
-    NaN.
+    at most, as the format holds four bits). Every column with a LAS name becomes an extra byte, in the type and
+    scale that the schema gives it: a whole type holds the nearest number, or the nearest end of its range (counted),
+    and its no-data number where the value is NaN; in floating-point types NaN stays NaN.
     A missing `gps_time` is written as 0. The creation date is 0: nothing of the day or the machine
     is in the file.
 
@@ -63,7 +64,8 @@ def write_tile_laz(
 
     Returns
     -------
-    dict with ``path, points, extra_bytes (names), clipped (echo numbers above 15), without_time, bytes``.
+    dict with ``path, points, extra_bytes (names), beyond (values outside their extra byte's range, by name), clipped
+    (echo numbers above 15), without_time, bytes``.
 
     Raises
     ------
@@ -71,11 +73,11 @@ def write_tile_laz(
         A column is missing, or coordinates do not fit the format's 32 bits.
     """
     require(table, NEEDED, path)
-    columns = published(table)
+    extras = extra_bytes(published(table), table)
     offset, whole_mm = _local(table, path)
     points, counts = _points(table, whole_mm)
-    head = _head(columns, points, offset, crs, standard_time)
-    rows = np.concatenate([points.view(np.uint8).reshape(len(points), POINT6.itemsize), packed(columns, table)], axis=1)
+    head = _head(extras, points, offset, crs, standard_time)
+    rows = np.concatenate([points.view(np.uint8).reshape(len(points), POINT6.itemsize), packed(extras, table)], axis=1)
     with whole(path) as beside:
         with beside.open("w+b") as file:
             writer = LazWriter(file, head)
@@ -83,8 +85,10 @@ def write_tile_laz(
                 writer.write(rows[first : first + params.chunk_points])
             writer.finish()
         size = beside.stat().st_size
-    names = [c.las for c in columns]
-    return {"path": str(path), "points": table.rows, "extra_bytes": names, "bytes": size, **counts}
+    return {
+        "path": str(path), "points": table.rows, "extra_bytes": [e.las for e in extras],
+        "beyond": {e.las: e.beyond for e in extras if e.beyond}, "bytes": size, **counts,
+    }  # fmt: skip
 
 
 def _local(table: Table, path: Path) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
@@ -122,14 +126,14 @@ def _points(table: Table, local: list[NDArray[np.int64]]) -> tuple[NDArray, dict
 
 
 def _head(
-    columns: tuple[Column, ...],
+    extras: tuple[ExtraByte, ...],
     points: NDArray,
     offset: NDArray[np.int64],
     crs: pyproj.CRS | None,
     standard_time: bool,
 ) -> bytes:
     """Header block and records of the uncompressed file."""
-    size = POINT_SIZE[6] + extra_size(columns)
+    size = POINT_SIZE[6] + extra_size(extras)
     block = bytearray(HEADER_SIZE[4])
     block[:4], block[24], block[25] = b"LASF", 1, 4
     struct.pack_into("<H", block, 6, WKT | (STANDARD_GPS_TIME if standard_time else 0))
@@ -144,8 +148,8 @@ def _head(
     records = []
     if crs is not None:
         records.append(record("LASF_Projection", 2112, "OGC WKT", wkt(crs).encode() + b"\0"))
-    if columns:
-        records.append(record(*EXTRA_BYTES, "Extra Bytes Record", b"".join(map(descriptor, columns))))
+    if extras:
+        records.append(record(*EXTRA_BYTES, "Extra Bytes Record", b"".join(map(descriptor, extras))))
     return assemble(bytes(block), records)
 
 

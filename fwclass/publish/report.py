@@ -21,6 +21,7 @@ from fwclass.publish.sections import (
     seconds,
     stages,
     training,
+    waveforms,
 )
 
 TEMPLATE = "report.html.j2"
@@ -34,6 +35,8 @@ CAPTIONS = {
     ),
     "relief": ("Terrain", "Shaded relief of the terrain model, tinted by height."),
 }
+PULSE = "pulse"
+"""The figure that stands beside the waveforms, not among the maps."""
 
 
 def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path: Path) -> dict[str, Any]:
@@ -44,8 +47,9 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     Parameters
     ----------
     report : ``survey, fwclass, input {files, faults}, counts, stages, classes, accuracy, training,
-        distribution, areas, outputs, config, seconds``; plain data, any key may be missing.
-    figures : PNG by name; ``map`` and ``relief`` come first, others follow under their names.
+        distribution, waveforms, areas, outputs, config, seconds``; plain data, any key may be missing.
+    figures : PNG by name; ``map`` and ``relief`` come first, others follow under their names; ``pulse`` stands with
+        the waveforms.
 
     Returns
     -------
@@ -56,7 +60,9 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     with whole(path) as beside:
         beside.write_text(page, encoding="utf-8", newline="\n")
         size = beside.stat().st_size
-    shown = [name for name in ("maps", "accuracy", "distribution", "stages", "outputs", "config") if view[name]]
+    shown = [
+        name for name in ("maps", "accuracy", "distribution", "waveforms", "stages", "outputs", "config") if view[name]
+    ]
     return {"path": str(path), "bytes": size, "sections": shown}
 
 
@@ -84,7 +90,9 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "total": report.get("seconds"),
         "summary": _summary(report, classes, counts),
         "facts": _facts(report, counts),
-        "maps": _images(figures),
+        "maps": _images({n: f for n, f in figures.items() if n != PULSE}),
+        "waveforms": waveforms(report.get("waveforms")),
+        "pulse": _uri(figures[PULSE]) if PULSE in figures else "",
         "accuracy": accuracy(report.get("accuracy"), classes),
         "distribution": distribution(report.get("distribution"), classes),
         "training": training(report.get("training")),
@@ -157,9 +165,12 @@ def _images(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
     out = []
     for name in names:
         title, caption = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
-        data = base64.b64encode(figures[name]).decode()
-        out.append({"title": title, "caption": caption, "uri": f"data:image/png;base64,{data}"})
+        out.append({"title": title, "caption": caption, "uri": _uri(figures[name])})
     return out
+
+
+def _uri(picture: bytes) -> str:
+    return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
 
 
 def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -31,6 +31,8 @@ TITLES = {
 }  # fmt: skip
 PERCENTILES = ("p5", "p25", "p50", "p75", "p95")
 PER_CLASS = ("producers_accuracy", "users_accuracy", "iou")
+POINTING_LIMIT = 2.0
+"""Angle between beams and the lines from the trajectory [deg] above which they do not belong together."""
 RIGHT, WRONG = (23, 105, 122), (196, 78, 40)
 """Colours of the confusion matrix: on the diagonal and beside it."""
 
@@ -166,6 +168,54 @@ def training(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
         "samples": dict(made.get("samples") or {}), "trees": made.get("trees"), "features": features,
         "out_of_bag": percent(made.get("out_of_bag")), "notes": [str(n) for n in made.get("notes") or ()],
     }  # fmt: skip
+
+
+def waveforms(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """The system's pulse and gain of every strip in words, and where the calibration comes from."""
+    if not made or not made.get("strips"):
+        return None
+    rows = []
+    for strip in made["strips"]:
+        pulse = strip["pulse"]
+        measured = pulse["shape"] == "measured"
+        echoes = number(pulse["echoes"]) if pulse["echoes"] else "given"
+        gain = strip.get("gain")
+        rows.append(
+            {
+                "name": strip["name"],
+                "shape": "measured" if measured else "Gaussian",
+                "fwhm": f"{pulse['fwhm']:.2f}",
+                "rise": f"{pulse['rise_time']:.2f}",
+                "tail": percent(pulse["tail_share"]),
+                "shape_error": percent(pulse["shape_error"]),
+                "echoes": echoes,
+                "noise": measure(strip.get("noise")),
+                "gain": f"{gain:.3f}" if gain is not None else "–",
+            }
+        )
+    return {"rows": rows, "gains": any(r["gain"] != "–" for r in rows), "notes": _calibration_notes(made)}
+
+
+def _calibration_notes(made: Mapping[str, Any]) -> list[str]:
+    """How ranges and radiometry came about, in sentences."""
+    notes = []
+    found = made.get("calibration")
+    if found:
+        source = found["source"]
+        if source == "none":
+            notes.append("Cross-section and backscatter are relative: no calibration constant is given or measured.")
+        else:
+            error = f", standard error {percent(found['error'])} %" if found.get("error") is not None else ""
+            origin = f"{number(found['target_echoes'])} echoes on the target" if source == "target" else "configuration"
+            notes.append(f"Calibration constant {found['constant']:.4g} per m² DN ns, from {origin}{error}.")
+    if made.get("without_range"):
+        notes.append(f"{number(made['without_range'])} echoes have no range, and no radiometry.")
+    angle = made.get("pointing_error")
+    if angle is not None:
+        notes.append(f"Beams and trajectory agree to {angle:.3f}° (median of the worst tile).")
+        if angle > POINTING_LIMIT:
+            notes.append("That is too much: check the trajectory's time scale, height system and coordinate system.")
+    return notes
 
 
 def _base(feature: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError, InputError
-from fwclass.publish.extrabytes import extended, extra_size, packed
+from fwclass.publish.extrabytes import ExtraByte, extended, extra_bytes, extra_size, names_of, packed
 from fwclass.publish.files import whole
 from fwclass.publish.lasbytes import (
     AT_ENCODING,
@@ -33,7 +33,7 @@ from fwclass.publish.lazwriter import LazWriter, assemble
 from fwclass.publish.packets import Packets, carried, find_packets, publish_packets
 from fwclass.publish.params import PublishParams
 from fwclass.publish.verify import verify
-from fwclass.schema import Column, column
+from fwclass.schema import column
 
 LEGACY_MAX = 31
 """Highest class code of point formats 0 to 5: five bits, beside three flags."""
@@ -58,12 +58,15 @@ def write_strip_laz(
     source : LAS 1.0 to 1.4 or LAZ, point formats 0 to 10.
     output : path of the LAZ file.
     classes : uint8 (points,), class code per point in file order; at most 31 for point formats 0 to 5.
-    extra : columns of the schema by name, one value per point, added as extra bytes; None adds none.
+    extra : columns of the schema by name, one value per point, added as extra bytes behind the source's own; None adds
+        none. A name that the source has already gets ``fw`` before it: the source's `Amplitude` stays, and ours is
+        `fw Amplitude`.
 
     Returns
     -------
-    dict with ``path, points, changed (points whose class differs), point_format, extra_bytes, waveforms, wdp
-    (path or None), copc (bool), notes (list of text), bytes``; waveforms is "none", "copied",
+    dict with ``path, points, changed (points whose class differs), point_format, extra_bytes, beyond
+    (values outside their extra byte's range, by name), waveforms, wdp (path or None), copc (bool), notes (list of
+    text), bytes``; waveforms is "none", "copied",
     "extracted", "missing" or "truncated".
 
     Raises
@@ -77,20 +80,21 @@ def write_strip_laz(
     """
     head = read_head(source)
     _check(head, output, classes, extra or {})
-    columns = tuple(column(name) for name in extra or {})
+    extras = extra_bytes(map(column, extra or {}), extra or {}, names_of(kept_records(head)))
     packets = find_packets(head)
-    chunk = chunk_rows(params.chunk_points, head.point_size + extra_size(columns))
+    chunk = chunk_rows(params.chunk_points, head.point_size + extra_size(extras))
     with whole(output) as beside:
         with beside.open("w+b") as file:
-            changed = _copy(head, file, classes, columns, extra or {}, packets, chunk)
-        verify(head, beside, classes, columns, extra or {}, packets, chunk)
+            changed = _copy(head, file, classes, extras, extra or {}, packets, chunk)
+        verify(head, beside, classes, extras, extra or {}, packets, chunk)
         size = beside.stat().st_size
         waveforms, wdp = publish_packets(head, packets, output.with_suffix(".wdp"))
     copc = _is_copc(head)
     notes = list(packets.notes) + (["COPC written as plain LAZ, without its octree"] if copc else [])
     return {
         "path": str(output), "points": head.points, "changed": changed, "point_format": head.point_format,
-        "extra_bytes": [c.las for c in columns], "waveforms": waveforms, "wdp": str(wdp) if wdp else None,
+        "extra_bytes": [e.las for e in extras], "beyond": {e.las: e.beyond for e in extras if e.beyond},
+        "waveforms": waveforms, "wdp": str(wdp) if wdp else None,
         "copc": copc, "notes": notes, "bytes": size,
     }  # fmt: skip
 
@@ -125,23 +129,23 @@ def _copy(
     head: LasHead,
     file: BinaryIO,
     classes: NDArray[np.uint8],
-    columns: tuple[Column, ...],
+    extras: tuple[ExtraByte, ...],
     extra: Mapping[str, NDArray],
     packets: Packets,
     chunk: int,
 ) -> int:
     """Write head, points and extended records; the number of points whose class differs."""
-    writer = LazWriter(file, _new_head(head, columns, packets))
+    writer = LazWriter(file, _new_head(head, extras, packets))
     changed = first = 0
     for part in point_chunks(head, chunk):
         rows = slice(first, first + len(part))
         changed += _reclassify(head.point_format, part, classes[rows])
-        if columns:
-            added = packed(columns, {c.name: extra[c.name][rows] for c in columns})
+        if extras:
+            added = packed(extras, {e.name: extra[e.name][rows] for e in extras})
             part = np.concatenate([part, added], axis=1)
         writer.write(part)
         first = rows.stop
-    end = writer.finish(_block(head, columns, packets))
+    end = writer.finish(_block(head, extras, packets))
     start, count = _copy_extended(head, file, end, packets)
     if head.minor >= 4:
         file.seek(AT_EVLRS)
@@ -158,19 +162,19 @@ def _reclassify(point_format: int, part: NDArray[np.uint8], classes: NDArray[np.
     return changed
 
 
-def _new_head(head: LasHead, columns: tuple[Column, ...], packets: Packets) -> bytes:
-    return assemble(_block(head, columns, packets), extended(kept_records(head), columns), head.gap)
+def _new_head(head: LasHead, extras: tuple[ExtraByte, ...], packets: Packets) -> bytes:
+    return assemble(_block(head, extras, packets), extended(kept_records(head), extras), head.gap)
 
 
 def _is_copc(head: LasHead) -> bool:
     return any(r.user == "copc" for r in head.records)
 
 
-def _block(head: LasHead, columns: tuple[Column, ...], packets: Packets) -> bytes:
+def _block(head: LasHead, extras: tuple[ExtraByte, ...], packets: Packets) -> bytes:
     """The source's header block, uncompressed, without extended records; packets are outside."""
     block = bytearray(head.block)
     block[AT_FORMAT] &= 0x3F
-    struct.pack_into("<H", block, 105, head.point_size + extra_size(columns))
+    struct.pack_into("<H", block, 105, head.point_size + extra_size(extras))
     if head.minor >= 3:
         struct.pack_into("<Q", block, AT_PACKETS, 0)
         if packets.internal:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.publish.extrabytes import extended, packed
+from fwclass.publish.extrabytes import ExtraByte, extended, packed
 from fwclass.publish.lasbytes import (
     AT_ENCODING,
     AT_EVLRS,
@@ -29,14 +29,13 @@ from fwclass.publish.lasbytes import (
     read_head,
 )
 from fwclass.publish.packets import Packets, carried
-from fwclass.schema import Column
 
 
 def verify(
     head: LasHead,
     copy: Path,
     classes: NDArray[np.uint8],
-    columns: tuple[Column, ...],
+    extras: tuple[ExtraByte, ...],
     extra: Mapping[str, NDArray],
     packets: Packets,
     chunk: int,
@@ -45,7 +44,7 @@ def verify(
     made = replace(read_head(copy), path=copy)
     _same(copy, "the header", _fixed(head), _fixed(made))
     _storage(head, made, packets, copy)
-    wanted = b"".join(extended(kept_records(head), columns))
+    wanted = b"".join(extended(kept_records(head), extras))
     _same(copy, "the variable length records", wanted, b"".join(r.raw for r in kept_records(made).records))
     _same(copy, "the bytes before the points", head.gap, made.gap)
     _verify_extended(head, made, packets)
@@ -56,8 +55,8 @@ def verify(
             raise differs(copy, "the number of points", head.points, made.points)
         rows = slice(first, first + len(old))
         _verify_points(head, copy, old, new, classes[rows], first)
-        if columns:
-            added = packed(columns, {c.name: extra[c.name][rows] for c in columns})
+        if extras:
+            added = packed(extras, {e.name: extra[e.name][rows] for e in extras})
             _same(copy, "the added extra bytes", added.tobytes(), new[:, head.point_size :].tobytes())
         first = rows.stop
 

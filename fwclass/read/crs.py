@@ -1,22 +1,31 @@
-"""The coordinate reference system of a LAS file: WKT record, or GeoTIFF keys."""
+"""The coordinate reference system of a file: WKT record, or GeoTIFF keys; PulseWaves stores them as LAS does."""
 
 from __future__ import annotations
 
 import struct
-from typing import Any
+from typing import Any, Protocol
 
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from fwclass.read.header import Header
+from fwclass.read.header import Record
 
-_USERS = ("LASF_Projection", "LAS_Projection", "liblas")
+_USERS = ("LASF_Projection", "LAS_Projection", "liblas", "PulseWaves_Proj")
 _WKT, _KEYS = 2112, 34735
 _GEOGRAPHIC, _PROJECTED, _VERTICAL = 2048, 3072, 4096
 _USER_DEFINED = 32767
 
 
-def crs_of(header: Header, faults: list[str]) -> Any:
+class Records(Protocol):
+    """A header with its records."""
+
+    @property
+    def global_encoding(self) -> int: ...
+
+    def records(self, number: int, users: tuple[str, ...]) -> list[Record]: ...
+
+
+def crs_of(header: Records, faults: list[str]) -> Any:
     """The file's CRS (`pyproj.CRS`) or None; what is wrong with it is appended to `faults`.
 
     The WKT record is believed first where the header's WKT bit is set or no usable GeoTIFF keys are there.
@@ -34,7 +43,7 @@ def crs_of(header: Header, faults: list[str]) -> Any:
     return crs
 
 
-def _from_wkt(header: Header, faults: list[str]) -> CRS | None:
+def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
     for record in header.records(_WKT, _USERS):
         text = record.body.split(b"\0")[0].decode("utf-8", "replace").strip()
         if not text:
@@ -46,7 +55,7 @@ def _from_wkt(header: Header, faults: list[str]) -> CRS | None:
     return None
 
 
-def _from_keys(header: Header, faults: list[str]) -> CRS | None:
+def _from_keys(header: Records, faults: list[str]) -> CRS | None:
     for record in header.records(_KEYS, _USERS):
         keys = _geo_keys(record.body)
         horizontal = keys.get(_PROJECTED) or keys.get(_GEOGRAPHIC)

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
+from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
-from fwclass.read.source import Source, open_source
+from fwclass.read.source import PulseSource, las_of, open_source
 
 Z_MARGIN = 100.0
 """A point is a z outlier this far [m], plus the spread of the middle 98 %, beyond that middle."""
@@ -34,7 +36,7 @@ class _Tally:
     zero_intensity: int = 0
     heights: dict[int, int] = field(default_factory=dict)
 
-    def add(self, source: Source, points: Any, step: float) -> None:
+    def add(self, source: LasSource, points: Any, step: float) -> None:
         number = np.minimum(np.asarray(points["return_number"], np.int64), _MAX_RETURN - 1)
         of = np.minimum(np.asarray(points["number_of_returns"], np.int64), _MAX_RETURN - 1)
         pair = np.bincount(number * _MAX_RETURN + of, minlength=_MAX_RETURN**2)
@@ -63,14 +65,18 @@ class _Tally:
 def info(path: str | Path) -> dict[str, Any]:
     """Contents and faults of a file as plain data for JSON.
 
-    One pass over the points; memory does not grow with their number.
+    One pass over the points (or pulses); memory does not grow with their number.
 
     Raises
     ------
     InputError
         The file cannot be read.
     """
-    source = open_source(path)
+    opened = open_source(path)
+    return pulse_info(opened) if isinstance(opened, PulseSource) else _las_info(las_of(opened))
+
+
+def _las_info(source: LasSource) -> dict[str, Any]:
     tally = _Tally()
     step = max(1.0, abs(source.scales[2]) * 1000.0)
     with PointReader(source) as reader:
@@ -116,7 +122,7 @@ def _counts(values: NDArray[np.int64]) -> dict[str, int]:
     return {str(i): int(n) for i, n in enumerate(values) if n}
 
 
-def _waveforms(source: Source, tally: _Tally) -> dict[str, Any]:
+def _waveforms(source: LasSource, tally: _Tally) -> dict[str, Any]:
     waves = source.waves
     return {
         "where": waves.kind,
@@ -137,7 +143,7 @@ def _waveforms(source: Source, tally: _Tally) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _faults(source: Source, tally: _Tally, step: float) -> list[str]:
+def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
     n = source.n_points
     if n == 0:
         return []
@@ -163,7 +169,7 @@ def _faults(source: Source, tally: _Tally, step: float) -> list[str]:
     return found
 
 
-def _bounds_faults(source: Source, tally: _Tally) -> list[str]:
+def _bounds_faults(source: LasSource, tally: _Tally) -> list[str]:
     low, high = np.array(source.bounds[:3]), np.array(source.bounds[3:])
     slack = 2 * np.abs(source.scales)
     wide = 1.0 + 0.01 * (tally.high - tally.low)
@@ -197,16 +203,32 @@ def _missing_returns(pairs: NDArray[np.int64]) -> int:
 
 def describe(found: dict[str, Any]) -> str:
     """`info` for a terminal."""
-    crs, waves = found["crs"], found["waveforms"]
-    kind = "COPC" if found["copc"] else "LAZ" if found["compressed"] else "LAS"
+    crs = found["crs"]
     rows = [
         ("file", f"{found['path']}  ({found['size']:,} bytes)"),
-        ("format", f"{kind} {found['version']}, point format {found['point_format']}"),
+        ("format", _format_text(found)),
         ("written by", " / ".join(t for t in (found["system"], found["software"]) if t)),
-        ("points", f"{found['points']:,}"),
         ("CRS", f"{crs['name']}" + (f" (EPSG:{crs['epsg']})" if crs["epsg"] else "") if crs else "none"),
         ("bounds", _bounds_text(found["bounds"])),
         ("GPS time", "{:.3f} to {:.3f} s".format(*found["gps_time"]) if found["gps_time"] else "none"),
+        *(describe_pulses(found) if "pulses" in found else _describe_points(found)),
+    ]
+    lines = [f"{name:<12} {text}" for name, text in rows]
+    lines += [f"  ! {fault}" for fault in found["faults"]] or ["  no faults found"]
+    return "\n".join(lines)
+
+
+def _format_text(found: dict[str, Any]) -> str:
+    if "pulses" in found:
+        return f"PulseWaves {found['version']}"
+    kind = "COPC" if found["copc"] else "LAZ" if found["compressed"] else "LAS"
+    return f"{kind} {found['version']}, point format {found['point_format']}"
+
+
+def _describe_points(found: dict[str, Any]) -> list[tuple[str, str]]:
+    waves = found["waveforms"]
+    rows = [
+        ("points", f"{found['points']:,}"),
         ("returns", _counts_text(found["returns"])),
         ("classes", _counts_text(found["classes"])),
         ("extra bytes", ", ".join(found["extra_bytes"]) or "none"),
@@ -220,9 +242,7 @@ def describe(found: dict[str, Any]) -> str:
             rows.append(("descriptor", f"{text}, {d['points']:,} returns"))
         if waves["empty_descriptors"]:
             rows.append(("", f"and {waves['empty_descriptors']} empty ones"))
-    lines = [f"{name:<12} {text}" for name, text in rows]
-    lines += [f"  ! {fault}" for fault in found["faults"]] or ["  no faults found"]
-    return "\n".join(lines)
+    return rows
 
 
 def _bounds_text(bounds: list[float] | None) -> str:

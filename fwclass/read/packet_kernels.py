@@ -25,6 +25,48 @@ def pulse_heads(keys, order, own, most, head):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def join_heads(head, link):  # type: ignore[no-untyped-def]
+    """Make one pulse of the pulses of points i - 1 and i wherever ``link[i]``; heads stay the first points."""
+    n = len(head)
+    for i in range(1, n):
+        if not link[i]:
+            continue
+        a, b = head[i - 1], head[i]
+        while head[a] != a:
+            a = head[a]
+        while head[b] != b:
+            b = head[b]
+        head[max(a, b)] = min(a, b)
+    for i in range(n):
+        head[i] = head[head[i]]
+
+
+@kernel
+def join_segments(order, pulse, begin, lasts, spacing, saturation, slack, row, head, start, shift):  # type: ignore[no-untyped-def]
+    """Rows of packets in `order` (by pulse and `begin`); see `fwclass.read.layout`. Gives the number of rows."""
+    rows = 0
+    origin, end = 0.0, 0.0
+    for k in range(len(order)):
+        p = order[k]
+        q = order[k - 1] if k > 0 else p
+        fresh = k == 0 or pulse[p] != pulse[q]
+        if fresh:
+            origin = begin[p]
+        own = begin[p] - origin
+        alike = not fresh and spacing[p] == spacing[q] and saturation[p] == saturation[q]
+        if alike and abs(own - end) <= slack * spacing[p]:
+            own = end
+        else:
+            head[rows] = p
+            start[rows] = own
+            rows += 1
+        row[p] = rows - 1
+        shift[p] = own
+        end = own + lasts[p]
+    return rows
+
+
+@kernel
 def crowded_keys(keys, order, own, most, found):  # type: ignore[no-untyped-def]
     """Keys other than `own` that more than `most` points share, into `found`; how many there are."""
     count, run = 0, 0

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.read.header import EVLR_HEADER
-from fwclass.read.packet_kernels import first_anchors, gather, number_pulses, pulse_heads
-from fwclass.read.source import Source
+from fwclass.read.las import LasSource
+from fwclass.read.layout import lay_out
+from fwclass.read.packet_kernels import first_anchors, gather, join_heads, number_pulses, pulse_heads
 from fwclass.units import METRES_PER_NS
 
 OWN = np.uint64(2**64 - 1)
@@ -30,6 +31,11 @@ FAULTS = (
 
 VECTOR_RANGE = (0.5, 1.5)
 """Sane lengths of the stored beam vector, in units of c / 2n: water (0.75) passes, zeros and metres do not."""
+
+MAX_SPACING = 100.0
+"""No laser scanner samples slower than this [ns]: 15 m a sample."""
+
+UNITLESS = "descriptor without a usable gain or offset (the samples are used as they are)"
 
 _OVERLAP = 2
 
@@ -63,17 +69,34 @@ def packet_keys(points: Any) -> NDArray[np.uint64]:
     return np.where(refers, (index.astype(np.uint64) << np.uint64(56)) | offset, OWN)
 
 
-def pulses_of(keys: NDArray[np.uint64], shared: tuple[int, ...]) -> tuple[NDArray[np.int64], int]:
-    """Number of the pulse of every point, counted from 0 by first appearance, and how many there are.
+def pulses_of(
+    keys: NDArray[np.uint64], shared: tuple[int, ...], link: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Packet and pulse of every point, each counted from 0 by first appearance.
 
+    Points of one key share a packet; a pulse has several where `link` ties a point to the one before it.
     `shared` are the keys that too many points of the whole file share.
     """
     if shared:
         keys = np.where(np.isin(keys, np.array(shared, np.uint64)), OWN, keys)
     head = np.empty(len(keys), np.int64)
     pulse_heads(keys, np.argsort(keys, kind="stable"), OWN, MAX_RETURNS, head)
+    packet = np.empty(len(keys), np.int64)
+    number_pulses(head, packet)
+    if link is None or not link.any():
+        return packet, packet
+    join_heads(head, sound_links(keys, link))
     pulse = np.empty(len(keys), np.int64)
-    return pulse, int(number_pulses(head, pulse))
+    number_pulses(head, pulse)
+    return packet, pulse
+
+
+def sound_links(keys: NDArray[np.uint64], link: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """`link` without the points whose packet is no pulse's (key `OWN`)."""
+    own = keys == OWN
+    kept = link & ~own
+    kept[1:] &= ~own[:-1]
+    return kept
 
 
 @dataclass(frozen=True)
@@ -86,27 +109,29 @@ class _Lookup:
     wide: NDArray[np.bool_]
     spacing: NDArray[np.float64]
     top: NDArray[np.float32]
+    unitless: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, source: Source) -> _Lookup:
+    def of(cls, source: LasSource) -> _Lookup:
         fault = np.full(256, FAULTS.index("unknown descriptor"), np.uint8)
         fault[0] = FAULTS.index("no packet")
         samples, length = np.zeros(256, np.int64), np.zeros(256, np.int64)
         wide, spacing, top = np.zeros(256, np.bool_), np.zeros(256), np.zeros(256, np.float32)
+        unitless = np.zeros(256, np.bool_)
         for i, d in source.descriptors.items():
             samples[i], length[i], wide[i] = d.n_samples, d.packet_bytes, d.bytes_per_sample == 2
             spacing[i], top[i] = d.spacing_ns, float(2 ** min(d.bits, 16) - 1)
-            fault[i] = 0
+            fault[i], unitless[i] = 0, not d.has_unit
             if d.compression:
                 fault[i] = FAULTS.index("compressed packet")
             elif not 1 <= d.bits <= 16 or d.empty:
                 fault[i] = FAULTS.index("unsupported samples")
-            elif d.spacing_ns <= 0:
+            elif not 0 < d.spacing_ns <= MAX_SPACING:
                 fault[i] = FAULTS.index("invalid sample spacing")
-        return cls(fault, samples, length, wide, spacing, top)
+        return cls(fault, samples, length, wide, spacing, top, unitless)
 
 
-def judge(source: Source, refs: References, shared: tuple[int, ...] = ()) -> NDArray[np.uint8]:
+def judge(source: LasSource, refs: References, shared: tuple[int, ...] = ()) -> NDArray[np.uint8]:
     """Index into `FAULTS` for every point; 0 where its packet can be used."""
     table = _Lookup.of(source)
     index = refs.descriptor
@@ -143,56 +168,91 @@ class Packets:
 
     Attributes
     ----------
-    anchor : per pulse **with** a usable packet its anchor point.
-    pulse : number of those pulses.
-    spacing, saturation : per such pulse [ns], [DN].
-    samples, offsets : ragged samples.
-    has_packet : per point, whether its pulse has a usable packet.
+    anchor : per segment of the pulses **with** a usable packet its anchor point.
+    pulse : pulse of those segments.
+    start : first sample of the segment after that of the pulse's first [ns].
+    spacing, saturation : [ns], [DN].
+    samples, offsets : ragged samples, one row per segment.
+    has_packet : per point, whether its packet is usable.
+    shift : per point the first sample of its packet after that of its pulse's first [ns]; 0 without packet.
     faults : returns without a usable packet, by reason.
     """
 
     anchor: NDArray[np.int64]
     pulse: NDArray[np.int64]
+    start: NDArray[np.float64]
     spacing: NDArray[np.float64]
     saturation: NDArray[np.float32]
     samples: NDArray[np.uint8] | NDArray[np.uint16]
     offsets: NDArray[np.int64]
     has_packet: NDArray[np.bool_]
+    shift: NDArray[np.float64]
     faults: Mapping[str, int]
 
 
 def gather_packets(
-    source: Source,
+    source: LasSource,
     refs: References,
+    packet: NDArray[np.int64],
     pulse: NDArray[np.int64],
-    n_pulses: int,
+    place: NDArray[np.float64],
     return_number: NDArray[np.uint8],
     shared: tuple[int, ...],
 ) -> Packets:
-    """Read the packet of every pulse that has a usable one."""
+    """Read the usable packets of points, one row per segment, by pulse and along the beam.
+
+    `packet`, `pulse` (n,) as `pulses_of` gives them, `place` (n, 3) [m].
+    """
     fault = judge(source, refs, shared)
-    anchors = np.empty(n_pulses, np.int64)
-    first_anchors(pulse, fault == 0, return_number, anchors)
+    anchors = np.empty(int(packet.max(initial=-1)) + 1, np.int64)
+    first_anchors(packet, fault == 0, return_number, anchors)
     with_packet = np.flatnonzero(anchors >= 0)
     anchor = anchors[with_packet]
-    has_packet = anchors[pulse] >= 0
-    counts = np.bincount(fault[~has_packet], minlength=len(FAULTS))
+    has_packet = anchors[packet] >= 0
     table = _Lookup.of(source)
     index = refs.descriptor[anchor]
-    offsets = np.concatenate([[0], np.cumsum(table.samples[index])]).astype(np.int64)
-    _refuse_overlap(source, int(table.bytes[index].sum()))
-    samples = np.empty(int(offsets[-1]), np.dtype(source.sample_dtype))
-    if len(anchor) and source.waves.path is not None:
-        start = refs.offset[anchor].astype(np.int64) + source.waves.base
-        data = np.asarray(np.memmap(source.waves.path, np.uint8, "r"))
-        gather(data, start, table.wide[index], offsets, samples)
+    layout = lay_out(
+        pulse[anchor], place[anchor], refs.step[anchor], refs.location[anchor],
+        table.samples[index] * table.spacing[index], table.spacing[index], table.top[index],
+    )  # fmt: skip
+    shift = np.zeros(len(anchors))
+    shift[with_packet] = layout.shift
+    ordered = index[layout.order]
+    ends = np.concatenate([[0], np.cumsum(table.samples[ordered])]).astype(np.int64)
+    first_of_row = np.searchsorted(layout.row[layout.order], np.arange(len(layout.head) + 1))
+    head = anchor[layout.head]
+    samples = _samples(source, refs.offset[anchor[layout.order]], table.wide[ordered], table.bytes[ordered], ends)
     return Packets(
-        anchor, with_packet, table.spacing[index], table.top[index], samples, offsets, has_packet,
-        {name: int(n) for name, n in zip(FAULTS, counts, strict=True) if n and name},
+        head, pulse[head], layout.start, table.spacing[index[layout.head]], table.top[index[layout.head]], samples,
+        ends[first_of_row], has_packet, shift[packet], _count(table, refs, fault, has_packet),
     )  # fmt: skip
 
 
-def _refuse_overlap(source: Source, wanted: int) -> None:
+def _samples(
+    source: LasSource,
+    offset: NDArray[np.uint64],
+    wide: NDArray[np.bool_],
+    length: NDArray[np.int64],
+    ends: NDArray[np.int64],
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Samples of packets at `offset` one after the other; packet i ends up in ``[ends[i], ends[i + 1])``."""
+    _refuse_overlap(source, int(length.sum()))
+    samples = np.empty(int(ends[-1]), np.dtype(source.sample_dtype))
+    if len(offset) and source.waves.path is not None:
+        data = np.asarray(np.memmap(source.waves.path, np.uint8, "r"))
+        gather(data, offset.astype(np.int64) + source.waves.base, wide, ends, samples)
+    return samples
+
+
+def _count(table: _Lookup, refs: References, fault: NDArray[np.uint8], has_packet: NDArray[np.bool_]) -> dict[str, int]:
+    """Returns without a usable packet by reason, and those whose samples have no usable unit."""
+    counts = np.bincount(fault[~has_packet], minlength=len(FAULTS))
+    faults = {name: int(n) for name, n in zip(FAULTS, counts, strict=True) if n and name}
+    without_unit = int((has_packet & table.unitless[refs.descriptor]).sum())
+    return faults | ({UNITLESS: without_unit} if without_unit else {})
+
+
+def _refuse_overlap(source: LasSource, wanted: int) -> None:
     """Packets that together are much longer than the record cannot be right, and would fill the memory."""
     if wanted > _OVERLAP * source.waves.available:
         raise InputError(

@@ -12,8 +12,8 @@ from laspy import DecompressionSelection
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.read.las import LasSource
 from fwclass.read.laz import varies_chunks
-from fwclass.read.source import Source
 
 BLOCK = 200_000
 """Points that a streaming pass holds at a time."""
@@ -21,11 +21,12 @@ BLOCK = 200_000
 _BROKEN = (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError, InputError)
 
 WAVE_FIELDS = DecompressionSelection.XY_RETURNS_CHANNEL | DecompressionSelection.WAVEPACKET
+LINK_FIELDS = WAVE_FIELDS | DecompressionSelection.Z | DecompressionSelection.GPS_TIME
 ALL_FIELDS = DecompressionSelection.all()
 
 
 @contextmanager
-def _guarded(source: Source) -> Iterator[None]:
+def _guarded(source: LasSource) -> Iterator[None]:
     """Turn whatever laspy, lazrs or LASzip raise into an `InputError`; lazrs panics are no `Exception`."""
     try:
         yield
@@ -43,7 +44,7 @@ def _guarded(source: Source) -> Iterator[None]:
 class PointReader:
     """Reads any run of points of a source; use it as a context."""
 
-    def __init__(self, source: Source, fields: DecompressionSelection = ALL_FIELDS) -> None:
+    def __init__(self, source: LasSource, fields: DecompressionSelection = ALL_FIELDS) -> None:
         self.source = source
         # lazrs seeks to a wrong point where chunks vary in size, and damages waveform formats on writing
         laszip = source.has_waves or (source.compressed and varies_chunks(source.header))
@@ -60,6 +61,29 @@ class PointReader:
     @property
     def extra_names(self) -> list[str]:
         return list(self._las.header.point_format.extra_dimension_names)
+
+    def extra_byte(self, points: Any, *wanted: str) -> NDArray[np.float32]:
+        """The first extra byte of the `wanted` names (any case) that the file has, scaled.
+
+        NaN where it holds its declared no-data value, and everywhere if the file has none of them.
+        """
+        by_name = {n.strip().lower(): n for n in self.extra_names}
+        name = next((by_name[w.lower()] for w in wanted if w.lower() in by_name), None)
+        values = np.asarray(points[name], np.float32) if name is not None else np.empty((0, 0), np.float32)
+        if name is None or values.ndim != 1:
+            return np.full(len(points), np.nan, np.float32)
+        no_data = self._no_data(name)
+        if no_data is not None:
+            values = np.where(points.array[name] == no_data, np.float32(np.nan), values)
+        return values
+
+    def _no_data(self, name: str) -> Any:
+        """The stored number that stands for "no value", None where the file declares none."""
+        for record in self._las.header.vlrs.get("ExtraBytesVlr"):
+            for one in record.extra_bytes_structs:
+                if one.format_name() == name and one.no_data is not None:
+                    return one.no_data[0]
+        return None
 
     def read(self, first: int, last: int) -> Any:
         """The laspy record of points [first, last)."""
@@ -83,7 +107,7 @@ class PointReader:
             yield first, self.read(first, min(first + BLOCK, self.source.n_points))
 
 
-def coordinates(source: Source, points: Any) -> tuple[NDArray[np.float64], ...]:
+def coordinates(source: LasSource, points: Any) -> tuple[NDArray[np.float64], ...]:
     """x, y, z [m] of a laspy record."""
     return tuple(
         np.asarray(points[name], np.float64) * scale + offset
@@ -91,17 +115,8 @@ def coordinates(source: Source, points: Any) -> tuple[NDArray[np.float64], ...]:
     )
 
 
-def gps_times(source: Source, points: Any) -> NDArray[np.float64]:
+def gps_times(source: LasSource, points: Any) -> NDArray[np.float64]:
     """Time of every point [s]; NaN where the format has none."""
     if source.header.has_gps_time:
         return np.asarray(points["gps_time"], np.float64)
     return np.full(len(points), np.nan)
-
-
-def extra(points: Any, names: list[str], wanted: str) -> NDArray[np.float32]:
-    """Extra byte `wanted` (any case), scaled; NaN where the file has none."""
-    name = next((n for n in names if n.strip().lower() == wanted.lower()), None)
-    if name is None:
-        return np.full(len(points), np.nan, np.float32)
-    values = np.asarray(points[name], np.float32)
-    return values if values.ndim == 1 else np.full(len(points), np.nan, np.float32)

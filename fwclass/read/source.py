@@ -1,212 +1,37 @@
-"""A source file as it presents itself: what it holds, where its waveforms are, and what is wrong with it."""
+"""Opening a source file: which format it is, and what it says of itself."""
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
 
-from fwclass.read.crs import crs_of
-from fwclass.read.header import (
-    EVLR_HEADER,
-    SPEC_USERS,
-    WDP_RECORD,
-    WPD_FIRST,
-    WPD_LAST,
-    Header,
-    Record,
-    evlr_at,
-    read_header,
-)
-from fwclass.read.laz import check_laz
-
-
-@dataclass(frozen=True)
-class Descriptor:
-    """How the samples of a packet are stored: `LASF_Spec` record 99 + index."""
-
-    bits: int
-    compression: int
-    n_samples: int
-    spacing_ns: float
-    gain: float
-    offset: float
-
-    @property
-    def bytes_per_sample(self) -> int:
-        return (self.bits + 7) // 8
-
-    @property
-    def packet_bytes(self) -> int:
-        return self.n_samples * self.bytes_per_sample
-
-    @property
-    def empty(self) -> bool:
-        """A placeholder: many writers fill up to 100 descriptors."""
-        return self.n_samples == 0
-
-
-@dataclass(frozen=True)
-class WaveStore:
-    """Where the packets are.
-
-    Attributes
-    ----------
-    kind : ``internal``, ``external`` or ``none``.
-    path : the file that holds them, None if none does.
-    base : byte of that file from which packet offsets count (the record's header).
-    available : bytes from `base` that can be read.
-    why_not : empty, or why there are none.
-    """
-
-    kind: Literal["internal", "external", "none"]
-    path: Path | None = None
-    base: int = 0
-    available: int = 0
-    why_not: str = ""
-
-
-@dataclass(frozen=True)
-class Source:
-    """A LAS, LAZ or COPC file that was opened and found readable.
-
-    `bounds` are the header's (xmin, ymin, zmin, xmax, ymax, zmax) [m]; `crs` is a `pyproj.CRS` or None; `faults`
-    are sentences for the user.
-    """
-
-    path: Path
-    size: int
-    point_format: int
-    version: tuple[int, int]
-    compressed: bool
-    n_points: int
-    bounds: tuple[float, float, float, float, float, float]
-    scales: tuple[float, float, float]
-    offsets: tuple[float, float, float]
-    crs: Any
-    is_copc: bool
-    descriptors: Mapping[int, Descriptor]
-    waves: WaveStore
-    faults: tuple[str, ...]
-    header: Header
-
-    @property
-    def has_waves(self) -> bool:
-        """The point format declares waveforms, whether or not they can be read."""
-        return self.header.has_waves
-
-    @property
-    def sample_dtype(self) -> str:
-        """One dtype for the whole file: the widest that its descriptors ask for."""
-        wide = any(d.bytes_per_sample == 2 and not d.empty for d in self.descriptors.values())
-        return "uint16" if wide else "uint8"
+from fwclass.errors import InputError
+from fwclass.read.base import Source as Source
+from fwclass.read.las import LasSource as LasSource
+from fwclass.read.las import open_las
+from fwclass.read.pulsewaves import PulseSource as PulseSource
+from fwclass.read.pulsewaves import is_pulse_file, open_pls
 
 
 def open_source(path: str | Path) -> Source:
-    """Look at a file without reading its points.
+    """Look at a file without reading its points or pulses.
 
     Raises
     ------
     InputError
-        No LAS file, empty, cut short, or a header that contradicts the file.
+        No file of a known format, empty, cut short, or a header that contradicts the file.
     """
     path = Path(path)
-    header = read_header(path)
-    if header.compressed:
-        check_laz(header)
-    faults = list(header.faults)
-    crs = crs_of(header, faults)
-    found = _descriptors(header, faults)
-    waves = _find_waves(header, faults)
-    if header.n_points == 0:
-        faults.append("the file has no points")
-    if header.has_waves and not found:
-        faults.append("the point format has waveforms, but no waveform packet descriptor is in the file")
-    copc = any(r.user == "copc" and r.number == 1 for r in header.vlrs)
-    return Source(
-        path, header.size, header.point_format, header.version, header.compressed, header.n_points, header.bounds,
-        header.scales, header.offsets, crs, copc, found, waves, tuple(dict.fromkeys(faults)), header,
-    )  # fmt: skip
+    return open_pls(path) if is_pulse_file(path) else open_las(path)
 
 
-def _descriptors(header: Header, faults: list[str]) -> dict[int, Descriptor]:
-    found: dict[int, Descriptor] = {}
-    if not header.has_waves:
-        return found
-    for record in (*header.vlrs, *header.evlrs):
-        if record.user not in SPEC_USERS or not WPD_FIRST <= record.number <= WPD_LAST:
-            continue
-        index = record.number - WPD_FIRST + 1
-        if len(record.body) < 26:
-            faults.append(f"waveform packet descriptor {index} is cut short")
-            continue
-        bits, compression, n, spacing, gain, offset = struct.unpack_from("<BBIIdd", record.body)
-        found.setdefault(index, Descriptor(bits, compression, n, spacing * 1e-3, gain, offset))
-    return found
-
-
-def _find_waves(header: Header, faults: list[str]) -> WaveStore:
-    if not header.has_waves:
-        return WaveStore("none", why_not="the point format has no waveforms")
-    internal = bool(header.global_encoding & 2)
-    ways = (_internal, _external) if internal else (_external, _internal)
-    for way in ways:
-        found = way(header, faults)
-        if found is not None:
-            return found
-    expected = header.path.with_suffix(".wdp").name
-    why = f"the waveforms are missing: put {expected} beside {header.path.name}"
-    if internal:
-        why = f"the waveforms that the header places in the file are not there, and there is no {expected}"
-    faults.append(why)
-    return WaveStore("none", why_not=why)
-
-
-def _external(header: Header, faults: list[str]) -> WaveStore | None:
-    path = _sidecar(header.path)
-    if path is None:
-        return None
-    size = path.stat().st_size
-    if size <= EVLR_HEADER:
-        faults.append(f"{path.name} holds no waveforms ({size} bytes)")
-        return None
-    with path.open("rb") as stream:
-        user, number = struct.unpack_from("<16sH", stream.read(EVLR_HEADER), 2)
-    if number != WDP_RECORD or user.split(b"\0")[0].decode("latin1") not in SPEC_USERS:
-        faults.append(f"{path.name} does not start with a waveform record; its packets may be wrong")
-    return WaveStore("external", path, 0, size)
-
-
-def _sidecar(path: Path) -> Path | None:
-    """``name.wdp`` beside ``name.las``, in any case of letters."""
-    wanted = path.with_suffix(".wdp").name.lower()
-    exact = path.with_suffix(".wdp")
-    if exact.is_file():
-        return exact
-    found = sorted(p for p in path.parent.iterdir() if p.name.lower() == wanted and p.is_file())
-    return found[0] if found else None
-
-
-def _internal(header: Header, faults: list[str]) -> WaveStore | None:
-    stated = header.wave_start
-    with header.path.open("rb") as stream:
-        record = evlr_at(stream, stated, header.size) if stated else None
-    if record is None or not _is_waves(record):
-        # the start is stale after LAS -> LAZ; the record itself is still among the extended ones
-        others = [r for r in header.evlrs if _is_waves(r)]
-        if stated and others:
-            faults.append("the header's start of the waveforms is stale; the record was found elsewhere")
-        record = others[0] if others else None
-    if record is None:
-        return None
-    held = header.size - record.start
-    if EVLR_HEADER + record.length > held:
-        faults.append(f"the waveform record is cut short: {record.length} bytes stated, {held - EVLR_HEADER} there")
-    available = min(EVLR_HEADER + record.length, held) if record.length else held
-    return WaveStore("internal", header.path, record.start, available)
-
-
-def _is_waves(record: Record) -> bool:
-    return record.number == WDP_RECORD and record.user in SPEC_USERS
+def las_of(source: Source) -> LasSource:
+    """`source` as a file of points; `InputError` if it is none."""
+    if isinstance(source, LasSource):
+        return source
+    raise InputError(
+        "the file holds pulses, not points",
+        where=source.path,
+        expected="a LAS, LAZ or COPC file",
+        got=source.path.name,
+        do="decompose it first: fwclass decompose IN.pls OUT.laz",
+    )

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.read.packet_kernels import crowded_keys, cut_spans, pulse_heads
-from fwclass.read.packets import MAX_RETURNS, OWN, packet_keys
-from fwclass.read.points import WAVE_FIELDS, PointReader
-from fwclass.read.source import Source
+from fwclass.read.las import LasSource
+from fwclass.read.packet_kernels import crowded_keys, cut_spans, join_heads, pulse_heads
+from fwclass.read.packets import MAX_RETURNS, OWN, sound_links
+from fwclass.read.points import LINK_FIELDS, PointReader
+from fwclass.read.segments import Rows, segment_links
 
 MAX_SHARED = 1000
 """More packets than this with too many returns each are no accident of a few points."""
@@ -21,6 +22,7 @@ MAX_SHARED = 1000
 class Span:
     """Consecutive points [`first_point`, `last_point`) with whole pulses, numbered from `first_pulse`.
 
+    In formats that hold pulses only, a point is a pulse.
     `shared` holds the packet keys that too many points of the file share; their points are pulses of their own.
     """
 
@@ -40,16 +42,18 @@ def spans_by_points(n_points: int, size: int) -> list[Span]:
     return [Span(a, min(a + size, n_points), a, min(size, n_points - a)) for a in range(0, n_points, size)]
 
 
-def spans_by_pulses(source: Source, wanted: int, most_points: int) -> list[Span]:
+def spans_by_pulses(source: LasSource, wanted: int, most_points: int) -> list[Span]:
     """Spans of about `wanted` pulses; one pass over the packet references, at most 40 bytes of memory a point."""
-    with PointReader(source, WAVE_FIELDS) as reader:
-        blocks = [packet_keys(points) for _, points in reader.blocks()]
-    keys = np.concatenate(blocks) if blocks else np.empty(0, np.uint64)
-    del blocks
+    keys, link = _keys_and_links(source)
     order = np.argsort(keys, kind="stable")
     shared = _shared(source, keys, order)
     head = np.empty(len(keys), np.int64)
     pulse_heads(keys, order, OWN, MAX_RETURNS, head)
+    if shared:
+        link &= ~np.isin(keys, np.array(shared, np.uint64))
+        link[1:] &= ~np.isin(keys[:-1], np.array(shared, np.uint64))
+    if link.any():
+        join_heads(head, sound_links(keys, link))
     cuts = np.empty((len(keys) // wanted + 1, 2), np.int64)
     rows, n_pulses = cut_spans(head, order, wanted, cuts)
     ends = np.concatenate([cuts[:rows], [[len(keys), n_pulses]]])
@@ -61,7 +65,20 @@ def spans_by_pulses(source: Source, wanted: int, most_points: int) -> list[Span]
     return spans
 
 
-def _shared(source: Source, keys: NDArray[np.uint64], order: NDArray[np.int64]) -> tuple[int, ...]:
+def _keys_and_links(source: LasSource) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
+    """Packet key of every point, and which points continue the pulse of the point before them."""
+    keys, links = np.empty(source.n_points, np.uint64), np.empty(source.n_points, np.bool_)
+    before: Rows | None = None
+    with PointReader(source, LINK_FIELDS) as reader:
+        for first, points in reader.blocks():
+            rows = Rows.of_points(source, points)
+            last = first + len(rows.key)
+            keys[first:last], links[first:last] = rows.key, segment_links(source, rows, before)
+            before = rows.take(slice(-1, None))
+    return keys, links
+
+
+def _shared(source: LasSource, keys: NDArray[np.uint64], order: NDArray[np.int64]) -> tuple[int, ...]:
     """Keys of more than `MAX_RETURNS` points."""
     found = np.empty(MAX_SHARED, np.uint64)
     count = int(crowded_keys(keys, order, OWN, MAX_RETURNS, found))
@@ -76,7 +93,7 @@ def _shared(source: Source, keys: NDArray[np.uint64], order: NDArray[np.int64]) 
     return tuple(int(k) for k in found[:count])
 
 
-def _refuse_long(source: Source, spans: list[Span], most_points: int) -> None:
+def _refuse_long(source: LasSource, spans: list[Span], most_points: int) -> None:
     longest = max(spans, key=lambda s: s.n_points, default=None)
     if longest is not None and longest.n_points > most_points:
         raise InputError(

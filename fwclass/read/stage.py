@@ -3,159 +3,62 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field
 
-from fwclass.errors import InputError
-from fwclass.read.packets import FAULTS, Packets, References, gather_packets, judge, packet_keys, pulses_of
-from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, extra, gps_times
-from fwclass.read.source import Source, open_source
-from fwclass.read.spans import Span, spans_by_points, spans_by_pulses
+from fwclass.read.las_read import check_las, index_las, read_las
+from fwclass.read.params import ReadParams as ReadParams
+from fwclass.read.pls_read import check_pls, index_pls, read_pls
+from fwclass.read.points import PointReader, coordinates, gps_times
+from fwclass.read.source import PulseSource, Source, las_of
+from fwclass.read.source import open_source as open_source
+from fwclass.read.spans import Span
 from fwclass.schema import Table
-from fwclass.stage import Params, Stage
+from fwclass.stage import Stage
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 
-class ReadParams(Params):
-    """Parameters of reading; the numbers are in `conf/base.yaml`.
-
-    Attributes
-    ----------
-    chunk_pulses : pulses of a span, about.
-    max_span_points : points of the longest span that memory allows.
-    missing_packets : ``error`` stops at a file that declares waveforms none of which can be read; ``keep`` takes
-        its returns as echoes.
-    """
-
-    chunk_pulses: int = Field(gt=0)
-    max_span_points: int = Field(gt=0)
-    missing_packets: Literal["error", "keep"]
-
-
 def check_source(source: Source, params: ReadParams) -> None:
-    """`InputError` if `source` declares waveforms, none can be read, and `missing_packets` is ``error``.
+    """`InputError` if `source` declares waveforms and none can be read.
 
-    Looks at packet references until the first usable one.
+    In a LAS file `params.missing_packets` ``keep`` takes its returns instead; a Pulse file has nothing but waveforms.
     """
-    if params.missing_packets == "keep" or not source.has_waves or source.n_points == 0:
-        return
-    counts = np.zeros(len(FAULTS), np.int64)
-    if source.waves.kind != "none":
-        with PointReader(source, WAVE_FIELDS) as reader:
-            for _, points in reader.blocks():
-                counts += np.bincount(judge(source, References.of(points)), minlength=len(FAULTS))
-                if counts[0]:
-                    return
-    reasons = ", ".join(f"{n} returns: {FAULTS[i]}" for i, n in enumerate(counts) if n) or source.waves.why_not
-    wdp = source.path.with_suffix(".wdp").name
-    raise InputError(
-        "the file declares waveforms, but none can be read",
-        where=source.path,
-        expected=f"point format {source.point_format} with its waveforms in {source.waves.path or wdp}",
-        got=reasons,
-        do=f"{_advice(source, wdp)}, or set read.missing_packets=keep to use its {source.n_points} returns without "
-        "waveforms",
-    )
-
-
-def _advice(source: Source, wdp: str) -> str:
-    """Where usable waveforms could come from."""
-    if source.waves.kind == "none":
-        return f"put {wdp} beside it"
-    if source.waves.kind == "internal":
-        return "ask for the file again: the waveforms inside it are cut off or damaged"
-    return f"ask for {wdp} and the file again: they do not fit each other, or one is damaged"
+    if isinstance(source, PulseSource):
+        check_pls(source)
+    else:
+        check_las(las_of(source), params)
 
 
 def index_source(source: Source, params: ReadParams) -> list[Span]:
     """Cut `source` into spans of about `params.chunk_pulses` pulses without cutting a pulse.
-
-    Returns of one pulse share descriptor and packet offset and need not be adjacent in the file. One streaming pass
-    over the packet references, none for files without waveforms; at most 40 bytes of memory a point.
 
     Raises
     ------
     InputError
         Points that cannot be read, or a file sorted so that it cannot be cut.
     """
-    if not source.has_waves:
-        return spans_by_points(source.n_points, params.chunk_pulses)
-    return spans_by_pulses(source, params.chunk_pulses, params.max_span_points)
+    if isinstance(source, PulseSource):
+        return index_pls(source, params.chunk_pulses)
+    return index_las(las_of(source), params)
 
 
 def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
-    """Returns of `span` in file order, and the waveforms of its pulses that have a usable packet.
+    """Returns of `span` in file order, and the waveforms of its pulses that have usable samples.
 
-    Returns
-    -------
-    Waveforms
-        `location` and `anchor_time` [ns], `step` [m/ns] up the beam. Returns without a usable packet are kept with
-        `has_packet` False and counted in `faults` by reason. `location` is NaN only where the file declares no
-        waveforms.
+    See `las_read.read_las` and `pls_read.read_pls`.
     """
-    with PointReader(source) as reader:
-        points = reader.read(span.first_point, span.last_point)
-        names = reader.extra_names
-    columns: dict[str, NDArray] = dict(zip("xyz", coordinates(source, points), strict=True))
-    columns["gps_time"] = gps_times(source, points)
-    columns["return_number"] = np.asarray(points["return_number"], np.uint8)
-    columns["number_of_returns"] = np.asarray(points["number_of_returns"], np.uint8)
-    columns["intensity"] = np.asarray(points["intensity"])
-    columns["source_class"] = np.asarray(points["classification"], np.uint8)
-    columns["vendor_amplitude"] = extra(points, names, "Amplitude")
-    columns["vendor_width"] = extra(points, names, "Pulse width")
-    faults = _return_faults(columns)
-    if not source.has_waves:
-        pulse = np.arange(span.first_pulse, span.first_pulse + len(points))
-        nothing = np.zeros(len(points), np.bool_)
-        columns |= {"pulse": pulse, "has_packet": nothing, "location": np.full(len(points), np.nan)}
-        none = np.empty(0, np.dtype(source.sample_dtype))
-        return Waveforms(Table.empty(PULSE_COLUMNS), _returns(columns), none, np.zeros(1, np.int64), faults)
-    refs = References.of(points)
-    local, n_pulses = pulses_of(packet_keys(points), span.shared)
-    packets = gather_packets(source, refs, local, n_pulses, columns["return_number"], span.shared)
-    columns["pulse"] = local + span.first_pulse
-    columns["has_packet"] = packets.has_packet
-    columns["location"] = np.where(np.isfinite(refs.location), refs.location, 0.0)
-    pulses = _pulses(columns, refs, packets, span.first_pulse)
-    faults |= packets.faults
-    return Waveforms(pulses, _returns(columns), packets.samples, packets.offsets, faults)
-
-
-def _returns(columns: dict[str, NDArray]) -> Table:
-    return Table({name: columns[name] for name in RETURN_COLUMNS})
-
-
-def _return_faults(columns: dict[str, NDArray]) -> dict[str, int]:
-    number, of = columns["return_number"], columns["number_of_returns"]
-    counts = {
-        "return number 0": int((number == 0).sum()),
-        "return number above the number of returns": int((number > of).sum()),
-    }
-    return {name: n for name, n in counts.items() if n}
-
-
-def _pulses(columns: dict[str, NDArray], refs: References, packets: Packets, first_pulse: int) -> Table:
-    at = packets.anchor
-    rows = {f"anchor_{axis}": columns[axis][at] for axis in "xyz"}
-    rows |= {f"step_{axis}": refs.step[at, k] for k, axis in enumerate("xyz")}
-    rows |= {
-        "pulse": packets.pulse + first_pulse, "gps_time": columns["gps_time"][at], "anchor_time": refs.location[at],
-        "sample_spacing": packets.spacing, "saturation": packets.saturation,
-    }  # fmt: skip
-    return Table({name: rows[name] for name in PULSE_COLUMNS})
+    if isinstance(source, PulseSource):
+        return read_pls(source, span)
+    return read_las(las_of(source), span, params)
 
 
 def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Table:
     """Points [first, last) of a reference cloud: x, y, z [m], gps_time [s], source_class.
 
     `gps_time` is NaN where the format has none.
-    `last` None is the end of the file; a reach beyond the file is cut to it.
+    `last` None is the end of the file; a reach beyond the file is cut to it. `InputError` if the file holds no points.
     """
-    source = open_source(path)
+    source = las_of(open_source(path))
     last = source.n_points if last is None else min(last, source.n_points)
     with PointReader(source) as reader:
         points = reader.read(min(first, last), last)
@@ -173,7 +76,7 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
 
 READ = Stage(
     name="read",
-    version=1,
+    version=2,
     kind="chunk",
     function=read_span,
     params=ReadParams,

@@ -32,6 +32,10 @@ class Desk:
         """One row group of a scattered chunk."""
         return read_table(self.store.path(stage, part, TABLE), None, [group])
 
+    def groups(self, stage: str, part: str, groups: list[int]) -> Table:
+        """Chosen row groups of a part's table."""
+        return read_table(self.store.path(stage, part, TABLE), None, groups)
+
     def arrays(self, stage: str, part: str, name: str) -> tuple[dict[str, NDArray], dict[str, Any]]:
         return read_arrays(self.store.path(stage, part, name))
 

@@ -11,11 +11,13 @@ import numpy as np
 
 from fwclass import __version__
 from fwclass.conf import Config
+from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import Window
 from fwclass.publish.report import render_report
 from fwclass.run.desk import Desk
 from fwclass.run.plan.layout import Layout, Survey
 from fwclass.run.road import Road, Tally
+from fwclass.run.work.sources import pulse_of
 from fwclass.run.work.tiles import mosaic
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.receipts import Receipt
@@ -42,6 +44,7 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         "accuracy": _accuracy(road, config),
         "training": _training(road, names),
         "distribution": _distribution(road),
+        "waveforms": _waveforms(road, survey),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(road),
         "failed": [{"stage": o.stage, "part": o.part, "message": o.message} for o in road.failures],
@@ -148,6 +151,42 @@ def _distribution(road: Road) -> dict[str, Any] | None:
     }
 
 
+def _waveforms(road: Road, survey: Survey) -> dict[str, Any] | None:
+    """The system's pulse of every strip with waveforms, and how radiometry was calibrated."""
+    pulses = {r.part: r.meta for r in _made(road, "pulse") if r.meta["sampled"]}
+    made: dict[str, Any] | None = next((r.meta["calibration"] for r in _made(road, "calibrate")), None)
+    balanced = {s["strip"]: s["gain"] for s in (made or {}).get("strips", ()) if s["error"] is not None}
+    strips = [
+        {"name": s.path.stem, **pulses[f"{s.number:03d}"], "gain": balanced.get(s.number)}
+        for s in survey.strips
+        if f"{s.number:03d}" in pulses
+    ]
+    if not strips:
+        return None
+    metas = [r.meta for r in _made(road, "radiometry")]
+    angles = [m["pointing_error"] for m in metas if m["pointing_error"] is not None]
+    return {
+        "strips": strips,
+        "calibration": made,
+        "without_range": sum(m["without_range"] for m in metas),
+        "pointing_error": max(angles, default=None),
+    }
+
+
+def _pulse_figure(road: Road, report: Mapping[str, Any]) -> dict[str, bytes]:
+    """The system's pulse of the first strip that has one."""
+    from fwclass.publish.waveplot import draw_pulse
+
+    receipts = [r for r in _made(road, "pulse") if r.meta["sampled"]]
+    if not receipts:
+        return {}
+    pulse = pulse_of(int(receipts[0].part), Desk(road.store))
+    time = np.linspace(-2.0 * pulse.fwhm, max(4.0 * pulse.fwhm, 25.0), 1201)
+    gaussian = SystemPulse.gaussian(pulse.fwhm).at(time)
+    name = report["waveforms"]["strips"][0]["name"]
+    return {"pulse": draw_pulse(time, pulse.at(time), gaussian, f"Strip {name}: width {pulse.fwhm:.2f} ns")}
+
+
 def _outputs(road: Road) -> dict[str, list[str]]:
     stages = ("publish-tile", "publish-strip", "publish-rasters", "train")
     names = [n for stage in stages for r in _made(road, stage) for n in r.outputs]
@@ -159,11 +198,12 @@ def _figures(config: Config, road: Road, layout: Layout, report: Mapping[str, An
     """Maps of classes and terrain; none where the survey is too large to draw or its rasters failed."""
     from fwclass.publish.figures import class_map, relief  # matplotlib is slow to load, and only a report needs it
 
+    pulse = _pulse_figure(road, report)
     desk = Desk(road.store)
     terrain = Window.covering(layout.box, config.ground.cell)
     window = Window.covering(layout.box, config.publish.class_cell)
     if max(np.prod(terrain.shape), np.prod(window.shape)) > MAP_CELLS:
-        return {}
+        return pulse
     surfaces = tuple(r.part for r in _made(road, "surface"))
     blocks = tuple(r.part for r in _made(road, "class-block"))
     dtm = mosaic(desk, "surface", surfaces, terrain, ("dtm",), {"dtm": np.nan})["dtm"]
@@ -171,6 +211,7 @@ def _figures(config: Config, road: Road, layout: Layout, report: Mapping[str, An
     return {
         "map": class_map(classes, window, report["classes"], config.publish, (dtm, terrain), report["areas"]),
         "relief": relief(dtm, terrain, config.publish),
+        **pulse,
     }
 
 

@@ -15,6 +15,8 @@ from pyproj.exceptions import CRSError
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
+from fwclass.read.pls_read import pulse_bounds
+from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.source import Source, open_source
 from fwclass.read.stage import check_source, read_cloud
 from fwclass.run.desk import Desk
@@ -31,9 +33,6 @@ SIMULATED = "survey"
 
 LOOKED_AT = 100_000
 """Points at the start of a file that its header is held against."""
-
-STANDARD_GPS_TIME = 1
-"""Bit of the global encoding of LAS: times are adjusted standard GPS time."""
 
 
 def _simulated(params: SimulateParams, strip: Any, prefix: str, desk: Desk, directory: Path) -> Mapping[str, Any]:
@@ -120,10 +119,10 @@ def gather(config: Config, road: Road) -> Survey:
     for source in opened:
         check_source(source, config.read)
     _distinct([s.path for s in opened])
-    full = [s for s in opened if s.n_points]
+    full = [s for s in opened if s.n_records]
     if not full:
         raise InputError(
-            "the source files have no points",
+            "the source files have no points and no pulses",
             where=", ".join(str(s.path) for s in opened[:3]),
             do="check the delivery; there is nothing to classify",
         )
@@ -132,8 +131,10 @@ def gather(config: Config, road: Road) -> Survey:
     _different(strips)
     box = _bounds([_true_bounds(s) for s in full])
     _check_areas(config, box)
-    standard = all(s.header.global_encoding & STANDARD_GPS_TIME for s in opened)
-    return Survey(strips, _reference(config, directory, digests, box), crs, standard)
+    standard = all(s.standard_gps_time for s in opened)
+    flown = _found(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path)
+    trajectory = tuple((p, digests.of([p])) for p in flown)
+    return Survey(strips, _reference(config, directory, digests, box), crs, standard, trajectory)
 
 
 def _files_of(source: Any) -> list[Path]:
@@ -166,6 +167,9 @@ def _different(strips: tuple[Strip, ...]) -> None:
 
 def _true_bounds(source: Source) -> tuple[float, ...]:
     """The header's bounds, or the points' own where the first points disagree: some writers leave them empty."""
+    if isinstance(source, PulseSource):
+        given = np.array(source.bounds)
+        return source.bounds if np.isfinite(given).all() and (given[3:5] > given[:2]).any() else pulse_bounds(source)
     low, high = source.bounds[:3], source.bounds[3:]
     cloud = read_cloud(source.path, 0, min(source.n_points, LOOKED_AT))
     points = [cloud[n] for n in "xyz"]

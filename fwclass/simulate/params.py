@@ -47,10 +47,17 @@ class FlightParams(Params):
 
 
 class SensorParams(Params):
-    """The laser, its receiver and its on-board detection."""
+    """The laser, its receiver and its on-board detection.
+
+    The recorded pulse is a Gaussian of FWHM `pulse_width` [ns], convolved with an exponential tail of time constant
+    `skew` [ns], followed after `ringing_delay` [ns] by a second lobe of `ringing` of its height. 0 is none.
+    """
 
     pulse_rate: float = Field(gt=0)
     pulse_width: float = Field(gt=0)
+    skew: float = Field(ge=0, le=20)
+    ringing: float = Field(ge=0, lt=0.5)
+    ringing_delay: float = Field(gt=0, le=100)
     divergence: float = Field(gt=0)
     rings: tuple[int, ...] = Field(min_length=1)
     bright: float = Field(gt=0)

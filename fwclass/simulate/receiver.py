@@ -6,18 +6,24 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import exponnorm
 
 from fwclass.kernel import kernel
 from fwclass.simulate.echoes import cluster, peak, sort_hits
 from fwclass.simulate.noise import NOISE_STREAM, NORMAL_SHIFT, SHOT_STREAM, draw, pulse_key
 from fwclass.simulate.scene import in_gap
 from fwclass.simulate.trace import trace
+from fwclass.units import FWHM_PER_SIGMA
 
 MAX_RETURNS = 7
 """Most returns of a pulse that point formats 1 to 5 can number."""
 
 _S12 = np.uint64(12)
 _EDGE = 0.5
+
+SHAPE_STEP = 1.0 / 64.0
+"""Step of a tabulated pulse [ns]; between its values the pulse is a straight line (1e-4 of the height at 1 ns FWHM)."""
 
 UNSEEN, CUT, SILENT, RECORDED = 0, 1, 2, 3
 """Fate of a pulse: nothing to see, outside the survey, seen but without an on-board return, in the file."""
@@ -27,10 +33,14 @@ class Receiver(NamedTuple):
     """The sensor's numbers as the kernels need them; times in ns, levels in DN.
 
     `gain` turns energies into DN of the echo's peak; `radius` is the beam's 1/e² half-angle [rad].
+    `sigma` is the Gaussian of the pulse's FWHM. `shape` is the pulse from `shape_first` after its peak on, every
+    `SHAPE_STEP`, 1 at the peak; empty where the pulse is that Gaussian.
     """
 
     metres: float
     sigma: float
+    shape: np.ndarray
+    shape_first: float
     radius: float
     gain: float
     jitter: float
@@ -45,6 +55,30 @@ class Receiver(NamedTuple):
     dip: float
     separation: float
     visible: float
+
+
+def pulse_shape(width: float, skew: float, ringing: float, delay: float) -> tuple[NDArray[np.float64], float, float]:
+    """A Gaussian of FWHM `width` convolved with exp(-t / skew), then `ringing` of it again after `delay`; all [ns].
+
+    Returns
+    -------
+    shape : heights every `SHAPE_STEP`, 1 at the peak; empty if there is neither tail nor ringing.
+    first : time of ``shape[0]`` after the peak [ns].
+    sigma : standard deviation of the Gaussian of the same FWHM [ns].
+    """
+    sigma = width / FWHM_PER_SIGMA
+    if skew == 0.0 and ringing == 0.0:
+        return np.empty(0), 0.0, sigma
+    time = SHAPE_STEP * np.arange(-round(6.0 * sigma / SHAPE_STEP), round((6.0 * sigma + 15.0 * skew) / SHAPE_STEP))
+    lobe = exponnorm.pdf(time, skew / sigma, scale=sigma) if skew > 0.0 else np.exp(-0.5 * (time / sigma) ** 2)
+    lobe /= lobe.max()
+    gap = round(delay / SHAPE_STEP) if ringing > 0.0 else 0
+    shape = np.concatenate([lobe, np.zeros(gap)])
+    shape[gap:] += ringing * lobe if gap else 0.0
+    peak = int(shape.argmax())
+    above = np.flatnonzero(shape >= 0.5 * shape[peak])
+    fwhm = float(np.count_nonzero(np.diff(above) == 1)) * SHAPE_STEP
+    return shape / shape[peak], float(-peak * SHAPE_STEP), fwhm / FWHM_PER_SIGMA
 
 
 class Workspace(NamedTuple):
@@ -100,6 +134,16 @@ def add_pulse(wave, mean, amplitude, sigma):  # type: ignore[no-untyped-def]
             wave[i] += g
         g *= ratio
         ratio *= square
+
+
+@kernel
+def add_shape(wave, mean, amplitude, shape, first):  # type: ignore[no-untyped-def]
+    """Add the tabulated pulse `shape`, its peak at `mean` samples of 1 ns, to `wave`."""
+    last = first + (len(shape) - 1) * SHAPE_STEP
+    for i in range(max(int(math.ceil(mean + first)), 0), min(int(math.floor(mean + last)) + 1, len(wave))):
+        at = (i - mean - first) / SHAPE_STEP
+        k = min(max(int(at), 0), len(shape) - 2)
+        wave[i] += amplitude * (shape[k] + (at - k) * (shape[k + 1] - shape[k]))
 
 
 @kernel
@@ -194,7 +238,10 @@ def fly_chunk(scene, rays, rx, normal, seed, strip, first_pulse, origins, direct
         wave = work.wave[:length]
         wave[:] = 0.0
         for k in range(hits):
-            add_pulse(wave, work.range[k] - begin, work.energy[k], rx.sigma)
+            if len(rx.shape) > 0:
+                add_shape(wave, work.range[k] - begin, work.energy[k], rx.shape, rx.shape_first)
+            else:
+                add_pulse(wave, work.range[k] - begin, work.energy[k], rx.sigma)
         samples = out.samples[n_samples : n_samples + length]
         digitise(wave, key, normal, rx.noise, rx.baseline, rx.top, samples)
         found = detect(samples, rx.baseline, rx.detection, rx.dip, out.location[n_returns:], out.height[n_returns:])

@@ -34,6 +34,7 @@ from fwclass.simulate.receiver import (
     Recorded,
     Workspace,
     fly_chunk,
+    pulse_shape,
     recorded,
     workspace,
 )
@@ -46,9 +47,12 @@ __all__ = ["SimulateParams", "StripPlan", "plan_strips", "simulate_strip", "writ
 
 def _receiver(params: SimulateParams, bits: int) -> Receiver:
     sensor = params.sensor
+    shape, first, sigma = pulse_shape(sensor.pulse_width, sensor.skew, sensor.ringing, sensor.ringing_delay)
     return Receiver(
         metres=METRES_PER_NS,
-        sigma=sensor.pulse_width / FWHM_PER_SIGMA,
+        sigma=sigma,
+        shape=shape,
+        shape_first=first,
         radius=sensor.divergence * 1e-3 / 2.0,
         gain=sensor.bright * params.flight.height**2,
         jitter=sensor.energy_jitter,

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.hashing import below
 from fwclass.kernel import kernel
 from fwclass.model import LEAF
-from fwclass.train.hashing import below
 
 _FIXED = float(1 << 20)
 _ONE = np.uint64(1)  # unsigned places spare the compiler the test for places from the end

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.hashing import hashed
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.schema import Table
-from fwclass.train.hashing import hashed
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from fwclass import __version__
+from fwclass.hashing import seeded
 from fwclass.model import FORMAT, ClassDef, Forest, Tree, assemble
 from fwclass.schema import Table
 from fwclass.stage import Params, Stage
 from fwclass.train.grow import count_out_of_bag, draw_bag, entropy_table, grow, workspace
-from fwclass.train.hashing import seeded
 from fwclass.train.sample import Sample, draw, join, review
 
 

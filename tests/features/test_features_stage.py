@@ -1,4 +1,4 @@
-"""The features stage: one tile = many tiles + halo, cells of zc, backscatter by its formula, faults."""
+"""The features stage: one tile = many tiles + halo, cells of zc, normals, faults."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import yaml
 from pydantic import ValidationError
 
 from fwclass.errors import InputError
-from fwclass.features.stage import FEATURES, FeaturesParams, backscatter, features, height_in_cell, names
+from fwclass.features.stage import FEATURES, FeaturesParams, features, height_in_cell, names
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import Table, column
 from fwclass.stage import Chunk
 
 ROOT = Path(__file__).resolve().parents[2]
 SECTION = yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["features"]
-PARAMS = FeaturesParams(**{**SECTION, "radii": (1.0, 2.0), "platform_altitude": 660.0})
+PARAMS = FeaturesParams(**{**SECTION, "radii": (1.0, 2.0)})
 
 
 def cloud(side=60.0, per_m2=4.0, seed=1):
@@ -119,59 +119,26 @@ def test_zc_hangs_on_the_global_cells():
     np.testing.assert_allclose(got, [0.0, 1.0, 0.0, 6.5, 0.0])
 
 
-def echoes(**change):
-    one = {"z": 60.0, "beam_x": 0.0, "beam_y": 0.0, "beam_z": -1.0, "amplitude": 10.0, "width": 4.0}
-    return Table({name: [value] for name, value in {**one, **change}.items()})
-
-
-def gamma(normal=(0.0, 0.0, 1.0), params=PARAMS, **change):
-    return float(backscatter(echoes(**change), np.array([normal], np.float32), params)[0])
-
-
-def test_backscatter_is_its_formula():
-    assert gamma() == pytest.approx(600.0**2 * 10.0 * 4.0)
-    tilted = {"beam_x": 0.5, "beam_z": -np.sqrt(0.75)}
-    range_ = 600.0 / np.sqrt(0.75)
-    assert gamma(**tilted) == pytest.approx(range_**2 * 40.0 / np.sqrt(0.75), rel=1e-6)
-    # a surface that faces the beam: no loss by incidence, whichever way its normal was turned
-    assert gamma(normal=(-0.5, 0.0, np.sqrt(0.75)), **tilted) == pytest.approx(range_**2 * 40.0, rel=1e-6)
-    assert gamma(normal=(0.5, 0.0, -np.sqrt(0.75)), **tilted) == pytest.approx(range_**2 * 40.0, rel=1e-6)
-    calibrated = FeaturesParams(**{**PARAMS.model_dump(), "calibration": 2.5})
-    assert gamma(params=calibrated) == pytest.approx(2.5 * gamma())
-
-
-def test_backscatter_of_a_lambertian_surface_is_its_reflectance():
-    """Amplitude falls with cos θ / R²: γ stays."""
-    level = gamma()
-    for degrees in (10.0, 40.0, 70.0):
-        cosine = np.cos(np.radians(degrees))
-        range_ = 600.0 / cosine
-        amplitude = 10.0 * cosine * (600.0 / range_) ** 2
-        got = gamma(beam_x=np.sin(np.radians(degrees)), beam_z=-cosine, amplitude=amplitude)
-        assert got == pytest.approx(level, rel=1e-5)
-
-
-def test_backscatter_of_a_wall_stays_finite():
-    limit = np.cos(np.radians(PARAMS.max_incidence))
-    assert gamma(normal=(1.0, 0.0, 0.0)) == pytest.approx(gamma() / limit)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"beam_z": np.nan},
-        {"beam_x": np.nan},
-        {"width": np.nan},
-        {"amplitude": np.nan},
-        {"z": 700.0},
-        {"beam_z": 0.5},
-        {"beam_z": 0.0},
-        {"normal": (np.nan, np.nan, np.nan)},
-        {"params": FeaturesParams(**{**SECTION, "platform_altitude": None})},
-    ],
-)
-def test_backscatter_without_what_it_needs_is_missing(change):
-    assert np.isnan(gamma(**change))
+def test_normals_are_those_of_their_radius():
+    """Points of a tilted plane have its normal, upward; their inclination is the plane's."""
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(0.0, 20.0, (2, 2000))
+    table = CLOUD.take(np.arange(2000)).with_columns({"x": x, "y": y, "z": 0.5 * x - 0.25 * y})
+    got = features(Chunk(table, np.arange(2000), Tile(0, 0, 100.0)), PARAMS)
+    expected = np.array([-0.5, 0.25, 1.0]) / np.sqrt(1.0 + 0.25 + 0.0625)
+    normals = np.stack([got[n] for n in ("normal_x", "normal_y", "normal_z")], axis=1)
+    seen = ~np.isnan(normals[:, 0])
+    assert seen.mean() > 0.99
+    off = np.abs(normals[seen] - expected).max(axis=1)
+    assert np.quantile(off, 0.95) < 2e-3, "millimetres of rounding over a metre"
+    tilt = np.degrees(np.arccos(expected[2]))
+    assert np.nanmedian(got["inclination_r100"]) == pytest.approx(tilt, abs=0.02)
+    wide = features(
+        Chunk(CLOUD, np.arange(CLOUD.rows), Tile(0, 0, 100.0)),
+        FeaturesParams(**{**PARAMS.model_dump(), "normal_radius": 2.0}),
+    )
+    tilt = np.degrees(np.arccos(np.clip(wide["normal_z"], 0.0, 1.0)))
+    np.testing.assert_allclose(tilt, wide["inclination_r200"], atol=0.05)
 
 
 def test_no_rows_and_no_core_rows():
@@ -195,7 +162,7 @@ def test_a_missing_column_is_named():
         {"radii": (0.125,)},
         {"radii": (-1.0,)},
         {"cell_x": 0.0},
-        {"max_incidence": 90.0},
+        {"normal_radius": 3.0},
         {"radius": 1.0},
     ],
 )
@@ -206,4 +173,4 @@ def test_params_that_do_not_fit_are_refused(change):
 
 def test_halo_holds_radius_and_cell():
     assert FEATURES.halo(PARAMS) == 12.0
-    assert FEATURES.halo(FeaturesParams(**{**SECTION, "radii": (15.0,)})) == 15.0
+    assert FEATURES.halo(FeaturesParams(**{**SECTION, "radii": (15.0,), "normal_radius": 15.0})) == 15.0

@@ -36,7 +36,7 @@ def test_every_field_comes_back(
     assert np.array_equal(las.point_source_id, table["strip"] + 1)
     assert np.array_equal(las.gps_time, np.nan_to_num(table["gps_time"]))
     names = {
-        "fw amplitude": "amplitude",
+        "amplitude DN": "amplitude",
         "echo ratio r100": "echo_ratio_r100",
         "HeightAboveGround": "height_above_ground",
         "confidence": "confidence",
@@ -63,7 +63,7 @@ def test_header_says_what_the_points_say(echoes: Callable[..., Table], params: P
         assert head.mins[k] == pytest.approx(table[name].min(), abs=1e-6)
         assert head.maxs[k] == pytest.approx(table[name].max(), abs=1e-6)
     extra = {d.name: d.description for d in head.point_format.extra_dimensions}
-    assert extra["fw amplitude"].startswith("[DN] ")
+    assert extra["amplitude DN"].startswith("[DN] ")
 
 
 def test_same_rows_give_same_bytes(echoes: Callable[..., Table], params: PublishParams, tmp_path: Path) -> None:

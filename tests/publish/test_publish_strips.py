@@ -140,13 +140,13 @@ def test_extra_columns_stand_behind_the_source_s_own_bytes(
     made = make_las(6, extra=2 + 4, described=described)  # four more bytes that nothing describes
     extra = {"confidence": np.linspace(0, 1, 50, dtype="f4"), "amplitude": np.full(50, np.nan, "f4")}
     said = write_strip_laz(made.path, tmp_path / "o.laz", new_classes(50), extra, params)
-    assert said["extra_bytes"] == ["confidence", "fw amplitude"]
+    assert said["extra_bytes"] == ["confidence", "amplitude DN"]
     las = laspy.read(tmp_path / "o.laz")
     names = list(las.point_format.extra_dimension_names)
-    assert names == ["Deviation", "unknown", "confidence", "fw amplitude"]
+    assert names == ["Deviation", "unknown", "confidence", "amplitude DN"]
     assert np.array_equal(las["Deviation"], made.points[:, 30:32].copy().view("<u2")[:, 0])
     assert np.array_equal(las["confidence"], extra["confidence"])
-    assert np.isnan(las["fw amplitude"]).all()
+    assert np.isnan(las["amplitude DN"]).all()
     assert np.array_equal(np.asarray(las["unknown"]), made.points[:, 32:36])
 
 

@@ -12,6 +12,7 @@ import pytest
 from lasmaker import METRES_PER_NS, Descriptor, digitise, survey, to_laz, vlr, write_las
 
 from fwclass.read.info import describe, info
+from fwclass.read.points import PointReader
 from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_cloud, read_span
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS
 
@@ -207,7 +208,7 @@ def test_real_riegl_file(shared_data, params):
     check_source(source, params)
     (span,) = index_source(source, params)
     waves = read_span(source, span, params)
-    assert (waves.returns.rows, waves.pulses.rows, span.n_pulses) == (2535, 2375, 2375)
+    assert (waves.returns.rows, waves.pulses.rows, span.n_pulses) == (2535, 2375, 2370)
     assert set(np.diff(waves.offsets)) == {60, 120}
     assert waves.samples.dtype == np.uint16 and waves.faults == {}
     assert np.nanmin(waves.returns["vendor_width"]) > 2
@@ -218,3 +219,22 @@ def test_real_riegl_file(shared_data, params):
     assert np.abs(off).max() < 0.003
     found = info(path)
     assert any("z outliers" in f for f in found["faults"]) and found["waveforms"]["empty_descriptors"] == 98
+
+
+def test_a_declared_no_data_value_is_no_value(tmp_path):
+    """-32768 of a scaled extra byte that says so; another extra byte with the same number keeps it."""
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    for name, no_data in (("Amplitude", [-32768]), ("Deviation", None)):
+        header.add_extra_dim(
+            laspy.ExtraBytesParams(name, "i2", scales=np.array([0.01]), offsets=np.array([0.0]), no_data=no_data)
+        )
+    las = laspy.LasData(header)
+    las.x = las.y = las.z = np.arange(3.0)
+    for name in ("Amplitude", "Deviation"):
+        las[name] = np.array([12.34, -327.68, -1.5])
+    las.write(tmp_path / "a.laz")
+    with PointReader(open_source(tmp_path / "a.laz")) as reader:
+        points = reader.read(0, 3)
+        np.testing.assert_allclose(reader.extra_byte(points, "amplitude"), [12.34, np.nan, -1.5], rtol=1e-6)
+        np.testing.assert_allclose(reader.extra_byte(points, "nothing", "Deviation"), [12.34, -327.68, -1.5], rtol=1e-6)
+        assert np.isnan(reader.extra_byte(points, "Reflectance")).all()

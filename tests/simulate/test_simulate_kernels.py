@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fwclass.simulate.noise import normal_table, pulse_key, uniform
-from fwclass.simulate.receiver import add_pulse, cluster, detect, digitise
+from fwclass.simulate.receiver import SHAPE_STEP, add_pulse, add_shape, cluster, detect, digitise, pulse_shape
 from fwclass.simulate.scene import BUILDING
 from fwclass.simulate.shapes import Place, Things
 from fwclass.simulate.trace import _solid, footprint, to_ground
@@ -184,3 +184,40 @@ def test_sensor_merges_what_decomposition_could_part() -> None:
     add_pulse(wave, 20.0, 60.0, SIGMA)
     add_pulse(wave, 22.8, 50.0, SIGMA)
     assert len(_detected(np.rint(wave).astype(np.uint16))) == 1
+
+
+def test_a_pulse_without_tail_and_ringing_is_no_table() -> None:
+    shape, first, sigma = pulse_shape(3.5, 0.0, 0.0, 10.0)
+    assert (len(shape), first) == (0, 0.0)
+    assert sigma == 3.5 / FWHM_PER_SIGMA  # the very number, so that nothing changes
+
+
+@pytest.mark.parametrize("skew", [0.3, 0.9, 4.0])
+def test_tail_has_the_moments_of_an_exponential(skew: float) -> None:
+    shape, first, sigma = pulse_shape(3.5, skew, 0.0, 10.0)
+    time = first + SHAPE_STEP * np.arange(len(shape))
+    assert shape.max() == 1.0 and abs(time[shape.argmax()]) < 1e-9
+    weight = shape / shape.sum()
+    mean = (weight * time).sum()
+    # variances and third moments of independent parts add: sigma² + skew², and 2 skew³
+    assert (weight * (time - mean) ** 2).sum() == pytest.approx(SIGMA**2 + skew**2, rel=1e-3)
+    assert (weight * (time - mean) ** 3).sum() == pytest.approx(2.0 * skew**3, rel=0.01)
+    assert sigma > SIGMA
+
+
+def test_ringing_is_a_second_lobe() -> None:
+    shape, first, sigma = pulse_shape(3.5, 0.0, 0.03, 10.0)
+    time = first + SHAPE_STEP * np.arange(len(shape))
+    exact = np.exp(-0.5 * (time / SIGMA) ** 2) + 0.03 * np.exp(-0.5 * ((time - 10.0) / SIGMA) ** 2)
+    np.testing.assert_allclose(shape, exact, atol=2e-4)
+    assert sigma == pytest.approx(SIGMA, rel=0.01)
+
+
+@pytest.mark.parametrize("mean", [-3.0, 0.2, 20.0, 20.5, 33.71, 47.9, 80.0])
+def test_tabulated_pulse_lies_where_it_should(mean: float) -> None:
+    shape, first, _ = pulse_shape(3.5, 0.9, 0.03, 10.0)
+    wave = np.zeros(48)
+    add_shape(wave, mean, 90.0, shape, first)
+    time = first + SHAPE_STEP * np.arange(len(shape))
+    exact = 90.0 * np.interp(np.arange(48) - mean, time, shape, left=0.0, right=0.0)
+    np.testing.assert_allclose(wave, exact, atol=1e-9)

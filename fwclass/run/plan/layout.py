@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.features.stage import names as feature_names
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.ground.stage import GROUND
+from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Name
 from fwclass.store.receipts import Receipt
 
@@ -38,24 +40,29 @@ class Survey:
     """Files that can be used, checked.
 
     `strips` in the order that numbers them; `reference` is (file, digests, points); `crs` is WKT or None;
-    `standard_time`: all GPS times are adjusted standard time.
+    `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests).
     """
 
     strips: tuple[Strip, ...]
     reference: tuple[tuple[Path, FileDigests, int], ...]
     crs: str | None
     standard_time: bool
+    trajectory: tuple[tuple[Path, FileDigests], ...] = ()
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What phase three stands on: the tiles there are, where their echoes lie, and the reference tiles."""
+    """What phase three stands on: the tiles there are, where and when their echoes lie, and the reference tiles.
+
+    `times` is (first, last) GPS time [s], NaN without any.
+    """
 
     config: Config
     tiles: tuple[Tile, ...]
     blocks: tuple[Tile, ...]
     clouds: frozenset[str]
     box: Box
+    times: tuple[float, float]
 
     @classmethod
     def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
@@ -70,6 +77,7 @@ class Layout:
                 do="look at the files with `fwclass info`, and at the failed parts above",
             )
         occupied = {b for r in mine.values() for b in r.meta["blocks"]}
+        times = [r.meta["times"] for r in mine.values() if r.meta["times"]]
         low = [min(r.meta["bounds"][k] for r in mine.values()) for k in range(2)]
         high = [max(r.meta["bounds"][k] for r in mine.values()) for k in range(3, 5)]
         return cls(
@@ -78,6 +86,7 @@ class Layout:
             tuple(blocks_around(occupied, config.ground.block)),
             frozenset(part for stage, part in done if stage == "reference"),
             Box(low[0], low[1], high[0] + 0.001, high[1] + 0.001),
+            (min((t[0] for t in times), default=math.nan), max((t[1] for t in times), default=math.nan)),
         )
 
     @property
@@ -100,7 +109,15 @@ def providers(config: Config) -> dict[str, str]:
     found = dict.fromkeys(DECOMPOSE.writes, "tile")
     found |= dict.fromkeys(GROUND.writes, "ground")
     found |= dict.fromkeys(feature_names(config.features), "features")
+    if has_range(config):
+        found |= dict.fromkeys(RADIOMETRY.writes, "radiometry")
     return found | {"reference": "label", "classification": "classify", "confidence": "classify"}
+
+
+def has_range(config: Config) -> bool:
+    """Something tells how far the sensor was: an altitude, a trajectory, or a format that knows the sensor's place."""
+    known = config.radiometry.platform_altitude is not None or bool(config.survey.trajectory.files)
+    return known or any(p.lower().endswith(".pls") for p in config.survey.sources)
 
 
 def check_features(config: Config, names: Iterable[str], where: object) -> None:

@@ -8,15 +8,17 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.grid import Window
+from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Task
-from fwclass.run.plan.layout import Layout, Strip, Survey, needs_of, plain, plain_classes
+from fwclass.run.plan.layout import Layout, Strip, Survey, has_range, needs_of, plain, plain_classes
 from fwclass.run.work import outputs
 
 DELIVERED = (
     "x", "y", "z", "strip", "pulse", "echo_number", "number_of_echoes", "gps_time", "intensity", "amplitude", "width",
-    "height_above_ground", "ground", "classification", "confidence",
+    "amplitude_db", "energy", "range_sigma", "deviation", "fit_flags", "height_above_ground", "ground",
+    "classification", "confidence",
 )  # fmt: skip
-"""Columns of the delivered tiles, besides the forest's features."""
+"""Columns of the delivered tiles, besides the forest's features and radiometry."""
 
 
 def output_tasks(
@@ -26,7 +28,8 @@ def output_tasks(
     """Tiles (LAZ, GeoParquet), strips (LAZ), class blocks and rasters."""
     config = layout.config
     params = {**plain(config.publish), "crs": survey.crs, "classes": plain_classes(config)}
-    wanted = tuple(dict.fromkeys((*DELIVERED, *names)))
+    measured = RADIOMETRY.writes if has_range(config) else ()
+    wanted = tuple(dict.fromkeys((*DELIVERED, *measured, *names)))
     columns = layout.columns(wanted)
     made = [
         Task(
@@ -68,7 +71,7 @@ def _strip_tasks(
 ) -> list[Task]:  # fmt: skip
     made = []
     for strip in strips:
-        if strip.number not in chunks:  # a file without points
+        if strip.number not in chunks or strip.point_format < 0:  # a file without points, or one of pulses only
             continue
         legacy = strip.point_format <= 5
         codes = {c.code: c.legacy_code for c in config.survey.classes if legacy and c.legacy_code is not None}

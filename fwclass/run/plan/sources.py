@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from fwclass.conf import Config
-from fwclass.decompose.stage import DECOMPOSE
+from fwclass.decompose.stage import DECOMPOSE, PULSE
 from fwclass.grid import TileGrid
 from fwclass.read.spans import Span
 from fwclass.read.stage import READ
@@ -17,6 +17,9 @@ from fwclass.run.work import sources
 from fwclass.store.receipts import Receipt
 from fwclass.tile.stage import REFERENCE, SPLIT, TILE
 
+INDEX_VERSION = 2
+"""Raised when the same file would be cut into other spans or other pulses."""
+
 
 def _spans(receipt: Receipt) -> list[Span]:
     return [Span(a, b, first, pulses, tuple(shared)) for a, b, first, pulses, shared in receipt.meta["spans"]]
@@ -25,7 +28,7 @@ def _spans(receipt: Receipt) -> list[Span]:
 def index_tasks(config: Config, strips: Iterable[Strip]) -> list[Task]:
     return [
         Task(
-            "index", f"{s.number:03d}", 1, plain(config.read),
+            "index", f"{s.number:03d}", INDEX_VERSION, plain(config.read),
             partial(sources.index, s.path, config.read), external=s.digests,
         )
         for s in strips
@@ -37,21 +40,28 @@ def chunk_name(strip: int, span: int) -> str:
 
 
 def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, Receipt]) -> list[Task]:
-    """read, decompose and split of every span of every strip."""
+    """read, decompose and split of every span of every strip, and every strip's system pulse."""
     grid = TileGrid(config.tile.size)
     made = []
     for strip in strips:
-        for k, span in enumerate(_spans(indexed["index", f"{strip.number:03d}"])):
-            part = chunk_name(strip.number, k)
+        index = indexed["index", f"{strip.number:03d}"]
+        spans = _spans(index)
+        for k, span in enumerate(spans):
             rows = [span.first_point, span.last_point, span.first_pulse, span.n_pulses, list(span.shared)]
+            made.append(
+                Task(
+                    "read", chunk_name(strip.number, k), READ.version, {**plain(config.read), "span": rows},
+                    partial(sources.read, strip.path, span, config.read), external=strip.digests,
+                )
+            )  # fmt: skip
+        made.append(_pulse_task(config, strip, int(index.meta["pulses"]), len(spans)))
+        for k in range(len(spans)):
+            part = chunk_name(strip.number, k)
             made += [
                 Task(
-                    "read", part, READ.version, {**plain(config.read), "span": rows},
-                    partial(sources.read, strip.path, span, config.read), external=strip.digests,
-                ),
-                Task(
                     "decompose", part, DECOMPOSE.version, {**plain(config.decompose), "strip": strip.number},
-                    partial(sources.decomposed, part, strip.number, config.decompose), needs=(("read", part),),
+                    partial(sources.decomposed, part, strip.number, config.decompose),
+                    needs=(("read", part), ("pulse", f"{strip.number:03d}")),
                 ),
                 Task(
                     "split", part, SPLIT.version, plain(config.tile),
@@ -59,6 +69,16 @@ def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, 
                 ),
             ]  # fmt: skip
     return made
+
+
+def _pulse_task(config: Config, strip: Strip, pulses: int, spans: int) -> Task:
+    parts = tuple(chunk_name(strip.number, k) for k in range(spans))
+    return Task(
+        "pulse", f"{strip.number:03d}", PULSE.version,
+        {**plain(config.pulse), "strip": strip.number},
+        partial(sources.measured_pulse, strip.number, pulses, parts, config.pulse),
+        needs=tuple(("read", p) for p in parts),
+    )  # fmt: skip
 
 
 def cloud_tasks(config: Config, files: Iterable[tuple[Path, FileDigests, int]]) -> list[Task]:

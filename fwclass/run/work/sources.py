@@ -7,8 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fwclass.decompose.stage import DecomposeParams, decompose
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
+from fwclass.decompose.stage import decompose
+from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import TileGrid, quantised
 from fwclass.read.source import open_source
 from fwclass.read.spans import Span
@@ -20,10 +24,14 @@ from fwclass.store.atomic import file_digest, read_json, write_json
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, write_groups, write_table
 from fwclass.tile.stage import assemble, assemble_points, split
-from fwclass.waveforms import Waveforms
+from fwclass.waveforms import RETURN_COLUMNS, Waveforms
 
+PULSE = "pulse.json"
 CLOUD_ROWS = 2_000_000
 """Points of a reference cloud read at a time."""
+
+_ARRAYS = ("samples", "offsets", "outgoing", "outgoing_offsets")
+"""What of `Waveforms` is stored as arrays."""
 
 
 class Digests:
@@ -64,7 +72,8 @@ def read(path: Path, span: Span, params: ReadParams, desk: Desk, directory: Path
     waves = read_span(open_source(path), span, params)
     write_table(directory / "pulses.parquet", waves.pulses)
     write_table(directory / "returns.parquet", waves.returns)
-    write_arrays(directory / "waveforms.zarr", {"samples": waves.samples, "offsets": waves.offsets})
+    arrays = {name: getattr(waves, name) for name in _ARRAYS}
+    write_arrays(directory / "waveforms.zarr", arrays)
     without = int((~waves.returns["has_packet"]).sum())
     return {
         "returns": waves.returns.rows,
@@ -74,16 +83,41 @@ def read(path: Path, span: Span, params: ReadParams, desk: Desk, directory: Path
     }
 
 
-def decomposed(part: str, strip: int, params: DecomposeParams, desk: Desk, directory: Path) -> dict[str, Any]:
-    """Echoes of a chunk, and the echo of every return."""
+def _waveforms(part: str, desk: Desk, returns: bool = True) -> Waveforms:
+    """A chunk as it was read; on request without its returns."""
     arrays, _ = desk.arrays("read", part, "waveforms.zarr")
-    waves = Waveforms(
+    return Waveforms(
         desk.table("read", part, name="pulses.parquet"),
-        desk.table("read", part, name="returns.parquet"),
+        desk.table("read", part, name="returns.parquet") if returns else Table.empty(RETURN_COLUMNS),
         arrays["samples"],
         arrays["offsets"],
+        outgoing=arrays["outgoing"],
+        outgoing_offsets=arrays["outgoing_offsets"],
     )
-    echoes, links = decompose(waves, strip, params)
+
+
+def measured_pulse(
+    strip: int, pulses: int, parts: tuple[str, ...], params: PulseParams, desk: Desk, directory: Path
+) -> dict[str, Any]:
+    """The system's pulse and the receiver of a strip, from a sample of its waveforms."""
+    samples = [sample_pulses(_waveforms(part, desk, returns=False), strip, pulses, params) for part in parts]
+    pulse = estimate_pulse(join_samples(samples), params) if samples else SystemPulse.gaussian(params.fallback_width)
+    write_json(directory / PULSE, pulse.to_json())
+    return {
+        "pulse": describe(pulse),
+        "noise": max((c.noise for c in pulse.channels), default=None),
+        "sampled": sum(s.pulses.rows for s in samples),
+    }
+
+
+def pulse_of(strip: int, desk: Desk) -> SystemPulse:
+    """The system's pulse of a strip, as `measured_pulse` stored it."""
+    return SystemPulse.from_json(read_json(desk.store.path("pulse", f"{strip:03d}", PULSE)))
+
+
+def decomposed(part: str, strip: int, params: DecomposeParams, desk: Desk, directory: Path) -> dict[str, Any]:
+    """Echoes of a chunk, and the echo of every return."""
+    echoes, links = decompose(_waveforms(part, desk), strip, params, pulse_of(strip, desk))
     write_table(directory / TABLE, echoes)
     write_table(directory / "links.parquet", links)
     origin = echoes["origin"]
@@ -129,7 +163,14 @@ def tiled(
         "blocks": sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))}),
         "bounds": [float(f(table[n])) for f in (min_of, max_of) for n in "xyz"],
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
+        "times": _span_of(table["gps_time"]),
     }
+
+
+def _span_of(times: NDArray[np.float64]) -> list[float] | None:
+    """First and last of the known times."""
+    known = times[np.isfinite(times)]
+    return [float(known.min()), float(known.max())] if len(known) else None
 
 
 def min_of(values: Any) -> float:

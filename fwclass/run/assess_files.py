@@ -1,4 +1,4 @@
-"""Commands on single files: the same stages, without a run directory."""
+"""`fwclass assess`: two clouds compared, without a run directory."""
 
 from __future__ import annotations
 
@@ -10,63 +10,16 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.assess.stage import confusion, figures, unclassified
-from fwclass.decompose.stage import DecomposeParams, decompose
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantised
 from fwclass.model import ClassDef
 from fwclass.neighbours import nearest_within
-from fwclass.publish.laz import write_tile_laz
 from fwclass.read.source import open_source
-from fwclass.read.stage import ReadParams, check_source, index_source, read_cloud, read_span
+from fwclass.read.stage import read_cloud
 from fwclass.schema import Table
 
 SAME_POINT = 0.002
 """Two clouds are in the same order if no pair of points is further apart than this [m]."""
-
-
-def refuse_existing(output: Path, overwrite: bool) -> None:
-    """`ConfigError` if `output` is not a LAZ file that may be written."""
-    if output.suffix.lower() != ".laz":
-        raise ConfigError(
-            "the output is a LAZ file", where=output, expected="a name that ends in .laz", got=output.suffix or "none"
-        )
-    if output.exists() and not output.is_file():
-        raise ConfigError("the output is not a file", where=output, do="choose another name")
-    if not output.parent.is_dir():
-        raise ConfigError("the output's directory does not exist", where=output.parent, do="make it first")
-    if output.exists() and not overwrite:
-        raise ConfigError("the output exists", where=output, do="choose another name, or add --overwrite")
-
-
-def decompose_file(source: Path, output: Path, settings: tuple[str, ...], overwrite: bool) -> str:
-    """Waveforms of one file to echoes in one LAZ file; returns the summary.
-
-    `settings` are ``read.key=value`` and ``decompose.key=value``. The echoes of the whole file are held in memory.
-    """
-    refuse_existing(output, overwrite)
-    read_params: ReadParams = conf.section("read", settings)
-    params: DecomposeParams = conf.section("decompose", settings)
-    opened = open_source(source)
-    check_source(opened, read_params)
-    tables, faults = [], dict[str, int]()
-    for span in index_source(opened, read_params):
-        waves = read_span(opened, span, read_params)
-        tables.append(decompose(waves, 0, params)[0])
-        for name, count in waves.faults.items():
-            faults[name] = faults.get(name, 0) + int(count)
-    if not tables:
-        raise InputError("the file has no points", where=source, do="check the delivery; there is nothing to decompose")
-    table = Table.concat(tables)
-    delivered = table.with_columns({"classification": table["source_class"]})
-    write_tile_laz(delivered, output, opened.crs, conf.section("publish", settings))
-    origin = np.bincount(table["origin"], minlength=3)
-    rows = [
-        f"{table.rows:,} echoes from {opened.n_points:,} returns: {origin[0]:,} fitted, "
-        f"{origin[1]:,} returns kept without waveform, {origin[2]:,} read as echoes",
-        *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
-        f"written: {output}",
-    ]
-    return "\n".join(rows)
 
 
 def _cloud(path: Path) -> Table:

@@ -1,0 +1,190 @@
+"""Waveforms to echoes: a batch of waveforms in, flat arrays of echoes out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.pulse_fit import EDGE, HIGHEST, OVERLAPPING, POOR, SATURATED, Echoes, Settings, fit_all
+from fwclass.decompose.shapes import Profiles, fits_spacing, lookup, widths_of
+from fwclass.decompose.system_pulse import FWHM_PER_SIGMA, SystemPulse
+from fwclass.waveforms import Waveforms
+
+__all__ = ["EDGE", "OVERLAPPING", "POOR", "SATURATED", "Fits", "fit_waveforms", "model_of"]
+
+
+@dataclass(frozen=True)
+class Fits:
+    """Echoes of a batch of waveforms.
+
+    Attributes
+    ----------
+    count : echoes of every waveform, shape (n,).
+    baseline, noise : level and standard deviation of the noise [DN], shape (n,).
+    misfit : reduced chi-square, NaN without echoes, shape (n,).
+    row : waveform of every echo, shape (m,); echoes are ordered by (row, time).
+    amplitude : height of the peak [DN].
+    time : [ns] from the waveform's first sample.
+    width : full width at half maximum [ns].
+    energy : area under the echo [DN ns].
+    amplitude_sigma, time_sigma, width_sigma : standard errors [DN, ns, ns].
+    deviation : 1000 times the root mean square residual within one FWHM of the echo, over its amplitude.
+    flags : sum of 1 saturated, 2 overlapping, 4 poor fit, 8 at the segment's edge.
+    """
+
+    count: NDArray[np.int64]
+    baseline: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    misfit: NDArray[np.float64]
+    row: NDArray[np.int64]
+    amplitude: NDArray[np.float64]
+    time: NDArray[np.float64]
+    width: NDArray[np.float64]
+    energy: NDArray[np.float64]
+    amplitude_sigma: NDArray[np.float64]
+    time_sigma: NDArray[np.float64]
+    width_sigma: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    flags: NDArray[np.uint8]
+
+
+def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> Fits:
+    """Decompose every waveform into echoes of the system's pulse, widened.
+
+    Every waveform is fitted alone: neither its neighbours nor their order change its numbers.
+
+    Parameters
+    ----------
+    waves : samples with their spacing and saturation; nothing else of the pulses is read.
+    params : `DecomposeParams`.
+    pulse : the system's pulse; where one of its `channels` has a waveform's sample spacing and saturation, that
+        channel's level and noise are prior knowledge for the waveform's own.
+
+    Returns
+    -------
+    `Fits`. A waveform without echoes counts 0; one whose sample spacing is not positive, or not of the pulse's order
+    of magnitude, counts 0 and has NaN level and noise.
+    """
+    n, most = waves.pulses.rows, params.max_echoes
+    spacing = waves.pulses["sample_spacing"].astype(np.float64)
+    top = waves.pulses["saturation"].astype(np.float64)
+    top = np.where(np.isnan(top), np.inf, top)
+    channels, channel_of = _channels(pulse, spacing, top)
+    count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
+    lengths = np.diff(waves.offsets)
+    parts = []
+    for step in np.unique(spacing[fits_spacing(pulse, spacing)]):
+        rows = np.flatnonzero(spacing == step)
+        echoes = _room(len(rows) * most)
+        total = fit_all(
+            waves.samples, waves.offsets, rows, top, channels, channel_of, _settings(params, pulse, step), most,
+            int(lengths[rows].max()), lookup(pulse, step, params.narrowest, params.widest), count, *row_values, echoes,
+        )  # fmt: skip
+        parts.append(_in_ns(echoes, total, float(step)))
+    return _gathered(count, row_values, parts, params, pulse)
+
+
+def _settings(params: DecomposeParams, pulse: SystemPulse, spacing: float) -> Settings:
+    sigma = pulse.fwhm / (FWHM_PER_SIGMA * spacing)
+    return Settings(
+        detection=params.detection,
+        split_gain=params.split_gain,
+        narrowest=params.narrowest * sigma,
+        widest=params.widest * sigma,
+        separation=params.separation / spacing,
+        noise_floor=params.noise_floor,
+        shape_error=pulse.shape_error,
+        poor_misfit=params.poor_misfit,
+        iterations=params.iterations,
+        tolerance=params.tolerance,
+        tail_share=params.tail_share,
+        tail_reach=params.tail_reach / spacing,
+        sigma=sigma,
+        between=HIGHEST * 2.0 ** (spacing / pulse.fwhm) ** 2,
+    )
+
+
+def _channels(
+    pulse: SystemPulse, spacing: NDArray[np.float64], top: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The receiver's channels as (c + 1, 4) numbers, the last for an unknown channel; every row's channel."""
+    known = [c for c in pulse.channels if c.freedom > 0.0]
+    values = [(c.baseline, c.baseline_sd, c.noise, c.freedom) for c in known]
+    channel_of = np.full(len(spacing), len(known), np.int64)
+    for i, c in enumerate(known):
+        channel_of[np.isclose(spacing, c.sample_spacing, rtol=1e-6, atol=0.0) & (top == c.saturation)] = i
+    return np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_of
+
+
+def _room(capacity: int) -> Echoes:
+    """Room for echoes; pages that are never written cost nothing."""
+    a, t, w, da, dt, dw, deviation = (np.empty(capacity) for _ in range(7))
+    return Echoes(np.empty(capacity, np.int64), a, t, w, da, dt, dw, deviation, np.empty(capacity, np.uint8))
+
+
+def _in_ns(echoes: Echoes, total: int, spacing: float) -> Echoes:
+    """The filled part, in ns."""
+    timed = ("time", "width", "time_sigma", "width_sigma")
+    values = {name: getattr(echoes, name)[:total] * (spacing if name in timed else 1) for name in echoes._fields}
+    return Echoes(**values)
+
+
+def _gathered(
+    count: NDArray[np.int64],
+    row_values: NDArray[np.float64],
+    parts: list[Echoes],
+    params: DecomposeParams,
+    pulse: SystemPulse,
+) -> Fits:
+    """Echoes of all sample spacings by row, with widths as full width at half maximum and areas."""
+    parts = parts or [_room(0)]
+    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Echoes._fields}
+    order = np.argsort(columns["row"], kind="stable")
+    e = Echoes(**{name: values[order] for name, values in columns.items()} if len(parts) > 1 else columns)
+    widths = widths_of(pulse, params.narrowest, params.widest)
+    slope = np.gradient(widths.fwhm, widths.s)
+    baseline, noise, misfit = row_values
+    return Fits(
+        count=count,
+        baseline=baseline,
+        noise=noise,
+        misfit=misfit,
+        row=e.row,
+        amplitude=e.amplitude,
+        time=e.time,
+        width=np.interp(e.width, widths.s, widths.fwhm),
+        energy=e.amplitude * np.interp(e.width, widths.s, widths.area),
+        amplitude_sigma=e.amplitude_sigma,
+        time_sigma=e.time_sigma,
+        width_sigma=e.width_sigma * np.interp(e.width, widths.s, slope),
+        deviation=e.deviation,
+        flags=e.flags,
+    )
+
+
+def model_of(
+    fits: Fits, row: int, n_samples: int, spacing: float, pulse: SystemPulse
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The fitted sum (n_samples,) with the level, and every echo's own curve (k, n_samples) without it [DN].
+
+    Independent of the fit's table: the profiles are made anew for the echoes' widths.
+    """
+    first, last = np.searchsorted(fits.row, [row, row + 1])
+    curves = np.zeros((last - first, n_samples))
+    if last > first:
+        profiles = Profiles(pulse)
+        ratio = fits.width[first:last] / pulse.fwhm
+        widths = widths_of(pulse, 0.9 * float(ratio.min()), 1.2 * float(ratio.max()))
+        for k, i in enumerate(range(first, last)):
+            s = float(np.interp(fits.width[i], widths.fwhm, widths.s))
+            # a fine grid whose points fall on the samples
+            fine = max(round(60.0 * spacing / profiles.s0), 1)
+            whole = math.floor(fits.time[i] / spacing * fine)
+            h = profiles.at(s, -whole - fine, fine * (n_samples + 1) + 2, spacing / fine)
+            at = fine * np.arange(n_samples) + fine - (fits.time[i] / spacing * fine - whole)
+            curves[k] = fits.amplitude[i] * np.interp(at, np.arange(len(h)), h)
+    return fits.baseline[row] + curves.sum(axis=0), curves

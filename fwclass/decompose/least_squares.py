@@ -1,0 +1,395 @@
+"""The model, a level plus widened system pulses, and its weighted least-squares fit (Levenberg-Marquardt).
+
+Times and widths are in samples. Parameters are packed as ``[level, A0, t0, s0, A1, t1, s1, ...]``. Waveforms lie in
+padded buffers: sample i at ``pad + i``, with weight 0 around, so that no profile is ever cut off. Weights are relative
+to the variance of the noise; chi-square here is in DN^2.
+
+Sources: Hofton 2000, Wagner 2006 (the model); Nocedal and Wright 2006, 10.3 (the method).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fwclass.kernel import inlined, kernel, vectorised
+
+FIRST_DAMPING = 1e-3
+FROZEN = 1e30
+"""Added to the information of a parameter that stands at its bound and wants beyond."""
+LONGEST_STEP = 2.0
+"""Samples that an echo moves in one step at most."""
+
+
+@inlined
+def place(look, t, s):  # type: ignore[no-untyped-def]
+    """(row of the table, cell in width, whole sample, rest in time, rest in width) of an echo."""
+    k = min(max(int((s - look.low) / look.step), 0), len(look.first) - 1)
+    cell = int(math.floor(t * look.phases + 0.5))
+    whole = int(math.floor(cell / look.phases))
+    dt = t - cell / look.phases
+    ds = s - (look.low + (k + 0.5) * look.step)
+    return k * look.phases + cell - whole * look.phases, k, whole, dt, ds
+
+
+@vectorised
+def _sums(parts, length, dt, ds, y, weight, level, height):  # type: ignore[no-untyped-def]
+    """Sums over one echo's samples for its normal equations: products of (1, u, v, x, r) under the weights.
+
+    u, v, x are the profile and its derivatives by time and width, r the residual.
+    """
+    w1u, w1v, w1x, uu, uv, ux, vv, vx, xx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ru, rv, rx, rr, r1, r0 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    half_t, cross, half_s = 0.5 * dt * dt, dt * ds, 0.5 * ds * ds
+    for j in range(length):
+        tt, ts, ss = parts[3, j], parts[4, j], parts[5, j]
+        u = parts[0, j] + dt * parts[1, j] + ds * parts[2, j] + half_t * tt + cross * ts + half_s * ss
+        v = parts[1, j] + dt * tt + ds * ts
+        x = parts[2, j] + dt * ts + ds * ss
+        w = weight[j]
+        before = y[j] - level
+        r = before - height * u
+        wu, wv, wx, wr = w * u, w * v, w * x, w * r
+        w1u += wu
+        w1v += wv
+        w1x += wx
+        uu += wu * u
+        uv += wu * v
+        ux += wu * x
+        vv += wv * v
+        vx += wv * x
+        xx += wx * x
+        ru += wr * u
+        rv += wr * v
+        rx += wr * x
+        rr += wr * r
+        r1 += wr
+        r0 += w * before * before
+    return w1u, w1v, w1x, uu, uv, ux, vv, vx, xx, ru, rv, rx, rr - r0, r1
+
+
+@vectorised
+def moments(y, weight, pad, n):  # type: ignore[no-untyped-def]
+    """Sums of w, w y, w y^2 over the waveform."""
+    one, two, three = 0.0, 0.0, 0.0
+    for i in range(pad, pad + n):
+        w = weight[i]
+        one += w
+        two += w * y[i]
+        three += w * y[i] * y[i]
+    return one, two, three
+
+
+@kernel
+def fit_one(p, y, weight, pad, n, prior, limits, look, sums):  # type: ignore[no-untyped-def]
+    """`fit` for a single echo: the same steps, all in registers. `sums` is `moments`. (chi-square, steps)."""
+    narrow, wide, iterations, tolerance, highest = limits
+    b, a, t, s = p[0], p[1], p[2], p[3]
+    damping = FIRST_DAMPING
+    tb, ta, tt, ts = b, a, t, s
+    chi = np.inf
+    expected = np.inf
+    steps = 0
+    hbb, hba, hbt, hbs, haa, hat, has, htt, hts, hss = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    gb, ga, gt, gs = 0.0, 0.0, 0.0, 0.0
+    while True:
+        row, k, whole, dt, ds = place(look, tt, ts)
+        start = pad + whole + look.first[k]
+        length = look.length[k]
+        w1u, w1v, w1x, uu, uv, ux, vv, vx, xx, ru, rv, rx, rr, _ = _sums(
+            look.table[row], length, dt, ds, y[start : start + length], weight[start : start + length], tb, ta
+        )
+        away = tb - prior[0]
+        new = sums[2] - 2.0 * tb * sums[1] + tb * tb * sums[0] + rr + prior[1] * away * away
+        if new <= chi:
+            gain = chi - new
+            b, a, t, s, chi = tb, ta, tt, ts, new
+            if expected < tolerance or gain < tolerance:
+                break
+            damping = max(0.1 * damping, 1e-10) if steps > 0 else damping
+            hbb, hba, hbt, hbs = sums[0] + prior[1], w1u, a * w1v, a * w1x
+            haa, hat, has = uu, a * uv, a * ux
+            htt, hts, hss = a * a * vv, a * a * vx, a * a * xx
+            gb, ga, gt, gs = sums[1] - b * sums[0] - a * w1u - prior[1] * away, ru, a * rv, a * rx
+        else:
+            damping = max(10.0 * damping, FIRST_DAMPING)
+            if expected < tolerance or damping > 1e7:
+                break
+        if steps >= iterations:
+            break
+        steps += 1
+        grown = 1.0 + damping
+        frozen = FROZEN if (s <= narrow and gs < 0.0) or (s >= wide and gs > 0.0) else 0.0
+        # Cholesky's factor L, row by row
+        l00 = 1.0 / math.sqrt(hbb * grown + 1e-12)
+        l10, l20, l30 = hba * l00, hbt * l00, hbs * l00
+        q = haa * grown + 1e-12 - l10 * l10
+        l11 = 1.0 / math.sqrt(q) if q > 0.0 else 0.0
+        l21, l31 = (hat - l20 * l10) * l11, (has - l30 * l10) * l11
+        q = htt * grown + 1e-12 - l20 * l20 - l21 * l21
+        l22 = 1.0 / math.sqrt(q) if q > 0.0 else 0.0
+        l32 = (hts - l30 * l20 - l31 * l21) * l22
+        q = hss * grown + frozen + 1e-12 - l30 * l30 - l31 * l31 - l32 * l32
+        l33 = 1.0 / math.sqrt(q) if q > 0.0 else 0.0
+        if l11 == 0.0 or l22 == 0.0 or l33 == 0.0:
+            damping = 10.0 * damping + FIRST_DAMPING
+            if damping > 1e8:
+                break
+            tb, ta, tt, ts, expected = b, a, t, s, np.inf
+            chi = np.inf
+            continue
+        x0 = gb * l00
+        x1 = (ga - l10 * x0) * l11
+        x2 = (gt - l20 * x0 - l21 * x1) * l22
+        x3 = (gs - l30 * x0 - l31 * x1 - l32 * x2) * l33
+        expected = x0 * x0 + x1 * x1 + x2 * x2 + x3 * x3
+        x3 = x3 * l33
+        x2 = (x2 - l32 * x3) * l22
+        x1 = (x1 - l21 * x2 - l31 * x3) * l11
+        x0 = (x0 - l10 * x1 - l20 * x2 - l30 * x3) * l00
+        tb = b + x0
+        ta = min(max(a + x1, 0.1 * a), 4.0 * a, highest)
+        tt = min(max(t + min(max(x2, -LONGEST_STEP), LONGEST_STEP), -2.0), n + 1.0)
+        ts = min(max(s + x3, 0.5 * s, narrow), wide)
+    p[0], p[1], p[2], p[3] = b, a, t, s
+    return chi, steps
+
+
+@vectorised
+def _profile(parts, length, dt, ds, height, residual, basis):  # type: ignore[no-untyped-def]
+    """Fill ``basis`` (3, length) with (u, v, x) of one echo and take the echo off the residual."""
+    half_t, cross, half_s = 0.5 * dt * dt, dt * ds, 0.5 * ds * ds
+    for j in range(length):
+        tt, ts, ss = parts[3, j], parts[4, j], parts[5, j]
+        u = parts[0, j] + dt * parts[1, j] + ds * parts[2, j] + half_t * tt + cross * ts + half_s * ss
+        basis[0, j] = u
+        basis[1, j] = parts[1, j] + dt * tt + ds * ts
+        basis[2, j] = parts[2, j] + dt * ts + ds * ss
+        residual[j] -= height * u
+
+
+@vectorised
+def _less(y, level, pad, n, residual):  # type: ignore[no-untyped-def]
+    for i in range(pad, pad + n):
+        residual[i] = y[i] - level
+
+
+@vectorised
+def _squares(residual, weight, pad, n):  # type: ignore[no-untyped-def]
+    """Sums of w r^2 and w r."""
+    two, one = 0.0, 0.0
+    for i in range(pad, pad + n):
+        wr = weight[i] * residual[i]
+        two += wr * residual[i]
+        one += wr
+    return two, one
+
+
+@kernel
+def evaluate(p, count, y, weight, pad, n, look, residual, basis, window):  # type: ignore[no-untyped-def]
+    """(sum of w r^2, sum of w r) of parameters `p` with `count` echoes.
+
+    Fills ``residual``, ``window[k]`` (first, past the last sample of echo k, in the padded buffer; its cell in width
+    and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window.
+    """
+    _less(y, p[0], pad, n, residual)
+    for k in range(count):
+        row, cell, whole, dt, ds = place(look, p[3 * k + 2], p[3 * k + 3])
+        start = pad + whole + look.first[cell]
+        length = look.length[cell]
+        window[k, 0], window[k, 1], window[k, 2], window[k, 3] = start, start + length, cell, row
+        _profile(look.table[row], length, dt, ds, p[3 * k + 1], residual[start : start + length], basis[k])
+    return _squares(residual, weight, pad, n)
+
+
+@vectorised
+def _own(basis, residual, weight, length):  # type: ignore[no-untyped-def]
+    """Products of (1, u, v, x, r) of one echo."""
+    w1u, w1v, w1x, uu, uv, ux, vv, vx, xx = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ru, rv, rx = 0.0, 0.0, 0.0
+    for j in range(length):
+        u, v, x, w = basis[0, j], basis[1, j], basis[2, j], weight[j]
+        wu, wv, wx, wr = w * u, w * v, w * x, w * residual[j]
+        w1u += wu
+        w1v += wv
+        w1x += wx
+        uu += wu * u
+        uv += wu * v
+        ux += wu * x
+        vv += wv * v
+        vx += wv * x
+        xx += wx * x
+        ru += wr * u
+        rv += wr * v
+        rx += wr * x
+    return w1u, w1v, w1x, uu, uv, ux, vv, vx, xx, ru, rv, rx
+
+
+@vectorised
+def _cross(one, two, weight, length):  # type: ignore[no-untyped-def]
+    """Products of (u, v, x) of two echoes on the samples that both reach."""
+    h00, h01, h02, h10, h11, h12, h20, h21, h22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(length):
+        w = weight[j]
+        u0, u1, u2 = w * one[0, j], w * one[1, j], w * one[2, j]
+        v0, v1, v2 = two[0, j], two[1, j], two[2, j]
+        h00 += u0 * v0
+        h01 += u0 * v1
+        h02 += u0 * v2
+        h10 += u1 * v0
+        h11 += u1 * v1
+        h12 += u1 * v2
+        h20 += u2 * v0
+        h21 += u2 * v1
+        h22 += u2 * v2
+    return h00, h01, h02, h10, h11, h12, h20, h21, h22
+
+
+@kernel
+def normal_equations(p, count, weight, residual, basis, window, total, pull, hessian, gradient):  # type: ignore[no-untyped-def]
+    """Upper triangle of J^T W J and J^T W r, after `evaluate` at the same `p`.
+
+    `total`, `pull` : sums of w and of w r.
+    """
+    size = 3 * count + 1
+    for a in range(size):
+        for b in range(a, size):
+            hessian[a, b] = 0.0
+    hessian[0, 0], gradient[0] = total, pull
+    for k in range(count):
+        a, h = 3 * k + 1, p[3 * k + 1]
+        start, stop = window[k, 0], window[k, 1]
+        w1u, w1v, w1x, uu, uv, ux, vv, vx, xx, ru, rv, rx = _own(
+            basis[k], residual[start:stop], weight[start:stop], stop - start
+        )
+        gradient[a], gradient[a + 1], gradient[a + 2] = ru, h * rv, h * rx
+        hessian[0, a], hessian[0, a + 1], hessian[0, a + 2] = w1u, h * w1v, h * w1x
+        hessian[a, a], hessian[a, a + 1], hessian[a, a + 2] = uu, h * uv, h * ux
+        hessian[a + 1, a + 1], hessian[a + 1, a + 2], hessian[a + 2, a + 2] = h * h * vv, h * h * vx, h * h * xx
+        for m in range(k + 1, count):
+            low, high = max(start, window[m, 0]), min(stop, window[m, 1])
+            if high <= low:
+                continue
+            b, g = 3 * m + 1, p[3 * m + 1]
+            h00, h01, h02, h10, h11, h12, h20, h21, h22 = _cross(
+                basis[k, :, low - start :], basis[m, :, low - window[m, 0] :], weight[low:high], high - low
+            )
+            hessian[a, b], hessian[a, b + 1], hessian[a, b + 2] = h00, g * h01, g * h02
+            hessian[a + 1, b], hessian[a + 1, b + 1], hessian[a + 1, b + 2] = h * h10, h * g * h11, h * g * h12
+            hessian[a + 2, b], hessian[a + 2, b + 1], hessian[a + 2, b + 2] = h * h20, h * g * h21, h * g * h22
+
+
+@inlined
+def factorise(hessian, frozen, damping, size, lower):  # type: ignore[no-untyped-def]
+    """Cholesky factor of the upper triangle of `hessian` with its diagonal grown by `damping` and `frozen`; False if
+    singular. The diagonal of `lower` holds inverses."""
+    for i in range(size):
+        for j in range(i):
+            s = hessian[j, i]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            lower[i, j] = s * lower[j, j]
+        s = hessian[i, i] * (1.0 + damping) + frozen[i] + 1e-12
+        for k in range(i):
+            s -= lower[i, k] * lower[i, k]
+        if not s > 0.0:
+            return False
+        lower[i, i] = 1.0 / math.sqrt(s)
+    return True
+
+
+@inlined
+def _solve(lower, right, size, x):  # type: ignore[no-untyped-def]
+    """Solve L L^T x = right; the squared length of L^-1 right."""
+    expected = 0.0
+    for i in range(size):
+        s = right[i]
+        for k in range(i):
+            s -= lower[i, k] * x[k]
+        x[i] = s * lower[i, i]
+        expected += x[i] * x[i]
+    for i in range(size - 1, -1, -1):
+        s = x[i]
+        for k in range(i + 1, size):
+            s -= lower[k, i] * x[k]
+        x[i] = s * lower[i, i]
+    return expected
+
+
+@inlined
+def _bounded_step(p, move, count, n, narrow, wide, highest, trial):  # type: ignore[no-untyped-def]
+    """``trial = p + move``, each parameter held to a sane change and range."""
+    trial[0] = p[0] + move[0]
+    for k in range(count):
+        a = 3 * k + 1
+        trial[a] = min(max(p[a] + move[a], 0.1 * p[a]), 4.0 * p[a], highest)
+        shift = min(max(move[a + 1], -LONGEST_STEP), LONGEST_STEP)
+        trial[a + 1] = min(max(p[a + 1] + shift, -2.0), n + 1.0)
+        trial[a + 2] = min(max(p[a + 2] + move[a + 2], 0.5 * p[a + 2], narrow), wide)
+
+
+@kernel
+def fit(p, count, y, weight, pad, n, prior, limits, look, sums, work):  # type: ignore[no-untyped-def]
+    """Fit `p` in place; the weighted sum of squares at the end, in DN^2.
+
+    `prior` is (level, 1 / its variance in units of the noise's); `limits` is (narrowest, widest [samples], iterations,
+    tolerance [DN^2], greatest height [DN]). A parameter at its bound that wants beyond stands still for the step.
+    """
+    if count == 1:
+        return fit_one(p, y, weight, pad, n, prior, limits, look, sums)[0]
+    residual, basis, window, hessian, gradient, lower, move, trial, frozen = work
+    size = 3 * count + 1
+    narrow, wide, iterations, tolerance, highest = limits
+    damping = FIRST_DAMPING
+    chi, expected = np.inf, np.inf
+    steps = 0
+    for a in range(size):
+        trial[a] = p[a]
+    while True:
+        new, pull = evaluate(trial, count, y, weight, pad, n, look, residual, basis, window)
+        away = trial[0] - prior[0]
+        new += prior[1] * away * away
+        if new <= chi:
+            gain = chi - new
+            chi = new
+            for a in range(size):
+                p[a] = trial[a]
+            if expected < tolerance or gain < tolerance:
+                break
+            damping = max(0.1 * damping, 1e-10) if steps > 0 else damping
+            normal_equations(p, count, weight, residual, basis, window, sums[0], pull, hessian, gradient)
+            hessian[0, 0] += prior[1]
+            gradient[0] -= prior[1] * away
+        else:
+            damping = max(10.0 * damping, FIRST_DAMPING)
+            if expected < tolerance or damping > 1e7:
+                break
+        if steps >= iterations:
+            break
+        steps += 1
+        for k in range(count):
+            a = 3 * k + 3
+            held = (p[a] <= narrow and gradient[a] < 0.0) or (p[a] >= wide and gradient[a] > 0.0)
+            frozen[a] = FROZEN if held else 0.0
+        while not factorise(hessian, frozen, damping, size, lower):
+            damping = 10.0 * damping + FIRST_DAMPING
+            if damping > 1e8:
+                return chi
+        expected = _solve(lower, gradient, size, move)
+        _bounded_step(p, move, count, n, narrow, wide, highest, trial)
+    return chi
+
+
+@inlined
+def variances(lower, size, x, out):  # type: ignore[no-untyped-def]
+    """Diagonal of (L L^T)^-1."""
+    for q in range(size):
+        total = 0.0
+        for i in range(q, size):
+            v = 1.0 if i == q else 0.0
+            for k in range(q, i):
+                v -= lower[i, k] * x[k]
+            x[i] = v * lower[i, i]
+            total += x[i] * x[i]
+        out[q] = total

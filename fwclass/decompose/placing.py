@@ -1,0 +1,82 @@
+"""From fitted times to places: along the beam, from the pulse's anchor, after its outgoing pulse."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.decompose.fitting import OVERLAPPING, Fits, fit_waveforms
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.schema import Table
+from fwclass.waveforms import RETURN_COLUMNS, Waveforms
+
+
+def outgoing_times(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> NDArray[np.float64]:
+    """When every row's recorded outgoing pulse left, after the pulse's time origin [ns]; 0 where none is recorded.
+
+    The outgoing pulse is fitted like an echo; of several the highest counts.
+    """
+    late = np.zeros(waves.pulses.rows)
+    rows = np.flatnonzero(np.diff(waves.outgoing_offsets) > 0)
+    if len(rows) == 0:
+        return late
+    ends = waves.outgoing_offsets[rows + 1]
+    sizes = ends - waves.outgoing_offsets[rows]
+    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    place = np.arange(offsets[-1]) + np.repeat(waves.outgoing_offsets[rows] - offsets[:-1], sizes)
+    alone = Waveforms(
+        waves.pulses.take(rows), Table.empty(RETURN_COLUMNS), waves.outgoing[place], offsets.astype(np.int64)
+    )
+    fits = fit_waveforms(alone, params, pulse)
+    order = np.lexsort((fits.amplitude, fits.row))
+    found, last = np.unique(fits.row[order][::-1], return_index=True)
+    highest = order[::-1][last]
+    start = waves.pulses["outgoing_start"].astype(np.float64)[rows[found]]
+    late[rows[found]] = np.nan_to_num(start + fits.time[highest])
+    return late
+
+
+def from_anchor(
+    fits: Fits, waves: Waveforms, late: NDArray[np.float64], params: DecomposeParams
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """How long after its anchor every echo is [ns], and which echoes are far from what the vendor has.
+
+    Where the anchor is a return, the row is shifted so that the echo nearest to it falls on it, within
+    `register_within`. An echo that overlaps others does not shift its row: the vendor may have seen several as one.
+    Where the anchor is at the sensor, the time origin is when the outgoing pulse left (`late`).
+    """
+    pulses = waves.pulses
+    after = fits.time - (pulses["anchor_time"].astype(np.float64) + late)[fits.row]
+    at_return = waves.returns.rows > 0  # a format without returns has the sensor, or a point beside it, for anchor
+    distance = np.abs(after)
+    gap = np.full(pulses.rows, np.inf)
+    np.minimum.at(gap, fits.row, distance)
+    nearest = np.flatnonzero(distance == gap[fits.row])[::-1]  # of two equally near ones the first is written last
+    shift = np.zeros(pulses.rows)
+    shift[fits.row[nearest]] = after[nearest] * ((fits.flags[nearest] & OVERLAPPING) == 0)
+    shift[gap > params.register_within] = 0.0
+    if not at_return:
+        return after, np.zeros(len(after), bool)
+    far = gap > params.vendor_tolerance
+    return after - shift[fits.row], far[fits.row]
+
+
+def detection_limits(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> NDArray[np.float64]:
+    """Lowest amplitude that every row's channel can tell from noise [DN]; NaN where the channel is not known.
+
+    The height at which the matched filter reaches `detection`; from the channel's noise, the same for all its pulses.
+    """
+    limit = np.full(waves.pulses.rows, np.nan)
+    for channel in pulse.channels:
+        mine = waves.pulses["sample_spacing"] == np.float32(channel.sample_spacing)
+        mine &= waves.pulses["saturation"] == np.float32(channel.saturation)
+        limit[mine] = params.detection * channel.noise * np.sqrt(channel.sample_spacing / pulse.energy)
+    return limit
+
+
+def beams(waves: Waveforms) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit vector from sensor to target, shape (rows, 3), and speed along the beam [m/ns] of every row."""
+    step = np.stack([waves.pulses[f"step_{axis}"] for axis in "xyz"], axis=1)
+    speed = np.sqrt((step**2).sum(axis=1))
+    return -step / speed[:, None], speed

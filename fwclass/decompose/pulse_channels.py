@@ -1,0 +1,130 @@
+"""What every receiver channel records without echoes: level, noise, and how much they differ between waveforms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import digamma, polygamma
+
+from fwclass.decompose import pulse_scan
+from fwclass.decompose.system_pulse import MOST_CHANNELS, Channel
+from fwclass.waveforms import Waveforms
+
+Floats = NDArray[np.floating]
+
+ROUNDING = 1.0 / math.sqrt(12.0)
+"""Standard deviation of rounding to whole DN."""
+
+MOST_FREEDOM = 1000.0
+FEWEST = 4
+"""Samples that a waveform must have clear of echoes to count."""
+
+TRIM = 0.025
+TRIM_LOSS = 0.7588
+"""Variance of a normal distribution without its outer 2.5 % on both sides."""
+
+WINSOR_LOSS = 0.9130
+"""The same with the outer 2.5 % put onto the outermost inside."""
+
+
+def channel_groups(waves: Waveforms) -> tuple[Floats, NDArray[np.int64]]:
+    """The (spacing [ns], saturation [DN]) of the channels, shape (k, 2), and every waveform's channel.
+
+    Of more than `MOST_CHANNELS` those with most waveforms are told apart; the others are -1.
+    """
+    keys = np.stack([waves.pulses["sample_spacing"], waves.pulses["saturation"]], axis=1).astype(np.float64)
+    kinds, group, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    kept = np.sort(np.lexsort((np.arange(len(kinds)), -count))[:MOST_CHANNELS])
+    place = np.full(len(kinds), -1)
+    place[kept] = np.arange(len(kept))
+    return kinds[kept], place[group.ravel()]
+
+
+def rough_levels(waves: Waveforms, group: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Level of every waveform, and the median noise of its channel, [DN]."""
+    level, spread = np.empty(waves.pulses.rows), np.empty(waves.pulses.rows)
+    pulse_scan.levels(waves.samples, waves.offsets, level, spread)
+    noise = np.full(len(level), ROUNDING)
+    for k in range(group.max(initial=-1) + 1):
+        rows = (group == k) & np.isfinite(spread)
+        if rows.any():
+            noise[group == k] = max(float(np.median(spread[rows])), ROUNDING)
+    return level, noise
+
+
+def estimate_channels(
+    waves: Waveforms, kinds: Floats, group: NDArray[np.int64], level: Floats, noise: Floats, fwhm: float, tail: float
+) -> tuple[tuple[Channel, ...], Floats]:
+    """Every channel with echo-free samples, and the level of every waveform on its own [DN].
+
+    A waveform's own level is its mean where no echo reaches, drawn towards its channel's by their variances.
+    """
+    rows = waves.pulses.rows
+    mean, variance, count = np.empty(rows), np.empty(rows), np.empty(rows, np.int64)
+    spacing = waves.pulses["sample_spacing"].astype(np.float64)
+    pulse_scan.echo_free(waves.samples, waves.offsets, spacing, level, noise, fwhm, tail, mean, variance, count)
+    own = level.copy()
+    found = []
+    for k in range(len(kinds)):
+        here = group == k
+        clear = here & (count >= FEWEST)
+        if clear.sum() < 2:
+            continue
+        channel = _channel(kinds[k], mean[clear], variance[clear], count[clear])
+        found.append(channel)
+        share = np.maximum(count[here], 1) / channel.noise**2
+        prior = 1.0 / max(channel.baseline_sd, 1e-3) ** 2
+        value = np.where(count[here] > 0, mean[here], channel.baseline)
+        own[here] = (np.where(count[here] > 0, share, 0.0) * value + prior * channel.baseline) / (
+            np.where(count[here] > 0, share, 0.0) + prior
+        )
+    return tuple(found), own
+
+
+def _channel(kind: Floats, mean: Floats, variance: Floats, count: NDArray[np.int64]) -> Channel:
+    noise, freedom = prior_variance(variance, count - 1.0)
+    noise = max(math.sqrt(noise), ROUNDING)
+    order = np.sort(mean)
+    cut = int(TRIM * len(order))
+    inner = order[cut : len(order) - cut]
+    between = float(inner.var()) / (TRIM_LOSS if cut else 1.0) - noise**2 * float((1.0 / count).mean())
+    return Channel(
+        sample_spacing=float(kind[0]),
+        saturation=float(kind[1]),
+        baseline=float(inner.mean()),
+        baseline_sd=math.sqrt(max(between, 0.0)),
+        noise=noise,
+        freedom=freedom,
+    )
+
+
+def prior_variance(variance: Floats, freedom: Floats) -> tuple[float, float]:
+    """(s0², d0) of the scaled inverse chi-square that the true variances follow.
+
+    `variance` holds sample variances of `freedom` degrees of freedom each. Moments of their logarithms, by Smyth
+    2004, section 6.2; d0 is `MOST_FREEDOM` where they differ no more than chance lets them. Variances of constant
+    samples count as half that of rounding, and the outer 2.5 % of the logarithms as the outermost inside.
+    """
+    half = 0.5 * freedom
+    logs = np.log(np.maximum(variance, 0.5 * ROUNDING**2)) - digamma(half) + np.log(half)
+    logs = np.clip(logs, *np.quantile(logs, [TRIM, 1.0 - TRIM]))
+    centre = float(logs.mean())
+    excess = float(logs.var(ddof=1)) / WINSOR_LOSS - float(polygamma(1, half).mean())
+    if excess <= float(polygamma(1, 0.5 * MOST_FREEDOM)):
+        return math.exp(centre), MOST_FREEDOM
+    prior = 2.0 * _trigamma_inverse(excess)
+    return math.exp(centre + float(digamma(0.5 * prior)) - math.log(0.5 * prior)), prior
+
+
+def _trigamma_inverse(x: float) -> float:
+    """y > 0 with trigamma(y) = x > 0, by Newton's method (Smyth 2004, appendix)."""
+    y = 0.5 + 1.0 / x
+    for _ in range(50):
+        value = float(polygamma(1, y))
+        step = value * (1.0 - value / x) / float(polygamma(2, y))
+        y += step
+        if abs(step) < 1e-8 * y:
+            break
+    return y

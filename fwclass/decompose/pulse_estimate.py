@@ -1,0 +1,297 @@
+"""The system's pulse from the survey itself: bright single echoes, aligned and averaged.
+
+Compare Jutzi and Stilla 2006, who take the recorded outgoing pulse; here the echoes of flat targets stand for it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.decompose import pulse_scan
+from fwclass.decompose.pulse_align import Echoes, cut_out, fit_template, half_sample_mode, narrowest
+from fwclass.decompose.pulse_channels import channel_groups, estimate_channels, rough_levels
+from fwclass.decompose.pulse_sample import FEWEST, PulseParams, join_samples, rows_of, sample_pulses
+from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, mean_shape
+from fwclass.decompose.system_pulse import Channel, SystemPulse
+from fwclass.waveforms import Waveforms
+
+__all__ = ["PulseParams", "describe", "estimate_pulse", "join_samples", "sample_pulses"]
+
+Floats = NDArray[np.floating]
+
+DIMMER = 3.0
+"""Where too few echoes are bright, those of this part of the brightness still tell the width."""
+
+WIDTH_ROUNDS, SHAPE_ROUNDS = 6, 5
+STEADY = 2e-3
+"""Share of the width, or of the height, by which two rounds may differ at the end."""
+
+CANDIDATES = 2
+"""The brightest echoes, this many times as many as count in the end, are looked at."""
+
+NEAR, CLOSE = 0.25, 0.02
+"""Shares of the width by which an echo's may differ to be fitted further, and beside its own error to be averaged."""
+
+FEWEST_SAMPLES, MOST_SAMPLES = 0.7, 64.0
+"""Samples per FWHM of what can be a pulse."""
+
+FARTHEST = 30.0
+"""Longest tail in FWHM."""
+
+CAPPED = 25.0
+"""Square of a standardised residual that counts at most: what is no echo must not decide on the echo's shape."""
+
+
+def estimate_pulse(waves: Waveforms, params: PulseParams) -> SystemPulse:
+    """The pulse that the waveforms of one strip share, and what their receiver records without echoes.
+
+    The echoes used are the highest of their waveform, bright, unsaturated and alone. Their width is the one that the
+    narrowest share (`narrowest`), for slopes and plants only widen. Aligned and scaled by least squares they give a
+    mean shape, which aligns them anew. Half of the echoes judge the shape that the other half gives: it is kept if
+    it predicts them better than the best Gaussian does.
+
+    Depends on the set of waveforms only, not on their order.
+    """
+    waves = _usable(waves)
+    if waves.pulses.rows == 0:
+        return SystemPulse.gaussian(params.width or params.fallback_width)
+    kinds, group = channel_groups(waves)
+    level, noise = rough_levels(waves, group)
+    peak, height, guess = _bright_peaks(waves, level, noise, params)
+    fwhm = params.width or (guess if math.isfinite(guess) else params.fallback_width)
+    channels, level = estimate_channels(waves, kinds, group, level, noise, fwhm, params.tail)
+    noise = _channel_noise(channels, kinds, group, noise)
+    rows, spacing = _commonest(np.flatnonzero(peak >= 0), waves)
+    if len(rows) < FEWEST or not _resolved(fwhm, spacing):
+        return SystemPulse("gaussian", fwhm, channels=channels)
+    rows = _surest(rows, -height[rows] / noise[rows], CANDIDATES * params.max_echoes)
+    fwhm, rows = _narrow_width(waves, rows, peak, level, noise, fwhm, params)
+    if len(rows) < params.min_echoes or not _resolved(fwhm, spacing):
+        return SystemPulse("gaussian", fwhm, channels=channels, echoes=len(rows))
+    after = min(max(params.tail, 2.0 * fwhm), FARTHEST * fwhm)
+    echoes = cut_out(waves, rows, peak[rows], level[rows], noise[rows], fwhm, after)
+    return _shaped(fit_template(echoes, gaussian_template(fwhm)), fwhm, params, channels)
+
+
+def _commonest(rows: NDArray, waves: Waveforms) -> tuple[NDArray, float]:
+    """Those of `rows` that have the commonest sample spacing, and that spacing [ns]."""
+    if len(rows) == 0:
+        return rows, math.nan
+    spacing = waves.pulses["sample_spacing"][rows]
+    kinds, count = np.unique(spacing, return_counts=True)
+    common = kinds[int(count.argmax())]
+    return rows[spacing == common], float(common)
+
+
+def _resolved(fwhm: float, spacing: float) -> bool:
+    """Whether a pulse of `fwhm` takes enough samples to have a shape, and not so many that it is none."""
+    return FEWEST_SAMPLES <= fwhm / spacing <= MOST_SAMPLES
+
+
+def _surest(rows: NDArray, doubt: Floats, most: int) -> NDArray:
+    """At most `most` of `rows`, those of least `doubt`, in their order."""
+    return rows if len(rows) <= most else rows[np.sort(np.argsort(doubt, kind="stable")[:most])]
+
+
+def _usable(waves: Waveforms) -> Waveforms:
+    """Waveforms with a spacing and samples, ordered by (pulse, segment)."""
+    spacing, top = waves.pulses["sample_spacing"], waves.pulses["saturation"]
+    sound = np.isfinite(spacing) & (spacing > 0.0) & np.isfinite(top) & (np.diff(waves.offsets) > 0)
+    order = np.lexsort((waves.pulses["segment_start"], waves.pulses["pulse"]))
+    return rows_of(waves, order[sound[order]])
+
+
+def _bright_peaks(waves: Waveforms, level: Floats, noise: Floats, params: PulseParams) -> tuple[NDArray, Floats, float]:
+    """Sample of every waveform's bright single echo, -1 without, and its height [DN]; about their width [ns]."""
+    n = waves.pulses.rows
+    peak, height, width = np.empty(n, np.int64), np.empty(n), np.empty(n)
+    spacing = waves.pulses["sample_spacing"].astype(np.float64)
+    top = waves.pulses["saturation"].astype(np.float64)
+    for bright in (params.bright, params.bright / DIMMER):
+        pulse_scan.brightest(
+            waves.samples, waves.offsets, spacing, top, level, bright * noise, params.isolation, noise, peak, height,
+            width,
+        )  # fmt: skip
+        if (peak >= 0).sum() >= params.min_echoes:
+            break
+    found = peak >= 0
+    return peak, height, half_sample_mode(width[found]) if found.sum() >= FEWEST else math.nan
+
+
+def _channel_noise(channels: tuple[Channel, ...], kinds: Floats, group: NDArray, noise: Floats) -> Floats:
+    """`noise` with that of the estimated channels put in."""
+    noise = noise.copy()
+    by_kind = {(c.sample_spacing, c.saturation): c.noise for c in channels}
+    for k, (spacing, saturation) in enumerate(kinds.tolist()):
+        if (spacing, saturation) in by_kind:
+            noise[group == k] = by_kind[spacing, saturation]
+    return noise
+
+
+def _narrow_width(
+    waves: Waveforms, rows: NDArray, peak: NDArray, level: Floats, noise: Floats, fwhm: float, params: PulseParams
+) -> tuple[float, NDArray]:
+    """The FWHM of a Gaussian that the narrowest echoes share, and the rows of echoes not far from it."""
+    near = np.ones(len(rows), np.bool_)
+    for _ in range(WIDTH_ROUNDS):
+        echoes = cut_out(waves, rows, peak[rows], level[rows], noise[rows], fwhm, 2.0 * fwhm)
+        echoes = fit_template(echoes, gaussian_template(fwhm))
+        width, error = fwhm * echoes.size, fwhm * echoes.size_sd
+        fair = _fair(echoes)
+        if fair.sum() < FEWEST:
+            return fwhm, rows[:0]
+        best = params.width or narrowest(width[fair], error[fair])
+        near = fair & (np.abs(width - best) < NEAR * best)
+        change, fwhm = abs(best - fwhm), best
+        if change < STEADY * fwhm:
+            break
+    return fwhm, rows[near]
+
+
+def _fair(echoes: Echoes) -> NDArray[np.bool_]:
+    """Echoes that fit about as well as the others of their brightness: residuals grow with the noise and the height."""
+    share = np.sqrt(echoes.misfit) * echoes.noise / echoes.amplitude
+    floor = 2.0 * np.sqrt(np.maximum(echoes.misfit, 1.0)) < 4.0
+    fair: NDArray[np.bool_] = floor | (share < 3.0 * np.median(share))
+    inside = (echoes.size > NARROWEST) & (echoes.size < WIDEST)
+    return fair & inside & np.isfinite(share) & (echoes.amplitude > 0.0)
+
+
+def _shaped(echoes: Echoes, fwhm: float, params: PulseParams, channels: tuple[Channel, ...]) -> SystemPulse:
+    """The pulse of `echoes`, which were fitted with a Gaussian of `fwhm`."""
+    smooth = gaussian_template(fwhm)
+    plain, _ = _closest(echoes, smooth, params)
+    measured, aligned = _measured(echoes, smooth, params) if params.shape != "gaussian" else (None, plain)
+    if measured is not None:
+        gain, error = _trial(aligned, measured, smooth, params)
+        if params.shape == "measured" or gain > params.worth:
+            step = float(measured.time[1] - measured.time[0])
+            return SystemPulse(
+                "measured",
+                measured.fwhm,
+                float(measured.time[0]),
+                step,
+                measured.value.astype(np.float64),
+                error,
+                len(aligned),
+                channels,
+            )
+    error = _shape_error(plain, smooth)
+    return SystemPulse("gaussian", fwhm, shape_error=error, echoes=len(plain), channels=channels)
+
+
+def _closest(echoes: Echoes, template: Template, params: PulseParams) -> tuple[Echoes, float]:
+    """Echoes of the width that the narrowest share, and that width in widths of the template."""
+    width, error = template.fwhm * echoes.size, template.fwhm * echoes.size_sd
+    least = narrowest(width, error)
+    apart = np.abs(width - least)
+    close = int((apart < 2.0 * error + CLOSE * least).sum())
+    most = min(max(close, params.min_echoes), params.max_echoes)
+    rows = np.flatnonzero(apart < 2.0 * error + CLOSE * least) if close >= most else np.arange(len(echoes))
+    rows = _surest(rows, error[rows] if close >= most else apart, most)
+    return echoes.take(rows), least / template.fwhm
+
+
+def _measured(echoes: Echoes, template: Template, params: PulseParams) -> tuple[Template | None, Echoes]:
+    """The mean shape of `echoes`, and those of its width, as fitted with it."""
+    for _ in range(SHAPE_ROUNDS):
+        close, least = _closest(echoes, template, params)
+        found = _average(close, template, params, least)
+        if found is None:
+            return None, echoes
+        change = np.abs(found.at(template.time, np.ones(1))[0] - template.value).max()
+        template, echoes = found, fit_template(echoes, found)
+        if change < STEADY:
+            break
+    return template, _closest(echoes, template, params)[0]
+
+
+def _trial(echoes: Echoes, measured: Template, smooth: Template, params: PulseParams) -> tuple[float, float]:
+    """How one half of `echoes` is predicted by the shape of the other: (mean gain of chi-square of an echo over the
+    Gaussian `smooth`, shape error)."""
+    even = np.arange(len(echoes)) % 2 == 0
+    gain, errors = 0.0, []
+    for half in (even, ~even):
+        shape = _average(echoes.take(half), measured, params, 1.0)
+        if shape is None:
+            return -math.inf, _shape_error(echoes, measured)
+        judged = fit_template(echoes.take(~half), shape)
+        errors.append(_shape_error(judged, shape))
+        gain += _chi(fit_template(judged, smooth), smooth) - _chi(judged, shape)
+    return gain / len(echoes), float(np.mean(errors))
+
+
+def _average(echoes: Echoes, template: Template, params: PulseParams, size: float) -> Template | None:
+    """The mean shape of echoes aligned and scaled as fitted, each brought to `size` times the template's width."""
+    u = echoes.u - echoes.time[:, None]
+    v = echoes.y / echoes.amplitude[:, None]
+    v += template.at(u, np.full(1, size))[0] - template.at(u, echoes.size[:, None])[0]
+    sigma = np.sqrt((echoes.noise / echoes.amplitude) ** 2 + 1e-6)[:, None]
+    used = np.isfinite(v)
+    return mean_shape(
+        u[used],
+        v[used],
+        np.broadcast_to(sigma, v.shape)[used],
+        template.fwhm,
+        min(params.tail, FARTHEST * template.fwhm),
+    )
+
+
+def _residuals(echoes: Echoes, template: Template) -> tuple[Floats, Floats, Floats]:
+    """(residual, model) [DN] of all samples, NaN outside, and their time after the peak [ns]."""
+    u = echoes.u - echoes.time[:, None]
+    model = echoes.amplitude[:, None] * template.at(u, echoes.size[:, None])[0]
+    return echoes.y - model, model, u
+
+
+def _chi(echoes: Echoes, template: Template) -> float:
+    """Sum of the squared standardised residuals, each capped."""
+    residual = _residuals(echoes, template)[0] / echoes.noise[:, None]
+    return float(np.nansum(np.minimum(residual**2, CAPPED)))
+
+
+def _shape_error(echoes: Echoes, template: Template) -> float:
+    """Root mean square residual beyond the noise within one FWHM of the peak, as a share of the model there."""
+    residual, model, u = _residuals(echoes, template)
+    near = np.isfinite(residual) & (np.abs(u) <= template.fwhm)
+    count = near.sum(axis=1)
+    noise = echoes.noise**2 * np.maximum(count - 3, 1)
+    excess = np.where(near, residual**2, 0.0).sum(axis=1) - noise
+    scale = np.where(near, model**2, 0.0).sum(axis=1)
+    # a hidden second echo is no error of the shape
+    kept = np.argsort(excess / np.maximum(scale, 1e-12), kind="stable")[: max(int(0.98 * len(scale)), 1)]
+    return math.sqrt(max(float(excess[kept].sum() / scale[kept].sum()), 0.0))
+
+
+def describe(pulse: SystemPulse) -> dict[str, float | int | str]:
+    """What a report says of the pulse.
+
+    Returns
+    -------
+    shape, echoes, shape_error; fwhm and rise_time from 10 to 90 % of the height [ns]; skew, the third standardised
+    moment; tail_share, the share of the area later than 1.5 FWHM after the peak.
+    """
+    if pulse.shape == "measured":
+        time: Floats = pulse.first + pulse.step * np.arange(len(pulse.values))
+        value: Floats = pulse.values
+    else:
+        smooth = gaussian_template(pulse.fwhm)
+        time, value = smooth.time, smooth.value
+    top = int(value.argmax())
+    rising = np.maximum.accumulate(value[: top + 1])
+    rise = np.interp([0.1, 0.9], rising, time[: top + 1])
+    weight = np.maximum(value, 0.0) / np.maximum(value, 0.0).sum()
+    mean = float((weight * time).sum())
+    variance = float((weight * (time - mean) ** 2).sum())
+    return {
+        "shape": pulse.shape,
+        "fwhm": pulse.fwhm,
+        "rise_time": float(rise[1] - rise[0]),
+        "skew": float((weight * (time - mean) ** 3).sum() / variance**1.5),
+        "tail_share": float(value[time > 1.5 * pulse.fwhm].sum() / value.sum()),
+        "shape_error": pulse.shape_error,
+        "echoes": pulse.echoes,
+    }

@@ -1,0 +1,235 @@
+"""The mean shape of aligned echoes: a cubic spline with few knots, robust against what else a waveform holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from fwclass.decompose.system_pulse import FWHM_PER_SIGMA
+from fwclass.kernel import kernel
+
+Floats = NDArray[np.floating]
+
+KNOTS_PER_FWHM = 8.0
+"""A cubic spline on these knots is within 5e-5 of a Gaussian (5 / 384 h^4 |f''''|, Hall and Meyer 1976)."""
+
+STEPS_PER_FWHM = 64.0
+BEFORE, LEAST_AFTER = 2.5, 1.5
+"""Reach of the template ahead of the peak, and its least reach behind it, in FWHM."""
+
+BISQUARE = 4.685
+"""Tuning constant of the biweight: 95 % efficient where there are no outliers (Holland and Welsch 1977)."""
+
+ROUNDS = 6
+SURE, FAINTEST = 4.0, 1e-3
+"""Standard errors, and share of the height, above which the far part of the pulse is believed."""
+
+RIDGE = 1e-3
+
+
+NARROWEST, WIDEST, SIZES = 0.6, 1.8, 65
+"""Range of an echo's width in pulse widths, and the widths between which a shape is a straight line (1e-4)."""
+
+
+@dataclass(frozen=True)
+class Template:
+    """A pulse shape, its peak of 1 at time 0, and how it looks when targets widen it.
+
+    Attributes
+    ----------
+    time, value : evenly spaced [ns], and the height there.
+    fwhm : [ns].
+    first : time of the first column of `family` [ns]; columns are spaced as `time`.
+    family : shapes of unit peak, shape (SIZES, m), of `NARROWEST` to `WIDEST` times the equivalent sigma,
+        fwhm / 2.3548: wider ones convolved with a Gaussian, narrower ones compressed in time. 0 at both ends.
+    """
+
+    time: Floats
+    value: Floats
+    fwhm: float
+    first: float
+    family: Floats
+
+    def at(self, u: Floats, size: Floats) -> tuple[Floats, Floats, Floats]:
+        """Height, its derivative in time [1/ns] and in `size`, at times `u` [ns] after the peak, for echoes of
+        `size` times the pulse's width."""
+        step = self.time[1] - self.time[0]
+        rows, columns = self.family.shape
+        across = np.clip((u - self.first) / step, 0.0, columns - 1.000001)
+        along = np.clip((size - NARROWEST) / (WIDEST - NARROWEST) * (rows - 1), 0.0, rows - 1.000001)
+        i, k = across.astype(np.int64), along.astype(np.int64)
+        a, b = across - i, along - k
+        flat = self.family.ravel()
+        corner = k * columns + i
+        low, high = flat[corner], flat[corner + columns]
+        low_step, high_step = flat[corner + 1] - low, flat[corner + columns + 1] - high
+        slope = low_step + b * (high_step - low_step)
+        below, above = low + a * low_step, high + a * high_step
+        return below + b * (above - below), slope / step, (above - below) * ((rows - 1) / (WIDEST - NARROWEST))
+
+
+def widened(time: Floats, value: Floats, fwhm: float) -> Template:
+    """The `Template` of a shape given at even times, with its family."""
+    step = float(time[1] - time[0])
+    margin = int(2.0 * fwhm / step)
+    padded = np.pad(value, (margin, margin))
+    first = float(time[0]) - margin * step
+    grid = first + step * np.arange(len(padded))
+    # room behind, so that what the transform folds round falls on zeros
+    length = len(padded) + 4 * margin
+    spectrum = np.fft.rfft(padded, length)
+    squared = (2.0 * np.pi * np.fft.rfftfreq(length, step)) ** 2 * (fwhm / FWHM_PER_SIGMA) ** 2
+    family = np.empty((SIZES, len(padded)))
+    for k, size in enumerate(np.linspace(NARROWEST, WIDEST, SIZES)):
+        if size < 1.0:
+            family[k] = np.interp(grid / size, grid, padded)
+        else:
+            family[k] = np.fft.irfft(spectrum * np.exp(-0.5 * (size**2 - 1.0) * squared), length)[: len(padded)]
+        family[k] /= family[k].max()
+    family[:, [0, -1]] = 0.0
+    return Template(time, value, fwhm, first, family)
+
+
+def gaussian_template(fwhm: float) -> Template:
+    """A Gaussian of `fwhm` [ns] as a `Template`."""
+    half = round(BEFORE * STEPS_PER_FWHM)
+    time = np.arange(-half, half + 1) * (fwhm / STEPS_PER_FWHM)
+    return widened(time, np.exp(-0.5 * (time / fwhm * FWHM_PER_SIGMA) ** 2), fwhm)
+
+
+def mean_shape(u: Floats, v: Floats, sigma: Floats, fwhm: float, tail: float) -> Template | None:
+    """The shape that aligned, scaled samples have in common.
+
+    A penalised cubic spline by iterated biweight regression (Holland and Welsch 1977), which a second weak echo on a
+    few waveforms does not move. Behind the peak it lasts as long as it is significant, at most `tail`; then it is 0.
+
+    Parameters
+    ----------
+    u, v, sigma : time after the echo's peak [ns], height as a share of the echo's, and its standard deviation.
+    fwhm : about the pulse's [ns]; gives the knots.
+    tail : longest reach behind the peak [ns].
+
+    Returns
+    -------
+    Template, or None where the samples show no single peak.
+    """
+    first, last = -BEFORE * fwhm, max(tail, LEAST_AFTER * fwhm)
+    inside = (u >= first) & (u < last)
+    u, v, sigma = u[inside], v[inside], sigma[inside]
+    pieces = max(int(np.ceil((last - first) / fwhm * KNOTS_PER_FWHM)), 8)
+    knots = first + (last - first) / pieces * np.arange(-3, pieces + 4)
+    if len(u) < 2 * pieces:
+        return None
+    design = BSpline.design_matrix(u, knots, 3)
+    basis = design.data.reshape(-1, 4)
+    start = design.indices.reshape(-1, 4)[:, 0]
+    coefficients, error = _biweight(basis, start, v, 1.0 / sigma**2, pieces + 3)
+    if coefficients is None or error is None:
+        return None
+    return _normalised(BSpline(knots, coefficients, 3), error, first, last, fwhm)
+
+
+def _biweight(
+    basis: Floats, start: NDArray[np.integer], v: Floats, weight: Floats, size: int
+) -> tuple[Floats | None, Floats | None]:
+    """Spline coefficients (size,) with a small penalty on their second differences, and their standard errors; None
+    where they are not determined."""
+    scaled, robust = np.sqrt(weight), weight.copy()
+    coefficients, banded, residual = np.zeros(size), np.empty((4, size)), v
+    for _ in range(ROUNDS):
+        right = np.zeros(size)
+        banded = np.zeros((4, size))
+        _normal_equations(basis, start, v, robust, banded, right)
+        ridge = RIDGE * float(banded[0].mean())
+        for shift, value in ((0, 6.0), (1, -4.0), (2, 1.0)):
+            banded[shift, : size - shift] += ridge * value
+        try:
+            banded = cholesky_banded(banded, lower=True)
+        except np.linalg.LinAlgError:
+            return None, None
+        coefficients = cho_solve_banded((banded, True), right)
+        residual = np.empty(len(v))
+        _departures(basis, start, v, scaled, coefficients, residual)
+        scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
+        robust = weight * np.clip(1.0 - (residual / (BISQUARE * scale)) ** 2, 0.0, None) ** 2
+    share = robust / weight
+    spread = float(np.sqrt((share * residual**2).sum() / max(share.sum(), 1.0)))
+    inverse = cho_solve_banded((banded, True), np.eye(size))
+    return coefficients, spread * np.sqrt(np.diag(inverse))
+
+
+@kernel
+def _normal_equations(basis, start, v, weight, banded, right):  # type: ignore[no-untyped-def]
+    """Add B^T W B, lower band by band, to `banded` (4, k) and B^T W v to `right` (k,); the row i of B holds
+    ``basis[i]`` from column ``start[i]`` on."""
+    for i in range(len(v)):
+        for a in range(4):
+            wa = weight[i] * basis[i, a]
+            right[start[i] + a] += wa * v[i]
+            for b in range(a, 4):
+                banded[b - a, start[i] + a] += wa * basis[i, b]
+
+
+@kernel
+def _departures(basis, start, v, scale, coefficients, out):  # type: ignore[no-untyped-def]
+    """``out`` = (v - B c) * scale."""
+    for i in range(len(v)):
+        value = 0.0
+        for a in range(4):
+            value += basis[i, a] * coefficients[start[i] + a]
+        out[i] = (v[i] - value) * scale[i]
+
+
+def _normalised(spline: BSpline, error: Floats, first: float, last: float, fwhm: float) -> Template | None:
+    """`spline` with its peak of 1 at time 0, tapered to 0 where it is not significant."""
+    step = fwhm / STEPS_PER_FWHM
+    grid = np.arange(first, last, step)
+    value = spline(grid)
+    near = np.flatnonzero(np.abs(grid) < 0.75 * fwhm)
+    top = near[int(value[near].argmax())]
+    if top in (near[0], near[-1]) or not value[top] > 0.0:
+        return None
+    slope = spline.derivative()
+    low, high = grid[top - 1], grid[top + 1]
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if slope(middle) > 0.0 else (low, middle)
+    peak, height = 0.5 * (low + high), float(spline(0.5 * (low + high)))
+    begin, end = _reach(spline, error, peak, fwhm)
+    count = (int(np.ceil((peak - begin) / step)), int(np.ceil((end - peak) / step)))
+    time = np.arange(-count[0], count[1] + 1) * step
+    at = np.clip(time + peak, first, last - 1e-9)
+    fade = np.clip(np.minimum(time - time[0], time[-1] - time) / (0.5 * fwhm), 0.0, 1.0)
+    value = spline(at) / height * (fade * fade * (3.0 - 2.0 * fade))
+    value[count[0]] = 1.0
+    width = _fwhm(time, value)
+    if width is None:
+        return None
+    return widened(time, value, width)
+
+
+def _reach(spline: BSpline, error: Floats, peak: float, fwhm: float) -> tuple[float, float]:
+    """First and last time of the part that is significant, half a FWHM for the fading included [ns]."""
+    at = spline.t[2:-2]
+    sure = np.abs(spline.c) > np.maximum(SURE * error, FAINTEST)
+    begin, end = peak - 1.5 * fwhm, peak + LEAST_AFTER * fwhm
+    if sure.any():
+        begin, end = min(begin, at[sure][0]), max(end, at[sure][-1])
+    return max(begin - 0.5 * fwhm, spline.t[3]), min(end + 0.5 * fwhm, spline.t[-4])
+
+
+def _fwhm(time: Floats, value: Floats) -> float | None:
+    """Full width at half maximum around the peak, by straight lines; None if it does not fall to half."""
+    top = int(value.argmax())
+    left, right = np.flatnonzero(value[:top] < 0.5), np.flatnonzero(value[top:] < 0.5)
+    if not len(left) or not len(right):
+        return None
+    a, b = left[-1], top + right[0]
+    step = time[1] - time[0]
+    rise = (0.5 - value[a]) / (value[a + 1] - value[a])
+    fall = (value[b - 1] - 0.5) / (value[b - 1] - value[b])
+    return float((b - 1 + fall - a - rise) * step)

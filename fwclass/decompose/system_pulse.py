@@ -1,0 +1,182 @@
+"""The system's pulse: how the receiver records what a point-like target sends back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+
+FWHM_PER_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
+
+MOST_VALUES, MOST_CHANNELS = 100_000, 64
+"""Limits of a stored pulse."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What a receiver channel records without echoes.
+
+    Attributes
+    ----------
+    sample_spacing : [ns], with `saturation` tells the channel.
+    saturation : highest value that the digitiser can record [DN].
+    baseline, baseline_sd : mean level of its waveforms, and how it differs between waveforms beyond the noise [DN].
+    noise : standard deviation of the noise within a waveform, rounding included [DN].
+    freedom : how well `noise` holds for every single waveform, as the number of samples whose own estimate would be
+        as good (the prior degrees of freedom of Smyth 2004); 0 says nothing.
+    """
+
+    sample_spacing: float
+    saturation: float
+    baseline: float
+    baseline_sd: float
+    noise: float
+    freedom: float
+
+
+@dataclass(frozen=True)
+class SystemPulse:
+    """Shape of the system's pulse, and its receiver.
+
+    Attributes
+    ----------
+    shape : "gaussian" (only `fwhm` counts) or "measured" (`values` counts).
+    fwhm : full width at half maximum [ns].
+    first, step : time of ``values[0]`` after the peak, and between values [ns].
+    values : height over time, 1 at the peak, 0 far from it.
+    shape_error : root mean square departure of recorded pulses from `values`, as a share of their height.
+    echoes : how many recorded echoes the shape stands on; 0: it was given, not measured.
+    channels : the receiver's channels; may be empty.
+    """
+
+    shape: Literal["gaussian", "measured"]
+    fwhm: float
+    first: float = 0.0
+    step: float = 0.0
+    values: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    shape_error: float = 0.0
+    echoes: int = 0
+    channels: tuple[Channel, ...] = ()
+
+    @classmethod
+    def gaussian(cls, fwhm: float, shape_error: float = 0.0) -> SystemPulse:
+        return cls("gaussian", fwhm, shape_error=shape_error)
+
+    def at(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height at `time` [ns] after the peak; 0 outside of what is known."""
+        if self.shape == "gaussian":
+            return np.asarray(np.exp(-0.5 * (time * FWHM_PER_SIGMA / self.fwhm) ** 2))
+        known = self.first + self.step * np.arange(len(self.values))
+        return np.interp(time, known, self.values, left=0.0, right=0.0)
+
+    @property
+    def energy(self) -> float:
+        """Integral of the squared pulse [ns]."""
+        if self.shape == "measured":
+            return float((self.values**2).sum() * self.step)
+        return math.sqrt(math.pi) * self.fwhm / FWHM_PER_SIGMA
+
+    def to_json(self) -> dict[str, Any]:
+        """Numbers, texts and lists of them, as `from_json` takes them."""
+        return {**asdict(self), "values": self.values.tolist(), "channels": [asdict(c) for c in self.channels]}
+
+    @classmethod
+    def from_json(cls, stored: Mapping[str, Any], where: object = "") -> SystemPulse:
+        """A stored pulse, whoever wrote it.
+
+        Raises
+        ------
+        InputError
+            A key too few or too many, a number that is none or out of its range, too many values.
+        """
+        known = {f.name for f in fields(cls)}
+        if not isinstance(stored, Mapping) or set(stored) != known:
+            raise _refusal("other keys", where, sorted(known), _names(stored))
+        if stored["shape"] not in ("gaussian", "measured"):
+            raise _refusal("an unknown shape", where, "gaussian or measured", stored["shape"])
+        pulse = cls(
+            shape=stored["shape"],
+            fwhm=_number(stored, "fwhm", where, 0.0, 1e4, above=True),
+            first=_number(stored, "first", where, -1e6, 1e6),
+            step=_number(stored, "step", where, 0.0, 1e4),
+            values=_values(stored["values"], where),
+            shape_error=_number(stored, "shape_error", where, 0.0, 1.0),
+            echoes=int(_number(stored, "echoes", where, 0, 2**53)),
+            channels=_channels(stored["channels"], where),
+        )
+        if pulse.shape == "measured":
+            _check_values(pulse, where)
+        return pulse
+
+
+def _refusal(what: str, where: object, expected: object, got: object) -> InputError:
+    return InputError(
+        f"the stored system pulse has {what}",
+        where=where,
+        expected=expected,
+        got=str(got)[:200],
+        do="estimate it again, or use the file as it was written",
+    )
+
+
+def _names(stored: object) -> object:
+    return sorted(map(str, stored)) if isinstance(stored, Mapping) else type(stored).__name__
+
+
+def _number(
+    stored: Mapping[str, Any], key: str, where: object, least: float, most: float, above: bool = False
+) -> float:
+    value = stored[key]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+        raise _refusal(f"a {key} out of range", where, f"{least:g} to {most:g}", value)
+    if above and value <= least:
+        raise _refusal(f"a {key} out of range", where, f"above {least:g}", value)
+    return float(value)
+
+
+def _values(stored: object, where: object) -> NDArray[np.float64]:
+    if not isinstance(stored, list) or len(stored) > MOST_VALUES:
+        raise _refusal("values of another kind", where, f"a list of at most {MOST_VALUES}", type(stored).__name__)
+    for v in stored:
+        if isinstance(v, bool) or not isinstance(v, int | float) or not abs(v) <= 1.0 + 1e-6:
+            raise _refusal("values out of range", where, "numbers from -1 to 1", v)
+    return np.array(stored, np.float64)
+
+
+def _check_values(pulse: SystemPulse, where: object) -> None:
+    """A measured pulse rises to 1 at time 0 and lasts longer than its width."""
+    n = len(pulse.values)
+    if n < 8 or pulse.step <= 0.0:
+        raise _refusal("too few values", where, "at least 8, with a step above 0", f"{n}, step {pulse.step:g}")
+    last = pulse.first + (n - 1) * pulse.step
+    if not (pulse.first < -0.5 * pulse.fwhm and last > 0.5 * pulse.fwhm):
+        raise _refusal("values beside the peak", where, "its width around 0", f"{pulse.first:g} to {last:g} ns")
+    top = int(pulse.values.argmax())
+    if abs(pulse.values[top] - 1.0) > 1e-3 or abs(pulse.first + top * pulse.step) > pulse.step:
+        raise _refusal("no peak at time 0", where, "1 at 0 ns", f"{pulse.values[top]:g}")
+
+
+def _channels(stored: object, where: object) -> tuple[Channel, ...]:
+    if not isinstance(stored, list) or len(stored) > MOST_CHANNELS:
+        raise _refusal("channels of another kind", where, f"a list of at most {MOST_CHANNELS}", type(stored).__name__)
+    known = {f.name for f in fields(Channel)}
+    for one in stored:
+        if not isinstance(one, Mapping) or set(one) != known:
+            raise _refusal("a channel with other keys", where, sorted(known), _names(one))
+    return tuple(
+        Channel(
+            sample_spacing=_number(one, "sample_spacing", where, 0.0, 1e6, above=True),
+            saturation=_number(one, "saturation", where, 0.0, 2.0**32),
+            baseline=_number(one, "baseline", where, -(2.0**32), 2.0**32),
+            baseline_sd=_number(one, "baseline_sd", where, 0.0, 2.0**32),
+            noise=_number(one, "noise", where, 0.0, 2.0**32),
+            freedom=_number(one, "freedom", where, 0.0, 1e9),
+        )
+        for one in stored
+    )

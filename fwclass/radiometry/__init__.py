@@ -1,0 +1,1 @@
+"""Radiometry: range, incidence, cross-section, backscatter coefficient and reflectance of echoes."""

@@ -1,0 +1,136 @@
+"""Reading LAS: pulses with their returns and waveforms out of points and their packets."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.read.las import LasSource
+from fwclass.read.packets import FAULTS, Packets, References, gather_packets, judge, pulses_of
+from fwclass.read.params import ReadParams
+from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, gps_times
+from fwclass.read.segments import Rows, segment_links
+from fwclass.read.spans import Span, spans_by_points, spans_by_pulses
+from fwclass.schema import Table
+from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
+
+
+def check_las(source: LasSource, params: ReadParams) -> None:
+    """`InputError` if `source` declares waveforms, none can be read, and `missing_packets` is ``error``.
+
+    Looks at packet references until the first usable one.
+    """
+    if params.missing_packets == "keep" or not source.has_waves or source.n_points == 0:
+        return
+    counts = np.zeros(len(FAULTS), np.int64)
+    if source.waves.kind != "none":
+        with PointReader(source, WAVE_FIELDS) as reader:
+            for _, points in reader.blocks():
+                counts += np.bincount(judge(source, References.of(points)), minlength=len(FAULTS))
+                if counts[0]:
+                    return
+    reasons = ", ".join(f"{n} returns: {FAULTS[i]}" for i, n in enumerate(counts) if n) or source.waves.why_not
+    wdp = source.path.with_suffix(".wdp").name
+    raise InputError(
+        "the file declares waveforms, but none can be read",
+        where=source.path,
+        expected=f"point format {source.point_format} with its waveforms in {source.waves.path or wdp}",
+        got=reasons,
+        do=f"{_advice(source, wdp)}, or set read.missing_packets=keep to use its {source.n_points} returns without "
+        "waveforms",
+    )
+
+
+def _advice(source: LasSource, wdp: str) -> str:
+    """Where usable waveforms could come from."""
+    if source.waves.kind == "none":
+        return f"put {wdp} beside it"
+    if source.waves.kind == "internal":
+        return "ask for the file again: the waveforms inside it are cut off or damaged"
+    return f"ask for {wdp} and the file again: they do not fit each other, or one is damaged"
+
+
+def index_las(source: LasSource, params: ReadParams) -> list[Span]:
+    """Cut `source` into spans of about `params.chunk_pulses` pulses without cutting a pulse.
+
+    Returns of one pulse share descriptor and packet offset and need not be adjacent in the file. One streaming pass
+    over the packet references, none for files without waveforms; at most 40 bytes of memory a point.
+
+    Raises
+    ------
+    InputError
+        Points that cannot be read, or a file sorted so that it cannot be cut.
+    """
+    if not source.has_waves:
+        return spans_by_points(source.n_points, params.chunk_pulses)
+    return spans_by_pulses(source, params.chunk_pulses, params.max_span_points)
+
+
+def read_las(source: LasSource, span: Span, params: ReadParams) -> Waveforms:
+    """Returns of `span` in file order, and the waveforms of its pulses that have a usable packet.
+
+    Returns
+    -------
+    Waveforms
+        `location` and `anchor_time` [ns], `step` [m/ns] up the beam. A return's location counts from the first sample
+        of its pulse's first segment, an anchor time from the first sample of its own row. Returns without a usable
+        packet are kept with `has_packet` False and counted in `faults` by reason. `location` is NaN only where the
+        file declares no waveforms.
+    """
+    with PointReader(source) as reader:
+        points = reader.read(span.first_point, span.last_point)
+        columns: dict[str, NDArray] = {
+            "vendor_amplitude": reader.extra_byte(points, "Amplitude"),
+            "vendor_width": reader.extra_byte(points, "Pulse width", "echo width"),
+            "vendor_deviation": reader.extra_byte(points, "Deviation"),
+        }
+    columns |= dict(zip("xyz", coordinates(source, points), strict=True))
+    columns["gps_time"] = gps_times(source, points)
+    columns["return_number"] = np.asarray(points["return_number"], np.uint8)
+    columns["number_of_returns"] = np.asarray(points["number_of_returns"], np.uint8)
+    columns["intensity"] = np.asarray(points["intensity"])
+    columns["source_class"] = np.asarray(points["classification"], np.uint8)
+    faults = _return_faults(columns)
+    if not source.has_waves:
+        pulse = np.arange(span.first_pulse, span.first_pulse + len(points))
+        nothing = np.zeros(len(points), np.bool_)
+        columns |= {"pulse": pulse, "has_packet": nothing, "location": np.full(len(points), np.nan)}
+        none = np.empty(0, np.dtype(source.sample_dtype))
+        return Waveforms(Table.empty(PULSE_COLUMNS), _returns(columns), none, np.zeros(1, np.int64), faults)
+    rows = Rows.of_points(source, points)
+    refs = rows.refs
+    packet, pulse = pulses_of(rows.key, span.shared, segment_links(source, rows))
+    packets = gather_packets(source, refs, packet, pulse, rows.place, columns["return_number"], span.shared)
+    columns["pulse"] = pulse + span.first_pulse
+    columns["has_packet"] = packets.has_packet
+    columns["location"] = np.where(np.isfinite(refs.location), refs.location, 0.0) + packets.shift
+    pulses = _pulses(columns, refs, packets, span.first_pulse)
+    faults |= packets.faults
+    return Waveforms(pulses, _returns(columns), packets.samples, packets.offsets, faults)
+
+
+def _returns(columns: dict[str, NDArray]) -> Table:
+    return Table({name: columns[name] for name in RETURN_COLUMNS})
+
+
+def _return_faults(columns: dict[str, NDArray]) -> dict[str, int]:
+    number, of = columns["return_number"], columns["number_of_returns"]
+    counts = {
+        "return number 0": int((number == 0).sum()),
+        "return number above the number of returns": int((number > of).sum()),
+    }
+    return {name: n for name, n in counts.items() if n}
+
+
+def _pulses(columns: dict[str, NDArray], refs: References, packets: Packets, first_pulse: int) -> Table:
+    at = packets.anchor
+    rows = {f"anchor_{axis}": columns[axis][at] for axis in "xyz"}
+    rows |= {f"step_{axis}": refs.step[at, k] for k, axis in enumerate("xyz")}
+    nothing = np.full(len(at), np.nan)
+    rows |= {
+        "segment_start": packets.start, "anchor_range": nothing, "outgoing_start": nothing,
+        "pulse": packets.pulse + first_pulse, "gps_time": columns["gps_time"][at], "anchor_time": refs.location[at],
+        "sample_spacing": packets.spacing, "saturation": packets.saturation,
+    }  # fmt: skip
+    return Table({name: rows[name] for name in PULSE_COLUMNS})

@@ -1,0 +1,25 @@
+"""Parameters of reading."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from fwclass.stage import Params
+
+
+class ReadParams(Params):
+    """Parameters of reading; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    chunk_pulses : pulses of a span, about.
+    max_span_points : points of the longest span that memory allows.
+    missing_packets : ``error`` stops at a file that declares waveforms none of which can be read; ``keep`` takes
+        its returns as echoes.
+    """
+
+    chunk_pulses: int = Field(gt=0)
+    max_span_points: int = Field(gt=0)
+    missing_packets: Literal["error", "keep"]

@@ -1,0 +1,180 @@
+"""Reading PulseWaves: pulses with their segments and outgoing pulses; there are no returns."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.read.layout import SLACK, join_rows
+from fwclass.read.packet_kernels import gather
+from fwclass.read.pls_waves import (
+    FAULTS,
+    OVERLAP,
+    SILENT,
+    Samplings,
+    Segments,
+    blocks_of,
+    find,
+    reach,
+    read_records,
+    refuse_overlap,
+    waves_of,
+)
+from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseSource
+from fwclass.read.spans import Span, spans_by_points
+from fwclass.read.wave_kernels import clear_of_last
+from fwclass.schema import Table
+from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
+
+SECOND_CHANNEL = "segments of a second channel left out"
+OVERLAPPING = "segments that begin before the one before them ends, left out"
+BAD_OUTGOING = "outgoing pulses that are saturated or sampled unlike the returning waveform, left out"
+
+
+def check_pls(source: PulseSource) -> None:
+    """`InputError` if no pulse of `source` has a returning waveform that can be read: there is nothing else in it.
+
+    Looks at pulses until the first usable one.
+    """
+    counts = np.zeros(len(FAULTS), np.int64)
+    for _, found in blocks_of(source):
+        counts += np.bincount(found.fault, minlength=len(FAULTS))
+        if counts[0]:
+            return
+    if source.n_records == 0:
+        return
+    reasons = ", ".join(f"{n} pulses: {FAULTS[i]}" for i, n in enumerate(counts) if n)
+    wvs = source.path.with_suffix(".wvs").name
+    raise InputError(
+        "no waveform of the file can be read",
+        where=source.path,
+        expected=f"returning waveforms in {source.waves.path or wvs}",
+        got=f"{source.waves.why_not}; {reasons}" if source.waves.why_not else reasons,
+        do=f"put {wvs} beside it"
+        if source.waves.kind == "none"
+        else f"ask for {source.path.name} and {wvs} again: they do not fit each other, or one is damaged",
+    )
+
+
+def pulse_bounds(source: PulseSource) -> tuple[float, ...]:
+    """Bounds of the returning samples as the pulses have them, not as the header says; the header's without any.
+
+    Reads the whole file.
+    """
+    kinds, low, high = Samplings.of(source), np.full(3, np.inf), np.full(3, -np.inf)
+    for _, found in blocks_of(source):
+        least, most = reach(found, kinds)
+        low, high = np.minimum(low, least), np.maximum(high, most)
+    return (*low.tolist(), *high.tolist()) if np.isfinite(low).all() else source.bounds
+
+
+def index_pls(source: PulseSource, chunk: int) -> list[Span]:
+    """Spans of `chunk` pulses."""
+    return spans_by_points(source.n_records, chunk)
+
+
+def read_pls(source: PulseSource, span: Span) -> Waveforms:
+    """Waveforms of the pulses of `span`; `returns` is empty.
+
+    The anchor is the pulse's own, `anchor_time` its (negative) time in the segment, so that
+    P(t) = P_anchor + (anchor_time - t) step holds as everywhere; `anchor_range` is the distance from the optical
+    centre to the anchor, 0 where they coincide. Of several channels the first that has samples counts.
+    """
+    kinds, data = Samplings.of(source), waves_of(source)
+    found = find(source, read_records(source, span.first_point, span.last_point), kinds, data)
+    counts = np.bincount(found.fault, minlength=len(FAULTS))
+    faults = {name: int(n) for name, n in zip(FAULTS[:SILENT], counts, strict=False) if n and name}
+    segments, lost = _returning(found.segments, kinds)
+    faults |= lost
+    spacing, top = kinds.spacing[segments.sampling], kinds.top[segments.sampling]
+    lasts = segments.samples * spacing
+    layout = join_rows(segments.pulse, segments.begin, lasts, spacing, top)
+    segments = segments.take(layout.order)
+    head = layout.head
+    ends = np.concatenate([[0], np.cumsum(segments.samples)]).astype(np.int64)
+    first_of_row = np.searchsorted(layout.row[layout.order], np.arange(len(head) + 1))
+    _check_overlap(source, found.segments, kinds)
+    samples = _gather(source, segments, kinds, data, ends)
+    at = segments.pulse[first_of_row[:-1]]
+    spacing, top = spacing[head], top[head]
+    begin = segments.begin[first_of_row[:-1]]
+    outgoing, out_offsets, out_start, unlike = _outgoing(source, found.segments, kinds, data, at, spacing, top)
+    if unlike:
+        faults[BAD_OUTGOING] = unlike
+    rows = {f"anchor_{axis}": found.anchor[at, k] for k, axis in enumerate("xyz")}
+    rows |= {f"step_{axis}": found.step[at, k] for k, axis in enumerate("xyz")}
+    rows |= {
+        "pulse": at + span.first_pulse, "gps_time": found.time[at], "anchor_time": -begin,
+        "segment_start": layout.start, "anchor_range": found.anchor_range[at], "outgoing_start": out_start,
+        "sample_spacing": spacing, "saturation": top,
+    }  # fmt: skip
+    return Waveforms(
+        Table({name: rows[name] for name in PULSE_COLUMNS}), Table.empty(RETURN_COLUMNS), samples, ends[first_of_row],
+        faults, outgoing, out_offsets,
+    )  # fmt: skip
+
+
+def _returning(segments: Segments, kinds: Samplings) -> tuple[Segments, dict[str, int]]:
+    """Returning segments of the first channel of every pulse, sorted by pulse and begin, none before the end of the
+    one before it; and how many were left out."""
+    segments = segments.take(kinds.kind[segments.sampling] == RETURNING)
+    channel = kinds.channel[segments.sampling]
+    pulses, first = np.unique(segments.pulse, return_index=True)
+    same = channel == channel[first][np.searchsorted(pulses, segments.pulse)]
+    chosen = segments.take(same)
+    chosen = chosen.take(np.lexsort((chosen.begin, chosen.pulse)))
+    spacing = kinds.spacing[chosen.sampling]
+    keep = np.empty(len(chosen.pulse), np.bool_)
+    clear_of_last(chosen.pulse, chosen.begin, chosen.begin + chosen.samples * spacing, SLACK * spacing, keep)
+    lost = {SECOND_CHANNEL: int((~same).sum()), OVERLAPPING: int((~keep).sum())}
+    return chosen.take(keep), {name: n for name, n in lost.items() if n}
+
+
+def _check_overlap(source: PulseSource, segments: Segments, kinds: Samplings) -> None:
+    """Waves that together are much longer than the file cannot be right, and would fill the memory."""
+    wanted = int((segments.samples * kinds.table[segments.sampling, -1]).sum())
+    if wanted > OVERLAP * source.waves.available:
+        refuse_overlap(source, f"{wanted} bytes")
+
+
+def _gather(
+    source: PulseSource,
+    segments: Segments,
+    kinds: Samplings,
+    data: NDArray[np.uint8] | None,
+    ends: NDArray[np.int64],
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    samples = np.empty(int(ends[-1]), np.dtype(source.sample_dtype))
+    if data is not None and len(segments.byte):
+        gather(data, segments.byte, kinds.table[segments.sampling, -1] == 2, ends, samples)
+    return samples
+
+
+def _outgoing(
+    source: PulseSource,
+    segments: Segments,
+    kinds: Samplings,
+    data: NDArray[np.uint8] | None,
+    at: NDArray[np.int64],
+    spacing: NDArray[np.float64],
+    top: NDArray[np.float32],
+) -> tuple[NDArray[np.uint8] | NDArray[np.uint16], NDArray[np.int64], NDArray[np.float64], int]:
+    """The first outgoing segment of the pulse of every row: samples, offsets, start [ns]; and pulses whose outgoing
+    pulse does not share the row's spacing and saturation and so is left out."""
+    segments = segments.take(kinds.kind[segments.sampling] == OUTGOING)
+    pulses, first = np.unique(segments.pulse, return_index=True)
+    place = np.minimum(np.searchsorted(pulses, at), max(0, len(pulses) - 1))
+    has = pulses[place] == at if len(pulses) else np.zeros(len(at), np.bool_)
+    chosen = segments.take(first[place[has]])
+    own_top = kinds.top[chosen.sampling]
+    ends = np.concatenate([[0], np.cumsum(chosen.samples)]).astype(np.int64)
+    samples = _gather(source, chosen, kinds, data, ends)
+    peak = np.maximum.reduceat(samples, ends[:-1]) if len(chosen.pulse) else np.empty(0)
+    fits = (kinds.spacing[chosen.sampling] == spacing[has]) & (peak < np.minimum(own_top, top[has]))
+    lengths, start = np.zeros(len(at), np.int64), np.full(len(at), np.nan)
+    row = np.flatnonzero(has)[fits]
+    lengths[row], start[row] = chosen.samples[fits], chosen.begin[fits]
+    offsets = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    unlike = len(np.unique(chosen.pulse[~fits]))
+    return samples[np.repeat(fits, chosen.samples)], offsets, start, unlike

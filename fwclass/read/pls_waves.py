@@ -1,0 +1,221 @@
+"""Pulses of a Pulse file and the segments that the Waves file holds of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.read.packets import VECTOR_RANGE
+from fwclass.read.pls_header import PULSE
+from fwclass.read.pulsewaves import RETURNING, WAVES_HEADER, PulseSource, Sampling
+from fwclass.read.wave_kernels import CUT_SHORT, NO_WAVES, PAST_END, SEGMENT_COLUMNS, SOUND, TOO_MANY, walk
+from fwclass.units import METRES_PER_NS
+
+BLOCK = 50_000
+"""Pulses that a streaming pass holds at a time."""
+
+MAX_SEGMENTS = 1000
+"""A pulse of more segments than this is a damaged one."""
+
+MAX_DURATION = 1e7
+"""No segment begins later than this after the anchor [ns]: 1500 km."""
+
+FAULTS = (
+    "", "no waves", "waves past the end", "waves cut short", "too many segments", "unknown pulse descriptor",
+    "unusable pulse descriptor", "no sane beam vector", "no sane duration from the anchor", "waveforms missing",
+    "no returning samples",
+)  # fmt: skip
+"""What a pulse lacks; the index is the code in `Found.fault`. The last one is no fault: nothing came back."""
+
+_BY_WALK = {SOUND: 0, NO_WAVES: 1, PAST_END: 2, CUT_SHORT: 3, TOO_MANY: 4}
+SILENT = FAULTS.index("no returning samples")
+
+OVERLAP = 2
+"""Waves may be this many times as long as their file before they are refused."""
+
+RECORD = np.dtype(
+    {
+        "names": ["time", "waves", "anchor", "target", "bits", "intensity", "class"],
+        "formats": ["<i8", "<i8", ("<i4", 3), ("<i4", 3), "<u2", "u1", "u1"],
+        "offsets": [0, 8, 16, 28, 44, 46, 47],
+        "itemsize": PULSE,
+    }
+)
+"""A pulse of format 0; attributes and extra bytes behind it are not read."""
+
+
+def read_records(source: PulseSource, first: int, last: int) -> NDArray[Any]:
+    """The stored pulses [first, last)."""
+    length = source.header.pulse_size
+    with source.path.open("rb") as stream:
+        stream.seek(source.header.pulses_start + first * length)
+        raw = stream.read((last - first) * length)
+    if len(raw) != (last - first) * length:
+        raise InputError("the file is cut short", where=source.path, do="copy the file again")
+    rows = np.frombuffer(raw, np.uint8).reshape(last - first, length)[:, :PULSE]
+    return np.ascontiguousarray(rows).view(RECORD).reshape(-1)
+
+
+@dataclass(frozen=True)
+class Samplings:
+    """All samplings of a file as arrays, and which of them every descriptor has.
+
+    `described` (256, 3) and `table` (m, 6) as `wave_kernels.walk` wants them; `state` (256,) is the code of the fault
+    that every pulse of the descriptor has; `unit`, `centre` by descriptor; the others by sampling.
+    """
+
+    described: NDArray[np.int64]
+    table: NDArray[np.int64]
+    state: NDArray[np.uint8]
+    unit: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    kind: NDArray[np.int64]
+    channel: NDArray[np.int64]
+    scale: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    spacing: NDArray[np.float64]
+    top: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, source: PulseSource) -> Samplings:
+        described = np.zeros((256, 3), np.int64)
+        state = np.full(256, FAULTS.index("unknown pulse descriptor"), np.uint8)
+        unit, centre = np.ones(256), np.full(256, np.nan)
+        every: list[Sampling] = []
+        for index, d in source.descriptors.items():
+            state[index] = FAULTS.index("unusable pulse descriptor") if d.fault else 0
+            if d.fault:
+                continue
+            described[index] = d.extra_bytes, len(every), len(d.samplings)
+            unit[index], centre[index] = d.unit_ns, d.centre
+            every += d.samplings
+        table = [
+            (s.duration_bits // 8, s.segment_bits // 8, s.length_bits // 8, s.segments, s.samples, s.bits // 8)
+            for s in every
+        ]
+        return cls(
+            described, np.array(table, np.int64).reshape(-1, 6), state, unit, centre,
+            np.array([s.kind for s in every], np.int64), np.array([s.channel for s in every], np.int64),
+            np.array([s.scale for s in every], np.float64), np.array([s.offset for s in every], np.float64),
+            np.array([s.spacing_ns for s in every], np.float64),
+            np.array([2.0**s.bits - 1 for s in every], np.float32),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Segments of pulses: pulse (row of the records), sampling, samples, byte of the first one, begin after the
+    anchor [ns]."""
+
+    pulse: NDArray[np.int64]
+    sampling: NDArray[np.int64]
+    samples: NDArray[np.int64]
+    byte: NDArray[np.int64]
+    begin: NDArray[np.float64]
+
+    def take(self, index: NDArray) -> Segments:
+        return Segments(
+            self.pulse[index], self.sampling[index], self.samples[index], self.byte[index], self.begin[index]
+        )
+
+
+@dataclass(frozen=True)
+class Found:
+    """Pulses and what their waves hold: anchor [m], step [m/ns] up the beam, `fault` codes, and all segments."""
+
+    time: NDArray[np.float64]
+    anchor: NDArray[np.float64]
+    step: NDArray[np.float64]
+    anchor_range: NDArray[np.float64]
+    fault: NDArray[np.uint8]
+    segments: Segments
+
+
+def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDArray[np.uint8] | None) -> Found:
+    """Look at pulses and walk through their waves (`data`: the bytes of the Waves file)."""
+    index = (records["bits"] & 0xFF).astype(np.int64)
+    scales, offsets = np.array(source.scales), np.array(source.offsets)
+    anchor = records["anchor"] * scales + offsets
+    away = (records["target"].astype(np.int64) - records["anchor"]) * scales
+    step = away / (-1000.0 * kinds.unit[index])[:, None]
+    length = np.sqrt((step**2).sum(axis=1))
+    fault = kinds.state[index].copy()
+    sane = (length >= VECTOR_RANGE[0] * METRES_PER_NS) & (length <= VECTOR_RANGE[1] * METRES_PER_NS)
+    fault[(fault == 0) & ~sane] = FAULTS.index("no sane beam vector")
+    if data is None:
+        fault[fault == 0] = FAULTS.index("waveforms missing")
+        found, ends = np.empty((0, SEGMENT_COLUMNS), np.int64), np.zeros(len(index), np.int64)
+    else:
+        found, ends = _walk(source, data, records["waves"], np.where(fault == 0, index, -1), kinds)
+    codes = np.array([_BY_WALK[k] for k in range(len(_BY_WALK))], np.uint8)
+    fault = np.where(fault == 0, codes[ends], fault)
+    sampling = found[:, 1]
+    begin = (found[:, 2] * kinds.scale[sampling] + kinds.offset[sampling]) * kinds.unit[index[found[:, 0]]]
+    segments = Segments(found[:, 0], sampling, found[:, 3], found[:, 4], begin)
+    wild = ~(np.abs(begin) <= MAX_DURATION)
+    fault[segments.pulse[wild]] = FAULTS.index("no sane duration from the anchor")
+    segments = segments.take(fault[segments.pulse] == 0)
+    heard = np.zeros(len(fault), np.bool_)
+    heard[segments.pulse[kinds.kind[segments.sampling] == RETURNING]] = True
+    fault[(fault == 0) & ~heard] = SILENT
+    time = records["time"] * source.header.time_scale + source.header.time_offset
+    return Found(time, anchor, step, kinds.centre[index] * kinds.unit[index] * length, fault, segments)
+
+
+def _walk(
+    source: PulseSource,
+    data: NDArray[np.uint8],
+    offset: NDArray[np.int64],
+    descriptor: NDArray[np.int64],
+    kinds: Samplings,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    ends = np.empty(len(offset), np.int64)
+    found = np.empty((2 * len(offset), SEGMENT_COLUMNS), np.int64)
+    arguments = (data, np.ascontiguousarray(offset), descriptor, kinds.described, kinds.table, WAVES_HEADER)
+    count = int(walk(*arguments, MAX_SEGMENTS, ends, found))
+    if count > OVERLAP * len(data):  # every segment found has samples
+        refuse_overlap(source, f"{count} segments")
+    if count > len(found):
+        found = np.empty((count, SEGMENT_COLUMNS), np.int64)
+        walk(*arguments, MAX_SEGMENTS, ends, found)
+    return found[:count], ends
+
+
+def waves_of(source: PulseSource) -> NDArray[np.uint8] | None:
+    """The bytes of the Waves file, mapped, not read; None without one."""
+    return None if source.waves.path is None else np.asarray(np.memmap(source.waves.path, np.uint8, "r"))
+
+
+def blocks_of(source: PulseSource) -> Iterator[tuple[NDArray[Any], Found]]:
+    """(records, what they hold) of consecutive runs over the whole file."""
+    kinds, data = Samplings.of(source), waves_of(source)
+    for first in range(0, source.n_records, BLOCK):
+        records = read_records(source, first, min(first + BLOCK, source.n_records))
+        yield records, find(source, records, kinds, data)
+
+
+def reach(found: Found, kinds: Samplings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Least and greatest x, y, z of the first and last returning samples [m]; infinite where there are none."""
+    parts = found.segments.take(kinds.kind[found.segments.sampling] == RETURNING)
+    lasts = np.maximum(0, parts.samples - 1) * kinds.spacing[parts.sampling]
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for t in (parts.begin, parts.begin + lasts):
+        place = found.anchor[parts.pulse] - t[:, None] * found.step[parts.pulse]
+        low = np.minimum(low, place.min(axis=0, initial=np.inf))
+        high = np.maximum(high, place.max(axis=0, initial=-np.inf))
+    return low, high
+
+
+def refuse_overlap(source: PulseSource, got: str) -> NoReturn:
+    raise InputError(
+        "the waves of the pulses overlap",
+        where=source.path,
+        expected=f"at most {source.waves.available} bytes of samples",
+        got=got,
+        do="the pulses or their descriptors are damaged; export the file again",
+    )

@@ -1,0 +1,101 @@
+"""Kernels over the Waves file of PulseWaves: finding the segments of pulses."""
+
+from __future__ import annotations
+
+from fwclass.kernel import inlined, kernel
+
+SOUND, NO_WAVES, PAST_END, CUT_SHORT, TOO_MANY = 0, 1, 2, 3, 4
+"""What walking the waves of a pulse ended in."""
+
+EXTRA, FIRST, COUNT = 0, 1, 2
+"""Columns of the descriptor table: extra bytes, first sampling, samplings."""
+
+DURATION_BYTES, SEGMENT_BYTES, LENGTH_BYTES, SEGMENTS, SAMPLES, SAMPLE_BYTES = 0, 1, 2, 3, 4, 5
+"""Columns of the sampling table."""
+
+SEGMENT_COLUMNS = 5
+"""Of the segments found: pulse, sampling, stored duration, samples, byte of the first sample."""
+
+
+@inlined
+def whole_number(data, at, length):  # type: ignore[no-untyped-def]
+    """Unsigned little-endian number of `length` bytes."""
+    value = 0
+    for k in range(length):
+        value |= int(data[at + k]) << (8 * k)
+    return value
+
+
+@kernel
+def walk(data, offset, descriptor, described, samplings, header, most, ends, found):  # type: ignore[no-untyped-def]
+    """Find the segments of every pulse that have samples.
+
+    `offset`, `descriptor` (n,): byte of the pulse's waves in `data`, and its row in `described` (-1: none). `header`
+    is the length of the file's header, `most` the segments a pulse may have. ``ends[i]`` becomes what the walk of
+    pulse i ended in. `found` (m, 5) receives the segments of the pulses that ended well; gives their number, whether
+    or not they fit into `found`.
+    """
+    size = len(data)
+    count = 0
+    for i in range(len(offset)):
+        before = count
+        ends[i] = NO_WAVES
+        d = descriptor[i]
+        if d < 0 or offset[i] < header:
+            continue
+        if offset[i] >= size:
+            ends[i] = PAST_END
+            continue
+        ends[i] = SOUND
+        at = offset[i] + described[d, EXTRA]
+        seen = 0
+        for m in range(described[d, FIRST], described[d, FIRST] + described[d, COUNT]):
+            segments = samplings[m, SEGMENTS]
+            if samplings[m, SEGMENT_BYTES] > 0:
+                if at + samplings[m, SEGMENT_BYTES] > size:
+                    ends[i] = CUT_SHORT
+                    break
+                segments = whole_number(data, at, samplings[m, SEGMENT_BYTES])
+                at += samplings[m, SEGMENT_BYTES]
+            seen += segments
+            if seen > most:
+                ends[i] = TOO_MANY
+                break
+            for _ in range(segments):
+                if at + samplings[m, DURATION_BYTES] + samplings[m, LENGTH_BYTES] > size:
+                    ends[i] = CUT_SHORT
+                    break
+                duration, wide = 0, samplings[m, DURATION_BYTES]
+                if wide > 0:
+                    duration = whole_number(data, at, wide)
+                    if duration >= 1 << (8 * wide - 1):  # stored in two's complement
+                        duration -= 1 << (8 * wide)
+                    at += wide
+                length = samplings[m, SAMPLES]
+                if samplings[m, LENGTH_BYTES] > 0:
+                    length = whole_number(data, at, samplings[m, LENGTH_BYTES])
+                    at += samplings[m, LENGTH_BYTES]
+                if length * samplings[m, SAMPLE_BYTES] > size - at:
+                    ends[i] = CUT_SHORT
+                    break
+                if length > 0:
+                    if count < len(found):
+                        found[count, 0], found[count, 1], found[count, 2] = i, m, duration
+                        found[count, 3], found[count, 4] = length, at
+                    count += 1
+                at += length * samplings[m, SAMPLE_BYTES]
+            if ends[i] != SOUND:
+                break
+        if ends[i] != SOUND:
+            count = before
+    return count
+
+
+@kernel
+def clear_of_last(pulse, begin, end, slack, keep):  # type: ignore[no-untyped-def]
+    """Which segments, sorted by pulse and begin, do not start before the end of the last one kept of their pulse."""
+    last = -1
+    for i in range(len(pulse)):
+        keep[i] = last < 0 or pulse[i] != pulse[last] or begin[i] >= end[last] - slack[i]
+        if keep[i]:
+            last = i

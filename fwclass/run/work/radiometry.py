@@ -1,0 +1,91 @@
+"""Work of the parts of radiometry: the trajectory, the comparison of strips, the calibration, the columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass.grid import Tile
+from fwclass.radiometry.stage import (
+    Calibration,
+    Overlap,
+    RadiometryParams,
+    calibrate,
+    overlap,
+    pointing_error,
+    radiometry,
+)
+from fwclass.read.trajectory import in_survey_time, read_trajectory, thinned
+from fwclass.run.desk import TABLE, Desk
+from fwclass.schema import Table
+from fwclass.stage import Chunk
+from fwclass.store.arrays import write_arrays
+from fwclass.store.atomic import read_json, write_json
+from fwclass.store.tables import write_table
+
+COUNTS, CALIBRATION = "counts.zarr", "calibration.json"
+SPACING = 0.1
+"""Fixes closer than this [s] are thinned: a platform that turns at 2 m/s2 is 3 mm off its chord."""
+FIXES = 8192
+"""Fixes in a row group: some minutes of flight."""
+
+
+def flown(
+    files: tuple[Path, ...], crs: str | None, undulation: float, times: tuple[float, float], desk: Desk, directory: Path
+) -> dict[str, Any]:
+    """The trajectory of all files, on the survey's time scale, sorted by time."""
+    read = (thinned(read_trajectory(f, crs, undulation), SPACING) for f in files)
+    parts = [in_survey_time(one, *times, where=f) for one, f in zip(read, files, strict=True)]
+    table = Table.concat(parts)
+    _, first = np.unique(table["gps_time"], return_index=True)
+    table = table.take(first)
+    write_table(directory / TABLE, table, FIXES)
+    return {"fixes": table.rows, "begins": table["gps_time"][::FIXES].tolist()}
+
+
+def _trajectory(desk: Desk, times: Any) -> Table:
+    """The fixes around `times`: the row groups between the earliest and the latest, and one on either side."""
+    begins = np.array(desk.meta("trajectory", "all")["begins"])
+    known = times[np.isfinite(times)]
+    at = np.unique(np.searchsorted(begins, known, side="right") - 1) if len(known) else np.empty(0, np.int64)
+    wanted = {int(g) + d for g in at for d in (-1, 0, 1)}
+    groups = sorted(g for g in wanted if 0 <= g < len(begins))
+    return desk.groups("trajectory", "all", groups)
+
+
+def compared(
+    tile: Tile, halo: float, columns: Mapping[str, str], present: tuple[str, ...], flown: bool,
+    params: RadiometryParams, desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """What a tile says about the gains of its strips."""
+    chunk = desk.chunk(tile, halo, columns, present)
+    found = overlap(chunk, _trajectory(desk, chunk.table["gps_time"]) if flown else None, params)
+    write_arrays(directory / COUNTS, found.arrays())
+    return {}
+
+
+def calibrated(tiles: tuple[str, ...], params: RadiometryParams, desk: Desk, directory: Path) -> dict[str, Any]:
+    """The gains of the strips and the constant of the survey."""
+    found = calibrate((Overlap.from_arrays(desk.arrays("overlap", t, COUNTS)[0]) for t in tiles), params)
+    facts = found.to_json()
+    write_json(directory / CALIBRATION, facts)
+    return {"calibration": facts}
+
+
+def measured(
+    tile: Tile, columns: Mapping[str, str], flown: bool, params: RadiometryParams, desk: Desk, directory: Path
+) -> dict[str, Any]:
+    """Radiometric columns of a tile's echoes."""
+    chunk: Chunk = desk.chunk(tile, 0.0, columns, (tile.key,))
+    trajectory = _trajectory(desk, chunk.table["gps_time"]) if flown else None
+    calibration = Calibration.from_json(read_json(desk.store.path("calibrate", "all", CALIBRATION)))
+    table = radiometry(chunk, trajectory, calibration, params)
+    write_table(directory / TABLE, table)
+    error = pointing_error(chunk.table, trajectory, params) if trajectory is not None else float("nan")
+    return {
+        "without_range": int(np.isnan(table["range"]).sum()),
+        "pointing_error": error if np.isfinite(error) else None,
+    }
