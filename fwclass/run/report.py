@@ -11,7 +11,6 @@ import numpy as np
 
 from fwclass import __version__
 from fwclass.conf import Config
-from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import Window
 from fwclass.publish.report import render_report
 from fwclass.run.desk import Desk
@@ -175,16 +174,13 @@ def _waveforms(road: Road, survey: Survey) -> dict[str, Any] | None:
 
 def _pulse_figure(road: Road, report: Mapping[str, Any]) -> dict[str, bytes]:
     """The system's pulse of the first strip that has one."""
-    from fwclass.publish.waveplot import draw_pulse
+    from fwclass.run.pulse_picture import pulse_picture
 
     receipts = [r for r in _made(road, "pulse") if r.meta["sampled"]]
     if not receipts:
         return {}
     pulse = pulse_of(int(receipts[0].part), Desk(road.store))
-    time = np.linspace(-2.0 * pulse.fwhm, max(4.0 * pulse.fwhm, 25.0), 1201)
-    gaussian = SystemPulse.gaussian(pulse.fwhm).at(time)
-    name = report["waveforms"]["strips"][0]["name"]
-    return {"pulse": draw_pulse(time, pulse.at(time), gaussian, f"Strip {name}: width {pulse.fwhm:.2f} ns")}
+    return {"pulse": pulse_picture(pulse, report["waveforms"]["strips"][0]["name"])}
 
 
 def _outputs(road: Road) -> dict[str, list[str]]:

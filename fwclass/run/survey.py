@@ -250,6 +250,8 @@ def _given(text: str | None) -> CRS | None:
 
 
 def _check_areas(config: Config, box: Box) -> None:
+    if config.survey.model is not None and config.survey.reference.kind == "none":
+        return  # nothing is trained and nothing assessed
     for kind in ("train", "test"):
         boxes = config.areas.boxes(kind)
         if boxes and not any(b.touches(box.grown(1.0)) for b in boxes):

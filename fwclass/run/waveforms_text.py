@@ -18,7 +18,7 @@ def describe(found: dict[str, Any]) -> str:
         lines += ["", *_missed_lines(found["unexplained"])]
     elif "waveforms" in found:
         lines += ["", "the file has no vendor returns to compare with"]
-    return "\n".join([*lines, "", f"picture      {found['png']}"])
+    return "\n".join([*lines, "", f"pictures     {found['png']}", f"             {found['pulse_png']}"])
 
 
 def _pulse_lines(pulse: dict[str, Any]) -> list[str]:

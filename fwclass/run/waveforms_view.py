@@ -22,6 +22,7 @@ from fwclass.read.source import open_source
 from fwclass.read.spans import Span
 from fwclass.read.stage import ReadParams, check_source, index_source, read_span
 from fwclass.run.decompose_file import pulse_of_file
+from fwclass.run.pulse_picture import pulse_picture
 from fwclass.run.waveforms_seen import Seen, see
 
 STRONGEST = 20
@@ -55,7 +56,8 @@ def look(
     pulses : numbers of the pulses to show, counted by first appearance in the file; empty shows a choice of telling
         ones, and counts the echoes of the whole file that no return of its vendor explains.
     settings : ``read.key=value``, ``pulse.key=value``, ``decompose.key=value``.
-    out : PNG; None is ``<file>-waveforms.png`` in the current directory.
+    out : PNG; None is ``<file>-waveforms.png`` in the current directory. The system's pulse is drawn beside it, into
+        ``…-system-pulse.png``.
 
     Returns
     -------
@@ -70,7 +72,9 @@ def look(
         `out` exists or cannot be written, or too many pulses are asked for.
     """
     target = out if out is not None else Path(f"{path.stem}-waveforms.png")
-    _refuse(target, pulses, overwrite)
+    beside_it = target.with_name(f"{target.stem}-system-pulse.png")
+    for picture in (target, beside_it):
+        _refuse(picture, pulses, overwrite)
     read: ReadParams = conf.section("read", settings)
     params: DecomposeParams = conf.section("decompose", settings)
     source = open_source(path)
@@ -85,10 +89,21 @@ def look(
     if not chosen:
         raise InputError("no waveform of the file can be drawn", where=path, do="see `fwclass info` for what is wrong")
     heading = f"{path.name}: {'chosen' if pulses else 'telling'} pulses, {_pulse_words(pulse)}"
-    with whole(target) as beside:
-        beside.write_bytes(draw_waveforms([picture for picture, _ in chosen], heading))
+    drawn = ((target, draw_waveforms([p for p, _ in chosen], heading)), (beside_it, pulse_picture(pulse, path.name)))
+    for place, picture_bytes in drawn:
+        with whole(place) as beside:
+            beside.write_bytes(picture_bytes)
     shape = {"shape": pulse.shape, "fwhm_ns": pulse.fwhm, "shape_error": pulse.shape_error, "echoes": pulse.echoes}
-    return _plain({"path": path, "png": target, "system_pulse": shape, **counts, "pulses": [f for _, f in chosen]})
+    return _plain(
+        {
+            "path": path,
+            "png": target,
+            "pulse_png": beside_it,
+            "system_pulse": shape,
+            **counts,
+            "pulses": [f for _, f in chosen],
+        }
+    )
 
 
 def _refuse(target: Path, pulses: tuple[int, ...], overwrite: bool) -> None:
