@@ -245,13 +245,18 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
 @click.argument("source", type=_path)
 @click.argument("output", type=_path)
 @click.option("--trajectory", type=_path, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
+@click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights: the geoid's height.")
+@click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
 @_set
 @_overwrite
-def decompose(source: Path, output: Path, trajectory: Path | None, settings: tuple[str, ...], overwrite: bool) -> None:
+def decompose(
+    source: Path, output: Path, trajectory: Path | None, undulation: float, crs: str | None, settings: tuple[str, ...],
+    overwrite: bool,
+) -> None:  # fmt: skip
     """One file: waveforms to echoes with extra bytes (LAZ)."""
     from fwclass.run.decompose_file import decompose_file
 
-    click.echo(decompose_file(source, output, settings, overwrite, trajectory), err=True)
+    click.echo(decompose_file(source, output, settings, overwrite, trajectory, undulation, crs), err=True)
 
 
 @cli.command()

@@ -22,6 +22,7 @@ class Column:
     low, high : range of valid values, or None.
     source : paper and equation, or the format's field.
     las : name as a LAS extra byte, or "" if the column has a field of its own in LAS or is not published.
+    las_about : what the extra byte's 32 bytes of description say after the unit; "": the first words of `meaning`.
     las_dtype, las_scale : how the extra byte stores it: value = scale x stored number; "" stores `dtype` itself.
         Where `null` is NaN and the stored type is whole, the lowest number (signed) or the highest (unsigned) stands
         for "no value" and is declared as the extra byte's no-data value.
@@ -36,6 +37,7 @@ class Column:
     high: float | None = None
     source: str = ""
     las: str = ""
+    las_about: str = ""
     las_dtype: str = ""
     las_scale: float = 1.0
 
@@ -62,10 +64,11 @@ _DECLARED = (
         "amplitude",
         "f4",
         "DN",
-        "height of the fitted echo above the baseline",
+        "height of the fitted echo above the baseline; a kept return's vendor amplitude [dB] or intensity",
         null=NAN,
         low=0,
         las="amplitude DN",
+        las_about="height above the baseline",
     ),
     Column(
         "amplitude_db",
@@ -75,10 +78,20 @@ _DECLARED = (
         null=NAN,
         source="RIEGL extra byte `Amplitude`",
         las="Amplitude",
+        las_about="above the detection limit",
         las_dtype="i2",
         las_scale=0.01,
     ),
-    Column("width", "f4", "ns", "echo width, full width at half maximum", null=NAN, low=0, las="echo width"),
+    Column(
+        "width",
+        "f4",
+        "ns",
+        "echo width, full width at half maximum",
+        null=NAN,
+        low=0,
+        las="echo width",
+        las_about="full width at half maximum",
+    ),
     Column(
         "time",
         "f4",
@@ -86,7 +99,16 @@ _DECLARED = (
         "time of the echo in its waveform, from the first sample of the pulse's first segment",
         null=NAN,
     ),
-    Column("energy", "f4", "DN ns", "area under the fitted echo", null=NAN, low=0, las="echo energy"),
+    Column(
+        "energy",
+        "f4",
+        "DN ns",
+        "area under the fitted echo, times the segment's relative gain",
+        null=NAN,
+        low=0,
+        las="echo energy",
+        las_about="area under the echo",
+    ),
     Column("amplitude_sigma", "f4", "DN", "standard error of amplitude, from the fit's covariance", null=NAN, low=0),
     Column("width_sigma", "f4", "ns", "standard error of width, from the fit's covariance", null=NAN, low=0),
     Column(
@@ -97,6 +119,7 @@ _DECLARED = (
         null=NAN,
         low=0,
         las="range sigma",
+        las_about="standard error of range",
     ),
     Column(
         "deviation",
@@ -107,6 +130,7 @@ _DECLARED = (
         low=0,
         source="RIEGL extra byte `Deviation`",
         las="Deviation",
+        las_about="1000 x rms residual / amplitude",
         las_dtype="u2",
     ),
     Column("beam_range", "f4", "m", "distance from the sensor, where the source gives its place", null=NAN, low=0),
@@ -118,8 +142,9 @@ _DECLARED = (
         "u1",
         "",
         "1 saturated, 2 overlapping, 4 poor fit, 8 at the segment's edge, 16 vendor return kept, "
-        "32 far from the vendor's returns",
+        "32 far from the vendor's returns, 64 not fitted for want of a usable waveform",
         las="fit flags",
+        las_about="bits, see docs/waveforms.md",
     ),
     Column("source_class", "u1", "", "class code of the nearest return of the pulse in the source file"),
     Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
@@ -160,6 +185,7 @@ _DECLARED = (
     ),
     Column("sample_spacing", "f4", "ns", "time between samples", low=0),
     Column("saturation", "f4", "DN", "highest value that the digitiser can record"),
+    Column("gain", "f4", "", "volts a DN of the segment over those of the file's first waveform descriptor", low=0),
     # ground
     Column("ground", "bool", "", "the ground filter took the echo for ground"),
     Column(
@@ -169,6 +195,7 @@ _DECLARED = (
         "z minus the terrain model under the echo",
         null=NAN,
         las="HeightAboveGround",
+        las_about="above the terrain model",
     ),
     # neighbourhood features; the name in the tables carries the radius
     Column(
@@ -180,6 +207,7 @@ _DECLARED = (
         low=0,
         source="Fan 2013, 2.1",
         las="zc",
+        las_about="above the lowest of its cell",
     ),
     Column(
         "inclination",
@@ -191,6 +219,7 @@ _DECLARED = (
         high=90,
         source="Fan 2013, 2.2",
         las="inclination",
+        las_about="local normal to vertical",
     ),
     Column(
         "echo_ratio",
@@ -202,6 +231,7 @@ _DECLARED = (
         high=1,
         source="Fan 2013, eq. 2",
         las="echo ratio",
+        las_about="echoes in sphere / in cylinder",
     ),
     Column(
         "linearity",
@@ -287,7 +317,16 @@ _DECLARED = (
     Column("normal_y", "f4", "", "upward unit normal of the neighbourhood, north", null=NAN, low=-1, high=1),
     Column("normal_z", "f4", "", "upward unit normal of the neighbourhood, up", null=NAN, low=0, high=1),
     # radiometry
-    Column("range", "f4", "m", "distance from the sensor to the echo", null=NAN, low=0, las="range"),
+    Column(
+        "range",
+        "f4",
+        "m",
+        "distance from the sensor to the echo",
+        null=NAN,
+        low=0,
+        las="range",
+        las_about="from sensor to echo",
+    ),
     Column(
         "incidence",
         "f4",
@@ -297,6 +336,7 @@ _DECLARED = (
         low=0,
         high=90,
         las="incidence angle",
+        las_about="beam to local normal",
     ),
     Column(
         "cross_section",
@@ -307,6 +347,7 @@ _DECLARED = (
         low=0,
         source="Wagner 2006, eq. 9; Wagner 2008",
         las="cross section",
+        las_about="backscatter cross-section",
     ),
     Column(
         "backscatter",
@@ -317,6 +358,7 @@ _DECLARED = (
         low=0,
         source="Fan 2013, eq. 3; Wagner 2008",
         las="backscatter",
+        las_about="coefficient, 4 x reflectance",
     ),
     Column(
         "reflectance",
@@ -326,6 +368,7 @@ _DECLARED = (
         null=NAN,
         source="RIEGL extra byte `Reflectance`",
         las="Reflectance",
+        las_about="over white facing the beam",
         las_dtype="i2",
         las_scale=0.01,
     ),
@@ -335,11 +378,21 @@ _DECLARED = (
         "",
         "1 one of several echoes, 2 no range, 4 no normal, 8 incidence clipped, 16 saturated, 32 uncalibrated",
         las="radiometry flags",
+        las_about="bits, see docs/radiometry.md",
     ),
     # classes
     Column("reference", "u1", "", "reference class code; 0 is none"),
     Column("classification", "u1", "", "class code given by the forest"),
-    Column("confidence", "f4", "", "share of the forest's votes for the class", low=0, high=1, las="confidence"),
+    Column(
+        "confidence",
+        "f4",
+        "",
+        "share of the forest's votes for the class",
+        low=0,
+        high=1,
+        las="confidence",
+        las_about="share of the forest's votes",
+    ),
 )
 
 COLUMNS: dict[str, Column] = {c.name: c for c in _DECLARED}

@@ -12,7 +12,7 @@ from fwclass.schema import Table
 
 PULSE_COLUMNS = (
     "pulse", "gps_time", "anchor_x", "anchor_y", "anchor_z", "anchor_time", "step_x", "step_y", "step_z",
-    "segment_start", "anchor_range", "outgoing_start", "sample_spacing", "saturation",
+    "segment_start", "anchor_range", "outgoing_start", "sample_spacing", "saturation", "gain",
 )  # fmt: skip
 RETURN_COLUMNS = (
     "pulse", "return_number", "number_of_returns", "x", "y", "z", "gps_time", "intensity", "source_class",

@@ -226,6 +226,7 @@ def waves_of(
     pulses |= {
         "pulse": np.arange(n), "gps_time": 1e-5 * np.arange(n), "step_z": METRES_PER_NS, "sample_spacing": spacing,
         "saturation": saturation, "anchor_time": anchor_time, "anchor_range": np.nan, "outgoing_start": np.nan,
+        "gain": 1.0,
     }  # fmt: skip
     returns: dict[str, Any] = dict.fromkeys(RETURN_COLUMNS, 0.0)
     returns |= {

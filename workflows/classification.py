@@ -33,7 +33,7 @@ def classification(config: Config, road: Road, tiles: frozenset[str] | None = No
     splits = road.do(chunks + sources.cloud_tasks(config, survey.reference))
     check_widths(config, names, splits, road.store)
     tiled = road.do(sources.tile_tasks(config, splits))
-    stop_if_nothing(road, tiled)
+    stop_if_nothing(road, {name: receipt for name, receipt in tiled.items() if name[0] == "tile"})
     layout = Layout.of(config, tiled)
 
     labelled = config.survey.reference.kind != "none"

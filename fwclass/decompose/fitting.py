@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_fit import EDGE, HIGHEST, OVERLAPPING, POOR, SATURATED, Echoes, Settings, fit_all
 from fwclass.decompose.shapes import Profiles, fits_spacing, lookup, widths_of
-from fwclass.decompose.system_pulse import FWHM_PER_SIGMA, SystemPulse
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.units import FWHM_PER_SIGMA
 from fwclass.waveforms import Waveforms
 
 __all__ = ["EDGE", "OVERLAPPING", "POOR", "SATURATED", "Fits", "fit_waveforms", "model_of"]
@@ -74,6 +75,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     top = waves.pulses["saturation"].astype(np.float64)
     top = np.where(np.isnan(top), np.inf, top)
     channels, channel_of = _channels(pulse, spacing, top)
+    top = _clipped(pulse, spacing, top)
     count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
     lengths = np.diff(waves.offsets)
     parts = []
@@ -118,6 +120,15 @@ def _channels(
     for i, c in enumerate(known):
         channel_of[np.isclose(spacing, c.sample_spacing, rtol=1e-6, atol=0.0) & (top == c.saturation)] = i
     return np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_of
+
+
+def _clipped(pulse: SystemPulse, spacing: NDArray[np.float64], top: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The highest value that every waveform can reach: its channel's, where that is below the saturation."""
+    reached = top.copy()
+    for c in pulse.channels:
+        mine = np.isclose(spacing, c.sample_spacing, rtol=1e-6, atol=0.0) & (top == c.saturation)
+        reached[mine] = np.minimum(top[mine], c.clip)
+    return reached
 
 
 def _room(capacity: int) -> Echoes:

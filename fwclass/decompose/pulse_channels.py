@@ -21,6 +21,10 @@ MOST_FREEDOM = 1000.0
 FEWEST = 4
 """Samples that a waveform must have clear of echoes to count."""
 
+FLAT, NEARLY, SHARE, MOST_EMPTY = 3, 0.97, 0.2, 100.0
+"""A channel is clipped below its saturation if so many samples on end, in so large a share of the waveforms that come
+near their highest value, stand at it; below a hundredth of the range nothing is clipped."""
+
 TRIM = 0.025
 TRIM_LOSS = 0.7588
 """Variance of a normal distribution without its outer 2.5 % on both sides."""
@@ -40,6 +44,27 @@ def channel_groups(waves: Waveforms) -> tuple[Floats, NDArray[np.int64]]:
     place = np.full(len(kinds), -1)
     place[kept] = np.arange(len(kept))
     return kinds[kept], place[group.ravel()]
+
+
+def clip_levels(waves: Waveforms, kinds: Floats, group: NDArray[np.int64]) -> Floats:
+    """The highest value that every channel's samples reach [DN]: `saturation`, unless several waveforms stand at
+    one lower value, and at none above it, for `FLAT` samples on end."""
+    rows, samples = np.repeat(np.arange(waves.pulses.rows), np.diff(waves.offsets)), waves.samples
+    levels = kinds[:, 1].copy()
+    for k in range(len(kinds)):
+        mine = group[rows] == k
+        if not mine.any():
+            continue
+        top = samples[mine].max()
+        flat = mine & (samples == top)
+        for ahead in range(1, FLAT):
+            flat[:-ahead] &= (samples[ahead:] == top) & (rows[ahead:] == rows[:-ahead])
+            flat[-ahead:] = False
+        reached = len(np.unique(rows[mine & (samples >= NEARLY * top)]))
+        stopped = len(np.unique(rows[flat]))
+        if stopped >= FEWEST and stopped >= SHARE * reached and top > levels[k] / MOST_EMPTY:
+            levels[k] = float(top)
+    return levels
 
 
 def rough_levels(waves: Waveforms, group: NDArray[np.int64]) -> tuple[Floats, Floats]:
@@ -97,6 +122,7 @@ def _channel(kind: Floats, mean: Floats, variance: Floats, count: NDArray[np.int
         baseline_sd=math.sqrt(max(between, 0.0)),
         noise=noise,
         freedom=freedom,
+        clip=float(kind[1]),
     )
 
 

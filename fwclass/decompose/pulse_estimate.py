@@ -6,13 +6,14 @@ Compare Jutzi and Stilla 2006, who take the recorded outgoing pulse; here the ec
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose import pulse_scan
 from fwclass.decompose.pulse_align import Echoes, cut_out, fit_template, half_sample_mode, narrowest
-from fwclass.decompose.pulse_channels import channel_groups, estimate_channels, rough_levels
+from fwclass.decompose.pulse_channels import channel_groups, clip_levels, estimate_channels, rough_levels
 from fwclass.decompose.pulse_sample import FEWEST, PulseParams, join_samples, rows_of, sample_pulses
 from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, mean_shape
 from fwclass.decompose.system_pulse import Channel, SystemPulse
@@ -59,10 +60,15 @@ def estimate_pulse(waves: Waveforms, params: PulseParams) -> SystemPulse:
     if waves.pulses.rows == 0:
         return SystemPulse.gaussian(params.width or params.fallback_width)
     kinds, group = channel_groups(waves)
+    clips = clip_levels(waves, kinds, group)
+    reached = np.where(group >= 0, clips[group], waves.pulses["saturation"])
+    waves = replace(waves, pulses=waves.pulses.with_columns({"saturation": reached}))
     level, noise = rough_levels(waves, group)
     peak, height, guess = _bright_peaks(waves, level, noise, params)
     fwhm = params.width or (guess if math.isfinite(guess) else params.fallback_width)
     channels, level = estimate_channels(waves, kinds, group, level, noise, fwhm, params.tail)
+    by_kind = dict(zip(map(tuple, kinds.tolist()), clips.tolist(), strict=True))
+    channels = tuple(replace(c, clip=by_kind[c.sample_spacing, c.saturation]) for c in channels)
     noise = _channel_noise(channels, kinds, group, noise)
     rows, spacing = _commonest(np.flatnonzero(peak >= 0), waves)
     if len(rows) < FEWEST or not _resolved(fwhm, spacing):

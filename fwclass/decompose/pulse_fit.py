@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.least_squares import evaluate, factorise, fit, moments, normal_equations, variances
 from fwclass.decompose.peaks import BINS, first_echoes, is_peak, level_and_noise, match_filter, surer
-from fwclass.decompose.system_pulse import FWHM_PER_SIGMA
 from fwclass.kernel import inlined, kernel, vectorised
+from fwclass.units import FWHM_PER_SIGMA
 
 SATURATED, OVERLAPPING, POOR, EDGE = 1, 2, 4, 8
 PRUNE = 0.8
@@ -24,6 +24,12 @@ HIGHEST, HIGHEST_SATURATED = 1.25, 10.0
 """An echo is at most this many times as high as the highest sample; where samples are saturated, as the range."""
 CLIPPED = 0.85
 """Degrees of freedom of the clipped estimate of the noise, per sample kept; measured on noise alone."""
+USUAL = 72.0
+"""Samples of a waveform that `detection` is meant for; more samples are more chances, and a threshold z becomes
+sqrt(z^2 + 2 ln(n / USUAL)), which keeps the false echoes of a waveform as rare."""
+IDENTIFIED = 0.5
+"""Height over its standard error that each of several echoes must have: two echoes on one place explain samples
+better than one, and yet neither has a height."""
 FEWEST = 5
 """Samples without which nothing is fitted."""
 
@@ -324,9 +330,10 @@ def _rms_near(residual, weight, pad, n, t, reach):  # type: ignore[no-untyped-de
 
 @inlined
 def fit_pulse(  # type: ignore[no-untyped-def]
-    samples, first, n, top, channel, settings, most, look, p, y, weight, bins, work, spare,
+    samples, first, n, top, channel, settings, most, look, p, errors, y, weight, bins, work, spare,
 ):  # fmt: skip
-    """Echoes of one waveform into `p`, sorted by time, level less the returned base: (count, base, noise, misfit).
+    """Echoes of one waveform into `p`, sorted by time, level less the returned base, and their standard errors into
+    `errors`: (count, base, noise, misfit).
 
     `channel` is (baseline, its standard deviation, noise, freedom) of the receiver; freedom 0 where it is unknown.
     """
@@ -351,7 +358,8 @@ def fit_pulse(  # type: ignore[no-untyped-def]
     p[0] = level
     pad = look.before + 2
     used = _load(samples, first, n, base, pad, look.after + 2, top, y, weight)
-    detection = surer(settings.detection, quiet)
+    longer = math.log(max(n / USUAL, 1.0))
+    detection = surer(math.sqrt(settings.detection**2 + 2.0 * longer), quiet)
     threshold = detection * noise / math.sqrt(look.energy)
     for i in range(pad, pad + n):
         residual[i] = y[i] - level
@@ -398,10 +406,34 @@ def fit_pulse(  # type: ignore[no-untyped-def]
         return 0, base, noise, np.nan
     if _by_time(p, count):
         evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
-    freedom = max(used - 3.0 * count - 1.0, 1.0)
-    misfit = chi / (freedom * variance)
-    final, freedom = _posterior(chi, freedom, known)
+    while True:
+        freedom = max(used - 3.0 * count - 1.0, 1.0)
+        misfit = chi / (freedom * variance)
+        final, freedom = _posterior(chi, freedom, known)
+        information = WEAK
+        if channel[3] > 0.0:
+            information = final / max(channel[1] * channel[1], 1e-4 * final)
+        _standard_errors(p, count, weight, math.sqrt(final), information, sums, work, errors)
+        k = _least_known(p, count, errors) if count > 1 else -1
+        if k < 0:
+            break
+        for a in range(3 * k + 1, 3 * count - 2):
+            p[a] = p[a + 3]
+        count -= 1
+        chi = fit(p, count, y, weight, pad, n, prior, limits, look, sums, work)
+        evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
     return count, base, math.sqrt(final), misfit
+
+
+@inlined
+def _least_known(p, count, errors):  # type: ignore[no-untyped-def]
+    """The echo whose height is least sure, if it is less sure than `IDENTIFIED`; -1 otherwise."""
+    least, at = IDENTIFIED, -1
+    for k in range(count):
+        sure = p[3 * k + 1] / errors[3 * k + 1]
+        if not sure >= least:
+            least, at = sure if sure == sure else -1.0, k
+    return at
 
 
 @inlined
@@ -457,17 +489,13 @@ def fit_all(  # type: ignore[no-untyped-def]
         channel = channels[channel_of[w]]
         spare[0][pad + n : pad + n + look.after + 2] = 0.0
         found, base, sigma, chi = fit_pulse(
-            samples, first, n, top[w], channel, settings, most, look, p, y, weight, bins, work, spare
+            samples, first, n, top[w], channel, settings, most, look, p, errors, y, weight, bins, work, spare
         )
         baseline[w], noise[w], misfit[w] = p[0] + base, sigma, chi
         if found == 0:
             count[w] = 0
             continue
         _dropped(p, found, n, settings.tail_share, settings.tail_reach, drop)
-        information = WEAK
-        if channel[3] > 0.0:
-            information = sigma * sigma / max(channel[1] * channel[1], 1e-4 * sigma * sigma)
-        _standard_errors(p, found, weight, sigma, information, moments(y, weight, pad, n), work, errors)
         kept = 0
         for k in range(found):
             if drop[k]:

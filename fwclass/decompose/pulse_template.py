@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from fwclass.decompose.system_pulse import FWHM_PER_SIGMA
 from fwclass.kernel import kernel
+from fwclass.units import FWHM_PER_SIGMA
 
 Floats = NDArray[np.floating]
 

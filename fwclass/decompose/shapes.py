@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from fwclass.decompose.system_pulse import FWHM_PER_SIGMA, SystemPulse
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.units import FWHM_PER_SIGMA
 
 WIDTH_STEP = 0.05
 """Cells of the table in s, as a share of s0. Quadratic interpolation inside leaves 1e-5 of the peak."""
@@ -28,7 +29,7 @@ FOOT = 4e-5
 """A measured pulse is followed as far as it is higher than this."""
 LANES = 4
 """Profiles are padded to a multiple of this many samples, so that loops over them have no rest."""
-COARSEST, FINEST = 1.0, 400.0
+COARSEST, FINEST = 0.6, 400.0
 """Samples per full width at half maximum between which a waveform can be fitted."""
 TEMPLATE_FOOT = 0.011
 """The matched filter covers the pulse where it is higher than this."""

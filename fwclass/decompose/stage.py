@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.fitting import fit_waveforms
+from fwclass.decompose.fitting import SATURATED, fit_waveforms
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, outgoing_times
@@ -16,12 +14,13 @@ from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import quantised
 from fwclass.schema import IDENTITY, Table
 from fwclass.stage import Stage
+from fwclass.units import AREA_PER_FWHM
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 FITTED, KEPT, READ_AS_ECHO = 0, 1, 2
 """Values of `origin`."""
 
-VENDOR_KEPT, FAR_FROM_VENDOR = 16, 32
+VENDOR_KEPT, FAR_FROM_VENDOR, UNFITTED = 16, 32, 64
 """Values of `fit_flags` beside those of `fitting`."""
 
 ECHO_COLUMNS = (
@@ -30,8 +29,6 @@ ECHO_COLUMNS = (
     "deviation", "baseline", "noise", "misfit", "fit_flags", "source_class", "intensity",
 )  # fmt: skip
 LINK_COLUMNS = ("pulse", "echo_number")
-AREA_PER_FWHM = math.sqrt(math.pi / (4.0 * math.log(2.0)))
-"""Area of a Gaussian of unit height and unit full width at half maximum."""
 MOST = 255
 """Echoes of a pulse at most, all its segments together: `echo_number` has one byte. Later ones are left out."""
 
@@ -69,6 +66,17 @@ def decompose(waves: Waveforms, strip: int, params: DecomposeParams, pulse: Syst
     return Table({name: echoes[name] for name in ECHO_COLUMNS}), links
 
 
+def returns_without_echo(waves: Waveforms, echoes: Table, links: Table, params: DecomposeParams) -> int:
+    """How many returns have no echo of their pulse within `vendor_tolerance`: weaker than the threshold, overlapped,
+    or made of a receiver's ringing. `echoes` and `links` are what `decompose` gave for `waves`."""
+    if links.rows == 0 or waves.pulses.rows == 0:
+        return 0
+    keys = (echoes["pulse"].astype(np.int64) << 8) | echoes["echo_number"]
+    at = np.searchsorted(keys, (links["pulse"].astype(np.int64) << 8) | links["echo_number"])
+    away = np.sqrt(sum((echoes[a][at] - waves.returns[a]) ** 2 for a in "xyz"))
+    return int((away > params.vendor_tolerance * beams(waves)[1].max()).sum())
+
+
 def _fitted(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> dict[str, NDArray]:
     """Columns of the fitted echoes, by pulse and echo number."""
     fits = fit_waveforms(waves, params, pulse)
@@ -87,7 +95,7 @@ def _fitted(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> di
         "amplitude": fits.amplitude,
         "amplitude_db": decibels,
         "width": fits.width,
-        "energy": fits.energy,
+        "energy": fits.energy * pulses["gain"][row],
         "time": time,
         "amplitude_sigma": fits.amplitude_sigma,
         "width_sigma": fits.width_sigma,
@@ -141,7 +149,7 @@ def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
         "energy": np.where(undeclared, energy, np.nan),
         "deviation": table["vendor_deviation"],
         "time": np.where(unseen, table["location"], np.nan),
-        "fit_flags": np.where(unseen, VENDOR_KEPT, 0).astype(np.uint8),
+        "fit_flags": (np.where(unseen, VENDOR_KEPT, UNFITTED) | _saturated(waves, table["pulse"])).astype(np.uint8),
     }
     beam = np.full((n, 3), np.nan)
     if waves.pulses.rows:
@@ -151,6 +159,16 @@ def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
         columns[axis] = table[axis]
         columns[f"beam_{axis}"] = beam[:, c]
     return columns
+
+
+def _saturated(waves: Waveforms, pulse: NDArray) -> NDArray[np.int64]:
+    """Flag `SATURATED` of the pulses some of whose samples stand at the digitiser's limit."""
+    rows = np.flatnonzero(np.diff(waves.offsets) > 0)
+    if len(rows) == 0 or len(pulse) == 0:
+        return np.zeros(len(pulse), np.int64)
+    highest = np.maximum.reduceat(waves.samples[: waves.offsets[-1]], waves.offsets[rows])
+    full = waves.pulses["pulse"][rows[highest >= waves.pulses["saturation"][rows]]]
+    return np.where(_among(pulse, full), SATURATED, 0)
 
 
 def _among(values: NDArray, known: NDArray) -> NDArray[np.bool_]:
@@ -183,10 +201,10 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Stage(name="pulse", version=1, kind="gather", function=estimate_pulse, params=PulseParams, reads=PULSE_COLUMNS)
+PULSE = Stage(name="pulse", version=2, kind="gather", function=estimate_pulse, params=PulseParams, reads=PULSE_COLUMNS)
 DECOMPOSE = Stage(
     name="decompose",
-    version=2,
+    version=3,
     kind="chunk",
     function=decompose,
     params=DecomposeParams,

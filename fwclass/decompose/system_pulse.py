@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-
-FWHM_PER_SIGMA = 2.0 * math.sqrt(2.0 * math.log(2.0))
+from fwclass.units import FWHM_PER_SIGMA
 
 MOST_VALUES, MOST_CHANNELS = 100_000, 64
 """Limits of a stored pulse."""
@@ -28,6 +27,8 @@ class Channel:
     saturation : highest value that the digitiser can record [DN].
     baseline, baseline_sd : mean level of its waveforms, and how it differs between waveforms beyond the noise [DN].
     noise : standard deviation of the noise within a waveform, rounding included [DN].
+    clip : highest value that its samples reach [DN]: `saturation`, or less where the digitiser has fewer bits than
+        its samples are stored in.
     freedom : how well `noise` holds for every single waveform, as the number of samples whose own estimate would be
         as good (the prior degrees of freedom of Smyth 2004); 0 says nothing.
     """
@@ -38,6 +39,7 @@ class Channel:
     baseline_sd: float
     noise: float
     freedom: float
+    clip: float
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,7 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             baseline_sd=_number(one, "baseline_sd", where, 0.0, 2.0**32),
             noise=_number(one, "noise", where, 0.0, 2.0**32),
             freedom=_number(one, "freedom", where, 0.0, 1e9),
+            clip=_number(one, "clip", where, 0.0, 2.0**32),
         )
         for one in stored
     )

@@ -154,8 +154,8 @@ def stored(extra: ExtraByte, values: NDArray) -> NDArray:
 
 
 def description(col: Column) -> str:
-    """At most 32 bytes: the unit, then as many whole words of the meaning as fit."""
-    words = ([f"[{col.unit}]"] if col.unit else []) + col.meaning.split()
+    """At most 32 bytes: the unit, then the column's short text, or as many whole words of its meaning as fit."""
+    words = ([f"[{col.unit}]"] if col.unit else []) + (col.las_about or col.meaning).split()
     line = ""
     for word in words:
         longer = f"{line} {word}".strip()

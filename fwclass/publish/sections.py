@@ -31,7 +31,7 @@ TITLES = {
 }  # fmt: skip
 PERCENTILES = ("p5", "p25", "p50", "p75", "p95")
 PER_CLASS = ("producers_accuracy", "users_accuracy", "iou")
-POINTING_LIMIT = 2.0
+POINTING_LIMIT = 1.0
 """Angle between beams and the lines from the trajectory [deg] above which they do not belong together."""
 RIGHT, WRONG = (23, 105, 122), (196, 78, 40)
 """Colours of the confusion matrix: on the diagonal and beside it."""

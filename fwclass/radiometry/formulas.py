@@ -24,11 +24,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.units import AREA_PER_FWHM
+
 WHITE = 4.0
 """γ of a white (ρ = 1) matt surface."""
-
-AREA_PER_FWHM = math.sqrt(math.pi / (4.0 * math.log(2.0)))
-"""Area of a Gaussian of unit height and unit full width at half maximum."""
 
 
 def transmission(range_: NDArray[np.float64], extinction: float) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.errors import InputError
 from fwclass.radiometry.params import RadiometryParams
 from fwclass.schema import Table
 
@@ -56,6 +57,23 @@ def positions(trajectory: Table, gps_time: NDArray[np.float64], max_gap: float) 
         place = trajectory[axis]
         out[known, k] = (place[low] + share * (place[high] - place[low]))[known]
     return out
+
+
+ASTRAY = 10.0
+"""Angle between beams and the lines to the trajectory [deg] above which they do not belong together; below it a clock
+of another time scale (18 s are some degrees) is still told by the angle alone."""
+
+
+def check_pointing(angle: float, where: object) -> None:
+    """`InputError` where `pointing_error` says that a trajectory cannot be the survey's."""
+    if angle > ASTRAY:
+        raise InputError(
+            "the trajectory does not belong to the survey: the beams do not come from it",
+            where=where,
+            expected=f"beams and lines from the trajectory within {ASTRAY:g} degrees (median)",
+            got=f"{angle:.1f} degrees",
+            do="check the trajectory's coordinate system and the survey's, its axes and units, its heights, its times",
+        )
 
 
 def pointing_error(echoes: Table, trajectory: Table, params: RadiometryParams) -> float:

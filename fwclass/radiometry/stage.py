@@ -9,13 +9,13 @@ from fwclass.radiometry.calibration import Calibration, calibrate
 from fwclass.radiometry.formulas import backscatter, beam_area, cross_section, reflectance
 from fwclass.radiometry.overlap import READS, Overlap, incidence_cosine, overlap
 from fwclass.radiometry.params import OverlapParams, RadiometryParams, TargetParams
-from fwclass.radiometry.ranges import pointing_error, ranges
+from fwclass.radiometry.ranges import check_pointing, pointing_error, ranges
 from fwclass.schema import Table, require
 from fwclass.stage import Chunk, Stage
 
 __all__ = [
     "CALIBRATE", "OVERLAP", "RADIOMETRY", "Calibration", "Overlap", "OverlapParams", "RadiometryParams", "TargetParams",
-    "calibrate", "overlap", "pointing_error", "radiometry", "ranges",
+    "calibrate", "check_pointing", "overlap", "pointing_error", "radiometry", "ranges",
 ]  # fmt: skip
 
 ONE_OF_SEVERAL, NO_RANGE, NO_NORMAL, CLIPPED, SATURATED, UNCALIBRATED = 1, 2, 4, 8, 16, 32

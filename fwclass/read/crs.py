@@ -49,10 +49,30 @@ def _from_wkt(header: Records, faults: list[str]) -> CRS | None:
         if not text:
             continue
         try:
-            return CRS.from_wkt(text)
+            return _in_degrees(CRS.from_wkt(text), faults)
         except CRSError:
             faults.append("the CRS record holds no valid WKT")
     return None
+
+
+def _in_degrees(crs: CRS, faults: list[str]) -> CRS:
+    """`crs` with its angles in degrees where its writer gave them the unit of length, as some do."""
+    meridian = crs.prime_meridian
+    if meridian is None or meridian.unit_name.lower() not in ("metre", "meter"):
+        return crs
+    faults.append("the CRS record counts angles in metres; they are taken for degrees")
+    told = crs.to_json_dict()
+    _replace_angles(told)
+    return CRS.from_json_dict(told)
+
+
+def _replace_angles(node: Any) -> None:
+    """Every angular unit below `node` becomes the degree."""
+    for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+        if isinstance(value, dict) and value.get("type") == "AngularUnit":
+            node[key] = "degree"
+        elif isinstance(value, dict | list):
+            _replace_angles(value)
 
 
 def _from_keys(header: Records, faults: list[str]) -> CRS | None:

@@ -31,8 +31,8 @@ STANDARD_GPS_TIME = 1
 class Descriptor:
     """How the samples of a packet are stored: `LASF_Spec` record 99 + index.
 
-    `gain` and `offset` turn stored samples into volts. Nothing here needs volts: samples stay as the digitiser wrote
-    them [DN], whatever gain and offset say.
+    `gain` and `offset` turn stored samples into volts. Samples stay as the digitiser wrote them [DN]; the ratio of two
+    descriptors' gains makes the energies of their echoes comparable. The offset is in the level that every fit finds.
     """
 
     bits: int

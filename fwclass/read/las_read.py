@@ -131,6 +131,6 @@ def _pulses(columns: dict[str, NDArray], refs: References, packets: Packets, fir
     rows |= {
         "segment_start": packets.start, "anchor_range": nothing, "outgoing_start": nothing,
         "pulse": packets.pulse + first_pulse, "gps_time": columns["gps_time"][at], "anchor_time": refs.location[at],
-        "sample_spacing": packets.spacing, "saturation": packets.saturation,
+        "sample_spacing": packets.spacing, "saturation": packets.saturation, "gain": packets.gain,
     }  # fmt: skip
     return Table({name: rows[name] for name in PULSE_COLUMNS})

@@ -35,7 +35,9 @@ VECTOR_RANGE = (0.5, 1.5)
 MAX_SPACING = 100.0
 """No laser scanner samples slower than this [ns]: 15 m a sample."""
 
-UNITLESS = "descriptor without a usable gain or offset (the samples are used as they are)"
+UNITLESS = "descriptor without a usable gain or offset (taken for the gain of the others)"
+MOST_GAIN = 1e4
+"""Ratio of two descriptors' gains that a receiver may have; more is a mistake."""
 
 _OVERLAP = 2
 
@@ -110,6 +112,7 @@ class _Lookup:
     spacing: NDArray[np.float64]
     top: NDArray[np.float32]
     unitless: NDArray[np.bool_]
+    gain: NDArray[np.float32]
 
     @classmethod
     def of(cls, source: LasSource) -> _Lookup:
@@ -128,7 +131,19 @@ class _Lookup:
                 fault[i] = FAULTS.index("unsupported samples")
             elif not 0 < d.spacing_ns <= MAX_SPACING:
                 fault[i] = FAULTS.index("invalid sample spacing")
-        return cls(fault, samples, length, wide, spacing, top, unitless)
+        return cls(fault, samples, length, wide, spacing, top, unitless, _relative_gains(source))
+
+
+def _relative_gains(source: LasSource) -> NDArray[np.float32]:
+    """Volts a DN of every descriptor over those of the first that has samples; 1 where one of them is not usable."""
+    used = {i: d for i, d in sorted(source.descriptors.items()) if not d.empty}
+    first = next((d.gain for d in used.values() if d.has_unit and d.gain > 0.0), 1.0)
+    relative = np.ones(256, np.float32)
+    for i, d in used.items():
+        share = d.gain / first
+        if d.has_unit and MOST_GAIN > share > 1.0 / MOST_GAIN:
+            relative[i] = share
+    return relative
 
 
 def judge(source: LasSource, refs: References, shared: tuple[int, ...] = ()) -> NDArray[np.uint8]:
@@ -171,7 +186,7 @@ class Packets:
     anchor : per segment of the pulses **with** a usable packet its anchor point.
     pulse : pulse of those segments.
     start : first sample of the segment after that of the pulse's first [ns].
-    spacing, saturation : [ns], [DN].
+    spacing, saturation, gain : [ns], [DN], relative to the file's first descriptor.
     samples, offsets : ragged samples, one row per segment.
     has_packet : per point, whether its packet is usable.
     shift : per point the first sample of its packet after that of its pulse's first [ns]; 0 without packet.
@@ -183,6 +198,7 @@ class Packets:
     start: NDArray[np.float64]
     spacing: NDArray[np.float64]
     saturation: NDArray[np.float32]
+    gain: NDArray[np.float32]
     samples: NDArray[np.uint8] | NDArray[np.uint16]
     offsets: NDArray[np.int64]
     has_packet: NDArray[np.bool_]
@@ -223,7 +239,8 @@ def gather_packets(
     head = anchor[layout.head]
     samples = _samples(source, refs.offset[anchor[layout.order]], table.wide[ordered], table.bytes[ordered], ends)
     return Packets(
-        head, pulse[head], layout.start, table.spacing[index[layout.head]], table.top[index[layout.head]], samples,
+        head, pulse[head], layout.start, table.spacing[index[layout.head]], table.top[index[layout.head]],
+        table.gain[index[layout.head]], samples,
         ends[first_of_row], has_packet, shift[packet], _count(table, refs, fault, has_packet),
     )  # fmt: skip
 

@@ -107,7 +107,7 @@ def read_pls(source: PulseSource, span: Span) -> Waveforms:
     rows |= {
         "pulse": at + span.first_pulse, "gps_time": found.time[at], "anchor_time": -begin,
         "segment_start": layout.start, "anchor_range": found.anchor_range[at], "outgoing_start": out_start,
-        "sample_spacing": spacing, "saturation": top,
+        "sample_spacing": spacing, "saturation": top, "gain": np.ones(len(top)),
     }  # fmt: skip
     return Waveforms(
         Table({name: rows[name] for name in PULSE_COLUMNS}), Table.empty(RETURN_COLUMNS), samples, ends[first_of_row],

@@ -10,22 +10,26 @@ import numpy as np
 
 from fwclass import conf
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
-from fwclass.decompose.stage import VENDOR_KEPT, decompose
+from fwclass.decompose.stage import VENDOR_KEPT, decompose, returns_without_echo
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
 from fwclass.features.stage import NORMAL, FeaturesParams, features
 from fwclass.grid import Tile
 from fwclass.publish.laz import write_tile_laz
-from fwclass.radiometry.stage import RadiometryParams, calibrate, overlap, pointing_error, radiometry
+from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
 from fwclass.read.source import Source, open_source
 from fwclass.read.spans import Span
 from fwclass.read.stage import ReadParams, check_source, index_source, read_span
 from fwclass.read.trajectory import in_survey_time, read_trajectory
+from fwclass.run.survey import given_crs
 from fwclass.schema import Table
 from fwclass.stage import Chunk
 
 SECTIONS = ("read", "pulse", "decompose", "features", "radiometry", "publish")
 """Sections of the configuration that the command obeys."""
+
+DOUBTFUL = 1.0
+"""Angle between beams and trajectory [deg] that is told as a fault."""
 
 EVERYTHING = 1e9
 """Edge of the one tile [m]."""
@@ -46,24 +50,29 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
 
 
 def decompose_file(
-    source: Path, output: Path, settings: tuple[str, ...], overwrite: bool, trajectory: Path | None = None
-) -> str:
+    source: Path, output: Path, settings: tuple[str, ...], overwrite: bool, trajectory: Path | None = None,
+    undulation: float = 0.0, crs: str | None = None,
+) -> str:  # fmt: skip
     """Waveforms of one file to echoes in one LAZ file; returns the summary.
 
     `settings` are ``section.key=value`` of `SECTIONS`. The echoes of the whole file are held in memory. Where
     something tells how far the sensor was (`trajectory`, ``radiometry.platform_altitude``, the format itself), the
-    echoes carry range, incidence, cross-section, backscatter and reflectance.
+    echoes carry range, incidence, cross-section, backscatter and reflectance. `undulation` [m] is taken from the
+    trajectory's heights; `crs` replaces the one that the file names.
     """
     refuse_existing(output, overwrite)
     params = _params(settings)
     opened = open_source(source)
+    system = given_crs(crs, "--crs") if crs is not None else opened.crs
     check_source(opened, params["read"])
     spans = index_source(opened, params["read"])
     pulse = pulse_of_file(opened, spans, params["read"], params["pulse"])
-    tables, faults = [], dict[str, int]()
+    tables, faults, lone = [], dict[str, int](), 0
     for span in spans:
         waves = read_span(opened, span, params["read"])
-        tables.append(decompose(waves, 0, params["decompose"], pulse)[0])
+        echoes, links = decompose(waves, 0, params["decompose"], pulse)
+        tables.append(echoes)
+        lone += returns_without_echo(waves, echoes, links, params["decompose"])
         for name, count in waves.faults.items():
             faults[name] = faults.get(name, 0) + int(count)
     if not tables:
@@ -73,14 +82,17 @@ def decompose_file(
             do="check the delivery; there is nothing to decompose",
         )
     table = Table.concat(tables)
-    ranged, notes = _ranged(table, opened, trajectory, params)
+    flown = _flown(table, trajectory, system, undulation) if trajectory is not None else None
+    ranged, notes = _ranged(table, flown, params)
     delivered = ranged.with_columns({"classification": table["source_class"]})
-    write_tile_laz(delivered, output, opened.crs, params["publish"], standard_time=opened.standard_gps_time)
+    write_tile_laz(delivered, output, system, params["publish"], standard_time=opened.standard_gps_time)
+    near = params["decompose"].vendor_tolerance
     pulses = sum(s.n_pulses for s in spans)
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
     rows = [
         *_told(table, read_from),
         *([_pulse_words(pulse)] if opened.has_waves else []),
+        *([f"{lone:,} returns have no echo within {near:g} ns (decompose.vendor_tolerance)"] if lone else []),
         *notes,
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
         f"written: {output}",
@@ -116,17 +128,17 @@ def _pulse_words(pulse: SystemPulse) -> str:
     facts = describe(pulse)
     origin = f"from {pulse.echoes:,} echoes" if pulse.echoes else "given"
     noise = ", ".join(f"{c.noise:.2f}" for c in pulse.channels)
-    told = f"system pulse: {pulse.shape}, {pulse.fwhm:.2f} ns wide ({origin}), shape error {facts['shape_error']:.2%}"
+    error = f"{facts['shape_error']:.2%}" if pulse.shape_error > 0.0 else "below the noise"
+    told = f"system pulse: {pulse.shape}, {pulse.fwhm:.2f} ns wide ({origin}), shape error {error}"
     return told + (f"; noise {noise} DN" if noise else "")
 
 
-def _ranged(table: Table, source: Source, trajectory: Path | None, params: dict[str, Any]) -> tuple[Table, list[str]]:
+def _ranged(table: Table, flown: Table | None, params: dict[str, Any]) -> tuple[Table, list[str]]:
     """`table` with the radiometric columns, and what is to be said of them; as it is where no range is known."""
     settings: RadiometryParams = params["radiometry"]
     known = np.isfinite(table["beam_range"]).any()
-    if trajectory is None and settings.platform_altitude is None and not known:
-        return table, []
-    flown = _flown(table, source, trajectory) if trajectory is not None else None
+    if flown is None and settings.platform_altitude is None and not known:
+        return table, ["no radiometry: give --trajectory, or --set radiometry.platform_altitude=…, for ranges"]
     chunk = Chunk(table, np.arange(table.rows), Tile(0, 0, EVERYTHING))
     shape: FeaturesParams = params["features"]
     chunk = Chunk(table.with_columns(features(chunk, shape).select(NORMAL)), chunk.core, chunk.tile)
@@ -134,17 +146,32 @@ def _ranged(table: Table, source: Source, trajectory: Path | None, params: dict[
     found = calibrate(compared, settings)
     made = radiometry(chunk, flown, found, settings)
     without = int(np.isnan(made["range"]).sum())
+    if without == table.rows:
+        raise ConfigError(
+            "no echo has a range", where="radiometry.platform_altitude" if flown is None else "--trajectory",
+            expected=f"an altitude above the echoes (z from {table['z'].min():.1f} to {table['z'].max():.1f} m)"
+            if flown is None else "fixes at the echoes' times, not further apart than radiometry.max_time_gap",
+            do="correct it, or leave it out to go without radiometry",
+        )  # fmt: skip
     notes = [f"radiometry: C_cal {found.constant:.4g} ({found.source}), {without:,} echoes without a range"]
     if flown is not None:
         angle = pointing_error(chunk.table, flown, settings)
-        notes.append(f"trajectory: beams point at it to {angle:.3f} degrees (median)")
+        check_pointing(angle, "--trajectory")
+        told = (
+            f"{angle:.3f} degrees (median)"
+            if np.isfinite(angle)
+            else "an unknown angle: no echo has a position in time"
+        )
+        notes.append(f"trajectory: beams point at it to {told}")
+        if angle > DOUBTFUL:
+            notes.append("fault: that is too much: check the trajectory's clock (UTC is not GPS time) and heights")
     return table.with_columns(made), notes
 
 
-def _flown(table: Table, source: Source, path: Path) -> Table:
+def _flown(table: Table, path: Path, crs: Any, undulation: float) -> Table:
     times = table["gps_time"][np.isfinite(table["gps_time"])]
     ends = (float(times.min()), float(times.max())) if len(times) else (np.nan, np.nan)
-    return in_survey_time(read_trajectory(path, source.crs), *ends, where=path)
+    return in_survey_time(read_trajectory(path, crs, undulation), *ends, where=path)
 
 
 def pulse_of_file(source: Source, spans: Sequence[Span], read: ReadParams, params: PulseParams) -> SystemPulse:

@@ -91,6 +91,7 @@ def _counts(road: Road) -> dict[str, int]:
         "pulses": sum(r.meta["pulses"] for r in _made(road, "index")),
         "returns": sum(m["returns"] for m in reads),
         "returns_without_packet": sum(r.meta["kept_returns"] for r in _made(road, "decompose")),
+        "returns_without_echo": sum(r.meta["returns_without_echo"] for r in _made(road, "decompose")),
         "echoes_decomposed": sum(r.meta["echoes"] for r in _made(road, "decompose")),
         "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
         "tiles": len(tiles),

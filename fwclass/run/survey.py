@@ -191,7 +191,7 @@ def _bounds(bounds: Iterable[tuple[float, ...]]) -> Box:
 
 def common_crs(config: Config, found: Mapping[Path, CRS | None], road: Road) -> str | None:
     """The survey's CRS as text (WKT), None where the configuration says `none`; what the user names wins."""
-    given = _given(config.survey.crs)
+    given = given_crs(config.survey.crs, "survey.crs")
     if config.survey.crs is not None and given is None:
         return None
     systems: dict[str, Path] = {}
@@ -235,15 +235,16 @@ def common_crs(config: Config, found: Mapping[Path, CRS | None], road: Road) -> 
     return next(iter(systems))
 
 
-def _given(text: str | None) -> CRS | None:
+def given_crs(text: str | None, where: str) -> CRS | None:
+    """The CRS that a user names; None for no text or `none`."""
     if text is None or text == "none":
         return None
     try:
         return CRS.from_user_input(text)
     except CRSError as fault:
         raise ConfigError(
-            "survey.crs is not a coordinate system",
-            where="survey.crs",
+            "this is not a coordinate system",
+            where=where,
             expected="for example EPSG:25832, or none",
             got=text,
         ) from fault

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import wavemaker as wm
 from lasmaker import FWHM, digitise, gaussian
 from scipy.optimize import curve_fit
 
-from fwclass.decompose.fitting import Fits, fit_waveforms, model_of
+from fwclass.decompose.fitting import SATURATED, Fits, fit_waveforms, model_of
 from fwclass.decompose.least_squares import evaluate, fit, fit_one, moments, place
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.peaks import BINS, level_and_noise
@@ -173,7 +175,7 @@ def test_sample_spacing(base, spacing):
 
 def test_what_the_receiver_is_known_for_steadies_level_and_noise(base):
     """Many degrees of freedom: the channel's noise; a waveform of another channel keeps its own."""
-    known = SystemPulse("gaussian", 3.5, channels=(Channel(1.0, 255.0, 10.0, 0.01, NOISE, 1e6),))
+    known = SystemPulse("gaussian", 3.5, channels=(Channel(1.0, 255.0, 10.0, 0.01, NOISE, 1e6, 255.0),))
     waveforms = noisy(200, [(60.0, 30.0, 3.5)])
     mine, free = fitted(waveforms, params_of(base), known), fitted(waveforms, params_of(base))
     np.testing.assert_allclose(mine.noise, NOISE, rtol=1e-3)
@@ -232,3 +234,24 @@ def test_more_echoes_than_allowed(base):
 def test_no_waveforms(base):
     fits = fitted([], params_of(base))
     assert fits.count.shape == (0,) and fits.time.shape == (0,)
+
+
+def test_samples_at_the_channel_s_clip_level_carry_no_weight(base):
+    """A channel that clips below its saturation: heights are extrapolated, flagged, and not split."""
+    waves, truth = wm.fixed(300, (3000.0,), bits=16, saturation=65535.0, noise=2.0, seed=4)
+    clipped = replace(waves, samples=np.minimum(waves.samples, 2000))
+    channel = Channel(1.0, 65535.0, 10.0, 0.5, 2.0, 50.0, 2000.0)
+    params = params_of(base)
+    fits = fit_waveforms(clipped, params, SystemPulse("gaussian", 3.5, channels=(channel,)))
+    assert (fits.count == 1).all() and (fits.flags & SATURATED > 0).all()
+    np.testing.assert_allclose(fits.amplitude, truth.amplitude, rtol=0.02)
+    blind = fit_waveforms(clipped, params, SystemPulse("gaussian", 3.5))
+    assert (np.abs(blind.amplitude / 3000.0 - 1.0) > 0.1).mean() > 0.9
+
+
+def test_long_waveforms_make_no_more_false_echoes(base):
+    """2000 samples are 28 times the chances of 72."""
+    waves, _ = wm.noise_only(2000, samples=2000, seed=6)
+    params = params_of(base)
+    known = SystemPulse("gaussian", 3.5, channels=(Channel(1.0, 255.0, 10.0, 0.05, 1.5, 18.0, 255.0),))
+    assert fit_waveforms(waves, params, known).count.sum() <= 3

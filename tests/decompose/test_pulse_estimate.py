@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +159,17 @@ def test_saturated_echoes_do_not_count():
     assert estimate_pulse(waves, PARAMS).fwhm == pytest.approx(3.5, rel=0.01)
 
 
+def test_a_digitiser_of_fewer_bits_than_its_samples_is_told():
+    """12 bits stored in 16: clipped at 4095, and no flat top enters the pulse's shape."""
+    waves, _ = mix(4000, (1.0,), amplitude=(200.0, 9000.0), noise=(3.0, 3.0), bits=16, saturation=65535.0, seed=8)
+    clipped = replace(waves, samples=np.minimum(waves.samples, 4095))
+    pulse = estimate_pulse(clipped, PARAMS)
+    assert [c.clip for c in pulse.channels] == [4095.0] and pulse.channels[0].saturation == 65535.0
+    assert pulse.shape == "gaussian" and abs(pulse.fwhm / 3.5 - 1.0) < 0.02
+    whole = estimate_pulse(waves, PARAMS)
+    assert [c.clip for c in whole.channels] == [65535.0]
+
+
 def test_too_few_echoes_give_a_width_at_most():
     few, _ = mix(40, (1.0,), seed=9, amplitude=(100.0, 200.0), pulse=skewed(), widest=1.0)
     found = estimate_pulse(few, PARAMS)
@@ -258,7 +270,7 @@ def test_describe():
 def stored() -> dict:
     time, value = skewed().values(0.05)
     pulse = SystemPulse(
-        "measured", 3.9, float(time[0]), 0.05, value, 0.01, 7, (Channel(1.0, 255.0, 10.0, 0.5, 1.2, 30.0),)
+        "measured", 3.9, float(time[0]), 0.05, value, 0.01, 7, (Channel(1.0, 255.0, 10.0, 0.5, 1.2, 30.0, 255.0),)
     )
     return json.loads(json.dumps(pulse.to_json()))
 

@@ -151,7 +151,7 @@ def mixed() -> Waveforms:
     return wm.waves_of(samples, spacing=np.array(spacing), saturation=np.array(top))
 
 
-CHANNELS = (Channel(1.0, 255.0, 10.0, 0.1, 1.5, 15.0), Channel(2.0, 255.0, 10.0, 0.1, 1.5, 15.0))
+CHANNELS = (Channel(1.0, 255.0, 10.0, 0.1, 1.5, 15.0, 255.0), Channel(2.0, 255.0, 10.0, 0.1, 1.5, 15.0, 255.0))
 T, H = wm.skewed().values(0.05)
 PULSES = pytest.mark.parametrize(
     "pulse",

@@ -107,4 +107,5 @@ def test_every_published_column_fits_the_descriptor() -> None:
         if col.las:
             assert len(f"{col.las} r1000".encode()) <= 32
             assert len(description(col).encode()) <= 32
+            assert description(col).endswith(col.las_about), "the short text fits whole"
             assert not col.unit or description(col).startswith(f"[{col.unit}]")

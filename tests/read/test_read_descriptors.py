@@ -92,7 +92,7 @@ def test_a_gain_that_is_no_number_is_told_and_counted(tmp_path, params, at, valu
     patched(path, 1, at, "<d", value)
     waves = read(path, params)
     assert waves.pulses.rows == 6
-    assert waves.faults == {"descriptor without a usable gain or offset (the samples are used as they are)": 2}
+    assert waves.faults == {"descriptor without a usable gain or offset (taken for the gain of the others)": 2}
     assert any("descriptor 1 has gain" in f for f in info(path)["faults"])
     check_source(open_source(path), params)
 
@@ -145,3 +145,20 @@ def test_constant_waveforms_of_any_length(tmp_path, params, value, n):
     )  # fmt: skip
     waves = read(path, params)
     assert np.diff(waves.offsets).tolist() == [n, n] and (waves.samples == value).all()
+
+
+@pytest.mark.parametrize(
+    "gains, relative",
+    [((0.5, 2.5), (1.0, 5.0)), ((0.5, -2.5), (1.0, 1.0)), ((np.nan, 2.5), (1.0, 1.0)), ((1.0, 1e9), (1.0, 1.0))],
+)
+def test_gains_are_told_relative_to_the_first_descriptor(tmp_path, params, gains, relative):
+    """What a DN is worth; of a gain that is no positive number, or absurd, nothing is made."""
+    path = write_las(
+        tmp_path / "a.las", [(0, 0, 5), (1, 0, 6)], waveforms=[digitise(gaussian(60, [(90.0, 20.0, 3.5)]))] * 2,
+        descriptor_of=[1, 4], descriptors={1: Descriptor(), 4: Descriptor()}, location=20.0,
+    )  # fmt: skip
+    for index, gain in zip((1, 4), gains, strict=True):
+        patched(path, index, GAIN, "<d", gain)
+    waves = read(path, params)
+    np.testing.assert_allclose(waves.pulses["gain"], relative)
+    assert set(waves.samples.tolist()) <= set(range(256)), "samples stay as they are"

@@ -54,7 +54,7 @@ class Survey:
 class Layout:
     """What phase three stands on: the tiles there are, where and when their echoes lie, and the reference tiles.
 
-    `times` is (first, last) GPS time [s], NaN without any.
+    `times` is (first, last) GPS time [s], NaN without any; `lowest` the least z [m].
     """
 
     config: Config
@@ -63,6 +63,7 @@ class Layout:
     clouds: frozenset[str]
     box: Box
     times: tuple[float, float]
+    lowest: float
 
     @classmethod
     def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
@@ -87,6 +88,7 @@ class Layout:
             frozenset(part for stage, part in done if stage == "reference"),
             Box(low[0], low[1], high[0] + 0.001, high[1] + 0.001),
             (min((t[0] for t in times), default=math.nan), max((t[1] for t in times), default=math.nan)),
+            min(r.meta["bounds"][2] for r in mine.values()),
         )
 
     @property

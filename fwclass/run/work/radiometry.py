@@ -14,6 +14,7 @@ from fwclass.radiometry.stage import (
     Overlap,
     RadiometryParams,
     calibrate,
+    check_pointing,
     overlap,
     pointing_error,
     radiometry,
@@ -26,6 +27,7 @@ from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.tables import write_table
 
+_POINTING = ("x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z")
 COUNTS, CALIBRATION = "counts.zarr", "calibration.json"
 SPACING = 0.1
 """Fixes closer than this [s] are thinned: a platform that turns at 2 m/s2 is 3 mm off its chord."""
@@ -34,14 +36,18 @@ FIXES = 8192
 
 
 def flown(
-    files: tuple[Path, ...], crs: str | None, undulation: float, times: tuple[float, float], desk: Desk, directory: Path
-) -> dict[str, Any]:
-    """The trajectory of all files, on the survey's time scale, sorted by time."""
+    files: tuple[Path, ...], crs: str | None, undulation: float, times: tuple[float, float], probes: tuple[str, ...],
+    params: RadiometryParams, desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """The trajectory of all files, on the survey's time scale, sorted by time; refused where the beams of the tiles
+    `probes` do not come from it."""
     read = (thinned(read_trajectory(f, crs, undulation), SPACING) for f in files)
     parts = [in_survey_time(one, *times, where=f) for one, f in zip(read, files, strict=True)]
     table = Table.concat(parts)
     _, first = np.unique(table["gps_time"], return_index=True)
     table = table.take(first)
+    echoes = Table.concat([desk.table("tile", key, _POINTING) for key in probes])
+    check_pointing(pointing_error(echoes, table, params), ", ".join(f.name for f in files))
     write_table(directory / TABLE, table, FIXES)
     return {"fixes": table.rows, "begins": table["gps_time"][::FIXES].tolist()}
 

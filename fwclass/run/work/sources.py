@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
-from fwclass.decompose.stage import decompose
+from fwclass.decompose.stage import decompose, returns_without_echo
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import TileGrid, quantised
 from fwclass.read.source import open_source
@@ -117,11 +117,13 @@ def pulse_of(strip: int, desk: Desk) -> SystemPulse:
 
 def decomposed(part: str, strip: int, params: DecomposeParams, desk: Desk, directory: Path) -> dict[str, Any]:
     """Echoes of a chunk, and the echo of every return."""
-    echoes, links = decompose(_waveforms(part, desk), strip, params, pulse_of(strip, desk))
+    waves = _waveforms(part, desk)
+    echoes, links = decompose(waves, strip, params, pulse_of(strip, desk))
     write_table(directory / TABLE, echoes)
     write_table(directory / "links.parquet", links)
     origin = echoes["origin"]
     return {
+        "returns_without_echo": returns_without_echo(waves, echoes, links, params),
         "echoes": echoes.rows,
         "fitted": int((origin == 0).sum()),
         "kept_returns": int((origin == 1).sum()),
