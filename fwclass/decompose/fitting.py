@@ -15,7 +15,7 @@ from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.units import FWHM_PER_SIGMA
 from fwclass.waveforms import Waveforms
 
-__all__ = ["EDGE", "OVERLAPPING", "POOR", "SATURATED", "Fits", "fit_waveforms", "model_of"]
+__all__ = ["EDGE", "OVERLAPPING", "POOR", "SATURATED", "Fits", "fit_waveforms", "model_of", "reached_limits"]
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     top = waves.pulses["saturation"].astype(np.float64)
     top = np.where(np.isnan(top), np.inf, top)
     channels, channel_of = _channels(pulse, spacing, top)
-    top = _clipped(pulse, spacing, top)
+    top = reached_limits(waves, pulse)
     count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
     lengths = np.diff(waves.offsets)
     parts = []
@@ -122,12 +122,16 @@ def _channels(
     return np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_of
 
 
-def _clipped(pulse: SystemPulse, spacing: NDArray[np.float64], top: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The highest value that every waveform can reach: its channel's, where that is below the saturation."""
-    reached = top.copy()
+def reached_limits(waves: Waveforms, pulse: SystemPulse) -> NDArray[np.float64]:
+    """The highest value that every waveform's samples can reach [DN]: the saturation, or its channel's clip level where
+    that is lower; infinite where neither is known."""
+    spacing = waves.pulses["sample_spacing"].astype(np.float64)
+    saturation = waves.pulses["saturation"].astype(np.float64)
+    saturation = np.where(np.isnan(saturation), np.inf, saturation)
+    reached = saturation.copy()
     for c in pulse.channels:
-        mine = np.isclose(spacing, c.sample_spacing, rtol=1e-6, atol=0.0) & (top == c.saturation)
-        reached[mine] = np.minimum(top[mine], c.clip)
+        mine = np.isclose(spacing, c.sample_spacing, rtol=1e-6, atol=0.0) & (saturation == c.saturation)
+        reached[mine] = np.minimum(saturation[mine], c.clip)
     return reached
 
 

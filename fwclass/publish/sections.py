@@ -31,6 +31,8 @@ TITLES = {
 }  # fmt: skip
 PERCENTILES = ("p5", "p25", "p50", "p75", "p95")
 PER_CLASS = ("producers_accuracy", "users_accuracy", "iou")
+LEAST_ANGLE = 0.001
+"""Angles are told to this [deg]."""
 POINTING_LIMIT = 1.0
 """Angle between beams and the lines from the trajectory [deg] above which they do not belong together."""
 RIGHT, WRONG = (23, 105, 122), (196, 78, 40)
@@ -178,7 +180,7 @@ def waveforms(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
     for strip in made["strips"]:
         pulse = strip["pulse"]
         measured = pulse["shape"] == "measured"
-        echoes = number(pulse["echoes"]) if pulse["echoes"] else "given"
+        echoes = number(pulse["echoes"]) if pulse["echoes"] else "not measured"
         gain = strip.get("gain")
         rows.append(
             {
@@ -212,7 +214,8 @@ def _calibration_notes(made: Mapping[str, Any]) -> list[str]:
         notes.append(f"{number(made['without_range'])} echoes have no range, and no radiometry.")
     angle = made.get("pointing_error")
     if angle is not None:
-        notes.append(f"Beams and trajectory agree to {angle:.3f}° (median of the worst tile).")
+        told = f"{angle:.3f}°" if angle >= LEAST_ANGLE else f"less than {LEAST_ANGLE}°"
+        notes.append(f"Beams and trajectory agree to {told} (median of the worst tile).")
         if angle > POINTING_LIMIT:
             notes.append("That is too much: check the trajectory's time scale, height system and coordinate system.")
     return notes

@@ -83,7 +83,7 @@ def decompose_file(
         )
     table = Table.concat(tables)
     flown = _flown(table, trajectory, system, undulation) if trajectory is not None else None
-    ranged, notes = _ranged(table, flown, params)
+    ranged, notes = _ranged(table, flown, params, trajectory)
     delivered = ranged.with_columns({"classification": table["source_class"]})
     write_tile_laz(delivered, output, system, params["publish"], standard_time=opened.standard_gps_time)
     near = params["decompose"].vendor_tolerance
@@ -126,14 +126,14 @@ def _told(table: Table, read_from: str) -> list[str]:
 
 def _pulse_words(pulse: SystemPulse) -> str:
     facts = describe(pulse)
-    origin = f"from {pulse.echoes:,} echoes" if pulse.echoes else "given"
+    origin = f"from {pulse.echoes:,} echoes" if pulse.echoes else "not measured: too few bright single echoes"
     noise = ", ".join(f"{c.noise:.2f}" for c in pulse.channels)
     error = f"{facts['shape_error']:.2%}" if pulse.shape_error > 0.0 else "below the noise"
     told = f"system pulse: {pulse.shape}, {pulse.fwhm:.2f} ns wide ({origin}), shape error {error}"
     return told + (f"; noise {noise} DN" if noise else "")
 
 
-def _ranged(table: Table, flown: Table | None, params: dict[str, Any]) -> tuple[Table, list[str]]:
+def _ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Path | None) -> tuple[Table, list[str]]:
     """`table` with the radiometric columns, and what is to be said of them; as it is where no range is known."""
     settings: RadiometryParams = params["radiometry"]
     known = np.isfinite(table["beam_range"]).any()
@@ -148,7 +148,7 @@ def _ranged(table: Table, flown: Table | None, params: dict[str, Any]) -> tuple[
     without = int(np.isnan(made["range"]).sum())
     if without == table.rows:
         raise ConfigError(
-            "no echo has a range", where="radiometry.platform_altitude" if flown is None else "--trajectory",
+            "no echo has a range", where=where or "radiometry.platform_altitude",
             expected=f"an altitude above the echoes (z from {table['z'].min():.1f} to {table['z'].max():.1f} m)"
             if flown is None else "fixes at the echoes' times, not further apart than radiometry.max_time_gap",
             do="correct it, or leave it out to go without radiometry",
@@ -156,7 +156,7 @@ def _ranged(table: Table, flown: Table | None, params: dict[str, Any]) -> tuple[
     notes = [f"radiometry: C_cal {found.constant:.4g} ({found.source}), {without:,} echoes without a range"]
     if flown is not None:
         angle = pointing_error(chunk.table, flown, settings)
-        check_pointing(angle, "--trajectory")
+        check_pointing(angle, where)
         told = (
             f"{angle:.3f} degrees (median)"
             if np.isfinite(angle)

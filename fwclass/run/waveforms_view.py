@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
-from fwclass.decompose.fitting import EDGE, OVERLAPPING, POOR, SATURATED, model_of
+from fwclass.decompose.fitting import EDGE, OVERLAPPING, POOR, SATURATED, model_of, reached_limits
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
@@ -285,7 +285,7 @@ def _segment(seen: Seen, row: int, system: SystemPulse) -> dict[str, NDArray]:
     end = np.full(1, np.nan)
     return {
         "time": start + np.arange(n) * spacing, "samples": samples,
-        "clipped": samples >= float(pulses["saturation"][row]), "model": total[::finer],
+        "clipped": samples >= reached_limits(seen.waves, system)[row], "model": total[::finer],
         "sigma": np.full(n, fits.noise[row]), "fine": np.append(start + np.arange(len(total)) * spacing / finer, end),
         "total": np.append(total, end),
         "curves": np.concatenate([curves + fits.baseline[row], np.full((len(curves), 1), np.nan)], axis=1),

@@ -14,9 +14,9 @@ from fwclass.run.plan.layout import Layout, Strip, Survey, has_range, needs_of, 
 from fwclass.run.work import outputs
 
 DELIVERED = (
-    "x", "y", "z", "strip", "pulse", "echo_number", "number_of_echoes", "gps_time", "intensity", "amplitude", "width",
-    "amplitude_db", "energy", "range_sigma", "deviation", "fit_flags", "height_above_ground", "ground",
-    "classification", "confidence",
+    "x", "y", "z", "strip", "pulse", "echo_number", "number_of_echoes", "gps_time", "intensity", "amplitude",
+    "amplitude_sigma", "amplitude_db", "width", "width_sigma", "energy", "range_sigma", "deviation", "fit_flags",
+    "height_above_ground", "ground", "classification", "confidence",
 )  # fmt: skip
 """Columns of the delivered tiles, besides the forest's features and radiometry."""
 
