@@ -76,7 +76,7 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
 
 READ = Stage(
     name="read",
-    version=2,
+    version=3,
     kind="chunk",
     function=read_span,
     params=ReadParams,
