@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -28,7 +29,7 @@ class WaveStore:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
+class Source(ABC):
     """A source file that was opened and found readable, whatever its format.
 
     Attributes
@@ -63,11 +64,11 @@ class Source:
     faults: tuple[str, ...]
 
     @property
+    @abstractmethod
     def has_waves(self) -> bool:
         """The file declares waveforms, whether or not they can be read."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def sample_dtype(self) -> str:
         """One dtype for all samples of the file: the widest that its descriptors ask for."""
-        raise NotImplementedError

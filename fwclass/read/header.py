@@ -5,13 +5,13 @@ Source: ASPRS LAS 1.4 R15; record layouts of LAS 1.0 to 1.3 are prefixes of it.
 
 from __future__ import annotations
 
-import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from fwclass.errors import InputError
+from fwclass.read.checks import check_length, check_scales
 
 WAVE_OFFSET = {4: 28, 5: 34, 9: 30, 10: 38}
 """Byte of the 29-byte wave packet block in a point record, by point format."""
@@ -122,10 +122,10 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
         faults.append(f"header of {header_size} bytes is too short for LAS 1.4 (375)")
     _check_layout(path, size, header_size, points_start, point_format, record_length)
     if not compressed:
-        _check_length(path, size, points_start, record_length, n_points)
+        check_length(path, size, points_start, record_length, n_points, "points")
     scales = struct.unpack_from("<3d", head, 131)
     offsets = struct.unpack_from("<3d", head, 155)
-    _check_scales(path, scales, offsets)
+    check_scales(path, scales, offsets)
     b = struct.unpack_from("<6d", head, 179)
     vlrs = _vlrs(stream, path, header_size, n_vlrs, points_start)
     evlrs = _evlrs(stream, first_evlr, n_evlrs, size, faults)
@@ -190,30 +190,6 @@ def _check_layout(
             expected=f"227 <= header size <= start of points <= {size} bytes",
             got=f"header size {header_size}, start of points {points_start}",
             do="the file is cut short or its header damaged; copy or export it again",
-        )
-
-
-def _check_length(path: Path, size: int, start: int, record_length: int, n_points: int) -> None:
-    held = (size - start) // record_length
-    if n_points > held:
-        raise InputError(
-            "the file is cut short",
-            where=path,
-            expected=f"{n_points} points of {record_length} bytes from byte {start}",
-            got=f"room for {held} points",
-            do="copy the file again",
-        )
-
-
-def _check_scales(path: Path, scales: tuple[float, ...], offsets: tuple[float, ...]) -> None:
-    sound = all(math.isfinite(v) for v in (*scales, *offsets)) and all(0 < abs(s) < 1e6 for s in scales)
-    if not sound or any(abs(o) > 1e12 for o in offsets):
-        raise InputError(
-            "the header's scales or offsets cannot be used",
-            where=path,
-            expected="finite numbers, no scale of 0",
-            got=f"scales {scales}, offsets {offsets}",
-            do="the header is damaged; export the file again",
         )
 
 

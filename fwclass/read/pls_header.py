@@ -5,13 +5,13 @@ Source: M. Isenburg, PulseWaves specification 0.3. All numbers are little-endian
 
 from __future__ import annotations
 
-import math
 import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, NoReturn
 
 from fwclass.errors import InputError
+from fwclass.read.checks import check_length, check_scales
 from fwclass.read.header import MAX_EVLR_BODY, Record
 
 SIGNATURE = b"PulseWavesPulse\0"
@@ -85,7 +85,7 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> PulseHeader:
     _check_layout(path, size, header_size, start, n_pulses, kind, pulse_size)
     t_scale, t_offset = struct.unpack_from("<2d", head, 224)
     scales, offsets = struct.unpack_from("<3d", head, 256), struct.unpack_from("<3d", head, 280)
-    _check_scales(path, (*scales, t_scale), (*offsets, t_offset))
+    check_scales(path, (*scales, t_scale), (*offsets, t_offset))
     b = struct.unpack_from("<6d", head, 304)
     faults: list[str] = []
     vlrs = _vlrs(stream, path, header_size, n_vlrs, start)
@@ -144,27 +144,7 @@ def _check_layout(
             got=f"header size {header_size}, start of pulses {start}, {n_pulses} pulses",
             do="the file is cut short or its header damaged; copy or export it again",
         )
-    held = (size - start) // pulse_size
-    if n_pulses > held:
-        raise InputError(
-            "the file is cut short",
-            where=path,
-            expected=f"{n_pulses} pulses of {pulse_size} bytes from byte {start}",
-            got=f"room for {held} pulses",
-            do="copy the file again",
-        )
-
-
-def _check_scales(path: Path, scales: tuple[float, ...], offsets: tuple[float, ...]) -> None:
-    sound = all(math.isfinite(v) for v in (*scales, *offsets)) and all(0 < abs(s) < 1e6 for s in scales)
-    if not sound or any(abs(o) > 1e12 for o in offsets):
-        raise InputError(
-            "the header's scales or offsets cannot be used",
-            where=path,
-            expected="finite numbers, no scale of 0",
-            got=f"scales {scales}, offsets {offsets} of x, y, z and time",
-            do="the header is damaged; export the file again",
-        )
+    check_length(path, size, start, pulse_size, n_pulses, "pulses")
 
 
 def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tuple[Record, ...]:
