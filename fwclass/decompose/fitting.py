@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.pulse_fit import EDGE, HIGHEST, OVERLAPPING, POOR, SATURATED, Echoes, Settings, fit_all
+from fwclass.decompose.pulse_fit import EDGE, HIGHEST, OVERLAPPING, POOR, SATURATED, Echoes, fit_all
+from fwclass.decompose.second_look import Settings
 from fwclass.decompose.shapes import Profiles, fits_spacing, lookup, widths_of
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.units import FWHM_PER_SIGMA

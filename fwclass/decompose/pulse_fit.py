@@ -1,4 +1,4 @@
-"""One waveform to its echoes: peaks, fit, a second look at the residuals, pruning, standard errors."""
+"""One waveform to its echoes: peaks, fit, a second look, pruning, standard errors."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.least_squares import evaluate, factorise, fit, moments, normal_equations, variances
-from fwclass.decompose.peaks import BINS, first_echoes, is_peak, level_and_noise, match_filter, surer
+from fwclass.decompose.peaks import BINS, first_echoes, level_and_noise, match_filter, surer
+from fwclass.decompose.second_look import posterior, second_look
 from fwclass.kernel import inlined, kernel, vectorised
 from fwclass.units import FWHM_PER_SIGMA
 
 SATURATED, OVERLAPPING, POOR, EDGE = 1, 2, 4, 8
 PRUNE = 0.8
 """Share of the detection threshold below which a fitted echo goes: a wide one is surer than its peak."""
-TRIGGER = 0.6
-"""Share of the gain that a split must bring, at which the score test lets a split be tried."""
 WEAK = 0.1
 """Information of the level's prior where the receiver is not known, in samples."""
 HIGHEST, HIGHEST_SATURATED = 1.25, 10.0
@@ -34,25 +33,6 @@ FEWEST = 5
 """Samples without which nothing is fitted."""
 
 
-class Settings(NamedTuple):
-    """Numbers of `DecomposeParams` that the kernels need; times and widths in samples, heights in DN."""
-
-    detection: float
-    split_gain: float
-    narrowest: float
-    widest: float
-    separation: float
-    noise_floor: float
-    shape_error: float
-    poor_misfit: float
-    iterations: float
-    tolerance: float
-    tail_share: float
-    tail_reach: float
-    sigma: float
-    between: float
-
-
 class Echoes(NamedTuple):
     """Room for the echoes of a batch, one after the other; times and widths in samples."""
 
@@ -65,12 +45,6 @@ class Echoes(NamedTuple):
     width_sigma: NDArray[np.float64]
     deviation: NDArray[np.float64]
     flags: NDArray[np.uint8]
-
-
-@inlined
-def _copy(source, size, target):  # type: ignore[no-untyped-def]
-    for a in range(size):
-        target[a] = source[a]
 
 
 @vectorised
@@ -105,152 +79,6 @@ def _weigh(y, pad, n, level, variance, shape_error, weight):  # type: ignore[no-
         height = 0.25 * y[max(i - 1, pad)] + 0.5 * y[i] + 0.25 * y[min(i + 1, pad + n - 1)] - level
         shape = shape_error * max(height, 0.0)
         weight[i] *= variance / (variance + shape * shape)
-
-
-@vectorised
-def _scores(parts, weight, residual, length):  # type: ignore[no-untyped-def]
-    """(sum of w r h_ts, of w r h_ss, of w h^2, of h^2) over an echo's samples."""
-    lean, flat, weighted, plain = 0.0, 0.0, 0.0, 0.0
-    for j in range(length):
-        wr = weight[j] * residual[j]
-        h = parts[0, j]
-        lean += wr * parts[4, j]
-        flat += wr * parts[5, j]
-        weighted += weight[j] * h * h
-        plain += h * h
-    return lean, flat, weighted, plain
-
-
-@inlined
-def _worst_shape(count, weight, residual, window, look, tried):  # type: ignore[no-untyped-def]
-    """The echo whose residuals look most like two echoes: (score [DN^2], echo, skewness).
-
-    Two echoes close together differ from a wide one in the directions of the second derivatives by (t, s) and (s, s)
-    of the model: score test with two degrees of freedom.
-    """
-    worst, at, skew = 0.0, -1, 0.0
-    for k in range(count):
-        if tried[k]:
-            continue
-        cell = window[k, 2]
-        start, length = window[k, 0], look.length[cell]
-        lean, flat, weighted, plain = _scores(
-            look.table[window[k, 3]], weight[start : start + length], residual[start : start + length], length
-        )
-        share = max(weighted / plain, 1e-3)
-        inverse = look.score[cell]
-        score = (lean * lean * inverse[0] + 2.0 * lean * flat * inverse[1] + flat * flat * inverse[2]) / share
-        if score > worst:
-            worst, at, skew = score, k, lean
-    return worst, at, skew
-
-
-@inlined
-def _split_start(p, count, k, later, sigma, trial):  # type: ignore[no-untyped-def]
-    """``trial`` = `p` with echo k as two system pulses of the same mean and variance, `later` the second's share."""
-    _copy(p, 3 * count + 1, trial)
-    a, b = 3 * k + 1, 3 * count + 1
-    narrow = 1.02 * sigma
-    spread = max(p[a + 2] ** 2 - sigma * sigma, 0.14 * sigma * sigma)
-    apart = max(math.sqrt(spread / (later * (1.0 - later))), 0.8 * sigma)
-    whole = p[a] * p[a + 2] / narrow
-    trial[a], trial[a + 1], trial[a + 2] = whole * (1.0 - later), p[a + 1] - later * apart, narrow
-    trial[b], trial[b + 1], trial[b + 2] = whole * later, p[a + 1] + (1.0 - later) * apart, narrow
-
-
-@inlined
-def _sound(p, count, least, apart):  # type: ignore[no-untyped-def]
-    """The newest echo is high enough and far enough from every other."""
-    new = 3 * count + 1
-    if p[new] < least:
-        return False
-    for k in range(count):
-        if p[3 * k + 1] < least or abs(p[new + 1] - p[3 * k + 2]) < apart:
-            return False
-    return True
-
-
-@inlined
-def _posterior(chi, freedom, known):  # type: ignore[no-untyped-def]
-    """(variance of the noise, its degrees of freedom) after a fit; `known` is the receiver's (variance, freedom,
-    least variance)."""
-    freedom = max(freedom, 1.0)
-    return max((known[0] * known[1] + chi) / (known[1] + freedom), known[2]), known[1] + freedom
-
-
-@inlined
-def _pays(chi, new, freedom, gain, known):  # type: ignore[no-untyped-def]
-    """Whether a fit's drop of chi-square from `chi` to `new` pays for one more echo: an F test on this waveform alone,
-    so that neither an underestimated noise nor a pulse of another shape makes echoes."""
-    freedom = max(freedom, 1.0)
-    return chi - new > gain * (1.0 + 0.5 * gain / freedom) * max(new / freedom, known[2])
-
-
-@inlined
-def second_look(  # type: ignore[no-untyped-def]
-    p, count, chi, y, weight, pad, n, prior, limits, used, quiet, known, settings, most, look, sums, work, spare,
-):  # fmt: skip
-    """Add or split echoes while the fit gains significantly; (echoes, chi).
-
-    `quiet` is (variance, degrees of freedom) of the noise as first estimated. On return `residual`, `basis` and
-    `window` of `work` belong to `p`.
-    """
-    residual, basis, window = work[0], work[1], work[2]
-    weighted, filtered, trial, best, tried = spare
-    tried[:] = False
-    gain = settings.split_gain
-    evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
-    for _ in range(2 * most):
-        if count >= most or 3 * count + 5 > used:
-            break
-        variance, freedom = _posterior(chi, used - 3.0 * count - 1.0, known)
-        variance = min(variance, quiet[0])
-        threshold = surer(settings.detection, freedom) * math.sqrt(variance / look.energy)
-        for i in range(pad, pad + n):
-            weighted[i] = residual[i] * weight[i]
-        match_filter(weighted, pad, n, look.template, look.template_first, filtered)
-        peak = -1
-        for i in range(n):
-            if filtered[i] > threshold and is_peak(filtered, n, i) and (peak < 0 or filtered[i] > filtered[peak]):
-                peak = i
-        score, k, skew = _worst_shape(count, weight, residual, window, look, tried)
-        split = score > TRIGGER * gain * variance
-        if peak < 0 and not split:
-            break
-        found, best_chi = False, chi
-        left = used - 3.0 * count - 4.0
-        least = 0.5 * threshold
-        if peak >= 0:
-            _copy(p, 3 * count + 1, trial)
-            a = 3 * count + 1
-            trial[a], trial[a + 1], trial[a + 2] = filtered[peak], float(peak), 1.02 * settings.sigma
-            new = fit(trial, count + 1, y, weight, pad, n, prior, limits, look, sums, work)
-            if (
-                new < best_chi
-                and _pays(chi, new, left, gain, known)
-                and _sound(trial, count, least, settings.separation)
-            ):
-                found, best_chi = True, new
-                _copy(trial, 3 * count + 4, best)
-        if split and not found:
-            tried[k] = True
-            for attempt in range(2):
-                later = 0.5 if attempt == 1 else (0.28 if skew > 0.0 else 0.72)
-                _split_start(p, count, k, later, settings.sigma, trial)
-                new = fit(trial, count + 1, y, weight, pad, n, prior, limits, look, sums, work)
-                if _pays(chi, new, left, gain, known) and _sound(trial, count, least, settings.separation):
-                    found, best_chi = True, new
-                    _copy(trial, 3 * count + 4, best)
-                    break
-        if found:
-            _copy(best, 3 * count + 4, p)
-            count += 1
-            chi = best_chi
-            tried[:] = False
-        evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
-        if not found and not split:
-            break
-    return count, chi
 
 
 @vectorised
@@ -392,7 +220,7 @@ def fit_pulse(  # type: ignore[no-untyped-def]
         sums, work, spare,
     )  # fmt: skip
     while count > 0:
-        final, freedom = _posterior(chi, used - 3.0 * count - 1.0, known)
+        final, freedom = posterior(chi, used - 3.0 * count - 1.0, known)
         least, k = _weakest(p, count, weight, basis, window, math.sqrt(final))
         if least >= PRUNE * surer(settings.detection, freedom):
             break
@@ -409,7 +237,7 @@ def fit_pulse(  # type: ignore[no-untyped-def]
     while True:
         freedom = max(used - 3.0 * count - 1.0, 1.0)
         misfit = chi / (freedom * variance)
-        final, freedom = _posterior(chi, freedom, known)
+        final, freedom = posterior(chi, freedom, known)
         information = WEAK
         if channel[3] > 0.0:
             information = final / max(channel[1] * channel[1], 1e-4 * final)
