@@ -24,8 +24,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.units import AREA_PER_FWHM
-
 WHITE = 4.0
 """γ of a white (ρ = 1) matt surface."""
 
@@ -45,7 +43,7 @@ def cross_section(energy: NDArray[np.float64], range_: NDArray[np.float64], exti
 
     The area under an echo stands for its energy: a slope or rough surface widens the echo and lowers its peak, and
     keeps the area. Wagner's peak × standard deviation s_p is the area / √(2π) of a Gaussian echo, and peak × FWHM the
-    area / `AREA_PER_FWHM`: such factors are the same for all echoes, and C_cal takes them.
+    area / 1.0645: such factors are the same for all echoes, and C_cal takes them.
     """
     return np.asarray(range_**4 * energy / transmission(range_, extinction), np.float64)
 
@@ -65,12 +63,3 @@ def reflectance(sigma: NDArray[np.float64], area: NDArray[np.float64]) -> NDArra
     share = sigma / (WHITE * area)
     known = share > 0.0
     return np.asarray(10.0 * np.log10(share, out=np.full(len(share), np.nan), where=known), np.float64)
-
-
-def constant_from_peak(factor: float, divergence: float) -> float:
-    """C_cal [m⁻² DN⁻¹ ns⁻¹] that belongs to the `factor` of γ = factor · R² · peak · FWHM / cos θ.
-
-    With it γ is what that formula gives for a Gaussian echo. Where `factor` was chosen so that a white surface has
-    γ = 1, `WHITE` times this makes σ true square metres; γ of a white surface is then 4.
-    """
-    return factor * float(beam_area(np.ones(1), divergence)[0]) / AREA_PER_FWHM

@@ -11,7 +11,6 @@ from pydantic import ValidationError
 
 from fwclass.errors import InputError
 from fwclass.grid import Tile
-from fwclass.radiometry.formulas import constant_from_peak
 from fwclass.radiometry.stage import (
     RADIOMETRY,
     Calibration,
@@ -22,6 +21,7 @@ from fwclass.radiometry.stage import (
 )
 from fwclass.schema import Table, column
 from fwclass.stage import Chunk
+from fwclass.units import AREA_PER_FWHM
 
 SECTION: dict[str, Any] = {
     "platform_altitude": 660.0,
@@ -116,7 +116,7 @@ def test_old_factor_of_the_simulated_city_is_reproduced() -> None:
     factor, peak, fwhm, theta = 8.743e-9, 57.0, 4.1, math.radians(20.0)
     energy = peak * fwhm * math.sqrt(math.pi) / (2.0 * math.sqrt(math.log(2.0)))
     tilted = {"normal_x": math.sin(theta), "normal_z": math.cos(theta)}
-    constant = constant_from_peak(factor, 0.5)
+    constant = factor * np.pi / 4.0 * 0.5e-3**2 / AREA_PER_FWHM
     got = run(echoes(energy=energy, beam_range=369.0, **tilted), Calibration(constant, source="given", others=True))
     assert got["backscatter"][0] == pytest.approx(factor * 369.0**2 * peak * fwhm / math.cos(theta), rel=1e-6)
     white = 240.0 * 3.5 * math.sqrt(math.pi) / (2.0 * math.sqrt(math.log(2.0)))
