@@ -22,10 +22,10 @@ check: $(READY)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
-	$(PY) -m pytest -m "not slow and not bench"
+	$(PY) -m pytest -n auto -m "not slow and not bench"
 
 test: $(READY)
-	$(PY) -m pytest -m "not bench"
+	$(PY) -m pytest -n auto -m "not bench"
 
 format: $(READY)
 	$(VENV)/bin/ruff format .

@@ -234,6 +234,7 @@ _DECLARED = (
     Column("gain", "f4", "", "volts a DN of the segment over those of the file's first waveform descriptor", low=0),
     # ground
     Column("ground", "bool", "", "the ground filter took the echo for ground"),
+    Column("noise", "bool", "", "the ground filter took the echo for no surface: far below its surroundings, or alone"),
     Column(
         "height_above_ground",
         "f4",

@@ -20,7 +20,10 @@ from fwclass.decompose.pulse_sample import PulseParams
 from fwclass.errors import ConfigError, nearest
 from fwclass.features.stage import FeaturesParams
 from fwclass.grid import Box
-from fwclass.ground.stage import GroundParams
+from fwclass.ground.auto import GroundAutoParams
+from fwclass.ground.params import GroundParams
+from fwclass.ground.search import GroundSearchParams
+from fwclass.ground.terrain.terrain import TerrainParams
 from fwclass.label.stage import LabelParams
 from fwclass.model import ClassDef
 from fwclass.publish.params import PublishParams
@@ -98,10 +101,15 @@ class AreasSection(Section):
 
 
 class RunSection(Section):
-    """Where it runs; never changes a result."""
+    """Where it runs; never changes a result.
+
+    `seam_check_echoes`: a survey of at most so many echoes is filtered once more as one block, to tell in the report
+    what the seams between blocks changed; 0 leaves the check out.
+    """
 
     workers: int = Field(ge=0)
     worker_memory_gib: float = Field(gt=0)
+    seam_check_echoes: int = Field(ge=0)
 
 
 _PARAMS: dict[str, type[BaseModel]] = {
@@ -115,6 +123,9 @@ _PARAMS: dict[str, type[BaseModel]] = {
     "tile": TileParams,
     "label": LabelParams,
     "ground": GroundParams,
+    "ground_auto": GroundAutoParams,
+    "ground_search": GroundSearchParams,
+    "terrain": TerrainParams,
     "features": FeaturesParams,
     "radiometry": RadiometryParams,
     "train": TrainParams,
@@ -139,6 +150,9 @@ class Config:
     tile: TileParams
     label: LabelParams
     ground: GroundParams
+    ground_auto: GroundAutoParams
+    ground_search: GroundSearchParams
+    terrain: TerrainParams
     features: FeaturesParams
     radiometry: RadiometryParams
     train: TrainParams
@@ -239,22 +253,56 @@ def _setting(text: str) -> dict[str, Any]:
 
 
 def load(name: str | Path, settings: tuple[str, ...] = ()) -> Config:
-    """The configuration `name` over `conf/base.yaml`, with `settings` (``section.key=value``) over both."""
+    """The configuration `name` over `conf/base.yaml`, with `settings` (``section.key=value``) over both.
+
+    Where one of them names a ``ground.preset``, that lies between `conf/base.yaml` and the others.
+    """
     path = find(name)
-    raw = _merged(_read(conf_directory() / "base.yaml"), _read(path))
+    change = _read(path)
     for text in settings:
-        raw = _merged(raw, _setting(text))
+        change = _merged(change, _setting(text))
+    raw = _laid(change)
     return build(path, raw, f"{path} with --set {' --set '.join(settings)}" if settings else str(path))
 
 
-def section(name: str, settings: tuple[str, ...] = ()) -> Any:
-    """The params of one section as `conf/base.yaml` has them, changed by `settings` (single-file commands)."""
+def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any] | None = None) -> Any:
+    """The params of one section as `conf/base.yaml` has them (single-file commands).
+
+    `settings` (``section.key=value``) go before the base, and `change` (nested mappings by section) before both.
+    """
     path = conf_directory() / "base.yaml"
-    raw = _read(path)
+    changes: dict[str, Any] = {}
     for text in settings:
-        raw = _merged(raw, _setting(text))
+        changes = _merged(changes, _setting(text))
+    raw = _laid(_merged(changes, dict(change or {})))
     where = f"{path} with --set {' --set '.join(settings)}" if settings else path
     return _build(name, raw.get(name), where)
+
+
+def _laid(change: dict[str, Any]) -> dict[str, Any]:
+    """`change` over `conf/base.yaml`, with the ground preset that it names between them."""
+    base = _read(conf_directory() / "base.yaml")
+    ground = change.get("ground")
+    name = ground.get("preset") if isinstance(ground, dict) else None
+    if name is not None:
+        own = {key: value for key, value in preset(str(name)).items() if key != "about"}
+        base = _merged(base, {"ground": own})
+    return dict(_merged(base, change))
+
+
+def presets() -> dict[str, dict[str, Any]]:
+    """What every preset of the ground filters changes, by name; ``about`` says what it is for."""
+    return _read(conf_directory() / "presets" / "ground.yaml")
+
+
+def preset(name: str) -> dict[str, Any]:
+    """One of `presets`."""
+    known = presets()
+    if name not in known:
+        raise ConfigError(
+            "no such preset", where="ground.preset", expected=", ".join(known), got=name, do=nearest(name, known)
+        )
+    return known[name]
 
 
 def build(path: Path, raw: dict[str, Any], where: str = "") -> Config:
@@ -271,10 +319,17 @@ def build(path: Path, raw: dict[str, Any], where: str = "") -> Config:
     return config
 
 
+def checked(name: str, value: Any, where: object) -> Any:
+    """The params of a section from plain data; `where` names its origin in messages."""
+    return _build(name, value, where)
+
+
 def _build(name: str, value: Any, path: object) -> Any:
     if value is None:
         raise ConfigError(f"section {name!r} is missing", where=path, do=f"add `{name}:`")
     model = _PARAMS[name]
+    if name == "ground" and isinstance(value, dict):
+        value = {key: v for key, v in value.items() if key != "preset"}  # laid under the other keys already
     try:
         return model.model_validate(value)
     except ValidationError as fault:

@@ -7,8 +7,8 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.run.plan import forest, outputs, sources
-from fwclass.run.plan import tiles as ground
+from fwclass.run.plan import forest, ground, outputs, sources
+from fwclass.run.plan import tiles as of_tiles
 from fwclass.run.plan.layout import Layout, check_features
 from fwclass.run.plan.radiometry import radiometry_tasks
 from fwclass.run.report import write_report
@@ -37,13 +37,14 @@ def classification(config: Config, road: Road, tiles: frozenset[str] | None = No
     layout = Layout.of(config, tiled)
 
     labelled = config.survey.reference.kind != "none"
-    tasks = ground.surface_tasks(layout) + ground.ground_tasks(layout) + ground.feature_tasks(layout)
+    tasks = ground.ground_tasks(layout) + of_tiles.feature_tasks(layout)
     tasks += radiometry_tasks(layout, survey)
-    tasks += ground.label_tasks(layout) if labelled else []
+    tasks += of_tiles.label_tasks(layout) if labelled else []
     tasks += [] if model else forest.training_tasks(layout)
     tasks += forest.classify_tasks(layout, names, model)
     tasks += forest.assess_tasks(layout, names) if labelled else []
     tasks += outputs.output_tasks(layout, names, survey, *sources.where(chunks, splits))
+    tasks += ground.seam_tasks(layout)
     if tiles is not None:
         tasks = ancestors(tasks, _wanted(layout, tiles))
     road.do(tasks)

@@ -32,6 +32,7 @@ def write_cog(
     colormap: Mapping[int, RGB] | None = None,
     tags: Mapping[str, str] | None = None,
     names: Mapping[int, str] | None = None,
+    unit: float = 1.0,
 ) -> dict[str, Any]:
     """Write a raster north up with overviews; the same array gives the same bytes.
 
@@ -43,6 +44,7 @@ def write_cog(
     colormap : colour per code, for uint8; None takes the house's colours of `names`.
         Overviews take the commonest value if there are colours or names, else the mean.
     tags : texts for the file's metadata.
+    unit : metres in one unit of the CRS; the window counts in metres.
     names : class name per code; stored as tags ``CLASS_<code>`` and, for desktop GIS, in ``<path>.aux.xml``.
 
     Returns
@@ -60,7 +62,7 @@ def write_cog(
     profile = {
         "driver": "COG", "width": window.ncols, "height": window.nrows, "count": 1, "dtype": array.dtype,
         "nodata": nodata,
-        "transform": north_up(window),
+        "transform": north_up(window, unit),
         "crs": rasterio.crs.CRS.from_wkt(crs.to_wkt()) if crs is not None else None,
         "compress": params.cog_compression, "blocksize": params.cog_block, "num_threads": 1,
         "predictor": _predictor(array.dtype, codes), "bigtiff": "IF_SAFER",
@@ -89,9 +91,10 @@ def _predictor(dtype: np.dtype, codes: bool) -> str:
     return "FLOATING_POINT" if dtype.kind == "f" else "STANDARD"
 
 
-def north_up(window: Window) -> rasterio.Affine:
+def north_up(window: Window, unit: float = 1.0) -> rasterio.Affine:
     """From (column, row counted from the north) to coordinates; cell corners lie on the window's box."""
-    return rasterio.Affine(window.cell, 0.0, window.box.xmin, 0.0, -window.cell, window.box.ymax)
+    cell = window.cell / unit
+    return rasterio.Affine(cell, 0.0, window.box.xmin / unit, 0.0, -cell, window.box.ymax / unit)
 
 
 def _write_names(path: Path, names: Mapping[int, str]) -> None:

@@ -60,16 +60,21 @@ def class_map(
     return png(figure)
 
 
-def relief(dtm: NDArray[np.float32], window: Window, params: PublishParams) -> bytes:
+def relief(
+    dtm: NDArray[np.float32],
+    window: Window,
+    params: PublishParams,
+    heights: tuple[float, float] | None = None,
+) -> bytes:
     """Shaded relief of the terrain model, tinted by height; cells without height stay blank.
 
     Parameters
     ----------
     dtm : float32 ``window.shape`` [m], row 0 in the south, NaN where there is none.
+    heights : lowest and highest tint [m]; None takes them from `dtm`.
     """
     part, view = thinned(dtm, window, params.figure_pixels)
-    known = part[np.isfinite(part)]
-    low, high = np.percentile(known, (1, 99)) if known.size else (0.0, 1.0)
+    low, high = heights if heights is not None else tint_range(part)
     share = np.clip((np.nan_to_num(part, nan=low) - low) / max(high - low, 1e-9), 0, 1)
     tint = _tint(share)
     light = hillshade(part, view.cell, params)
@@ -84,6 +89,13 @@ def relief(dtm: NDArray[np.float32], window: Window, params: PublishParams) -> b
     ]
     legend(axes, handles, "Height")
     return png(figure)
+
+
+def tint_range(dtm: NDArray[np.float32]) -> tuple[float, float]:
+    """Heights [m] of the lowest and the highest tint: all but the outermost hundredths of the cells."""
+    known = dtm[np.isfinite(dtm)]
+    low, high = np.percentile(known, (1, 99)) if known.size else (0.0, 1.0)
+    return float(low), float(high)
 
 
 def _tint(share: NDArray[np.float64]) -> NDArray[np.float64]:

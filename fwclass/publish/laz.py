@@ -1,4 +1,4 @@
-"""A tile's echoes as LAS 1.4, point format 6, compressed."""
+"""Echoes as LAS 1.4, point format 6, compressed where the name does not end in ``.las``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fwclass.publish.lasbytes import (
     POINT_SIZE,
     WKT,
 )
-from fwclass.publish.lazwriter import LazWriter, assemble, record
+from fwclass.publish.lazwriter import assemble, point_writer, record
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Table, require
 from fwclass.units import QUANTUM
@@ -77,10 +77,11 @@ def write_tile_laz(
     offset, whole_mm = _local(table, path)
     points, counts = _points(table, whole_mm)
     head = _head(extras, points, offset, crs, standard_time)
-    rows = np.concatenate([points.view(np.uint8).reshape(len(points), POINT6.itemsize), packed(extras, table)], axis=1)
+    rows = points.view(np.uint8).reshape(len(points), POINT6.itemsize)
+    rows = np.concatenate([rows, packed(extras, table)], axis=1) if extras else rows
     with whole(path) as beside:
         with beside.open("w+b") as file:
-            writer = LazWriter(file, head)
+            writer = point_writer(path, file, head)
             for first in range(0, len(rows), params.chunk_points):
                 writer.write(rows[first : first + params.chunk_points])
             writer.finish()

@@ -1,8 +1,9 @@
-"""Writing LAZ behind a head of bytes that is given."""
+"""Writing LAS or LAZ behind a head of bytes that is given."""
 
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 from typing import BinaryIO
 
 import laszip
@@ -52,3 +53,30 @@ class LazWriter:
         self.file.write(whole)
         self.file.seek(end)
         return end
+
+
+class LasWriter:
+    """As `LazWriter`, with the points as they are."""
+
+    def __init__(self, file: BinaryIO, head: bytes) -> None:
+        self.file, self.head = file, head
+        file.write(head)
+
+    def write(self, points: NDArray[np.uint8]) -> None:
+        self.file.write(np.ascontiguousarray(points).tobytes())
+
+    def finish(self, block: bytes | None = None) -> int:
+        """Restore the header (as `block`, where given); returns the end of the points."""
+        end = self.file.seek(0, 2)
+        if block is not None:
+            whole = bytearray(block)
+            whole[AT_OFFSET : AT_OFFSET + 9] = self.head[AT_OFFSET : AT_OFFSET + 9]
+            self.file.seek(0)
+            self.file.write(whole)
+            self.file.seek(end)
+        return end
+
+
+def point_writer(path: Path, file: BinaryIO, head: bytes) -> LazWriter | LasWriter:
+    """Plain points where the name of the output ends in ``.las``, compressed ones elsewhere."""
+    return LasWriter(file, head) if path.suffix.lower() == ".las" else LazWriter(file, head)

@@ -12,6 +12,7 @@ import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from fwclass.publish.files import whole
+from fwclass.publish.ground_section import ground
 from fwclass.publish.sections import (
     accuracy,
     distribution,
@@ -56,17 +57,19 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     dict with ``path, bytes, sections``.
     """
     view = _view(report, figures)
-    page = _environment().get_template(TEMPLATE).render(view)
+    page = environment().get_template(TEMPLATE).render(view)
     with whole(path) as beside:
         beside.write_text(page, encoding="utf-8", newline="\n")
         size = beside.stat().st_size
     shown = [
-        name for name in ("maps", "accuracy", "distribution", "waveforms", "stages", "outputs", "config") if view[name]
+        name
+        for name in ("maps", "accuracy", "distribution", "waveforms", "ground", "stages", "outputs", "config")
+        if view[name]
     ]
     return {"path": str(path), "bytes": size, "sections": shown}
 
 
-def _environment() -> Environment:
+def environment() -> Environment:
     made = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -92,7 +95,8 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "facts": _facts(report, counts),
         "maps": _images({n: f for n, f in figures.items() if n != PULSE}),
         "waveforms": waveforms(report.get("waveforms")),
-        "pulse": _uri(figures[PULSE]) if PULSE in figures else "",
+        "ground": ground(report.get("ground")),
+        "pulse": data_uri(figures[PULSE]) if PULSE in figures else "",
         "accuracy": accuracy(report.get("accuracy"), classes),
         "distribution": distribution(report.get("distribution"), classes),
         "training": training(report.get("training")),
@@ -165,11 +169,11 @@ def _images(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
     out = []
     for name in names:
         title, caption = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
-        out.append({"title": title, "caption": caption, "uri": _uri(figures[name])})
+        out.append({"title": title, "caption": caption, "uri": data_uri(figures[name])})
     return out
 
 
-def _uri(picture: bytes) -> str:
+def data_uri(picture: bytes) -> str:
     return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
 
 

@@ -18,13 +18,25 @@ def flat_light(params: PublishParams) -> float:
 def hillshade(dtm: NDArray[np.float32], cell: float, params: PublishParams) -> NDArray[np.float32]:
     """Light on the terrain, 0 to 1: the cosine between surface normal and sun (Horn 1981).
 
-    A cell without height is lit as flat ground is.
+    A cell without height is lit as flat ground is. At the border of the terrain the slope is that towards the
+    neighbour that has a height.
     """
-    flat = flat_light(params)
-    if min(dtm.shape) < 2:
-        return np.full(dtm.shape, flat, np.float32)
-    north, east = np.gradient(dtm.astype(np.float64) * params.exaggeration, cell)
+    heights = dtm.astype(np.float64) * params.exaggeration
+    north, east = slope_along(heights, 0) / cell, slope_along(heights, 1) / cell
     azimuth, altitude = math.radians(params.sun_azimuth), math.radians(params.sun_altitude)
     sun = (math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude))
     light = (-east * sun[0] - north * sun[1] + sun[2]) / np.sqrt(1 + east**2 + north**2)
-    return np.where(np.isfinite(light), np.clip(light, 0, 1), flat).astype(np.float32)
+    return np.where(np.isfinite(dtm), np.clip(light, 0, 1), flat_light(params)).astype(np.float32)
+
+
+def slope_along(heights: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+    """Mean rise per cell to the two neighbours along an axis; to the only one that has a height; 0 without any."""
+    rise = np.diff(heights, axis=axis)
+    known = np.isfinite(rise)
+    rise[~known] = 0.0
+    ends = [(1, 1) if k == axis else (0, 0) for k in range(heights.ndim)]
+    total, number = np.pad(rise, ends), np.pad(known.astype(np.uint8), ends)
+    before, after = (
+        tuple(s if k == axis else slice(None) for k in range(2)) for s in (slice(None, -1), slice(1, None))
+    )
+    return (total[before] + total[after]) / np.maximum(number[before] + number[after], 1)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fwclass.errors import ConfigError, InputError
 from fwclass.publish.extrabytes import ExtraByte, extended, extra_bytes, extra_size, names_of, packed
 from fwclass.publish.files import whole
+from fwclass.publish.heights import Heights, stored_heights, with_heights
 from fwclass.publish.lasbytes import (
     AT_ENCODING,
     AT_EVLRS,
@@ -29,7 +30,7 @@ from fwclass.publish.lasbytes import (
     point_chunks,
     read_head,
 )
-from fwclass.publish.lazwriter import LazWriter, assemble
+from fwclass.publish.lazwriter import assemble, point_writer
 from fwclass.publish.packets import Packets, carried, find_packets, publish_packets
 from fwclass.publish.params import PublishParams
 from fwclass.publish.verify import verify
@@ -45,8 +46,9 @@ def write_strip_laz(
     classes: NDArray[np.uint8],
     extra: Mapping[str, NDArray] | None,
     params: PublishParams,
+    z: NDArray[np.float64] | None = None,
 ) -> dict[str, Any]:
-    """Copy a strip as LAZ in its original point order, with `classes` in place of its classification.
+    """Copy a strip in its original point order, with `classes` in place of its classification.
 
     All other fields, the flags beside a legacy class, the variable length records and the packet references stay byte
     for byte; the output is read back and compared. Waveform packets go with it as an external `.wdp` under the
@@ -56,11 +58,13 @@ def write_strip_laz(
     Parameters
     ----------
     source : LAS 1.0 to 1.4 or LAZ, point formats 0 to 10.
-    output : path of the LAZ file.
+    output : path of the file: LAS without compression where it ends in ``.las``, else LAZ.
     classes : uint8 (points,), class code per point in file order; at most 31 for point formats 0 to 5.
     extra : columns of the schema by name, one value per point, added as extra bytes behind the source's own; None adds
         none. A name that the source has already gets ``fw`` before it: the source's `Amplitude` stays, and ours is
         `fw Amplitude`.
+    z : new heights, one per point, in the file's unit; the header's scale, offset and range of z then follow them. None
+        leaves the source's.
 
     Returns
     -------
@@ -82,15 +86,18 @@ def write_strip_laz(
     _check(head, output, classes, extra or {})
     extras = extra_bytes(map(column, extra or {}), extra or {}, names_of(kept_records(head)))
     packets = find_packets(head)
+    heights = None if z is None else stored_heights(head, z)
+    head = head if heights is None else with_heights(head, heights)
     chunk = chunk_rows(params.chunk_points, head.point_size + extra_size(extras))
     with whole(output) as beside:
         with beside.open("w+b") as file:
-            changed = _copy(head, file, classes, extras, extra or {}, packets, chunk)
-        verify(head, beside, classes, extras, extra or {}, packets, chunk)
+            changed = _copy(head, file, output, classes, extras, extra or {}, packets, chunk, heights)
+        verify(head, beside, classes, extras, extra or {}, packets, chunk, heights)
         size = beside.stat().st_size
         waveforms, wdp = publish_packets(head, packets, output.with_suffix(".wdp"))
     copc = _is_copc(head)
-    notes = list(packets.notes) + (["COPC written as plain LAZ, without its octree"] if copc else [])
+    kind = "LAS" if output.suffix.lower() == ".las" else "LAZ"
+    notes = list(packets.notes) + ([f"COPC written as plain {kind}, without its octree"] if copc else [])
     return {
         "path": str(output), "points": head.points, "changed": changed, "point_format": head.point_format,
         "extra_bytes": [e.las for e in extras], "beyond": {e.las: e.beyond for e in extras if e.beyond},
@@ -128,18 +135,22 @@ def _check(head: LasHead, output: Path, classes: NDArray[np.uint8], extra: Mappi
 def _copy(
     head: LasHead,
     file: BinaryIO,
+    output: Path,
     classes: NDArray[np.uint8],
     extras: tuple[ExtraByte, ...],
     extra: Mapping[str, NDArray],
     packets: Packets,
     chunk: int,
+    heights: Heights | None,
 ) -> int:
     """Write head, points and extended records; the number of points whose class differs."""
-    writer = LazWriter(file, _new_head(head, extras, packets))
+    writer = point_writer(output, file, _new_head(head, extras, packets))
     changed = first = 0
     for part in point_chunks(head, chunk):
         rows = slice(first, first + len(part))
         changed += _reclassify(head.point_format, part, classes[rows])
+        if heights is not None:
+            heights.put(part, rows)
         if extras:
             added = packed(extras, {e.name: extra[e.name][rows] for e in extras})
             part = np.concatenate([part, added], axis=1)

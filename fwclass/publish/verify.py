@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.publish.extrabytes import ExtraByte, extended, packed
+from fwclass.publish.heights import Heights
 from fwclass.publish.lasbytes import (
     AT_ENCODING,
     AT_EVLRS,
@@ -39,6 +40,7 @@ def verify(
     extra: Mapping[str, NDArray],
     packets: Packets,
     chunk: int,
+    heights: Heights | None = None,
 ) -> None:
     """`StoreError` naming the first thing in `copy` that is neither the source's nor meant to differ."""
     made = replace(read_head(copy), path=copy)
@@ -54,6 +56,8 @@ def verify(
         if old is None or new is None or len(old) != len(new):
             raise differs(copy, "the number of points", head.points, made.points)
         rows = slice(first, first + len(old))
+        if heights is not None:
+            heights.put(old, rows)
         _verify_points(head, copy, old, new, classes[rows], first)
         if extras:
             added = packed(extras, {e.name: extra[e.name][rows] for e in extras})

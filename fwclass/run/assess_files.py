@@ -14,20 +14,44 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantised
 from fwclass.model import ClassDef
 from fwclass.neighbours import nearest_within
+from fwclass.read.cloud import FAR
 from fwclass.read.source import open_source
 from fwclass.read.stage import read_cloud
+from fwclass.read.text import is_text, read_text
 from fwclass.schema import Table
 
 SAME_POINT = 0.002
 """Two clouds are in the same order if no pair of points is further apart than this [m]."""
 
 
+GROUND = (ClassDef("ground", 2, (2,)), ClassDef("other", 1, (1, *range(3, 256))))
+"""Ground against everything else, as ground filters are judged (He 2023)."""
+
+
 def _cloud(path: Path) -> Table:
+    """Points of a LAS or text file: x, y, z to the millimetre, source_class."""
+    if is_text(path):
+        return _of_text(path)
     source = open_source(path)
     if source.n_points == 0:
         raise InputError("the file has no points", where=path, do="there is nothing to assess")
     table = read_cloud(path, 0, source.n_points)
     return table.with_columns({n: quantised(table[n]) for n in "xyz"})
+
+
+def _of_text(path: Path) -> Table:
+    text = read_text(path)
+    codes = text.codes
+    if codes is None:
+        raise InputError(
+            "the text has no classes",
+            where=path,
+            expected="a fourth column: class codes, or the labels 0 (ground) and 1 (object)",
+            got="x y z",
+            do="give a file with labels",
+        )
+    columns = {n: quantised(np.where(np.abs(a) < FAR, a, np.nan)) for n, a in zip("xyz", text.xyz, strict=True)}
+    return Table({**columns, "source_class": codes})
 
 
 def parse_classes(text: str) -> tuple[ClassDef, ...]:
@@ -53,11 +77,15 @@ def parse_classes(text: str) -> tuple[ClassDef, ...]:
     return tuple(classes)
 
 
-def assess_files(reference: Path, prediction: Path, codes: str | None) -> dict[str, Any]:
+def assess_files(reference: Path, prediction: Path, codes: str | None, ground: bool = False) -> dict[str, Any]:
     """Figures of `prediction` against `reference`: point by point, or by nearest point within `label.max_distance`.
 
-    Without `codes` every code that the reference uses is a class (0 is "never classified").
+    Both are LAS, LAZ, COPC or text with labels. Without `codes` every code that the reference uses is a class (0 is
+    "never classified"). With `ground` there are two classes, ground (2) and all other codes; whatever the prediction
+    does not call ground is other.
     """
+    if ground and codes is not None:
+        raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
     truth, answer = _cloud(reference), _cloud(prediction)
     pairs = _pairs(truth, answer, conf.section("label").max_distance)
     known = pairs >= 0
@@ -67,22 +95,43 @@ def assess_files(reference: Path, prediction: Path, codes: str | None) -> dict[s
             do="check that they show the same place in the same coordinate system",
         )  # fmt: skip
     wanted, given = truth["source_class"][known], answer["source_class"][pairs[known]]
-    if codes is not None:
-        classes = parse_classes(codes)
-        own = np.zeros(256, np.uint8)
-        for one in classes:
-            own[list(one.codes)] = one.code
-        given = own[given]
-    else:
-        classes = tuple(ClassDef(str(c), int(c), (int(c),)) for c in np.unique(wanted) if c)
+    classes, given = _classes(wanted, given, codes, ground)
     names = [c.name for c in classes]
     made = figures(confusion(wanted, given, classes), names, unclassified(wanted, given, classes))
     return {**made, "matched": int(known.sum()), "unmatched": int((~known).sum())}
 
 
+def _classes(
+    wanted: NDArray[np.uint8], given: NDArray[np.uint8], codes: str | None, ground: bool
+) -> tuple[tuple[ClassDef, ...], NDArray[np.uint8]]:
+    """The classes that are told apart, and the predicted codes, each as its class' own."""
+    if ground:
+        return GROUND, np.where(given == 2, 2, 1).astype(np.uint8)
+    if codes is None:
+        return tuple(ClassDef(str(c), int(c), (int(c),)) for c in np.unique(wanted) if c), given
+    classes = parse_classes(codes)
+    own = np.zeros(256, np.uint8)
+    for one in classes:
+        own[list(one.codes)] = one.code
+    return classes, own[given]
+
+
 def _pairs(truth: Table, answer: Table, limit: float) -> NDArray[np.int64]:
-    """Row of `answer` for every row of `truth`, -1 if none."""
-    if truth.rows == answer.rows and all(np.abs(truth[n] - answer[n]).max() <= SAME_POINT for n in "xyz"):
+    """Row of `answer` for every row of `truth`, -1 if none; points without coordinates have none."""
+    if truth.rows == answer.rows and all(_close(truth[n], answer[n]) for n in "xyz"):
         return np.arange(truth.rows)
-    found, _ = nearest_within((truth["x"], truth["y"], truth["z"]), (answer["x"], answer["y"], answer["z"]), limit)
-    return found
+    out = np.full(truth.rows, -1, np.int64)
+    mine, theirs = (np.flatnonzero(np.isfinite(t["x"] + t["y"] + t["z"])) for t in (truth, answer))
+    if len(mine) and len(theirs):
+        points = truth["x"][mine], truth["y"][mine], truth["z"][mine]
+        among = answer["x"][theirs], answer["y"][theirs], answer["z"][theirs]
+        found, _ = nearest_within(points, among, limit)
+        out[mine] = np.where(found >= 0, theirs[found], -1)
+    return out
+
+
+def _close(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    """The same numbers, but for rounding, and none in the same places."""
+    both = np.isfinite(a) & np.isfinite(b)
+    same = np.isfinite(a) == np.isfinite(b)
+    return bool(same.all() and (np.abs(a[both] - b[both]) <= SAME_POINT).all())

@@ -44,6 +44,7 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         "training": _training(road, names),
         "distribution": _distribution(road),
         "waveforms": _waveforms(road, survey),
+        "ground": _ground(road, config),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(road),
         "failed": [{"stage": o.stage, "part": o.part, "message": o.message} for o in road.failures],
@@ -173,6 +174,21 @@ def _waveforms(road: Road, survey: Survey) -> dict[str, Any] | None:
     }
 
 
+def _ground(road: Road, config: Config) -> dict[str, Any]:
+    """The filter, what it found, and what cutting the survey into blocks changed."""
+    blocks = [r.meta for r in _made(road, "ground-filter")]
+    seams = next((r.meta for r in _made(road, "seams")), None)
+    return {
+        "method": config.ground.method,
+        "echoes": sum(m["rows"] for m in blocks),
+        "ground": sum(m["ground"] for m in blocks),
+        "noise": sum(m["noise"] for m in blocks),
+        "without_terrain": sum(r.meta["without_terrain"] for r in _made(road, "terrain")),
+        "block": config.ground.block,
+        "seams": dict(seams) if seams else None,
+    }
+
+
 def _pulse_figure(road: Road, report: Mapping[str, Any]) -> dict[str, bytes]:
     """The system's pulse of the first strip that has one."""
     from fwclass.run.pulse_picture import pulse_picture
@@ -197,13 +213,13 @@ def _figures(config: Config, road: Road, layout: Layout, report: Mapping[str, An
 
     pulse = _pulse_figure(road, report)
     desk = Desk(road.store)
-    terrain = Window.covering(layout.box, config.ground.cell)
+    terrain = Window.covering(layout.box, config.terrain.cell)
     window = Window.covering(layout.box, config.publish.class_cell)
     if max(np.prod(terrain.shape), np.prod(window.shape)) > MAP_CELLS:
         return pulse
-    surfaces = tuple(r.part for r in _made(road, "surface"))
+    surfaces = tuple(r.part for r in _made(road, "terrain"))
     blocks = tuple(r.part for r in _made(road, "class-block"))
-    dtm = mosaic(desk, "surface", surfaces, terrain, ("dtm",), {"dtm": np.nan})["dtm"]
+    dtm = mosaic(desk, "terrain", surfaces, terrain, ("dtm",), {"dtm": np.nan})["dtm"]
     classes = mosaic(desk, "class-block", blocks, window, ("classes",), {"classes": 0})["classes"].astype(np.uint8)
     return {
         "map": class_map(classes, window, report["classes"], config.publish, (dtm, terrain), report["areas"]),

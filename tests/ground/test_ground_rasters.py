@@ -8,10 +8,11 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from fwclass.grid import Window
-from fwclass.ground.dtm import bilinear, lowest
-from fwclass.ground.fill import filled
-from fwclass.ground.opening import opened
-from fwclass.ground.smrf import domain, gradient, low_limit, objects
+from fwclass.ground.methods.smrf import domain, gradient, low_limit, objects
+from fwclass.ground.raster.bilinear import bilinear
+from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.lattice import lowest
+from fwclass.ground.raster.opening import opened
 
 
 def brute_extreme(surface, radius, function):

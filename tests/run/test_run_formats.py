@@ -139,6 +139,6 @@ def test_a_file_without_points_beside_a_good_one(tmp_path):
 def test_tiles_without_ground_are_ordinary(tmp_path):
     """Echoes far above any terrain support: no height above ground, still classified."""
     survey(tmp_path / "a.las", 400)
-    report = run(tmp_path, "a.las", "ground.max_gap=0", "ground.slope=0")
+    report = run(tmp_path, "a.las", "terrain.max_gap=0", "ground.smrf.slope=0")
     assert report["counts"]["echoes_in_tiles"] > 400
     assert report["accuracy"]["overall_accuracy"] is not None

@@ -38,7 +38,7 @@ def test_a_second_run_makes_nothing(survey, copy):
 def test_a_changed_parameter_re_runs_its_stage_and_what_follows(survey, copy, tmp_path):
     road, _ = walk(survey, copy, "train.trees=11")
     found = statuses(road)
-    for stage in ("read", "decompose", "tile", "surface", "ground", "features", "label"):
+    for stage in ("read", "decompose", "tile", "ground-filter", "ground", "terrain", "height", "features", "label"):
         assert found[stage] == {"skipped"}, stage
     assert "computed" in found["trees"] and found["train"] == found["classify"] == {"computed"}
     fresh, _ = walk(survey, tmp_path / "fresh", "train.trees=11")
@@ -147,4 +147,4 @@ def test_the_report_is_whole(finished):
 
 def test_settings_that_cannot_be_are_refused():
     with pytest.raises(ConfigError, match="did you mean 'slope'"):
-        conf.load("demo", (*SETTINGS, "ground.slop=1"))
+        conf.load("demo", (*SETTINGS, "ground.slopp=1"))

@@ -13,7 +13,7 @@ from fwclass.decompose.stage import DECOMPOSE
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.features.stage import names as feature_names
 from fwclass.grid import Box, Tile, TileGrid
-from fwclass.ground.stage import GROUND
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Name
 from fwclass.store.receipts import Receipt
@@ -54,16 +54,18 @@ class Survey:
 class Layout:
     """What phase three stands on: the tiles there are, where and when their echoes lie, and the reference tiles.
 
-    `times` is (first, last) GPS time [s], NaN without any; `lowest` the least z [m].
+    `occupied` has for every size of block [m] those that own an echo; `times` is (first, last) GPS time [s], NaN
+    without any; `lowest` the least z [m].
     """
 
     config: Config
     tiles: tuple[Tile, ...]
-    blocks: tuple[Tile, ...]
+    occupied: Mapping[float, frozenset[str]]
     clouds: frozenset[str]
     box: Box
     times: tuple[float, float]
     lowest: float
+    echoes: int
 
     @classmethod
     def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
@@ -77,18 +79,20 @@ class Layout:
                 got="no tile with an echo",
                 do="look at the files with `fwclass info`, and at the failed parts above",
             )
-        occupied = {b for r in mine.values() for b in r.meta["blocks"]}
+        sizes = {float(s) for r in mine.values() for s in r.meta["blocks"]}
+        occupied = {s: frozenset(b for r in mine.values() for b in r.meta["blocks"][str(s)]) for s in sizes}
         times = [r.meta["times"] for r in mine.values() if r.meta["times"]]
         low = [min(r.meta["bounds"][k] for r in mine.values()) for k in range(2)]
         high = [max(r.meta["bounds"][k] for r in mine.values()) for k in range(3, 5)]
         return cls(
             config,
             tuple(sorted(grid.tile(k) for k in mine)),
-            tuple(blocks_around(occupied, config.ground.block)),
+            occupied,
             frozenset(part for stage, part in done if stage == "reference"),
             Box(low[0], low[1], high[0] + 0.001, high[1] + 0.001),
             (min((t[0] for t in times), default=math.nan), max((t[1] for t in times), default=math.nan)),
             min(r.meta["bounds"][2] for r in mine.values()),
+            sum(r.meta["rows"] for r in mine.values()),
         )
 
     @property
@@ -100,6 +104,16 @@ class Layout:
         here = set(among)
         return tuple(t.key for t in TileGrid(self.config.tile.size).touching(box) if t.key in here)
 
+    def blocks(self, size: float, margin: int = 0) -> tuple[Tile, ...]:
+        """Blocks of edge `size` [m] that own an echo, and `margin` blocks around them: the same set whatever the
+        tiles."""
+        grid, found = TileGrid(size), set()
+        for key in self.occupied[size]:
+            tile = grid.tile(key)
+            span = range(-margin, margin + 1)
+            found |= {Tile(tile.ix + a, tile.iy + b, size) for a in span for b in span}
+        return tuple(sorted(found))
+
     def columns(self, names: Iterable[str]) -> dict[str, str]:
         """The stage whose tables hold each of `names`."""
         known = providers(self.config)
@@ -109,7 +123,8 @@ class Layout:
 def providers(config: Config) -> dict[str, str]:
     """Which stage's tables hold each column that the forest or the outputs may ask for."""
     found = dict.fromkeys(DECOMPOSE.writes, "tile")
-    found |= dict.fromkeys(GROUND.writes, "ground")
+    found |= dict.fromkeys(GROUND_FILTER.writes, "ground")
+    found |= dict.fromkeys(TERRAIN.writes, "height")
     found |= dict.fromkeys(feature_names(config.features), "features")
     if has_range(config):
         found |= dict.fromkeys(RADIOMETRY.writes, "radiometry")
@@ -147,13 +162,3 @@ def plain_classes(config: Config) -> list[dict[str, Any]]:
 
 def needs_of(columns: Mapping[str, str], parts: Iterable[str]) -> tuple[Name, ...]:
     return tuple((stage, part) for part in parts for stage in sorted({*columns.values(), "tile"}))
-
-
-def blocks_around(occupied: set[str], size: float) -> list[Tile]:
-    """Blocks that own an echo and their neighbours: the same set whatever the tiles."""
-    grid = TileGrid(size)
-    found = set()
-    for key in occupied:
-        tile = grid.tile(key)
-        found |= {Tile(tile.ix + a, tile.iy + b, size) for a in (-1, 0, 1) for b in (-1, 0, 1)}
-    return sorted(found)

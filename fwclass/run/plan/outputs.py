@@ -8,15 +8,17 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.grid import Window
+from fwclass.ground.stage import TERRAIN
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Task
+from fwclass.run.plan.ground import terrain_blocks
 from fwclass.run.plan.layout import Layout, Strip, Survey, has_range, needs_of, plain, plain_classes
 from fwclass.run.work import outputs
 
 DELIVERED = (
     "x", "y", "z", "strip", "pulse", "echo_number", "number_of_echoes", "gps_time", "intensity", "amplitude",
     "amplitude_sigma", "amplitude_db", "width", "width_sigma", "energy", "range_sigma", "deviation", "fit_flags",
-    "height_above_ground", "ground", "classification", "confidence",
+    "height_above_ground", "ground", "noise", "classification", "confidence",
 )  # fmt: skip
 """Columns of the delivered tiles, besides the forest's features and radiometry."""
 
@@ -40,7 +42,7 @@ def output_tasks(
         for t in layout.tiles
     ]  # fmt: skip
     made += _strip_tasks(config, params, survey.strips, chunks, in_strip)
-    owned = [b for b in layout.blocks if b.box.touches(layout.box)]
+    owned = terrain_blocks(layout)
     for block in owned:
         cells = Window.covering(block.box, config.publish.class_cell).box
         present = layout.around(cells, layout.keys)
@@ -51,15 +53,15 @@ def output_tasks(
                 needs=needs_of({"a": "classify"}, present),
             )
         )  # fmt: skip
-    keys = tuple(b.key for b in owned)
+    keys, cell = tuple(b.key for b in owned), config.terrain.cell
     codes = {c.code: c.name for c in config.survey.classes}
     made.append(
         Task(
-            "publish-rasters", "all", 1, {**params, "box": list(layout.box.bounds), "cell": config.ground.cell},
+            "publish-rasters", "all", 2, {**params, "box": list(layout.box.bounds), "cell": cell},
             partial(
-                outputs.delivered_rasters, layout.box, config.ground.cell, keys, keys, codes, survey.crs, config.publish
+                outputs.delivered_rasters, layout.box, cell, keys, keys, codes, survey.crs, config.publish
             ),
-            needs=(*(("surface", k) for k in keys), *(("class-block", k) for k in keys)), place="run",
+            needs=(*((TERRAIN.name, k) for k in keys), *(("class-block", k) for k in keys)), place="run",
         )
     )  # fmt: skip
     return made

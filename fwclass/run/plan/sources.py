@@ -108,12 +108,12 @@ def _fragments(splits: Mapping[Name, Receipt], stage: str) -> dict[str, list[tup
 def tile_tasks(config: Config, splits: Mapping[Name, Receipt]) -> list[Task]:
     """Tiles of echoes and of reference points."""
     made = []
-    block = config.ground.block
+    blocks = tuple(sorted({float(config.ground.block), float(config.terrain.block)}))
     for key, pairs in sorted(_fragments(splits, "split").items()):
         made.append(
             Task(
-                "tile", key, TILE.version, {**plain(config.tile), "block": block},
-                partial(sources.tiled, key, tuple(pairs), block), needs=tuple(("split", p) for p, _ in pairs),
+                "tile", key, TILE.version, {**plain(config.tile), "blocks": list(blocks)},
+                partial(sources.tiled, key, tuple(pairs), blocks), needs=tuple(("split", p) for p, _ in pairs),
             )
         )  # fmt: skip
     for key, pairs in sorted(_fragments(splits, "reference-split").items()):

@@ -1,48 +1,14 @@
-"""Parts between tiling and training: terrain blocks, ground, labels, features."""
+"""Parts of tiles between ground and training: labels, features."""
 
 from __future__ import annotations
 
 from functools import partial
 
 from fwclass.features.stage import FEATURES
-from fwclass.grid import TileGrid, Window
-from fwclass.ground.stage import GROUND, GROUND_SURFACE
 from fwclass.label.stage import LABEL
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Layout, needs_of, plain
 from fwclass.run.work import tiles
-from fwclass.run.work.tiles import MARGIN
-
-
-def surface_tasks(layout: Layout) -> list[Task]:
-    config, made = layout.config, []
-    halo = GROUND_SURFACE.halo(config.ground)
-    for block in layout.blocks:
-        present = layout.around(block.box.grown(halo), layout.keys)
-        made.append(
-            Task(
-                "surface", block.key, GROUND_SURFACE.version, plain(config.ground),
-                partial(tiles.terrain, block, config.tile.size, present, config.ground),
-                needs=tuple(("tile", k) for k in present),
-            )
-        )  # fmt: skip
-    return made
-
-
-def ground_tasks(layout: Layout) -> list[Task]:
-    config, made = layout.config, []
-    there = {b.key for b in layout.blocks}
-    for tile in layout.tiles:
-        window = Window.covering(tile.box, config.ground.cell, margin=MARGIN)
-        blocks = tuple(b.key for b in TileGrid(config.ground.block).touching(window.box) if b.key in there)
-        made.append(
-            Task(
-                "ground", tile.key, GROUND.version, plain(config.ground),
-                partial(tiles.grounded, tile, blocks, config.ground),
-                needs=(("tile", tile.key), *(("surface", b) for b in blocks)),
-            )
-        )  # fmt: skip
-    return made
 
 
 def label_tasks(layout: Layout) -> list[Task]:

@@ -120,7 +120,7 @@ def delivered_rasters(
     box: Box, cell: float, blocks: tuple[str, ...], class_blocks: tuple[str, ...], names: Mapping[int, str],
     crs: str | None, params: PublishParams, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
-    """The terrain model, its hillshade and the class map of the whole survey as cloud-optimised GeoTIFF."""
+    """Terrain, surface, their difference, hillshade and class map of the whole survey as cloud-optimised GeoTIFF."""
     target = directory / "rasters"
     target.mkdir(parents=True)
     terrain = Window.covering(box, cell)
@@ -130,20 +130,21 @@ def delivered_rasters(
             where="rasters",
             expected=f"at most {MAX_CELLS:,} cells",
             got=f"{terrain.shape[1]:,} x {terrain.shape[0]:,} cells of {cell:g} m from {box.bounds}",
-            do="look for stray points with `fwclass info` and remove them, or choose larger ground.cell and "
+            do="look for stray points with `fwclass info` and remove them, or choose larger terrain.cell and "
             "publish.class_cell",
         )
-    dtm = mosaic(desk, "surface", blocks, terrain, ("dtm",), {"dtm": np.nan})["dtm"]
+    empty = {"dtm": np.nan, "dsm": np.nan}
+    heights = mosaic(desk, "terrain", blocks, terrain, ("dtm", "dsm"), empty)
+    dtm = heights["dtm"]
     system = crs_of(crs)
-    write_cog(
-        dtm,
-        terrain,
-        target / "dtm.tif",
-        system,
-        params,
-        nodata=float("nan"),
-        tags={"what": "terrain height [m]"},
-    )
+    told = {
+        "dtm": (dtm, "terrain height [m]"),
+        "dsm": (heights["dsm"], "height of the highest echo [m]"),
+        "ndsm": (heights["dsm"] - dtm, "highest echo above the terrain [m]"),
+    }
+    for name, (raster, what) in told.items():
+        path = target / f"{name}.tif"
+        write_cog(raster, terrain, path, system, params, nodata=float("nan"), tags={"what": what})
     tone = np.where(np.isfinite(dtm), 1 + 254 * hillshade(dtm, cell, params), 0).astype(np.uint8)
     write_cog(
         tone,

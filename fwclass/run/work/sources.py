@@ -154,19 +154,23 @@ def _write_split(table: Table, grid: TileGrid, directory: Path) -> dict[str, Any
 
 
 def tiled(
-    key: str, fragments: tuple[tuple[str, int], ...], block: float, desk: Desk, directory: Path
+    key: str, fragments: tuple[tuple[str, int], ...], blocks: tuple[float, ...], desk: Desk, directory: Path
 ) -> dict[str, Any]:
-    """A tile's echoes from all chunks, in final row order."""
+    """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them."""
     table = assemble([desk.fragment("split", part, group) for part, group in fragments], f"tile {key}")
     write_table(directory / TABLE, table)
-    ix, iy = TileGrid(block).indices(table["x"], table["y"])
     return {
         "rows": table.rows,
-        "blocks": sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))}),
+        "blocks": {str(size): _occupied(table, size) for size in blocks},
         "bounds": [float(f(table[n])) for f in (min_of, max_of) for n in "xyz"],
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
         "times": _span_of(table["gps_time"]),
     }
+
+
+def _occupied(table: Table, size: float) -> list[str]:
+    ix, iy = TileGrid(size).indices(table["x"], table["y"])
+    return sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))})
 
 
 def _span_of(times: NDArray[np.float64]) -> list[float] | None:

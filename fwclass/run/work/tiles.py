@@ -1,4 +1,4 @@
-"""Work of the parts between tiling and training: terrain blocks, ground, labels, features."""
+"""Work of the parts of tiles between ground and training: labels, features; and rasters of parts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from fwclass.features.stage import FeaturesParams, features
 from fwclass.grid import Tile, Window
-from fwclass.ground.stage import GroundParams, ground, surface
 from fwclass.label.stage import LabelParams, from_cloud, from_source
 from fwclass.run.desk import TABLE, Desk
 from fwclass.schema import Table
@@ -20,9 +19,6 @@ from fwclass.store.arrays import write_arrays
 from fwclass.store.tables import write_table
 
 RASTERS = "rasters.zarr"
-MARGIN = 2
-"""Cells around a tile that bilinear interpolation may touch."""
-
 _CLOUD = ("x", "y", "z", "gps_time", "source_class")
 
 
@@ -63,31 +59,6 @@ def mosaic(
             if shared is not None:
                 out[name][shared.within(window)] = arrays[name][shared.within(own)]
     return out or {n: np.full(window.shape, empty[n], np.float32) for n in names}
-
-
-def terrain(
-    block: Tile, tile_size: float, present: tuple[str, ...], params: GroundParams, desk: Desk, directory: Path
-) -> dict[str, Any]:
-    """Terrain rasters of one block of the fixed global grid."""
-    box = block.box.grown(params.block_halo)
-    points = desk.inside(box, tile_size, dict.fromkeys("xyz", "tile"), present)
-    core = Window.covering(block.box, params.cell)
-    rasters = surface(points["x"], points["y"], points["z"], core, params)
-    write_rasters(directory, rasters, core)
-    return {"measured": int((rasters["support"] == 0).sum()), "beyond": int((rasters["support"] == 2).sum())}
-
-
-def grounded(tile: Tile, blocks: tuple[str, ...], params: GroundParams, desk: Desk, directory: Path) -> dict[str, Any]:
-    """Ground flag and height above ground of a tile's echoes."""
-    window = Window.covering(tile.box, params.cell, margin=MARGIN)
-    rasters = mosaic(desk, "surface", blocks, window, ("dtm", "slope"), {"dtm": np.nan, "slope": np.nan})
-    chunk = desk.chunk(tile, 0.0, dict.fromkeys("xyz", "tile"), (tile.key,))
-    table = ground(chunk, rasters, window, params)
-    write_table(directory / TABLE, table)
-    return {
-        "ground": int(table["ground"].sum()),
-        "without_terrain": int(np.isnan(table["height_above_ground"]).sum()),
-    }
 
 
 def featured(

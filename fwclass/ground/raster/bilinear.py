@@ -1,4 +1,4 @@
-"""Rasters of heights: the lowest by cell, bilinear values at points, hill shading."""
+"""Values of a raster of heights at points."""
 
 from __future__ import annotations
 
@@ -7,28 +7,6 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.kernel import kernel
-
-
-def lowest(
-    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], window: Window
-) -> NDArray[np.float64]:
-    """Lowest z [m] by cell of `window`, NaN where no point lies; points outside the window are left out."""
-    out = np.full(window.shape, np.inf)
-    flat, inside = cells_of(x, y, window)
-    np.minimum.at(out.reshape(-1), flat, np.asarray(z, np.float64)[inside])
-    out[np.isinf(out)] = np.nan
-    return out
-
-
-def cells_of(
-    x: NDArray[np.float64], y: NDArray[np.float64], window: Window
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Flat cell index of the points inside `window`, and the mask of these points."""
-    mm = whole_millimetres(window.cell, "cell")
-    col = millimetres(x) // mm - window.col
-    row = millimetres(y) // mm - window.row
-    inside = (col >= 0) & (col < window.ncols) & (row >= 0) & (row < window.nrows)
-    return (row * window.ncols + col)[inside], inside
 
 
 def bilinear(

@@ -14,32 +14,37 @@ OVERRELAXATION = 1.6
 """Of each sweep; between 1 (Gauss–Seidel) and 2 (no convergence)."""
 
 
-def filled(surface: NDArray[np.float64]) -> NDArray[np.float64]:
+def filled(surface: NDArray[np.float64], corner: tuple[int, int] = (0, 0)) -> NDArray[np.float64]:
     """`surface` with its NaN cells filled by a membrane that is free at the array's edge.
 
     Coarse to fine: the surface of half the resolution is filled first and is what the sweeps start from.
     The number of sweeps is fixed, so the answer is a function of the input alone. All NaN stays all NaN.
+    `corner` is the row and column of the first cell in the global raster: the coarser cells hang on that, so that
+    they are the same for every window.
     """
     known = np.isfinite(surface)
     if known.all() or not known.any():
         return surface.copy()
-    coarse = filled(_halved(surface))
+    row, col = corner
+    # two rows become one wherever they lie, or they would stay two for ever across the global raster's origin
+    odd_row, odd_col = (p % 2 if n > 2 else 0 for p, n in zip(corner, surface.shape, strict=True))
+    coarse = filled(_halved(surface, odd_row, odd_col), (row // 2, col // 2))
     out = np.where(known, surface, 0.0)
-    _start_from(coarse, known, out)
+    _start_from(coarse, known, odd_row, odd_col, out)
     _relax(known, SWEEPS, OVERRELAXATION, out)
     return out
 
 
 @kernel
-def _halved(surface):  # type: ignore[no-untyped-def]
-    """Mean of the known cells of every 2 × 2, NaN where there is none."""
+def _halved(surface, odd_row, odd_col):  # type: ignore[no-untyped-def]
+    """Mean of the known cells of every 2 × 2, NaN where there is none; an odd first row or column is alone."""
     nrows, ncols = surface.shape
-    out = np.full(((nrows + 1) // 2, (ncols + 1) // 2), np.nan)
+    out = np.full(((nrows + odd_row + 1) // 2, (ncols + odd_col + 1) // 2), np.nan)
     for r in range(out.shape[0]):
         for c in range(out.shape[1]):
             total, n = 0.0, 0
-            for i in range(2 * r, min(2 * r + 2, nrows)):
-                for j in range(2 * c, min(2 * c + 2, ncols)):
+            for i in range(max(2 * r - odd_row, 0), min(2 * r - odd_row + 2, nrows)):
+                for j in range(max(2 * c - odd_col, 0), min(2 * c - odd_col + 2, ncols)):
                     if not np.isnan(surface[i, j]):
                         total += surface[i, j]
                         n += 1
@@ -49,18 +54,18 @@ def _halved(surface):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _start_from(coarse, known, out):  # type: ignore[no-untyped-def]
+def _start_from(coarse, known, odd_row, odd_col, out):  # type: ignore[no-untyped-def]
     """Bilinear values of the coarse surface in the unknown cells of `out`."""
     nrows, ncols = out.shape
     last_r, last_c = coarse.shape[0] - 1, coarse.shape[1] - 1
     for r in range(nrows):
-        r0 = r // 2
-        r1 = min(max(r0 + (1 if r % 2 else -1), 0), last_r)
+        r0 = (r + odd_row) // 2
+        r1 = min(max(r0 + (1 if (r + odd_row) % 2 else -1), 0), last_r)
         for c in range(ncols):
             if known[r, c]:
                 continue
-            c0 = c // 2
-            c1 = min(max(c0 + (1 if c % 2 else -1), 0), last_c)
+            c0 = (c + odd_col) // 2
+            c1 = min(max(c0 + (1 if (c + odd_col) % 2 else -1), 0), last_c)
             near = 0.75 * coarse[r0, c0] + 0.25 * coarse[r0, c1]
             far = 0.75 * coarse[r1, c0] + 0.25 * coarse[r1, c1]
             out[r, c] = 0.75 * near + 0.25 * far

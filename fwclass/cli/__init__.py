@@ -1,0 +1,35 @@
+"""The command line: a contract that scripts outside the project call."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from fwclass.cli import files, ground, survey
+from fwclass.cli.base import cli
+from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
+
+__all__ = ["cli", "files", "ground", "main", "survey"]
+
+
+def main() -> None:
+    """Entry point: faults of data and configuration are told in words, without a traceback."""
+    try:
+        cli(standalone_mode=False)
+    except click.exceptions.Exit as end:
+        sys.exit(end.exit_code)
+    except click.ClickException as fault:
+        fault.show()
+        sys.exit(fault.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("interrupted; run the same command again to go on", err=True)
+        sys.exit(INTERRUPTED)
+    except FwclassError as fault:
+        click.echo(f"fwclass: {fault}", err=True)
+        sys.exit(fault.exit_code)
+    except BrokenPipeError:
+        sys.exit(FAILED)
+    except OSError as fault:
+        click.echo(f"fwclass: {system_error(fault)}", err=True)
+        sys.exit(FAILED)

@@ -1,0 +1,116 @@
+"""Commands that look at single files or fit their waveforms: info, decompose, assess."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import click
+
+from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, cli
+from fwclass.errors import FAILED, FwclassError
+
+
+def _numbers(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[int, ...]:
+    """``3,17`` as numbers."""
+    try:
+        return tuple(int(word) for word in text.split(",")) if text else ()
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no list of whole numbers like 3,17,200") from None
+
+
+@cli.command()
+@click.argument("files", nargs=-1, required=True, type=PATH)
+@click.option("--waveforms", is_flag=True, help="Fit the waveforms of one file, and draw some of its pulses.")
+@click.option("--pulse", "pulses", metavar="N,N,…", callback=_numbers, help="With --waveforms: these, from 0.")
+@click.option("--out", type=PATH, help="With --waveforms: the picture (default: <file>-waveforms.png, here).")
+@SET
+@OVERWRITE
+@JSON
+def info(
+    files: tuple[Path, ...], waveforms: bool, pulses: tuple[int, ...], out: Path | None, settings: tuple[str, ...],
+    overwrite: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """What files hold: formats, packets, descriptors, CRS, classes, and what is wrong with them.
+
+    With --waveforms: chosen pulses of one file with their fitted echoes, and the echoes that its vendor's returns miss.
+    """
+    if waveforms:
+        _info_waveforms(files, pulses, settings, out, overwrite, as_json)
+    elif pulses or settings or overwrite or out is not None:
+        raise click.UsageError("--pulse, --out, --set and --overwrite belong to --waveforms")
+    else:
+        _info_facts(files, as_json)
+
+
+def _info_waveforms(
+    files: tuple[Path, ...], pulses: tuple[int, ...], settings: tuple[str, ...], out: Path | None, overwrite: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    from fwclass.run.waveforms_text import describe
+    from fwclass.run.waveforms_view import look
+
+    if len(files) > 1:
+        raise click.UsageError("--waveforms takes one file")
+    found = look(files[0], pulses, settings, out, overwrite)
+    click.echo(json.dumps(found, indent=1) if as_json else describe(found))
+
+
+def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
+    from fwclass.read.info import describe
+    from fwclass.read.info import info as facts_of
+
+    facts, faults = [], []
+    for path in files:
+        try:
+            facts.append(facts_of(path))
+        except FwclassError as fault:
+            faults.append(fault)
+            click.echo(f"fwclass: {fault}", err=True)
+    if as_json:
+        click.echo(json.dumps(facts if len(files) > 1 else (facts[0] if facts else None), indent=1))
+    else:
+        click.echo("\n\n".join(describe(f) for f in facts))
+    if faults:
+        sys.exit(FAILED)
+
+
+@cli.command()
+@click.argument("source", type=PATH)
+@click.argument("output", type=PATH)
+@click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
+@click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights: the geoid's height.")
+@click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
+@SET
+@OVERWRITE
+def decompose(
+    source: Path, output: Path, trajectory: Path | None, undulation: float, crs: str | None, settings: tuple[str, ...],
+    overwrite: bool,
+) -> None:  # fmt: skip
+    """One file: waveforms to echoes with extra bytes (LAZ)."""
+    from fwclass.run.decompose_file import decompose_file
+
+    click.echo(decompose_file(source, output, settings, overwrite, trajectory, undulation, crs), err=True)
+
+
+@cli.command()
+@click.argument("reference", type=PATH)
+@click.argument("prediction", type=PATH)
+@click.option("--map", "codes", metavar="NAME=2;NAME=3,4,5", help="Classes by name and reference codes.")
+@click.option("--ground", is_flag=True, help="Two classes: ground (2) against everything else.")
+@JSON
+def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, as_json: bool) -> None:
+    """Confusion matrix and figures of a classified cloud against a reference cloud.
+
+    Both are LAS, LAZ, COPC, or text with a label: class codes, or 0 ground and 1 object.
+    """
+    from fwclass.assess.stage import describe
+    from fwclass.run.assess_files import assess_files
+
+    figures = assess_files(reference, prediction, codes, ground)
+    click.echo(json.dumps(figures, indent=1) if as_json else describe(figures))
+    matched, lost = figures["matched"], figures["unmatched"]
+    click.echo(f"{matched:,} of {matched + lost:,} reference points have a predicted point", err=True)
+    if lost > matched:
+        click.echo("WARNING: the two clouds hardly overlap; the figures stand for the small part that does", err=True)

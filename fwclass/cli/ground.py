@@ -1,0 +1,137 @@
+"""Commands about the ground: ground, normalize."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, get_args
+
+import click
+
+from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, cli
+from fwclass.ground.params import Method
+
+KINDS = "Kind of land: wilderness, nature, town, city, metro, dense-forest or steep."
+PARAM = click.option("--param", "assignments", multiple=True, metavar="NAME=VALUE", help="A parameter of the filter.")
+METHOD = click.option("--method", type=click.Choice(get_args(Method)), help="Filter (default: ground.method).")
+PRESET = click.option("--preset", metavar="NAME", help=KINDS)
+CRS = click.option("--crs", metavar="EPSG:CODE", help="Coordinate system, instead of the one that the file names.")
+RASTERS = ("dtm", "dsm", "hillshade")
+FLAGGED = click.option("--use-flagged", is_flag=True, help="Show withheld and synthetic points to the filter too.")
+
+
+@cli.command()
+@click.argument("source", metavar="IN", type=PATH)
+@click.argument("output", metavar="[OUT]", type=PATH, required=False)
+@METHOD
+@PRESET
+@PARAM
+@SET
+@click.option(
+    "--auto", is_flag=True, help="Measure the points first and adapt the parameters; no --method: the filter too."
+)
+@click.option("--keep-classes", is_flag=True, help="What is no ground keeps its class; noise stays noise.")
+@FLAGGED
+@CRS
+@click.option("--dtm", type=PATH, help="Terrain as GeoTIFF.")
+@click.option("--dsm", type=PATH, help="Highest echoes as GeoTIFF.")
+@click.option("--hillshade", type=PATH, help="Shaded relief of the terrain as GeoTIFF.")
+@click.option("--optimize", is_flag=True, help="Search the filter's parameters on labelled points; no OUT.")
+@click.option("--compare", metavar="NAME,NAME,…|all", help="Several filters side by side on one page; no OUT.")
+@click.option("--reference", type=PATH, help="With --optimize or --compare: the classes of the same points.")
+@click.option("--out", type=PATH, help="With --optimize or --compare: directory of what they write.")
+@OVERWRITE
+@JSON
+def ground(source: Path, output: Path | None, optimize: bool, compare: str | None, as_json: bool, **asked: Any) -> None:
+    """Ground points of one file: class 2, everything else class 1, noise class 7.
+
+    IN is LAS, LAZ, COPC or text (x y z [label]); OUT is LAS, LAZ or text. Points keep their order and all their other
+    fields. With --optimize or --compare nothing is classified, and there is no OUT.
+    """
+    if optimize and compare is not None:
+        raise click.UsageError("--optimize and --compare are two commands: give one of them")
+    if optimize or compare is not None:
+        _study(source, output, compare, as_json, asked)
+        return
+    if output is None:
+        raise click.UsageError("Missing argument 'OUT': where the points go")
+    if asked.pop("reference") is not None or asked.pop("out") is not None:
+        raise click.UsageError("--reference and --out belong to --optimize and --compare")
+    _classify(source, output, as_json, asked)
+
+
+def _classify(source: Path, output: Path, as_json: bool, asked: dict[str, Any]) -> None:
+    from fwclass.run.ground.file import GroundJob, ground_file
+    from fwclass.run.ground.text import describe
+
+    if asked.pop("auto"):
+        asked["adapt"] = _adapting(asked)
+    wanted = {name: asked.pop(name) for name in RASTERS}
+    rasters = {name: path for name, path in wanted.items() if path is not None}
+    made = ground_file(GroundJob(source, output, rasters=rasters, **asked))
+    click.echo(describe(made), err=True)
+    if as_json:
+        click.echo(json.dumps(made, indent=1))
+
+
+def _adapting(asked: dict[str, Any]) -> Any:
+    """``--auto``; the filter is chosen too where nothing names one."""
+    from fwclass.run.ground.adapt import adapting
+
+    named = asked["method"] or asked["preset"] or any(s.startswith("ground.method") for s in asked["settings"])
+    return adapting(not named, asked["settings"])
+
+
+def _study(source: Path, output: Path | None, methods: str | None, as_json: bool, asked: dict[str, Any]) -> None:
+    """Filters are looked at, no points are written."""
+    alien = [f"--{n.replace('_', '-')}" for n in ("keep_classes", "use_flagged", *RASTERS) if asked.pop(n)]
+    if output is not None or alien:
+        raise click.UsageError(f"{alien[0] if alien else 'OUT'} has no place here: nothing is classified; see --out")
+    auto = asked.pop("auto")
+    if methods is None:
+        if auto:
+            raise click.UsageError("--optimize searches what --auto would measure: give one of them")
+        from fwclass.run.ground.search import describe, optimize
+
+        made = optimize(source, say=_say, **asked)
+    else:
+        from fwclass.run.ground.compare import compare, describe
+
+        if asked.pop("method") or asked.pop("assignments"):
+            raise click.UsageError("--compare names its filters itself; give parameters with --set")
+        adapt = _adapting({**asked, "method": "each its own"}) if auto else None
+        made = compare(source, methods, say=_say, adapt=adapt, **asked)
+    click.echo(describe(made), err=True)
+    if as_json:
+        click.echo(json.dumps(made, indent=1))
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)
+
+
+@cli.command()
+@click.argument("source", metavar="IN", type=PATH)
+@click.argument("output", metavar="OUT", type=PATH)
+@click.option("--height", type=click.Choice(["tin", "nearest", "raster"]), help="Above what (default: terrain.height).")
+@click.option("--keep-z", is_flag=True, help="Leave z; put the height into the extra byte HeightAboveGround.")
+@METHOD
+@PRESET
+@PARAM
+@SET
+@FLAGGED
+@CRS
+@OVERWRITE
+@JSON
+def normalize(source: Path, output: Path, as_json: bool, **asked: Any) -> None:
+    """Heights above ground of one file in place of z.
+
+    The ground is what has class 2; with --method, --preset or --param it is looked for. All other fields stay.
+    """
+    from fwclass.run.ground.normalize import NormalizeJob, normalize_file
+    from fwclass.run.ground.text import describe_heights
+
+    made = normalize_file(NormalizeJob(source, output, **asked))
+    click.echo(describe_heights(made), err=True)
+    if as_json:
+        click.echo(json.dumps(made, indent=1))

@@ -1,0 +1,161 @@
+"""Parameters of the ground filters that suit a cloud, found without labels.
+
+The largest building is measured. The other parameters are those with which the filter agrees best with two filters
+of another principle, on the points where these two agree: filters of different principles seldom err on the same
+points.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from fwclass.grid import TileGrid
+from fwclass.ground.filters import ground_points
+from fwclass.ground.measure import Measured, measure
+from fwclass.ground.methods.noise import noise
+from fwclass.ground.params import GroundParams, Method, section_of
+from fwclass.ground.raster.lattice import cells_of, window_over
+from fwclass.stage import Params
+
+Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+Group = dict[str, tuple[float, ...]]
+"""Parameters that change together: as many values of each."""
+
+
+class GroundAutoParams(Params):
+    """How parameters are adapted.
+
+    Attributes
+    ----------
+    building_margin, building_most : the largest building is so many times the widest that was found, at most [m].
+    method : the filter where none is asked for.
+    referees : filters that others are compared with: the first two that are not the filter itself.
+    candidates : by filter, groups of parameters that change together; every combination of the groups is tried. A
+        filter without candidates keeps its parameters.
+    thin : clouds with at least so many times as many points as cells of `cell` are thinned to the lowest of each,
+    cell : whose edge this is [m].
+    sample, square : larger clouds are judged by evenly spread squares of this edge [m] with about so many points.
+    """
+
+    building_margin: float = Field(ge=1)
+    building_most: float = Field(gt=0)
+    method: Method
+    referees: tuple[Method, ...] = Field(min_length=3)
+    candidates: dict[Method, tuple[Group, ...]]
+    thin: float = Field(ge=1)
+    cell: float = Field(gt=0)
+    sample: int = Field(gt=0)
+    square: float = Field(gt=0)
+
+    @model_validator(mode="after")
+    def _groups_fit(self) -> Self:
+        for method, groups in self.candidates.items():
+            for group in groups:
+                if len({len(v) for v in group.values()}) != 1 or not all(group.values()):
+                    raise ValueError(
+                        f"candidates of {method}: parameters that change together need as many values each"
+                    )
+        return self
+
+    def updates(self, method: Method) -> list[dict[str, float]]:
+        """Every combination of the groups of a filter, the first values first; none where it has no candidates."""
+        groups = self.candidates.get(method, ())
+        steps = [[dict(zip(g, v, strict=True)) for v in zip(*g.values(), strict=True)] for g in groups]
+        return [{k: v for part in some for k, v in part.items()} for some in itertools.product(*steps)] if steps else []
+
+
+def adapted(
+    points: Points, last: NDArray[np.bool_], base: GroundParams, rules: GroundAutoParams, method: Method | None = None
+) -> tuple[GroundParams, Measured]:
+    """`base` with a filter and parameters that suit the points, and what was measured.
+
+    Parameters
+    ----------
+    points : x, y, z, (n,) finite [m], at least one, in any order, which does not matter.
+    last : (n,) last or only echoes of their pulses.
+    method : the filter; None takes `rules.method`.
+    """
+    measured = measure(*points, last)
+    chosen = method if method is not None else rules.method
+    sized = base.model_copy(update={"method": chosen, "max_building_size": building_size(measured, base, rules)})
+    tried = [changed(sized, update) for update in rules.updates(chosen)]
+    if not tried:
+        return sized, measured
+    rows = np.flatnonzero(last) if base.last_returns and last.any() else np.arange(len(last))
+    told = sum(_agreement(part, tried, rules) for part in _sample(_thinned(points, rows, rules), rules))
+    kappas = [_kappa(matrix) for matrix in np.asarray(told).reshape(len(tried), 2, 2)]
+    return tried[int(np.argmax(kappas))], measured
+
+
+def building_size(measured: Measured, base: GroundParams, rules: GroundAutoParams) -> float:
+    """Edge of the largest building [m]: that of `base`, or more where a wider one was found."""
+    found = math.ceil(rules.building_margin * measured.building)
+    return float(max(base.max_building_size, min(found, rules.building_most)))
+
+
+def changed(params: GroundParams, update: dict[str, float]) -> GroundParams:
+    """`params` with other values in the section of its method."""
+    section = section_of(params.method)
+    own = getattr(params, section)
+    return params.model_copy(update={section: type(own).model_validate(own.model_dump() | update)})
+
+
+def _thinned(points: Points, rows: NDArray[np.int64], rules: GroundAutoParams) -> Points:
+    """The points of `rows`; of dense clouds the lowest of every cell, of equally low ones the most south-western."""
+    x, y, z = (np.ascontiguousarray(a[rows]) for a in points)
+    window = window_over(x, y, rules.cell, "ground_auto.cell")
+    cells, _ = cells_of(x, y, window)
+    order = np.lexsort((y, x, z, cells))
+    lowest = order[np.r_[True, np.diff(cells[order]) > 0]]
+    if len(x) < rules.thin * len(lowest):
+        return x, y, z
+    return x[lowest], y[lowest], z[lowest]
+
+
+def _sample(points: Points, rules: GroundAutoParams) -> Iterator[Points]:
+    """All points, or those of evenly spread squares of the global grid."""
+    x, y, z = points
+    every = math.ceil(len(x) / rules.sample)
+    if every == 1:
+        yield points
+        return
+    ix, iy = TileGrid(rules.square).indices(x, y)
+    order = np.lexsort((iy, ix))
+    edges = np.flatnonzero((np.diff(ix[order]) != 0) | (np.diff(iy[order]) != 0)) + 1
+    for rows in np.split(order, edges)[every // 2 :: every]:
+        yield x[rows], y[rows], z[rows]
+
+
+def _agreement(points: Points, tried: list[GroundParams], rules: GroundAutoParams) -> NDArray[np.int64]:
+    """(tried, 4) counts of the points where the referees agree: both ground, only they, only the filter, none."""
+    kept = ~noise(*points, tried[0].noise)
+    x, y, z = (np.ascontiguousarray(a[kept]) for a in points)
+    last = np.ones(len(x), bool)
+    off = tried[0].noise.model_copy(update={"low": False, "high": False, "sigma_rule": False})
+
+    def flags(params: GroundParams) -> NDArray[np.bool_]:
+        return ground_points(x, y, z, last, params.model_copy(update={"noise": off})).ground
+
+    names = [m for m in rules.referees if m != tried[0].method][:2]
+    first, second = (flags(tried[0].model_copy(update={"method": m})) for m in names)
+    sure = first == second
+    counts = np.zeros((len(tried), 4), np.int64)
+    for k, params in enumerate(tried):
+        counts[k] = np.bincount(2 * ~first[sure] + ~flags(params)[sure], minlength=4)
+    return counts
+
+
+def _kappa(matrix: NDArray[Any]) -> float:
+    """Of two by two counts; 1 where all points are of one kind for both."""
+    total = float(matrix.sum())
+    if total == 0:
+        return 0.0
+    chance = float(matrix.sum(axis=0) @ matrix.sum(axis=1)) / (total * total)
+    return (float(np.trace(matrix)) / total - chance) / (1.0 - chance) if chance < 1.0 else 1.0

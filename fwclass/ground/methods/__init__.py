@@ -1,0 +1,1 @@
+"""Ground filters, one a file, with what several of them share."""

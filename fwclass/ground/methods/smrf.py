@@ -1,0 +1,142 @@
+"""The simple morphological filter (SMRF) on a raster of lowest heights. Pingel, Clarke & McBride 2013."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from fwclass.grid import Window
+from fwclass.ground.methods.refine import restored, without_company
+from fwclass.ground.params import SmrfParams
+from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.lattice import LowestPoints, lowest_points, window_over
+from fwclass.ground.raster.opening import opened
+from fwclass.kernel import kernel
+from fwclass.units import QUANTUM
+
+
+def smrf(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], params: SmrfParams
+) -> NDArray[np.bool_]:
+    """Ground among points: those within threshold + scalar × slope of the terrain that the openings leave.
+
+    Parameters
+    ----------
+    x, y, z : (n,) finite coordinates [m], in any order.
+    params : sized.
+
+    Source: Pingel et al. 2013, with disks, without net cutting; holes are filled by a membrane (their springs).
+    Beyond the paper, each with its switch: echoes far below their surroundings go before the openings, so that the
+    next-lowest echo of the cell counts; the openings see nothing beyond the surveyed area; edges of cliffs and
+    banks are restored.
+    """
+    window = window_over(x, y, params.cell, "smrf.cell", margin=2 if params.survey_edge else 0)
+    corner = (window.row, window.col)
+    points, low = _without_low_outliers(x, y, z, window, params)
+    ground = _with_edges(points, _first_ground(points.z, low, corner, params), params)
+    heights = filled(np.where(ground, points.z, np.nan), corner)
+    found = np.empty(len(x), bool)
+    slope = gradient(heights, params.cell)
+    _near_terrain(x, y, z, heights, slope, *corner, params.cell, params.threshold, params.scalar, found)
+    return found
+
+
+@kernel
+def _near_terrain(x, y, z, heights, slopes, row, col, cell, threshold, scalar, found):  # type: ignore[no-untyped-def]
+    """Whether each point is within threshold + scalar × slope of the terrain, both bilinear between cell centres."""
+    last_r, last_c = heights.shape[0] - 1, heights.shape[1] - 1
+    for i in range(len(x)):
+        u, v = x[i] / cell - 0.5, y[i] / cell - 0.5
+        c, r = np.floor(u), np.floor(v)
+        fx, fy = u - c, v - r
+        left, low = np.int64(c) - col, np.int64(r) - row
+        c0, c1 = min(max(left, 0), last_c), min(max(left + 1, 0), last_c)
+        r0, r1 = min(max(low, 0), last_r), min(max(low + 1, 0), last_r)
+        a, b, d, e = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+        height = a * heights[r0, c0] + b * heights[r0, c1] + d * heights[r1, c0] + e * heights[r1, c1]
+        slope = a * slopes[r0, c0] + b * slopes[r0, c1] + d * slopes[r1, c0] + e * slopes[r1, c1]
+        found[i] = abs(z[i] - height) <= threshold + scalar * slope
+
+
+def _without_low_outliers(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], window: Window, params: SmrfParams
+) -> tuple[LowestPoints, NDArray[np.bool_]]:
+    """The lowest echoes that are not far below their surroundings, and the cells whose lowest echo still is.
+
+    Pingel leaves such a cell out of the terrain, but the openings see it (`low_first` off).
+    """
+    points = lowest_points(x, y, z, window)
+    limit = low_limit(filled(points.z, (window.row, window.col)), params.cell, params.low_slope)
+    low = points.z < limit
+    if not params.low_first:
+        return points, low
+    radius = int(params.low_radius / params.cell)
+    low = without_company(points.z, low, radius, params.low_level, params.low_companions)
+    if low.any():
+        points = lowest_points(x, y, z, window, np.where(low, limit, -np.inf))
+    return points, np.zeros(window.shape, bool)
+
+
+def _first_ground(
+    lowest: NDArray[np.float64], low: NDArray[np.bool_], corner: tuple[int, int], params: SmrfParams
+) -> NDArray[np.bool_]:
+    """Measured cells that are neither low outliers nor objects."""
+    measured, surface = np.isfinite(lowest), filled(lowest, corner)
+    reach = params.window or 0.0
+    if params.survey_edge:
+        surface = np.where(domain(measured, reach / params.cell), surface, np.nan)
+    return measured & ~low & ~objects(surface, params.cell, params.slope, reach)
+
+
+def _with_edges(points: LowestPoints, ground: NDArray[np.bool_], params: SmrfParams) -> NDArray[np.bool_]:
+    """`ground` with the edges of cliffs and banks, round by round inwards."""
+    if not params.restore_rounds:
+        return ground
+    radius, tolerance, share = params.restore_radius, params.restore_tolerance, params.restore_share
+    return restored(points, ground, params.cell, radius, tolerance, share, params.restore_rounds)
+
+
+def objects(surface: NDArray[np.float64], cell: float, slope: float, window: float) -> NDArray[np.bool_]:
+    """Cells that stand out of `surface` (NaN beyond the surveyed area): buildings, trees, vehicles.
+
+    The surface is opened with disks of 1, 2, … ⌈window / cell⌉ cells; a cell that one opening lowers by
+    more than slope × radius is an object. `cell` and `window` [m], `slope` rise over run.
+    """
+    found = np.zeros(surface.shape, bool)
+    # whole millimetres up to 16 km are exact in float32, which halves the work
+    last = np.rint(surface / QUANTUM).astype(np.float32)
+    for radius in range(1, math.ceil(window / cell) + 1):
+        this = opened(last, radius)
+        found |= last - this > np.float32(slope * cell * radius / QUANTUM)
+        last = this
+    return found
+
+
+def low_limit(surface: NDArray[np.float64], cell: float, slope: float) -> NDArray[np.float64]:
+    """Height [m] below which an echo is a low outlier: slope × cell under the closing with one cell's disk."""
+    return -opened(-surface, 1) - slope * cell
+
+
+def gradient(surface: NDArray[np.float64], cell: float) -> NDArray[np.float64]:
+    """Slope, rise over run, of a surface without NaN; 0 in a surface of a single row and column."""
+    square = np.zeros(surface.shape)
+    for axis, length in enumerate(surface.shape):
+        if length > 1:
+            square += np.gradient(surface, cell, axis=axis) ** 2
+    return np.sqrt(square)
+
+
+def domain(measured: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    """The surveyed area: cells with an echo and the gaps between them, closed with a disk of `radius`
+    [cells].
+
+    Beyond it the openings see nothing, as beyond the edge of an image. Otherwise a building at the survey's
+    border would be continued outwards and be too wide to be opened.
+    """
+    near = ndimage.distance_transform_edt(~measured) <= radius
+    if near.all():
+        return near
+    return (ndimage.distance_transform_edt(near) > radius) | measured

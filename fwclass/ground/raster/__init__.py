@@ -1,0 +1,1 @@
+"""Rasters of heights: lowest points, openings, filling, values at points."""

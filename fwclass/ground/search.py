@@ -1,0 +1,105 @@
+"""A search for the parameters with the greatest value: a coarse grid of the leading ones, then one after another."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from fwclass.stage import Params
+
+Values = tuple[float, ...]
+Setting = tuple[float, ...]
+"""One value for every parameter, in the order of the ranges."""
+
+
+class GroundSearchParams(Params):
+    """What is tried to find a filter's best parameters.
+
+    Attributes
+    ----------
+    leading : so many parameters, the first of each filter's ranges, are tried together on a coarse grid.
+    coarse : values of each of them on that grid.
+    rounds : then all parameters are improved one after another, at most so many times.
+    ranges : values tried, rising, by filter and parameter; the parameters of most effect come first.
+    """
+
+    leading: int = Field(ge=1, le=4)
+    coarse: int = Field(ge=2)
+    rounds: int = Field(ge=1)
+    ranges: dict[str, dict[str, Values]]
+
+    @model_validator(mode="after")
+    def _rising(self) -> Self:
+        for method, own in self.ranges.items():
+            for name, values in own.items():
+                if not values or any(b <= a for a, b in itertools.pairwise(values)):
+                    raise ValueError(f"{method}.{name} must list rising values")
+        return self
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a search ended: the setting and its value."""
+
+    setting: Setting
+    value: float
+
+
+def most_runs(ranges: Mapping[str, Values], params: GroundSearchParams) -> int:
+    """So many settings are tried at most by one search."""
+    lengths = [len(v) for v in ranges.values()]
+    grid = math.prod(min(params.coarse, n) for n in lengths[: params.leading])
+    return grid + params.rounds * sum(n - 1 for n in lengths) + 1
+
+
+def search(
+    ranges: Mapping[str, Values], start: Setting, value: Callable[[Setting], float], params: GroundSearchParams
+) -> Found:
+    """The setting of greatest `value` that is found from `start`.
+
+    `start` need not lie on the ranges: what it has stays as long as nothing better is found. Of equal values the
+    one tried first wins, and `start` is the very first. `value` may be asked for the same setting again.
+    """
+    best, most = start, value(start)
+    for point in _grid(ranges, start, params):
+        if (told := value(point)) > most:
+            best, most = point, told
+    for _ in range(params.rounds):
+        before = best
+        for k, values in enumerate(ranges.values()):
+            for point in [(*best[:k], v, *best[k + 1 :]) for v in values]:
+                if (told := value(point)) > most:
+                    best, most = point, told
+        if best == before:
+            break
+    return Found(best, most)
+
+
+def curves(
+    ranges: Mapping[str, Values], best: Setting, value: Callable[[Setting], float]
+) -> dict[str, list[tuple[float, float]]]:
+    """Per parameter (value, told) over its range and its own best value, all others as in `best`."""
+    made = {}
+    for k, (name, values) in enumerate(ranges.items()):
+        line = sorted({*values, best[k]})
+        made[name] = [(v, value((*best[:k], v, *best[k + 1 :]))) for v in line]
+    return made
+
+
+def _grid(ranges: Mapping[str, Values], start: Setting, params: GroundSearchParams) -> list[Setting]:
+    """Every combination of a few values of the leading parameters, the others as in `start`."""
+    leading = [thinned(values, params.coarse) for values in list(ranges.values())[: params.leading]]
+    return [(*some, *start[len(some) :]) for some in itertools.product(*leading)]
+
+
+def thinned(values: Values, most: int) -> Values:
+    """At most `most` of the values, evenly from the first to the last, the ends left out where there are enough."""
+    if len(values) <= most:
+        return values
+    step = len(values) / most
+    return tuple(values[int((k + 0.5) * step)] for k in range(most))

@@ -1,0 +1,1 @@
+"""Terrain and surface models, and heights above ground."""

@@ -1,0 +1,245 @@
+"""Terrain from ground points: rasters of the terrain and of what stands on it, and heights above ground."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy import ndimage
+
+from fwclass.grid import Window
+from fwclass.ground.raster.bilinear import bilinear
+from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.lattice import cells_of
+from fwclass.ground.terrain.dsm import highest, without_pepper
+from fwclass.ground.terrain.facets import facet_heights, facet_raster, facets_of
+from fwclass.ground.terrain.nearest import nearest_height
+from fwclass.ground.terrain.thinning import thinned
+from fwclass.ground.tin.tin import tin_of
+from fwclass.stage import Params
+
+MEASURED, INTERPOLATED, BEYOND = 0, 1, 2
+"""Values of the raster `support`."""
+
+PYRAMID = 64
+"""Cells of the coarse global grid that the membrane's pyramid hangs on."""
+
+Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""x, y, z [m]."""
+
+
+class TerrainParams(Params):
+    """Parameters of the rasters and heights.
+
+    Attributes
+    ----------
+    cell : edge of a raster cell [m].
+    thin : ground points are averaged by cells of this edge before the TIN is made [m].
+    max_gap : distance from a cell with a ground point up to which there is terrain [m].
+    dsm_gap : width of the widest gap between cells with an echo that the surface model bridges [m].
+    height : height above ground by ``tin``, ``nearest`` ground point or bilinear ``raster``.
+    block, block_halo : edge of a block of the fixed global grid, and what is read around it [m].
+    """
+
+    cell: float = Field(gt=0)
+    thin: float = Field(gt=0)
+    max_gap: float = Field(ge=0)
+    dsm_gap: float = Field(ge=0)
+    height: Literal["tin", "nearest", "raster"]
+    block: float = Field(gt=0)
+    block_halo: float = Field(ge=0)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        for name in ("block", "block_halo"):
+            cells = getattr(self, name) / self.cell
+            if not math.isclose(cells, round(cells), abs_tol=1e-9):
+                raise ValueError(f"{name} must be a whole number of cells of {self.cell} m")
+        for name in ("max_gap", "dsm_gap"):
+            if getattr(self, name) > self.block_halo:
+                raise ValueError(f"{name} must not exceed block_halo: gaps are seen inside a block and its halo")
+        return self
+
+    @property
+    def largest_circle(self) -> float:
+        """Radius of the largest circumcircle of a triangle of the TIN [m].
+
+        A triangle with a larger circle has its middle further than `max_gap` from any ground point, or reaches
+        so far that another block, with other points in its halo, might not see the same triangle.
+        """
+        return min(self.max_gap, self.block_halo / 2.0)
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Rasters of a window (row 0 in the south) and heights of points.
+
+    Attributes
+    ----------
+    dtm : float32, terrain at the cell's middle [m], NaN beyond support.
+    dsm : float32, highest echo of the cell [m], NaN where there is none and no small gap; ``dsm - dtm`` may be a
+        little below 0, where the terrain is smoother than its echoes.
+    support : uint8, 0 a cell with a ground echo, 1 interpolated, 2 further than max_gap from any such cell.
+    height : float32 (n,), height above ground [m] of the points asked for, NaN where their cell is beyond support.
+    """
+
+    dtm: NDArray[np.float32]
+    dsm: NDArray[np.float32]
+    support: NDArray[np.uint8]
+    height: NDArray[np.float32]
+
+
+def terrain(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    ground: NDArray[np.bool_],
+    noise: NDArray[np.bool_],
+    inside: NDArray[np.bool_],
+    core: Window,
+    params: TerrainParams,
+) -> Terrain:
+    """Terrain of one block from the points of the block and its halo.
+
+    Parameters
+    ----------
+    x, y, z : (n,) finite coordinates [m], in any order, which does not matter; points beyond the halo are left out.
+    ground : (n,) ground points.
+    noise : (n,) points that are no surface: they count for neither raster, but get a height.
+    inside : (n,) points whose height is asked for; they lie in `core`, others get NaN.
+    core : the block's cells; its cell is `params.cell`.
+
+    Between ground points the terrain is linear on the triangles of a TIN of thinned points. Where no triangle of
+    `params.largest_circle` is, a membrane continues it. Without any ground point all is NaN and beyond support.
+
+    Raises
+    ------
+    ValueError
+        The cells of `core` are not of `params.cell`.
+    """
+    if not math.isclose(core.cell, params.cell):
+        raise ValueError(f"cells of {core.cell} m where terrain.cell is {params.cell} m")
+    outer = _grown(core, round(params.block_halo / params.cell))
+    cells, near = cells_of(x, y, outer)
+    used = ground & ~noise & near
+    distance = _distances(cells[used[near]], outer)
+    support = _support(distance, params.max_gap)
+    rows = np.flatnonzero(inside)
+    has = _in_cells(x[rows], y[rows], support[core.within(outer)] != BEYOND, core)
+    asked = _rows_of(x, y, z, rows[has])
+    work, circle = _needed(distance, core, outer, params)
+    echoes = _rows_of(x, y, z, np.flatnonzero(used & work.box.contains(x, y)))
+    floor, dtm = _surface(echoes, asked, core, work, circle, params.thin)
+    dtm[support[work.within(outer)] == BEYOND] = np.nan
+    above = asked[2] - floor
+    if params.height == "nearest":
+        above = nearest_height(_rows_of(x, y, z, np.flatnonzero(used)), asked, outer, params.max_gap)
+        above[used[rows[has]]] = 0.0
+    elif params.height == "raster":
+        above = asked[2] - bilinear(dtm, work, *asked[:2])
+    height = np.full(len(rows), np.nan, np.float32)
+    height[has] = above
+    top = highest(cells[~noise[near]], z[near & ~noise], outer)
+    return Terrain(
+        dtm=dtm[core.within(work)].astype(np.float32),
+        dsm=without_pepper(top, params.dsm_gap / params.cell)[core.within(outer)].astype(np.float32),
+        support=support[core.within(outer)],
+        height=height,
+    )
+
+
+def _grown(window: Window, by: int) -> Window:
+    return Window(window.cell, window.col - by, window.row - by, window.ncols + 2 * by, window.nrows + 2 * by)
+
+
+def _rows_of(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], rows: NDArray[np.int64]) -> Points:
+    return x[rows], y[rows], z[rows]
+
+
+def _distances(cells: NDArray[np.int64], window: Window) -> NDArray[np.float64]:
+    """Distance [m] from the middle of every cell to that of the nearest of `cells`, infinite where there are none."""
+    if len(cells) == 0:
+        return np.full(window.shape, np.inf)
+    empty = np.ones(window.shape, bool)
+    empty.reshape(-1)[cells] = False
+    return np.asarray(ndimage.distance_transform_edt(empty, sampling=window.cell), np.float64)
+
+
+def _support(distance: NDArray[np.float64], max_gap: float) -> NDArray[np.uint8]:
+    out = np.where(distance <= max_gap, INTERPOLATED, BEYOND).astype(np.uint8)
+    out[distance == 0] = MEASURED
+    return out
+
+
+def _in_cells(
+    x: NDArray[np.float64], y: NDArray[np.float64], wanted: NDArray[np.bool_], window: Window
+) -> NDArray[np.bool_]:
+    """Points whose own cell of `window` is wanted."""
+    cells, there = cells_of(x, y, window)
+    there[there] = wanted.reshape(-1)[cells]
+    return there
+
+
+def _needed(distance: NDArray[np.float64], core: Window, outer: Window, params: TerrainParams) -> tuple[Window, float]:
+    """The cells whose ground points decide the triangles of `core`, and the largest circle that counts [m].
+
+    Where no place around is further from ground than `far`, no empty circle is larger, so every triangle over the
+    core has its corners within twice that of it, and there is one everywhere. Most halos shrink by this to some metres;
+    the triangles stay the same. Otherwise the whole halo is needed.
+    """
+    largest = params.largest_circle
+    around = _grown(core, math.ceil(largest / core.cell) + 2)
+    if around.common(outer) != around:
+        return outer, largest
+    # places lie anywhere in their cells, and a thinned point anywhere in the cell that it is the mean of
+    far = float(distance[around.within(outer)].max()) + math.sqrt(2.0) * (core.cell + params.thin)
+    if far >= largest:
+        return outer, largest
+    work = _grown(core, math.ceil((2.0 * far + params.thin) / core.cell) + 2)
+    return work.common(outer) or outer, far
+
+
+def _surface(
+    ground: Points, asked: Points, core: Window, window: Window, circle: float, thin: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Terrain [m] at the points `asked`, which lie in `core`, and at the middle of every cell of `window`.
+
+    Off the triangles the raster has the mean of a cell's ground points, and where there are none a membrane. Points
+    there take the value of the raster: of what is known of it, where their own cell is.
+    """
+    x, y, z = thinned(*ground, window, thin)
+    facets = facets_of(tin_of(x, y, z), circle)
+    known = facet_raster(facets, window)
+    known = np.where(np.isnan(known), _means(x, y, z, window), known)
+    raster = _continued(known, window)
+    floor = facet_heights(facets, core, *asked[:2])
+    for surface in (known, raster):
+        off = np.isnan(floor)
+        floor[off] = bilinear(surface, window, asked[0][off], asked[1][off])
+    return floor, raster
+
+
+def _continued(known: NDArray[np.float64], window: Window) -> NDArray[np.float64]:
+    """`known` with its gaps filled by a membrane.
+
+    The array begins at a corner of a coarse global grid, so that the membrane's pyramid has the same cells in every
+    block: what its fixed number of sweeps leaves undone is the same too.
+    """
+    south, west = window.row % PYRAMID, window.col % PYRAMID
+    around = np.pad(known, ((south, 0), (west, 0)), constant_values=np.nan)
+    return filled(around)[south:, west:]
+
+
+def _means(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], window: Window
+) -> NDArray[np.float64]:
+    """Mean height by cell, NaN where there is none; the points come in one order whatever the input's was."""
+    cells, inside = cells_of(x, y, window)
+    size = math.prod(window.shape)
+    number = np.bincount(cells, minlength=size)
+    total = np.bincount(cells, weights=z[inside], minlength=size)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan).reshape(window.shape)

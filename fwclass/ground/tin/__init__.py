@@ -1,0 +1,1 @@
+"""Delaunay triangulation and linear interpolation on it."""

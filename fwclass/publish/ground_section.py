@@ -1,0 +1,44 @@
+"""The report's words about ground: what the filter found, and what the seams between its blocks changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fwclass.publish.sections import number, percent
+
+FLAGS_LIMIT = {"ptd": 1e-3, "iptd": 1e-3}
+"""Share of flags that may differ between blocks and one block; a TIN reaches further than a raster."""
+RASTER_LIMIT = 1e-4
+CELLS_LIMIT = 1e-3
+"""Share of terrain cells that may differ by more than a centimetre."""
+
+
+def ground(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Rows (what, figure) and sentences, or None without a ground filter."""
+    if not made or not made.get("echoes"):
+        return None
+    echoes = made["echoes"]
+    rows = [
+        ("filter", str(made["method"])),
+        ("ground", f"{number(made['ground'])} echoes, {percent(made['ground'] / echoes)} %"),
+        ("noise", f"{number(made['noise'])} echoes"),
+        ("without terrain", f"{number(made['without_terrain'])} echoes"),
+    ]
+    return {"rows": rows, "notes": _seams(made)}
+
+
+def _seams(made: Mapping[str, Any]) -> list[str]:
+    seams = made.get("seams")
+    if not seams:
+        return ["The seams between blocks were not measured: the survey is larger than run.seam_check_echoes."]
+    share = seams["flags_differ"] / max(seams["echoes"], 1)
+    off = (seams["cells_off"] + seams["cells_one_sided"]) / max(seams["cells"], 1)
+    notes = [
+        f"The filter works in blocks of {made['block']:g} m. Run once more over the whole survey as one block, it "
+        f"changes {number(seams['flags_differ'])} flags ({100 * share:.4f} % of the echoes) and moves the terrain by "
+        f"more than {100 * seams['within']:g} cm in {100 * off:.3f} % of the cells."
+    ]
+    if share > FLAGS_LIMIT.get(made["method"], RASTER_LIMIT) or off > CELLS_LIMIT:
+        notes.append("That is more than it should be: choose larger blocks or a wider halo (ground.block, block_halo).")
+    return notes

@@ -1,0 +1,150 @@
+"""A whole file of points, LAS or text, as a ground filter wants it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from laspy import DecompressionSelection
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.grid import quantised
+from fwclass.read.las import LasSource
+from fwclass.read.linear_units import LinearUnits, linear_units
+from fwclass.read.points import PointReader, coordinates
+from fwclass.read.source import las_of, open_source
+from fwclass.read.text import SUFFIXES, TextCloud, is_text, read_text
+
+LAS_SUFFIXES = (".las", ".laz", ".pls")
+
+FAR, HIGH = 1e8, 1e5
+"""No place on earth has larger coordinates [m], in the plane or in height."""
+
+_FIELDS = (
+    DecompressionSelection.XY_RETURNS_CHANNEL
+    | DecompressionSelection.Z
+    | DecompressionSelection.CLASSIFICATION
+    | DecompressionSelection.FLAGS
+)
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """The points of a file, in its order.
+
+    Attributes
+    ----------
+    path : the file.
+    source : the LAS file, or the text.
+    crs : a `pyproj.CRS` or None.
+    units : what the file counts in.
+    x, y, z : (n,) coordinates [m], whole millimetres; NaN where the file has none that can be used.
+    usable : bool (n,), it has.
+    last : bool (n,), the point is the last, or only, return of its pulse; all are in a text.
+    classes : uint8 (n,) class codes as they came, or None.
+    flagged : bool (n,), withheld or synthetic.
+    unfinished : points without a finite coordinate.
+    absurd : points beyond any place on earth.
+    """
+
+    path: Path
+    source: LasSource | TextCloud
+    crs: Any
+    units: LinearUnits
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+    usable: NDArray[np.bool_]
+    last: NDArray[np.bool_]
+    classes: NDArray[np.uint8] | None
+    flagged: NDArray[np.bool_]
+    unfinished: int
+    absurd: int
+
+    @property
+    def points(self) -> int:
+        return len(self.x)
+
+
+def read_point_cloud(path: str | Path, crs: Any = None) -> PointCloud:
+    """Every point of a LAS, LAZ, COPC or text file.
+
+    Parameters
+    ----------
+    crs : `pyproj.CRS` that replaces the file's own.
+
+    Raises
+    ------
+    InputError
+        No such file, no known format, damaged, without points, in degrees, or without a single usable coordinate.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError("no such file", where=path, expected="a LAS, LAZ, COPC or text file", do="check the path")
+    if is_text(path):
+        return _of_text(read_text(path), crs)
+    if path.suffix.lower() not in LAS_SUFFIXES and not _looks_like_las(path):
+        raise InputError(
+            "the kind of the file is unknown",
+            where=path,
+            expected=f"a name that ends in .las, .laz or {', '.join(SUFFIXES)}",
+            got=path.suffix or "no suffix",
+            do="rename the file, or convert it",
+        )
+    return _of_las(las_of(open_source(path)), crs)
+
+
+def _looks_like_las(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(4) == b"LASF"
+
+
+def _of_text(text: TextCloud, crs: Any) -> PointCloud:
+    units = linear_units(crs, None, text.path)
+    xyz = text.x * units.xy, text.y * units.xy, text.z * units.z
+    n = len(text.x)
+    return _cloud(text.path, text, crs, units, xyz, np.ones(n, bool), text.codes, np.zeros(n, bool))
+
+
+def _of_las(source: LasSource, crs: Any) -> PointCloud:
+    crs = crs if crs is not None else source.crs
+    units = linear_units(crs, source.header, source.path)
+    if source.n_points == 0:
+        raise InputError("the file has no points", where=source.path, do="there is nothing to do; check the delivery")
+    parts = []
+    with PointReader(source, _FIELDS) as reader:
+        for _, points in reader.blocks():
+            number, of = np.asarray(points["return_number"]), np.asarray(points["number_of_returns"])
+            flags = np.asarray(points["withheld"], bool) | np.asarray(points["synthetic"], bool)
+            parts.append(
+                (*coordinates(source, points), number >= of, np.asarray(points["classification"], np.uint8), flags)
+            )
+    x, y, z, last, classes, flagged = (np.concatenate(column) for column in zip(*parts, strict=True))
+    xyz = x * units.xy, y * units.xy, z * units.z
+    return _cloud(source.path, source, crs, units, xyz, last, classes, flagged)
+
+
+def _cloud(
+    path: Path, source: LasSource | TextCloud, crs: Any, units: LinearUnits, xyz: tuple[NDArray[np.float64], ...],
+    last: NDArray[np.bool_], classes: NDArray[np.uint8] | None, flagged: NDArray[np.bool_],
+) -> PointCloud:  # fmt: skip
+    finite = np.logical_and.reduce([np.isfinite(a) for a in xyz])
+    usable = finite.copy()
+    for values, limit in zip(xyz, (FAR, FAR, HIGH), strict=True):
+        usable &= np.abs(values) <= limit
+    if not usable.any():
+        raise InputError(
+            "no point has usable coordinates",
+            where=path,
+            expected=f"numbers up to {FAR:.0e} m in the plane and {HIGH:.0e} m in height",
+            got=f"{int((~finite).sum())} of {len(finite)} are not finite, the others are larger",
+            do="check the file's scale and offset (fwclass info), or its columns",
+        )
+    x, y, z = (np.where(usable, quantised(np.where(usable, a, 0.0)), np.nan) for a in xyz)
+    return PointCloud(
+        path, source, crs, units, x, y, z, usable, last, classes, flagged, int((~finite).sum()),
+        int((finite & ~usable).sum()),
+    )  # fmt: skip

@@ -1,0 +1,132 @@
+"""How the lines of a text of points are made: what stands between columns, and which column is what."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from fwclass.errors import InputError
+
+_NAMES = {
+    "x": ("x", "easting", "east", "e"),
+    "y": ("y", "northing", "north", "n"),
+    "z": ("z", "height", "elevation", "altitude", "h"),
+    "label": ("label", "labels", "reference"),
+    "code": ("classification", "class", "code", "class_code"),
+}
+NULLS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "NA", "N/A"]
+"""What stands for no number."""
+SHOWN = 80
+"""Characters of a line that a message shows."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the lines of a file are made.
+
+    `columns` names the columns in their order; `start` is the byte of the first line of numbers, `first` the number of
+    that line.
+    """
+
+    delimiter: str
+    decimal: str
+    columns: tuple[str, ...]
+    start: int
+    first: int
+
+
+def layout_of(path: Path, data: bytes) -> Layout:
+    """Separator and columns, from the first lines."""
+    names: list[str] | None = None
+    at = 0
+    for number, found in enumerate(re.finditer(rb"([^\r\n]*)(\r\n|\r|\n|$)", data), start=1):
+        line = found[1].strip()
+        commented = line.startswith((b"#", b"//"))
+        content = line.lstrip(b"#/").strip() if commented else line.split(b"#")[0].strip()
+        at = found.start()
+        if not content:
+            continue
+        delimiter, decimal = _separator(content)
+        words = words_of(content, delimiter)
+        numbers = all(is_number(w, decimal) for w in words)
+        if not commented and numbers:
+            return _named(path, names, words, delimiter, decimal, at, number)
+        if names is None and not numbers and (not commented or len(_known(words)) >= 3):
+            names = words
+        elif not commented:
+            raise refused(
+                path, "this line is neither numbers nor a header", "x y z [label]", shown(content),
+                "mend or remove the line", number,
+            )  # fmt: skip
+    raise refused(path, "the file has no points", "lines of x y z [label]", "none", "export it again")
+
+
+def _separator(line: bytes) -> tuple[str, str]:
+    """Separator of columns and decimal mark of a line."""
+    if b";" in line:
+        return ";", "," if b"," in line and b"." not in line else "."
+    return ("," if b"," in line else " "), "."
+
+
+def words_of(line: bytes, delimiter: str) -> list[str]:
+    text = line.decode("utf-8", "replace")
+    words = text.split() if delimiter == " " else text.split(delimiter)
+    return [w.strip().strip('"').strip() for w in words]
+
+
+def is_number(word: str, decimal: str = ".") -> bool:
+    try:
+        float(word.replace(decimal, ".") if decimal != "." else word)
+    except ValueError:
+        return word in NULLS
+    return "_" not in word
+
+
+def _known(words: list[str]) -> list[str]:
+    """The columns that the words of a header mean, ``?word`` left out."""
+    return [c for c in map(_column, words) if not c.startswith("?")]
+
+
+def _column(word: str) -> str:
+    plain = word.strip().lower()
+    return next((c for c, names in _NAMES.items() if plain in names), "?" + word)
+
+
+def _named(
+    path: Path, names: list[str] | None, words: list[str], delimiter: str, decimal: str, start: int, line: int
+) -> Layout:
+    """The layout, once the first line of numbers is there."""
+    count = len(words)
+    if names is None:
+        if count not in (3, 4):
+            raise refused(
+                path, "a line has another number of columns", "3 or 4: x y z [label]", count,
+                "name the columns in a header line (x y z classification ...); those that are not known are left out",
+                line,
+            )  # fmt: skip
+        return Layout(delimiter, decimal, ("x", "y", "z", "label")[:count], start, line)
+    columns = tuple(map(_column, names))
+    known = [c for c in columns if not c.startswith("?")]
+    if len(names) != count:
+        raise refused(
+            path, "header and lines have different numbers of columns", f"{len(names)}: {' '.join(names)[:SHOWN]}",
+            count, "mend the header, or remove it", line,
+        )  # fmt: skip
+    if {"x", "y", "z"} - set(known) or len(set(known)) < len(known):
+        raise refused(
+            path, "the header does not name x, y and z once each", "x y z and label or classification",
+            " ".join(names)[:SHOWN], "mend the header, or remove it",
+        )  # fmt: skip
+    return Layout(delimiter, decimal, columns, start, line)
+
+
+def refused(path: Path, what: str, expected: object, got: object, do: str, line: int | None = None) -> InputError:
+    """The fault of a text file, with the number of the line where one is to blame."""
+    where = path if line is None else f"{path}, line {line}"
+    return InputError(what, where=where, expected=expected, got=got, do=do)
+
+
+def shown(line: bytes) -> str:
+    """The start of a line, for a message."""
+    return repr(line.decode("utf-8", "replace")[:SHOWN])

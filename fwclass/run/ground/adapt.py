@@ -1,0 +1,26 @@
+"""`fwclass ground --auto`: parameters that follow from what is measured in the points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.ground.auto import GroundAutoParams, adapted
+from fwclass.ground.params import GroundParams
+from fwclass.read.cloud import PointCloud
+from fwclass.run.ground.file import Adapt
+
+
+def adapting(choose: bool, settings: tuple[str, ...] = ()) -> Adapt:
+    """What changes parameters to suit a cloud; with `choose` the filter too."""
+    rules: GroundAutoParams = conf.section("ground_auto", settings)
+
+    def adapt(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams) -> tuple[GroundParams, dict[str, Any]]:
+        points = cloud.x[shown], cloud.y[shown], cloud.z[shown]
+        found, measured = adapted(points, cloud.last[shown], params, rules, None if choose else params.method)
+        return found, measured.plain()
+
+    return adapt

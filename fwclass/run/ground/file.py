@@ -1,0 +1,196 @@
+"""`fwclass ground`: the ground points of one file, without a run directory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.errors import InputError
+from fwclass.ground.blocks import ground_by_blocks
+from fwclass.ground.filters import Flags
+from fwclass.ground.params import GroundParams
+from fwclass.read.cloud import PointCloud, read_point_cloud
+from fwclass.read.las import LasSource
+from fwclass.run.ground.output import check_output, check_packets, write_points
+from fwclass.run.ground.params import ground_params, used, with_assignments
+from fwclass.run.ground.rasters import write_rasters
+from fwclass.run.survey import given_crs
+
+UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
+"""Class codes of LAS 1.4."""
+
+MANY = 100
+"""So many points within a metre are no survey."""
+
+Adapt = Callable[[PointCloud, NDArray[np.bool_], GroundParams], tuple[GroundParams, dict[str, Any]]]
+"""``adapt(cloud, shown, params)``: other parameters, and what was measured, as plain data."""
+
+
+@dataclass(frozen=True)
+class GroundJob:
+    """What `fwclass ground` was asked for.
+
+    Attributes
+    ----------
+    source, output : the files.
+    method, preset, assignments, settings : see `ground_params`.
+    crs : coordinate system instead of the file's own, as text.
+    keep_classes : points that are no ground keep the class they came with.
+    use_flagged : withheld and synthetic points are shown to the filter too.
+    rasters : GeoTIFFs to write, by name: ``dtm``, ``dsm``, ``hillshade``.
+    overwrite : outputs may replace files.
+    adapt : changes the parameters once the points are there.
+    """
+
+    source: Path
+    output: Path
+    method: str | None = None
+    preset: str | None = None
+    assignments: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    crs: str | None = None
+    keep_classes: bool = False
+    use_flagged: bool = False
+    rasters: dict[str, Path] = field(default_factory=dict)
+    overwrite: bool = False
+    adapt: Adapt | None = None
+
+
+def ground_file(job: GroundJob) -> dict[str, Any]:
+    """Find the ground of a file and write its points with new classes; what was done, as plain data.
+
+    Ground becomes class 2, what the filter takes for noise class 7, everything else class 1. With `keep_classes` the
+    others keep the class they came with (but 2, which becomes 1), and points that came as noise (7, 18) stay what
+    they are and the filter does not see them.
+
+    Raises
+    ------
+    ConfigError
+        An output, filter or parameter that cannot be used.
+    InputError
+        An input that cannot be used.
+    """
+    started = time.perf_counter()
+    check_output(job.source, job.output, job.overwrite, job.rasters.values())
+    params = ground_params(job.method, job.preset, () if job.adapt else job.assignments, job.settings)
+    cloud = read_point_cloud(job.source, given_crs(job.crs, "--crs"))
+    check_packets(cloud, job.output, job.overwrite)
+    shown = shown_points(cloud, job.keep_classes, job.use_flagged)
+    measured: dict[str, Any] = {}
+    if job.adapt is not None:
+        params, measured = job.adapt(cloud, _some(cloud, shown), params)
+        params = with_assignments(params, job.assignments)
+    at = time.perf_counter()
+    flags = filter_cloud(cloud, shown, params)
+    filtering = time.perf_counter() - at
+    classes = classes_of(cloud, flags, job.keep_classes)
+    publish = conf.section("publish", job.settings)
+    made = write_points(cloud, job.output, classes, publish)
+    rasters = write_rasters(cloud, flags, shown, job.rasters, job.settings, publish) if job.rasters else {}
+    codes, counts = np.unique(classes, return_counts=True)
+    return {
+        "input": str(job.source), "output": str(job.output), "method": params.method, "preset": job.preset,
+        "parameters": used(params), "measured": measured, "points": cloud.points, "unusable": unusable(cloud),
+        "shown": int(shown.sum()), "left_out": int((cloud.usable & ~shown).sum()),
+        "last_returns": int((shown & cloud.last).sum()), "ground": int(flags.ground.sum()),
+        "noise": int(flags.noise.sum()), "classes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)},
+        "crs": cloud.units.told, "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
+        "rasters": rasters, "waveforms": made.get("wdp"), "notes": _notes(cloud, flags, made),
+        "seconds": {"filter": round(filtering, 3), "all": round(time.perf_counter() - started, 3)},
+    }  # fmt: skip
+
+
+def shown_points(cloud: PointCloud, keep_classes: bool = False, use_flagged: bool = False) -> NDArray[np.bool_]:
+    """Which points the filter may see: usable ones, not withheld or synthetic, with kept classes not noise."""
+    shown = cloud.usable.copy()
+    if not use_flagged:
+        shown &= ~cloud.flagged
+    if keep_classes and cloud.classes is not None:
+        shown &= ~came_as_noise(cloud)
+    return shown
+
+
+def came_as_noise(cloud: PointCloud) -> NDArray[np.bool_]:
+    """Points of class 7 or 18."""
+    if cloud.classes is None:
+        return np.zeros(cloud.points, bool)
+    return (cloud.classes == LOW_NOISE) | (cloud.classes == HIGH_NOISE)
+
+
+def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams) -> Flags:
+    """Flags of all points of `cloud`; only `shown` points take part.
+
+    Raises
+    ------
+    InputError
+        No point is left to look at.
+    """
+    rows = np.flatnonzero(_some(cloud, shown))
+    if params.last_returns and not cloud.last[rows].any():
+        raise InputError(
+            "no point is the last return of its pulse",
+            where=cloud.path,
+            expected="return numbers that reach the number of returns",
+            got=f"none among {len(rows):,} points",
+            do="let all returns be ground: --param last_returns=false",
+        )
+    found = ground_by_blocks(cloud.x[rows], cloud.y[rows], cloud.z[rows], cloud.last[rows], params)
+    flags = Flags(np.zeros(cloud.points, bool), np.zeros(cloud.points, bool))
+    flags.ground[rows], flags.noise[rows] = found.ground, found.noise
+    return flags
+
+
+def _some(cloud: PointCloud, shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """`shown`, or `InputError` where no point is."""
+    if not shown.any():
+        raise InputError(
+            "no point is left for the filter",
+            where=cloud.path,
+            expected="points that are neither withheld nor synthetic, nor noise with --keep-classes",
+            got=f"0 of {cloud.points:,}",
+            do="add --use-flagged, or leave out --keep-classes",
+        )
+    return shown
+
+
+def classes_of(cloud: PointCloud, flags: Flags, keep_classes: bool) -> NDArray[np.uint8]:
+    """Class code of every point."""
+    classes = np.full(cloud.points, UNCLASSIFIED, np.uint8)
+    if keep_classes and cloud.classes is not None:
+        classes = np.where(cloud.classes == GROUND, UNCLASSIFIED, cloud.classes).astype(np.uint8)
+    classes[flags.noise] = LOW_NOISE
+    classes[flags.ground] = GROUND
+    return classes
+
+
+def looks_like_degrees(cloud: PointCloud) -> bool:
+    """No coordinate system, numbers of longitudes and latitudes, and all within one of them."""
+    x, y = cloud.x[cloud.usable], cloud.y[cloud.usable]
+    near = np.ptp(x) < 1.0 and np.ptp(y) < 1.0 and len(x) >= MANY
+    return bool(cloud.crs is None and near and np.abs(x).max() <= 180.0 and np.abs(y).max() <= 90.0)
+
+
+def unusable(cloud: PointCloud) -> dict[str, int]:
+    """Points that no filter can use, by reason."""
+    counts = {"not finite": cloud.unfinished, "beyond any place on earth": cloud.absurd}
+    return {name: n for name, n in counts.items() if n}
+
+
+def _notes(cloud: PointCloud, flags: Flags, made: dict[str, Any]) -> list[str]:
+    notes = list(made.get("notes", []))
+    if looks_like_degrees(cloud):
+        notes.append("the coordinates look like degrees, and were taken for metres: reproject the file first")
+    if isinstance(cloud.source, LasSource) and cloud.crs is not cloud.source.crs:
+        notes.append("the output keeps the coordinate system that the input names, not that of --crs")
+    if not flags.ground.any():
+        notes.append("no ground was found: water, or a filter that does not suit this place")
+    if made.get("waveforms") in ("missing", "truncated"):
+        notes.append(f"the waveforms of the input are {made['waveforms']}")
+    return notes

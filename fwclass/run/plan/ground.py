@@ -1,0 +1,94 @@
+"""Parts of the ground: filters and terrain by blocks of the fixed grid, their columns by tile, and the seams."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from fwclass.grid import Tile, TileGrid, Window
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN
+from fwclass.run.part import Task
+from fwclass.run.plan.layout import Layout, needs_of, plain
+from fwclass.run.work import ground
+
+SEAMS_VERSION = 1
+
+
+def ground_tasks(layout: Layout) -> list[Task]:
+    """From tiles of echoes to ground flags, terrain rasters and heights above ground."""
+    made = _filter_tasks(layout)
+    made += _column_tasks(layout, "ground", GROUND_FILTER.name, GROUND_FILTER.writes, layout.config.ground.block)
+    made += _terrain_tasks(layout)
+    made += _column_tasks(layout, "height", TERRAIN.name, TERRAIN.writes, layout.config.terrain.block)
+    return made
+
+
+def _filter_tasks(layout: Layout) -> list[Task]:
+    config, made = layout.config, []
+    halo = GROUND_FILTER.halo(config.ground)
+    for block in layout.blocks(config.ground.block):
+        present = layout.around(block.box.grown(halo), layout.keys)
+        made.append(
+            Task(
+                GROUND_FILTER.name, block.key, GROUND_FILTER.version, plain(config.ground),
+                partial(ground.filtered_block, block, config.tile.size, present, config.ground),
+                needs=tuple(("tile", k) for k in present),
+            )
+        )  # fmt: skip
+    return made
+
+
+def _terrain_tasks(layout: Layout) -> list[Task]:
+    config, made = layout.config, []
+    halo = TERRAIN.halo(config.terrain)
+    columns = layout.columns(TERRAIN.reads)
+    for block in layout.blocks(config.terrain.block, margin=1):
+        window = Window.covering(block.box, config.terrain.cell)
+        present = layout.around(window.box.grown(halo), layout.keys)
+        made.append(
+            Task(
+                TERRAIN.name, block.key, TERRAIN.version, plain(config.terrain),
+                partial(ground.terrain_block, block, config.tile.size, columns, present, config.terrain),
+                needs=needs_of(columns, present),
+            )
+        )  # fmt: skip
+    return made
+
+
+def _column_tasks(layout: Layout, stage: str, source: str, columns: tuple[str, ...], block: float) -> list[Task]:
+    """What blocks wrote about echoes, put into the rows of their tiles."""
+    there = {b.key for b in layout.blocks(block)}
+    made = []
+    for tile in layout.tiles:
+        mine = tuple(b for b in TileGrid(block).touching(tile.box) if b.key in there)
+        made.append(
+            Task(
+                stage, tile.key, 1, {"columns": list(columns), "block": block},
+                partial(ground.gathered_columns, tile, mine, source, columns),
+                needs=(("tile", tile.key), *((source, b.key) for b in mine)),
+            )
+        )  # fmt: skip
+    return made
+
+
+def seam_tasks(layout: Layout) -> list[Task]:
+    """The check that cutting the survey into blocks changed nothing; none where the survey is too large for it."""
+    config = layout.config
+    if layout.echoes > config.run.seam_check_echoes:
+        return []
+    columns = layout.columns(tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))))
+    keys = tuple(t.key for t in layout.tiles)
+    blocks = terrain_keys(layout)
+    params = {"ground": plain(config.ground), "terrain": plain(config.terrain)}
+    work = partial(ground.measured_seams, keys, columns, blocks, layout.box, config.ground, config.terrain)
+    needs = (*needs_of(columns, keys), *((TERRAIN.name, b) for b in blocks))
+    return [Task("seams", "all", SEAMS_VERSION, params, work, needs=needs)]
+
+
+def terrain_keys(layout: Layout) -> tuple[str, ...]:
+    """Terrain blocks that the survey's box touches."""
+    return tuple(b.key for b in terrain_blocks(layout))
+
+
+def terrain_blocks(layout: Layout) -> tuple[Tile, ...]:
+    blocks = layout.blocks(layout.config.terrain.block, margin=1)
+    return tuple(b for b in blocks if b.box.touches(layout.box))

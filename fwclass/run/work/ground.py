@@ -1,0 +1,149 @@
+"""Work of the parts of the ground: blocks of the fixed grid, and their columns by tile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import StoreError
+from fwclass.grid import Box, Tile, TileGrid, Window
+from fwclass.ground.params import GroundParams
+from fwclass.ground.stage import GROUND_FILTER, filtered
+from fwclass.ground.terrain.terrain import TerrainParams, terrain
+from fwclass.run.desk import TABLE, Desk
+from fwclass.run.work.tiles import mosaic, write_rasters
+from fwclass.schema import Table, column
+from fwclass.store.tables import write_table
+
+WITHIN = 0.01
+"""Difference of terrain heights that counts as none [m]."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Echoes of a block and its halo, tile after tile.
+
+    Attributes
+    ----------
+    table : their columns.
+    own : the block owns the echo.
+    pieces : (tile, rows of it that the block owns), in the order of `table`.
+    """
+
+    table: Table
+    own: NDArray[np.bool_]
+    pieces: tuple[tuple[str, int], ...]
+
+
+def surroundings(
+    desk: Desk, block: Tile, halo: float, tile_size: float, columns: Mapping[str, str], present: tuple[str, ...]
+) -> Surroundings:
+    """Echoes of `block` grown by `halo` [m] from the tiles that are there."""
+    box, here = block.box.grown(halo), set(present)
+    wanted = {**dict.fromkeys(("x", "y"), "tile"), **columns}
+    tables, owned, pieces = [], [], []
+    for tile in TileGrid(tile_size).touching(box):
+        if tile.key not in here:
+            continue
+        table = desk.rows(tile.key, wanted, box).select(wanted)
+        own = block.box.contains(table["x"], table["y"])
+        tables.append(table)
+        owned.append(own)
+        if own.any():
+            pieces.append((tile.key, int(own.sum())))
+    if not tables:
+        return Surroundings(Table.empty(wanted), np.zeros(0, bool), ())
+    return Surroundings(Table.concat(tables), np.concatenate(owned), tuple(pieces))
+
+
+def filtered_block(
+    block: Tile, tile_size: float, present: tuple[str, ...], params: GroundParams, desk: Desk, directory: Path
+) -> dict[str, Any]:
+    """Ground and noise flags of a block's echoes, tile after tile."""
+    columns = dict.fromkeys(GROUND_FILTER.reads, "tile")
+    around = surroundings(desk, block, GROUND_FILTER.halo(params), tile_size, columns, present)
+    flags = filtered(around.table, params)
+    table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
+    write_table(directory / TABLE, table)
+    return {
+        "pieces": [list(p) for p in around.pieces],
+        "ground": int(table["ground"].sum()),
+        "noise": int(table["noise"].sum()),
+        "rows": table.rows,
+    }
+
+
+def terrain_block(
+    block: Tile, tile_size: float, columns: Mapping[str, str], present: tuple[str, ...], params: TerrainParams,
+    desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """Terrain rasters of a block, and the heights above ground of its echoes, tile after tile."""
+    core = Window.covering(block.box, params.cell)
+    around = surroundings(desk, block, params.block_halo, tile_size, columns, present)
+    t = around.table
+    made = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], around.own, core, params)
+    write_rasters(directory, {"dtm": made.dtm, "dsm": made.dsm, "support": made.support}, core)
+    write_table(directory / TABLE, Table({"height_above_ground": made.height}))
+    return {
+        "pieces": [list(p) for p in around.pieces],
+        "measured": int((made.support == 0).sum()),
+        "beyond": int((made.support == 2).sum()),
+        "without_terrain": int(np.isnan(made.height).sum()),
+    }
+
+
+def gathered_columns(
+    tile: Tile, blocks: tuple[Tile, ...], source: str, columns: tuple[str, ...], desk: Desk, directory: Path
+) -> dict[str, Any]:
+    """Columns that blocks wrote about a tile's echoes, in the tile's row order."""
+    places = desk.rows(tile.key, {"x": "tile", "y": "tile"})
+    out = {n: np.zeros(places.rows, np.dtype(column(n).dtype)) for n in columns}
+    found = 0
+    for block in blocks:
+        first = 0
+        for key, rows in desk.meta(source, block.key)["pieces"]:
+            if key == tile.key:
+                own = block.box.contains(places["x"], places["y"])
+                piece = desk.table(source, block.key, columns)
+                if int(own.sum()) != rows:
+                    raise StoreError("a block's echoes are not the tile's", where=f"{source}/{block.key}", got=rows)
+                for name in columns:
+                    out[name][own] = piece[name][first : first + rows]
+                found += rows
+            first += rows
+    if found != places.rows:
+        raise StoreError("echoes of a tile lie in no block", where=f"{source} of {tile.key}", got=places.rows - found)
+    write_table(directory / TABLE, Table(out))
+    return {"rows": places.rows}
+
+
+def measured_seams(
+    tiles: tuple[str, ...], columns: Mapping[str, str], blocks: tuple[str, ...], box: Box, ground: GroundParams,
+    terrain_params: TerrainParams, desk: Desk, directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """The survey filtered once more as a single block, against what its blocks say."""
+    table = Table.concat([desk.rows(key, columns).select(columns) for key in tiles])
+    whole = filtered(table, ground)
+    window = Window.covering(box, terrain_params.cell)
+    nobody = np.zeros(table.rows, bool)
+    place = (table["x"], table["y"], table["z"])
+    surface = terrain(*place, whole.ground, whole.noise, nobody, window, terrain_params).dtm
+    dtm = mosaic(desk, "terrain", blocks, window, ("dtm",), {"dtm": np.nan})["dtm"]
+    differs = (table["ground"] != whole.ground) | (table["noise"] != whole.noise)
+    both = np.isfinite(dtm) & np.isfinite(surface)
+    off = np.abs(dtm - surface)[both]
+    return {
+        "echoes": table.rows,
+        "flags_differ": int(differs.sum()),
+        "cells": int((np.isfinite(dtm) | np.isfinite(surface)).sum()),
+        "cells_one_sided": int((np.isfinite(dtm) != np.isfinite(surface)).sum()),
+        "cells_off": int((off > WITHIN).sum()),
+        "within": WITHIN,
+        "dtm_p999": float(np.quantile(off, 0.999)) if off.size else None,
+        "dtm_worst": float(off.max()) if off.size else None,
+    }

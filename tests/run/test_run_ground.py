@@ -1,0 +1,86 @@
+"""Ground in a run: the blocks' flags and heights reach the right echoes, rasters fit together, seams are told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import rasterio
+from runmaker import SETTINGS, walk
+
+from fwclass import conf
+from fwclass.ground.blocks import ground_by_blocks
+from fwclass.ground.terrain.blocks import terrain_by_blocks
+
+COLUMNS = ["x", "y", "z", "echo_number", "number_of_echoes", "ground", "noise", "height_above_ground"]
+
+
+@pytest.fixture(scope="module")
+def echoes(finished):
+    tables = [pq.read_table(p, columns=COLUMNS) for p in sorted((finished[0] / "parquet").glob("*.parquet"))]
+    return {n: np.concatenate([t.column(n).to_numpy() for t in tables]) for n in COLUMNS}
+
+
+@pytest.fixture(scope="module")
+def config():
+    return conf.load("demo", SETTINGS)
+
+
+def test_a_run_in_tiles_gives_what_the_cloud_in_memory_gives(echoes, config):
+    place = echoes["x"], echoes["y"], echoes["z"]
+    flags = ground_by_blocks(*place, echoes["echo_number"] >= echoes["number_of_echoes"], config.ground)
+    np.testing.assert_array_equal(echoes["ground"].astype(bool), flags.ground)
+    np.testing.assert_array_equal(echoes["noise"].astype(bool), flags.noise)
+    terrain, _ = terrain_by_blocks(*place, flags.ground, flags.noise, config.terrain)
+    np.testing.assert_array_equal(echoes["height_above_ground"], terrain.height)
+
+
+def test_ground_echoes_are_low_and_only_last_ones(echoes):
+    ground = echoes["ground"].astype(bool)
+    assert 0.2 < ground.mean() < 0.8
+    assert (echoes["echo_number"] == echoes["number_of_echoes"])[ground].all()
+    assert np.abs(np.median(echoes["height_above_ground"][ground])) < 0.05
+    assert np.median(echoes["height_above_ground"][~ground]) > 1.0
+
+
+def raster(root: Path, name: str) -> np.ndarray:
+    with rasterio.open(root / "rasters" / f"{name}.tif") as opened:
+        return opened.read(1)
+
+
+def test_surface_less_terrain_is_the_normalised_surface(finished):
+    dtm, dsm, ndsm = (raster(finished[0], n) for n in ("dtm", "dsm", "ndsm"))
+    np.testing.assert_array_equal(np.isnan(ndsm), np.isnan(dtm) | np.isnan(dsm))
+    np.testing.assert_allclose(ndsm, dsm - dtm, atol=1e-4, equal_nan=True)
+    assert np.nanmax(ndsm) > 3.0
+    assert np.nanpercentile(ndsm, 5) > -0.5
+
+
+def test_the_report_tells_what_the_seams_changed(finished):
+    root, report = finished
+    seams = report["ground"]["seams"]
+    assert seams["echoes"] == report["counts"]["echoes_in_tiles"]
+    assert seams["flags_differ"] < 0.002 * seams["echoes"]  # blocks of 64 m are small
+    assert "as one block" in (root / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_large_survey_is_not_filtered_twice(survey, tmp_path):
+    _, report = walk(survey, tmp_path, "run.seam_check_echoes=1000")
+    assert report["ground"]["seams"] is None
+    assert "were not measured" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["slope", "pmf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf", "consensus"])
+def test_every_filter_runs_and_tiles_do_not_change_it(method, survey, tmp_path):
+    digests = []
+    for size in ("100", "41.5"):
+        root = tmp_path / size
+        road, report = walk(survey, root, f"ground.method={method}", f"tile.size={size}")
+        assert not road.failures, road.failures
+        assert 0.2 < report["ground"]["ground"] / report["ground"]["echoes"] < 0.8
+        digests.append([raster(root, n).tobytes() for n in ("dtm", "dsm")])
+    assert digests[0] == digests[1]
