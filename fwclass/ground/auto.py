@@ -26,7 +26,19 @@ from fwclass.stage import Params
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 Group = dict[str, tuple[float, ...]]
-"""Parameters that change together: as many values of each."""
+"""Parameters that change together, ``part.name`` for those of a combined filter's part: as many values of each."""
+
+PRINCIPLES: dict[Method, set[str]] = {
+    "ptd": {"tin"},
+    "iptd": {"tin"},
+    "smrf": {"opening"},
+    "pmf": {"opening"},
+    "csf": {"cloth"},
+    "csf+smrf": {"cloth", "opening"},
+    "moving-surface": {"polynomial"},
+    "slope": {"slope"},
+}
+"""What a filter rests on; who shares a principle shares its errors, and is no referee."""
 
 
 class GroundAutoParams(Params):
@@ -36,7 +48,7 @@ class GroundAutoParams(Params):
     ----------
     building_margin, building_most : the largest building is so many times the widest that was found, at most [m].
     method : the filter where none is asked for.
-    referees : filters that others are compared with: the first two that are not the filter itself.
+    referees : filters that others are compared with: the first two of another principle.
     candidates : by filter, groups of parameters that change together; every combination of the groups is tried. A
         filter without candidates keeps its parameters.
     thin : clouds with at least so many times as many points as cells of `cell` are thinned to the lowest of each,
@@ -104,7 +116,11 @@ def changed(params: GroundParams, update: dict[str, float]) -> GroundParams:
     """`params` with other values in the section of its method."""
     section = section_of(params.method)
     own = getattr(params, section)
-    return params.model_copy(update={section: type(own).model_validate(own.model_dump() | update)})
+    values: dict[str, Any] = own.model_dump()
+    for name, value in update.items():
+        *part, last = name.split(".")
+        (values[part[0]] if part else values)[last] = value
+    return params.model_copy(update={section: type(own).model_validate(values)})
 
 
 def _thinned(points: Points, rows: NDArray[np.int64], rules: GroundAutoParams) -> Points:
@@ -143,7 +159,8 @@ def _agreement(points: Points, tried: list[GroundParams], rules: GroundAutoParam
     def flags(params: GroundParams) -> NDArray[np.bool_]:
         return ground_points(x, y, z, last, params.model_copy(update={"noise": off})).ground
 
-    names = [m for m in rules.referees if m != tried[0].method][:2]
+    mine = PRINCIPLES.get(tried[0].method, set())
+    names = [m for m in rules.referees if not PRINCIPLES[m] & mine][:2]
     first, second = (flags(tried[0].model_copy(update={"method": m})) for m in names)
     sure = first == second
     counts = np.zeros((len(tried), 4), np.int64)

@@ -197,14 +197,16 @@ class PtdParams(FilterParams):
 
     Attributes
     ----------
-    res : edge of the cells whose lowest points are the seeds [m]; null: the largest building.
+    res : edge of the squares whose lowest points are the seeds [m]; null: the largest building.
     first_angle, first_distance : as the two below, of a first pass that takes what is ground beyond doubt.
     angle : greatest angle at a triangle's vertices [deg].
     distance : greatest distance to a triangle's plane [m].
+    angle_of_slope : after the first pass, the angle is at most so many times the slope that nine tenths of the TIN's
+        triangles do not exceed, taken anew for every size of cells, and at least first_angle; null: `angle` alone.
     max_slope : on steeper triangles, a point whose image beyond the nearest vertex is ground is ground too [deg].
     spacing : triangles with all edges shorter than this are not made denser [m].
-    offset : at the end, a point at most so far from the TIN is ground [m].
-    cell : edge of the raster cells in which seeds far too low are looked for [m].
+    offset, scalar : at the end, a point within offset + scalar × slope [m] of the TIN is ground.
+    cell : only the lowest point of every cell of this edge may join the TIN [m].
     low_slope : a point further below its surroundings than low_slope × cell is no seed.
     """
 
@@ -213,9 +215,11 @@ class PtdParams(FilterParams):
     first_distance: float = Field(gt=0)
     angle: float = Field(gt=0, lt=90)
     distance: float = Field(gt=0)
+    angle_of_slope: float | None = Field(gt=0)
     max_slope: float = Field(gt=0, lt=90)
     spacing: float = Field(ge=0)
     offset: float = Field(ge=0)
+    scalar: float = Field(ge=0)
     cell: float = Field(gt=0)
     low_slope: float = Field(gt=0)
 
@@ -233,7 +237,7 @@ class IptdParams(PtdParams):
     Attributes
     ----------
     res : diameter of the disk that the lowest points are opened with [m]; null: the largest building.
-    cell : edge of the raster cells whose lowest points are opened [m].
+    cell : edge of the raster cells whose lowest points are opened, and may join the TIN [m].
     tolerance : a cell that the opening lowers by no more than this is a seed [m].
     """
 
@@ -246,7 +250,8 @@ class CsfParams(FilterParams):
     Attributes
     ----------
     cloth_resolution : distance of the cloth's particles [m].
-    class_threshold : greatest distance to the cloth of a ground point [m].
+    class_threshold, scalar : a point within class_threshold + scalar × slope [m] of the cloth is ground, slope rise
+        over run; scalar 0 is Zhang's program.
     rigidness : 1 (steep), 2 or 3 (flat).
     iterations : steps at most.
     time_step : of a simulation step.
@@ -255,6 +260,7 @@ class CsfParams(FilterParams):
 
     cloth_resolution: float = Field(gt=0)
     class_threshold: float = Field(gt=0)
+    scalar: float = Field(ge=0)
     rigidness: int = Field(ge=1, le=3)
     iterations: int = Field(ge=1)
     time_step: float = Field(gt=0)

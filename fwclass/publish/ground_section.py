@@ -10,6 +10,7 @@ from fwclass.publish.sections import number, percent
 FLAGS_LIMIT = {"ptd": 1e-3, "iptd": 1e-3}
 """Share of flags that may differ between blocks and one block; a TIN reaches further than a raster."""
 RASTER_LIMIT = 1e-4
+ERRORS = (("Type I (ground lost)", "type_i"), ("Type II (other taken)", "type_ii"), ("total", "total_error"))
 CELLS_LIMIT = 1e-3
 """Share of terrain cells that may differ by more than a centimetre."""
 
@@ -25,7 +26,17 @@ def ground(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
         ("noise", f"{number(made['noise'])} echoes"),
         ("without terrain", f"{number(made['without_terrain'])} echoes"),
     ]
+    told = made.get("accuracy")
+    if told:
+        rows.append(("against the reference", _errors(told)))
     return {"rows": rows, "notes": _seams(made)}
+
+
+def _errors(told: Mapping[str, Any]) -> str:
+    """Ground lost, other taken for ground, both, and kappa, of all echoes with a reference class."""
+    parts = [f"{label} {percent(told[key])} %" for label, key in ERRORS if told.get(key) is not None]
+    kappa = told.get("kappa")
+    return ", ".join([*parts, *([f"kappa {kappa:.3f}"] if kappa is not None else [])])
 
 
 def _seams(made: Mapping[str, Any]) -> list[str]:

@@ -178,6 +178,7 @@ def _ground(road: Road, config: Config) -> dict[str, Any]:
     """The filter, what it found, and what cutting the survey into blocks changed."""
     blocks = [r.meta for r in _made(road, "ground-filter")]
     seams = next((r.meta for r in _made(road, "seams")), None)
+    judged = next((r.meta["ground"] for r in _made(road, "assess")), None)
     return {
         "method": config.ground.method,
         "echoes": sum(m["rows"] for m in blocks),
@@ -185,6 +186,7 @@ def _ground(road: Road, config: Config) -> dict[str, Any]:
         "noise": sum(m["noise"] for m in blocks),
         "without_terrain": sum(r.meta["without_terrain"] for r in _made(road, "terrain")),
         "block": config.ground.block,
+        "accuracy": judged,
         "seams": dict(seams) if seams else None,
     }
 

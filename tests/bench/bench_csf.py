@@ -1,10 +1,11 @@
-"""Speed of the cloth simulation filter on a synthetic 1.2 km survey, beside the PyPI package.
+"""Speed of the cloth simulation filter on a synthetic 1.2 km survey, beside the PyPI package, and its seams.
 
-    python tests/bench/bench_csf.py [--edge 1200] [--runs 3] [--seams]
+    python tests/bench/bench_csf.py [--edge 1200] [--runs 1] [--no-seams]
 
-Points per CPU-second of both at the package's default parameters, by turns, in one process; medians and their ratio.
-With `--seams` also the flags that differ between blocks of 256 m with 64 m of halo and one block for everything.
-The package is the PyPI project `cloth-simulation-filter`; where it is missing only our own figure is told.
+CPU-seconds of both at the package's default parameters, by turns, in one process: medians and their ratio, how many
+flags agree, and how much each adds to the peak of memory. Then the flags of `csf` and `csf+smrf`, with the parameters
+of conf/base.yaml, that differ between blocks of 256 m with their halo and one block for everything.
+The package is the PyPI project `cloth-simulation-filter`; where it is missing only our own figures are told.
 """
 
 from __future__ import annotations
@@ -12,18 +13,22 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import resource
 import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
+import yaml
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from fwclass.ground.blocks import blocks_of
+from fwclass.ground.blocks import ground_by_blocks
+from fwclass.ground.filters import ground_points
 from fwclass.ground.methods.csf import csf
-from fwclass.ground.params import CsfParams
+from fwclass.ground.params import CsfParams, GroundParams, Method
 
 try:
     import CSF
@@ -34,7 +39,13 @@ DENSITY = 4.1
 """Points per m2: 5.9 million on 1.2 km."""
 
 PARAMS = CsfParams(
-    cloth_resolution=1.0, class_threshold=0.5, rigidness=3, iterations=500, time_step=0.65, slope_smooth=True
+    cloth_resolution=1.0,
+    class_threshold=0.5,
+    scalar=0.0,
+    rigidness=3,
+    iterations=500,
+    time_step=0.65,
+    slope_smooth=True,
 )
 
 
@@ -108,46 +119,65 @@ def package(x: np.ndarray, y: np.ndarray, z: np.ndarray, params: CsfParams) -> n
     return flags
 
 
-def timed(function: Callable[..., np.ndarray], *cloud: np.ndarray) -> tuple[float, np.ndarray]:
-    """CPU-seconds of all threads, and the flags."""
-    start = time.process_time()
+def timed(function: Callable[..., np.ndarray], *cloud: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """CPU-seconds of all threads, what the peak of memory grew by [MB], and the flags."""
+    peak, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     flags = function(*cloud, PARAMS)
-    return time.process_time() - start, flags
+    seconds = time.process_time() - start
+    return seconds, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak) / 1024, flags
 
 
-def seams(x: np.ndarray, y: np.ndarray, z: np.ndarray, whole: np.ndarray) -> float:
-    """Share of flags that differ between blocks of 256 m with 64 m of halo and one block."""
-    flags = np.zeros(len(x), bool)
-    for _, rows, own in blocks_of(x, y, 256.0, 64.0):
-        flags[rows[own]] = csf(x[rows], y[rows], z[rows], PARAMS)[own]
-    return float((flags != whole).mean())
+def beside(runs: int, truth: np.ndarray, *cloud: np.ndarray) -> None:
+    """Both programs by turns, and what they say."""
+    csf(*(c[:1000] for c in cloud), PARAMS)
+    programs = {"fwclass": csf} if CSF is None else {"fwclass": csf, "package": package}
+    results = {name: [] for name in programs}
+    for _ in range(runs):
+        for name, program in programs.items():
+            results[name].append(timed(program, *cloud))
+    seconds = {name: statistics.median(r[0] for r in several) for name, several in results.items()}
+    for name, several in results.items():
+        _, grown, flags = several[0]
+        print(
+            f"{name}  {seconds[name]:7.2f} CPU-s  {len(truth) / seconds[name]:>10,.0f} points/CPU-s  "
+            f"+{grown:,.0f} MB  total error {100 * (flags != truth).mean():.3f} %",
+            flush=True,
+        )
+    if CSF is None:
+        print("cloth-simulation-filter: not installed")
+        return
+    same = (results["fwclass"][0][2] == results["package"][0][2]).mean()
+    print(f"ratio {seconds['package'] / seconds['fwclass']:.2f}, same flags {100 * same:.3f} %", flush=True)
+
+
+def seams(method: Method, truth: np.ndarray, *cloud: np.ndarray) -> None:
+    """Flags that differ between blocks of the fixed grid and one block, with the parameters of conf/base.yaml."""
+    base = yaml.safe_load((Path(__file__).resolve().parents[2] / "conf" / "base.yaml").read_text())["ground"]
+    params = GroundParams(**{**base, "method": method})
+    last = np.ones(len(truth), bool)
+    start = time.process_time()
+    parts = ground_by_blocks(*cloud, last, params).ground
+    seconds = time.process_time() - start
+    whole = ground_points(*cloud, last, params).ground
+    print(
+        f"{method}: {100 * (parts != whole).mean():.4f} % of flags differ between blocks (halo {params.halo:.0f} m, "
+        f"{seconds:.1f} CPU-s) and one block, total error {100 * (parts != truth).mean():.3f} %",
+        flush=True,
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--edge", type=float, default=1200.0)
-    parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--seams", action="store_true")
+    parser.add_argument("--runs", type=int, default=1)
+    parser.add_argument("--no-seams", action="store_true")
     chosen = parser.parse_args()
     *cloud, truth = town(chosen.edge)
-    csf(*(c[:1000] for c in cloud), PARAMS)
-    ours, theirs = [], []
-    for _ in range(chosen.runs):
-        seconds, flags = timed(csf, *cloud)
-        ours.append(len(truth) / seconds)
-        if CSF is not None:
-            seconds, others = timed(package, *cloud)
-            theirs.append(len(truth) / seconds)
-    print(f"{len(truth):,} points, medians of {chosen.runs} runs, points per CPU-second")
-    print(f"fwclass  {statistics.median(ours):>12,.0f}  total error {100 * (flags != truth).mean():.3f} %")
-    if CSF is None:
-        print("cloth-simulation-filter: not installed")
-    else:
-        ratio = statistics.median(ours) / statistics.median(theirs)
-        print(f"package  {statistics.median(theirs):>12,.0f}  total error {100 * (others != truth).mean():.3f} %")
-        print(f"ratio {ratio:.2f}, same flags {100 * (flags == others).mean():.3f} %")
-    if chosen.seams:
-        print(f"flags that differ between blocks and one block: {100 * seams(*cloud, flags):.4f} %")
+    print(f"{len(truth):,} points")
+    beside(chosen.runs, truth, *cloud)
+    if not chosen.no_seams:
+        seams("csf", truth, *cloud)
+        seams("csf+smrf", truth, *cloud)
 
 
 if __name__ == "__main__":

@@ -7,12 +7,18 @@ import pytest
 
 from fwclass.errors import InputError
 from fwclass.ground.blocks import blocks_of
-from fwclass.ground.methods.cloth import without_holes
+from fwclass.ground.methods.cloth import fallen, without_holes
 from fwclass.ground.methods.csf import csf
 from fwclass.ground.params import CsfParams
 
 PARAMS = CsfParams(
-    cloth_resolution=1.0, class_threshold=0.5, rigidness=3, iterations=500, time_step=0.65, slope_smooth=True
+    cloth_resolution=1.0,
+    class_threshold=0.5,
+    scalar=0.0,
+    rigidness=3,
+    iterations=500,
+    time_step=0.65,
+    slope_smooth=True,
 )
 EAST, NORTH = 512_000.0, 5_403_000.0
 
@@ -73,6 +79,25 @@ def test_a_soft_cloth_follows_a_slope():
     x, y, z, truth = scene(slope=0.4)
     flags = csf(x, y, z, PARAMS.model_copy(update={"rigidness": 1}))
     assert (flags != truth).mean() < 0.01
+
+
+def test_a_lower_rigidness_hangs_deeper():
+    """A roof too wide for the cloth to stay flat: over its middle each softer cloth lies nearer to it."""
+    heights = np.full((128, 128), -300_000.0)
+    heights[24:104, 24:104] -= 20_000.0
+    stiff = [fallen(heights, 60, r, 500, 0.65, slope_smooth=False)[64, 64] for r in (3, 2, 1)]
+    assert -300_000.0 > stiff[0] > stiff[1] + 50.0 > stiff[2] + 100.0
+
+
+def test_the_distance_may_grow_with_the_slope():
+    """Stones 0.7 m high: too high on the plain, near enough on a slope of 40 %."""
+    for slope, kept in ((0.0, 0.0), (0.4, 1.0)):
+        x, y, z, truth = scene(slope=slope)
+        stone = truth & (np.arange(len(x)) % 50 == 0)
+        z = np.round(z + 0.7 * stone, 3)
+        flags = csf(x, y, z, PARAMS.model_copy(update={"rigidness": 1, "scalar": 1.25}))
+        middle = (np.abs(x - EAST - 60) < 40) & (np.abs(y - NORTH - 100) < 15)
+        assert abs(flags[stone & middle].mean() - kept) < 0.3
 
 
 def test_the_slope_is_lost_without_letting_the_cloth_down():

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fwclass import conf
-from fwclass.ground.auto import GroundAutoParams, _kappa, adapted, building_size
+from fwclass.ground.auto import PRINCIPLES, GroundAutoParams, _kappa, adapted, building_size
 from fwclass.ground.filters import ground_points
 from fwclass.ground.measure import measure, table
 
@@ -145,10 +145,31 @@ def test_adapted_parameters_depend_neither_on_order_nor_on_labels():
 def test_a_filter_without_candidates_keeps_its_own_parameters():
     points = town(36.0)[:3]
     base, rules = conf.section("ground"), conf.section("ground_auto")
-    made, _ = adapted(points, np.ones(len(points[0]), bool), base, rules, "pmf")
+    made, _ = adapted(
+        points, np.ones(len(points[0]), bool), base, rules.model_copy(update={"candidates": {}}), "pmf"
+    )
     assert made.pmf == base.pmf
     assert made.method == "pmf"
     assert made.max_building_size > 36.0
+
+
+@pytest.mark.parametrize("method", ["slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf"])
+def test_on_a_steep_hillside_every_filter_keeps_no_less_than_before(method):
+    """70 %, steeper than what most filters take for terrain by themselves; there is nothing but ground."""
+    x, y, z = plane(0.6, size=120.0, slope=0.7)
+    base = conf.section("ground").model_copy(update={"method": method})
+    rules, last = conf.section("ground_auto"), np.ones(len(x), bool)
+    params, _ = adapted((x, y, z), last, base, rules, method)
+    assert params.method == method
+    before, after = (ground_points(x, y, z, last, p).ground.mean() for p in (base, params))
+    assert after >= before
+    assert after > (0.97 if method in ("slope", "moving-surface", "ptd", "iptd") else 0.5)
+
+
+def test_a_filter_of_the_same_principle_is_no_referee():
+    rules = conf.section("ground_auto")
+    for method in rules.candidates:
+        assert sum(not PRINCIPLES[m] & PRINCIPLES[method] for m in rules.referees) >= 2, method
 
 
 def test_candidates_that_change_together_need_as_many_values():

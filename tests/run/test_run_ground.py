@@ -45,6 +45,16 @@ def test_ground_echoes_are_low_and_only_last_ones(echoes):
     assert np.median(echoes["height_above_ground"][~ground]) > 1.0
 
 
+def test_the_report_tells_the_filter_s_errors(finished):
+    root, report = finished
+    told = report["ground"]["accuracy"]
+    (a, b), (c, d) = told["confusion"]
+    assert a + b + c + d > 0.9 * report["ground"]["echoes"] and a + c <= report["ground"]["ground"]
+    assert told["type_i"] == pytest.approx(b / (a + b)) and told["type_ii"] == pytest.approx(c / (c + d))
+    assert told["kappa"] > 0.7
+    assert "Type II" in (root / "report.html").read_text()
+
+
 def raster(root: Path, name: str) -> np.ndarray:
     with rasterio.open(root / "rasters" / f"{name}.tif") as opened:
         return opened.read(1)

@@ -28,8 +28,10 @@ GRAVITY = 100.0
 DAMPING = 0.01
 """Share of a particle's speed that is lost in a step (Zhang's program)."""
 
-PULL = 0.2
-"""Share by which each of four neighbours in a row draws a particle in one pass: the mean of the five."""
+DRAWS = {1: (4, 0.2), 2: (5, 0.18), 3: (5, 0.2)}
+"""By rigidness: passes of the inner constraints in a step, and the share by which each of four neighbours in a row
+draws a particle in a pass (0.2: the mean of the five). Stiff enough for the widest roofs, as Zhang's cloth is. A share
+near 0.25 leaves the particle itself no weight, and the cloth never comes to rest."""
 
 STILL = 5.0
 """[mm] A piece of cloth that falls less in a step has come to rest (Zhang et al. 2016: 0.005 m)."""
@@ -135,7 +137,7 @@ def fallen(
     cloth = np.pad(start, GHOSTS, mode="symmetric")
     movable = np.ones(ground.shape, bool)
     pull = GRAVITY * time_step**4  # a force of time_step² that works for time_step² (Zhang's program)
-    _fall(ground, movable, pull, passes(rigidness), iterations, min(STILL, pull / 4.0), cloth)
+    _fall(ground, movable, pull, *DRAWS[rigidness], iterations, min(STILL, pull / 4.0), cloth)
     inner = slice(GHOSTS, -GHOSTS)
     cloth, movable = cloth[inner, inner], movable[inner, inner]
     if slope_smooth:
@@ -145,13 +147,8 @@ def fallen(
     return cloth
 
 
-def passes(rigidness: int) -> int:
-    """Passes of the inner constraints in a step, 4, 4 or 5: a cloth as stiff as Zhang's over the widest roofs."""
-    return (rigidness + 7) // 2
-
-
 @kernel
-def _fall(ground, movable, pull, times, iterations, still, cloth):  # type: ignore[no-untyped-def]
+def _fall(ground, movable, pull, times, share, iterations, still, cloth):  # type: ignore[no-untyped-def]
     """Let `cloth` fall until every tile rests, or for `iterations` steps; `movable` is what never met `ground`.
 
     A tile sleeps where nothing of it and the eight around fell by `still` in the last step: the cloth rests, or swings
@@ -169,9 +166,9 @@ def _fall(ground, movable, pull, times, iterations, still, cloth):  # type: igno
         _step(tiles, n, pull, movable, old, cloth)
         for _ in range(times):
             _mirror(cloth)
-            _pass_along(tiles, n, movable, cloth, other)
+            _pass_along(tiles, n, share, movable, cloth, other)
             _mirror(other)
-            _pass_down(tiles, n, movable, other, cloth)
+            _pass_down(tiles, n, share, movable, other, cloth)
         _collide(tiles, n, ground, old, movable, moved, loose, cloth, other)
 
 
@@ -214,19 +211,19 @@ def _mirror(cloth):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _pass_along(tiles, n, movable, cloth, out):  # type: ignore[no-untyped-def]
+def _pass_along(tiles, n, share, movable, cloth, out):  # type: ignore[no-untyped-def]
     """Draw movable particles towards their two neighbours on each side in the row."""
     for t in range(n):
         first, left = tiles[t, 0] * TILE + GHOSTS, tiles[t, 1] * TILE
         for r in range(first, first + TILE):
             a, to, free = cloth[r, left:], out[r, left + GHOSTS :], movable[r, left + GHOSTS :]
             for j in range(TILE):
-                mean = a[j + 2] * (1.0 - 4.0 * PULL) + PULL * ((a[j] + a[j + 4]) + (a[j + 1] + a[j + 3]))
+                mean = a[j + 2] * (1.0 - 4.0 * share) + share * ((a[j] + a[j + 4]) + (a[j + 1] + a[j + 3]))
                 to[j] = mean if free[j] else a[j + 2]
 
 
 @kernel
-def _pass_down(tiles, n, movable, cloth, out):  # type: ignore[no-untyped-def]
+def _pass_down(tiles, n, share, movable, cloth, out):  # type: ignore[no-untyped-def]
     """Draw movable particles towards their two neighbours on each side in the column."""
     for t in range(n):
         first, left = tiles[t, 0] * TILE + GHOSTS, tiles[t, 1] * TILE + GHOSTS
@@ -234,7 +231,7 @@ def _pass_down(tiles, n, movable, cloth, out):  # type: ignore[no-untyped-def]
             a, b, own = cloth[r - 2, left:], cloth[r - 1, left:], cloth[r, left:]
             c, d, to, free = cloth[r + 1, left:], cloth[r + 2, left:], out[r, left:], movable[r, left:]
             for j in range(TILE):
-                mean = own[j] * (1.0 - 4.0 * PULL) + PULL * ((a[j] + d[j]) + (b[j] + c[j]))
+                mean = own[j] * (1.0 - 4.0 * share) + share * ((a[j] + d[j]) + (b[j] + c[j]))
                 to[j] = mean if free[j] else own[j]
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.ground.methods.cloth import START, TILE, fallen, nearest_heights, without_holes
+from fwclass.ground.methods.smrf import gradient
 from fwclass.ground.params import CsfParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.lattice import window_over
@@ -17,7 +18,7 @@ MARGIN = 4
 
 
 def csf(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], params: CsfParams) -> NDArray[np.bool_]:
-    """Ground among points: those within `class_threshold` of a cloth that fell on the cloud turned upside down.
+    """Ground among points: those near a cloth that fell on the cloud turned upside down.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ def csf(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], 
     Source: Zhang et al. 2016 and the parameters of their program. What differs: the particles are the cell centres
     of the global raster; the inner constraints are passes of running means instead of pairs one after the other; the
     cloth starts from the lowest points nearby and every piece of it comes to rest by itself, so that an answer does
-    not depend on what lies far away.
+    not depend on what lies far away; the distance of a ground point may grow with the cloth's slope (`scalar`).
     """
     window = _in_whole_tiles(window_over(x, y, params.cloth_resolution, "csf.cloth_resolution", margin=MARGIN))
     cell = whole_millimetres(params.cloth_resolution, "csf.cloth_resolution")
@@ -46,7 +47,11 @@ def csf(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], 
         params.slope_smooth,
     )
     apart: NDArray[np.float64] = bilinear(cloth, window, x, y) + up
-    return np.abs(apart) < params.class_threshold / QUANTUM
+    limit: NDArray[np.float64] | float = params.class_threshold
+    if params.scalar:
+        slope = gradient(cloth, cell)
+        limit = params.class_threshold + params.scalar * bilinear(slope, window, x, y)
+    return np.abs(apart) < limit / QUANTUM
 
 
 def _in_whole_tiles(window: Window) -> Window:

@@ -38,7 +38,14 @@ class Limits(NamedTuple):
     steep: float
 
 
-def densify(mesh: Mesh, z: NDArray[np.float64], done: NDArray[np.bool_], stand_ins: int, limits: Limits) -> int:
+def densify(
+    mesh: Mesh,
+    z: NDArray[np.float64],
+    done: NDArray[np.bool_],
+    stand_ins: int,
+    limits: Limits,
+    asked: NDArray[np.bool_] | None = None,
+) -> int:
     """Add points to `mesh` until none may join; the number of rounds that it took.
 
     Parameters
@@ -46,17 +53,20 @@ def densify(mesh: Mesh, z: NDArray[np.float64], done: NDArray[np.bool_], stand_i
     mesh : over all points, with some of them in it and all others inside its hull; is added to.
     z : (n,) heights [mm]; the last `stand_ins` are of points that are none, and follow their neighbours.
     done : (n,) points that are in the mesh; is added to.
+    asked : (n,) only these may join; None: all.
     """
+    busy = done.copy() if asked is None else done | ~asked
     where = np.zeros(len(z), np.int32)
     best = np.full(len(mesh.changed), -1, np.int32)
     score = np.empty(len(mesh.changed))
     mesh.state[2] += 1
     mesh.changed[: int(mesh.state[0])] = mesh.state[2]
-    _enter(*mesh, where, done)
+    _enter(*mesh, where, busy)
     rounds = 0
-    while _round(*mesh, z, where, done, *limits, best, score):
+    while _round(*mesh, z, where, busy, *limits, best, score):
         _follow(*mesh, z, len(z) - stand_ins)
         rounds += 1
+    done |= busy if asked is None else busy & asked
     return rounds
 
 

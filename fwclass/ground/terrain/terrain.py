@@ -133,7 +133,7 @@ def terrain(
     asked = _rows_of(x, y, z, rows[has])
     work, circle = _needed(distance, core, outer, params)
     echoes = _rows_of(x, y, z, np.flatnonzero(used & work.box.contains(x, y)))
-    floor, dtm = _surface(echoes, asked, core, work, circle, params.thin)
+    floor, dtm = _surface(echoes, asked, core, work, circle, params)
     dtm[support[work.within(outer)] == BEYOND] = np.nan
     above = asked[2] - floor
     if params.height == "nearest":
@@ -204,18 +204,18 @@ def _needed(distance: NDArray[np.float64], core: Window, outer: Window, params: 
 
 
 def _surface(
-    ground: Points, asked: Points, core: Window, window: Window, circle: float, thin: float
+    ground: Points, asked: Points, core: Window, window: Window, circle: float, params: TerrainParams
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Terrain [m] at the points `asked`, which lie in `core`, and at the middle of every cell of `window`.
 
     Off the triangles the raster has the mean of a cell's ground points, and where there are none a membrane. Points
     there take the value of the raster: of what is known of it, where their own cell is.
     """
-    x, y, z = thinned(*ground, window, thin)
+    x, y, z = thinned(*ground, window, params.thin)
     facets = facets_of(tin_of(x, y, z), circle)
     known = facet_raster(facets, window)
     known = np.where(np.isnan(known), _means(x, y, z, window), known)
-    raster = _continued(known, window)
+    raster = _continued(known, window, params.max_gap)
     floor = facet_heights(facets, core, *asked[:2])
     for surface in (known, raster):
         off = np.isnan(floor)
@@ -223,12 +223,17 @@ def _surface(
     return floor, raster
 
 
-def _continued(known: NDArray[np.float64], window: Window) -> NDArray[np.float64]:
-    """`known` with its gaps filled by a membrane.
+def _continued(known: NDArray[np.float64], window: Window, gap: float) -> NDArray[np.float64]:
+    """`known` with its gaps filled by a membrane, which ends at the height of the nearest known cell `gap` [m] away.
 
-    The array begins at a corner of a coarse global grid, so that the membrane's pyramid has the same cells in every
-    block: what its fixed number of sweeps leaves undone is the same too.
+    Without such an end the membrane beyond the survey's border would hang on where the array ends. The array begins
+    at a corner of a coarse global grid, so that the membrane's pyramid has the same cells in every block: what its
+    fixed number of sweeps leaves undone is the same too.
     """
+    if not np.isnan(known).all():
+        empty = np.isnan(known)
+        distance, (row, col) = ndimage.distance_transform_edt(empty, sampling=window.cell, return_indices=True)
+        known = np.where(distance > gap, known[row, col], known)
     south, west = window.row % PYRAMID, window.col % PYRAMID
     around = np.pad(known, ((south, 0), (west, 0)), constant_values=np.nan)
     return filled(around)[south:, west:]

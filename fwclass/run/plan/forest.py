@@ -99,12 +99,12 @@ def assess_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
     made = []
     for tile in layout.tiles:
         work = partial(forest.judged, tile, columns, names, train, test, config.areas.gap, config.classes)
-        needs = needs_of({**columns, "a": "label", "b": "classify"}, (tile.key,))
-        made.append(Task("confusion", tile.key, 1, params, work, needs=needs))
+        needs = needs_of({**columns, "a": "label", "b": "classify", "c": "ground"}, (tile.key,))
+        made.append(Task("confusion", tile.key, 2, params, work, needs=needs))
     keys = tuple(t.key for t in layout.tiles)
     made.append(
         Task(
-            "assess", "all", 1, {**params, "quantiles": list(config.assess.quantiles)},
+            "assess", "all", 2, {**params, "quantiles": list(config.assess.quantiles)},
             partial(forest.assessed, keys, names, config.classes, config.assess.quantiles),
             needs=tuple(("confusion", k) for k in keys),
         )

@@ -13,7 +13,7 @@ from fwclass.assess.stage import confusion, distribution, figures, summary, uncl
 from fwclass.classify.stage import classify
 from fwclass.errors import InputError
 from fwclass.grid import Box, Tile
-from fwclass.model import ClassDef, Forest, Tree
+from fwclass.model import ClassDef, Forest, Tree, class_index
 from fwclass.run.desk import TABLE, Desk
 from fwclass.schema import Table, canonical_key
 from fwclass.store.arrays import read_arrays, write_arrays
@@ -23,6 +23,8 @@ from fwclass.train.sample import Sample, review
 from fwclass.train.stage import TrainParams, candidates, grow_trees, merge, train
 
 SAMPLE, TREES, MODEL, COUNTS = "sample.zarr", "trees.zarr", "model", "counts.zarr"
+GROUND = 2
+"""Class code."""
 _IDENTITY = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
 
 
@@ -135,15 +137,29 @@ def judged(
     tile: Tile, columns: Mapping[str, str], names: tuple[str, ...], train: tuple[Box, ...], test: tuple[Box, ...],
     gap: float, classes: tuple[ClassDef, ...], desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
-    """Confusion counts and feature histograms of a tile's echoes in the test areas."""
-    extra = {"reference": "label", "classification": "classify"}
+    """Confusion counts and feature histograms of a tile's echoes in the test areas; the ground filter's counts of all
+    its labelled echoes, for it learns from none."""
+    extra = {"reference": "label", "classification": "classify", "ground": "ground"}
     table = desk.rows(tile.key, {**_IDENTITY, **columns, **extra})
+    filtered = ground_counts(table, classes)
     table = table.take(tested(table, train, test, gap))
     matrix = confusion(table["reference"], table["classification"], classes)
     lost = unclassified(table["reference"], table["classification"], classes)
     counts = distribution(table.select(names), table["reference"], classes)
     write_arrays(directory / COUNTS, {"counts": np.concatenate([counts[n].reshape(-1) for n in names])})
-    return {"matrix": matrix.tolist(), "lost": lost.tolist()}
+    return {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist()}
+
+
+def ground_counts(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
+    """(2, 2) labelled echoes: the reference says ground or not (rows), the filter says so or not; 0 where no class is
+    ground."""
+    index = class_index(table["reference"], classes)
+    ours = [k for k, one in enumerate(classes) if one.code == GROUND]
+    if not ours:
+        return np.zeros((2, 2), np.int64)
+    known = index >= 0
+    cells = 2 * ~np.isin(index[known], ours) + ~table["ground"][known]
+    return np.bincount(cells, minlength=4).reshape(2, 2).astype(np.int64)
 
 
 def assessed(
@@ -156,12 +172,13 @@ def assessed(
 ) -> dict[str, Any]:
     """Figures over all test areas, and the distribution of the features by class."""
     n = len(classes)
-    matrix, lost = np.zeros((n, n), np.int64), np.zeros(n, np.int64)
+    matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
     total: NDArray[np.int64] = np.zeros(1, np.int64)
     for tile in tiles:
         meta = desk.meta("confusion", tile)
         matrix += np.array(meta["matrix"], np.int64)
         lost += np.array(meta["lost"], np.int64)
+        filtered += np.array(meta["ground"], np.int64)
         arrays, _ = desk.arrays("confusion", tile, COUNTS)
         total = total + arrays["counts"]
     histograms = dict(zip(names, total.reshape(len(names), n, -1), strict=True))
@@ -169,4 +186,5 @@ def assessed(
     return {
         "accuracy": figures(matrix, called, lost) if matrix.any() or lost.any() else None,
         "distribution": summary(histograms, called, shares),
+        "ground": figures(filtered, ("ground", "other")) if filtered.any() else None,
     }
