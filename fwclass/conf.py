@@ -347,6 +347,8 @@ def _explain(name: str, model: type[BaseModel], error: Any) -> str:
         return f"unknown key {key} ({nearest(str(error['loc'][-1]), fields)})" if fields else f"unknown key {key}"
     if error["type"] == "missing":
         return f"{key} is missing"
+    if error["type"] == "value_error" and isinstance(error["input"], Mapping):
+        return f"{key}: {error['msg'].removeprefix('Value error, ')}"  # several keys that do not fit one another
     wanted = _WANTED.get(error["type"].split("_")[0], error["msg"])
     return f"{key}: {wanted} (got {str(error['input'])[:80]!r})"
 

@@ -212,9 +212,16 @@ def test_parameters_by_name(tmp_path, fwclass):
     code, _, err = asked("--param", "slop=0.3")
     assert code == 2 and "smrf has no parameter 'slop'" in err and "did you mean 'slope'" in err and "scalar" in err
     code, _, err = asked("--param", "slope=steep")
-    assert code == 2 and "a number is wanted" in err and "slope=steep" in err
+    assert code == 2 and "smrf.slope: a number" in err and "slope=steep" in err and "what to do:" in err
+    code, _, err = asked("--param", "window=-5")
+    assert code == 2 and "smrf.window: more than 0" in err and "Input should" not in err
+    for words in (("--param", "window=10000"), ("--method", "slope", "--param", "radius=1e6")):
+        code, _, err = asked(*words)
+        assert code == 2 and "m around a block, more than 1,000 m" in err and "where: --param" in err
     code, _, err = asked("--preset", "citi")
     assert code == 2 and "did you mean 'city'" in err
+    code, _, err = asked("--preset", "hills")
+    assert code == 2 and err.count("dense-forest") == 1 and "choose one of these" in err
     code, _, err = asked("--set", "train.trees=3")
     assert code == 2 and "no effect here" in err
     assert asked("--method", "magic")[0] == 2
@@ -286,14 +293,21 @@ def test_inputs_that_cannot_be(tmp_path, fwclass):
     las(tmp_path / "none.las", np.empty((0, 3)))
     las(tmp_path / "first.las", xyz, return_number=1, number_of_returns=2)
     for name, told in (
-        ("short.txt", "line 2"), ("binary.txt", "no text"), ("empty.las", "empty"), ("points.ply", "kind of the file"),
+        ("short.txt", "line 2"), ("binary.txt", "no text"), ("empty.las", "empty"),
         ("huge.txt", "no point has usable coordinates"), ("none.las", "no points"), ("missing.las", "no such file"),
         ("first.las", "last_returns=false"),
     ):  # fmt: skip
         code, _, err = fwclass("ground", tmp_path / name, out)
         assert code == 1 and told in err and name in err and "what to do:" in err, err
         assert not out.exists()
+    code, _, err = fwclass("ground", tmp_path / "points.ply", out)
+    assert code == 2 and "kind of the file" in err and ".las, .laz" in err
     assert fwclass("ground", tmp_path / "first.las", out, "--param", "last_returns=false")[0] == 0
+    points = laspy.read(las(tmp_path / "all.las", xyz))
+    points.withheld = np.ones(len(xyz), bool)
+    points.write(tmp_path / "withheld.las")
+    code, _, err = fwclass("ground", tmp_path / "withheld.las", tmp_path / "w.laz")
+    assert code == 1 and "add --use-flagged" in err and "leave out --keep-classes" not in err
 
 
 def test_awkward_clouds_are_handled(tmp_path, fwclass):
@@ -305,13 +319,48 @@ def test_awkward_clouds_are_handled(tmp_path, fwclass):
     ):  # fmt: skip
         code, out, _ = fwclass("ground", text(tmp_path / f"{name}.txt", np.array(xyz, float)), tmp_path / "o.txt",
                                "--overwrite", "--json")  # fmt: skip
-        assert code == 0 and json.loads(out)["points"] == len(xyz)
+        made = json.loads(out)
+        assert code == 0 and made["points"] == len(xyz)
+        assert any("same height" in note for note in made["notes"]) == (name in ("one", "same", "line", "sparse"))
+
+
+def test_a_stray_point_is_told_and_spoils_nothing(tmp_path, fwclass):
+    xyz = np.vstack([scene(2000)[0], [[1_500_000.0, 5_500_000.0, 100.0]]])
+    source = las(tmp_path / "a.las", xyz)
+    code, _, err = fwclass("ground", source, tmp_path / "o.laz", "--dtm", tmp_path / "d.tif")
+    assert code == 1 and "too large" in err and "1 point lies far from all others, at x 1500000.00" in err
+    assert "--set terrain.cell" in err and not (tmp_path / "o.laz").exists() and not (tmp_path / "d.tif").exists()
+    code, out, err = fwclass("ground", source, tmp_path / "o.laz", "--json")
+    assert code == 0 and json.loads(out)["stray"] == 1 and "far from all others" in err
+    code, _, err = fwclass("normalize", source, tmp_path / "n.laz", "--method", "smrf")
+    assert code == 1 and "far from all others" in err and not (tmp_path / "n.laz").exists()
+    far = las(tmp_path / "two.las", np.vstack([scene(500)[0], scene(400)[0] + [5000.0, 0.0, 0.0]]))
+    assert json.loads(fwclass("ground", far, tmp_path / "t.laz", "--json")[1])["stray"] == 0
+
+
+def test_waveforms_that_are_not_whole_are_told(tmp_path, fwclass):
+    xyz, _ = scene(300)
+    waves = [np.full(20, 10 + i % 90) for i in range(len(xyz))]
+    made = write_las(tmp_path / "a.las", xyz, point_format=9, scale=0.01, waveforms=waves, where="internal",
+                     descriptors={1: Descriptor(n_samples=20)})  # fmt: skip
+    code, out, _ = fwclass("ground", made, tmp_path / "whole.laz", "--json")
+    notes = json.loads(out)["notes"]
+    assert code == 0 and len(notes) == 1 and "they are in whole.wdp beside the output now" in notes[0]
+    cut = tmp_path / "cut.las"
+    cut.write_bytes(made.read_bytes()[: -20 * 100])
+    code, out, _ = fwclass("ground", cut, tmp_path / "c.laz", "--json")
+    assert code == 0 and any(note.startswith("100 of 300 waveform packets") for note in json.loads(out)["notes"])
+    outside = write_las(tmp_path / "e.las", xyz, point_format=9, scale=0.01, waveforms=waves, where="external",
+                        descriptors={1: Descriptor(n_samples=20)})  # fmt: skip
+    outside.with_suffix(".wdp").unlink()
+    code, out, _ = fwclass("ground", outside, tmp_path / "n.laz", "--json")
+    assert code == 0 and sum("missing" in note for note in json.loads(out)["notes"]) == 1
 
 
 def test_rasters_of_the_terrain(tmp_path, fwclass):
     xyz, _ = scene()
     source = las(tmp_path / "a.las", xyz)
-    names = {n: tmp_path / f"{n}.tif" for n in ("dtm", "dsm", "hillshade")}
+    names = {n: tmp_path / f"{n}.tif" for n in ("dtm", "dsm", "ndsm", "hillshade")}
     words = [w for n, p in names.items() for w in (f"--{n}", p)]
     assert fwclass("ground", source, tmp_path / "b.laz", *words)[0] == 0
     with rasterio.open(names["dtm"]) as file:
@@ -323,8 +372,16 @@ def test_rasters_of_the_terrain(tmp_path, fwclass):
     np.testing.assert_allclose(dtm[inner], plane[inner], atol=0.05)
     with rasterio.open(names["dsm"]) as file:
         assert np.nanmax(file.read(1) - dtm) == pytest.approx(6.0, abs=0.2)
+    with rasterio.open(names["dsm"]) as top, rasterio.open(names["ndsm"]) as file:
+        np.testing.assert_allclose(file.read(1), top.read(1) - dtm, atol=1e-5)
     with rasterio.open(names["hillshade"]) as file:
         assert file.nodata == 0 and file.read(1).min() > 0
+    fine = tmp_path / "fine.tif"
+    assert fwclass("ground", source, tmp_path / "b.laz", "--overwrite", "--dtm", fine, "--cell", "0.5")[0] == 0
+    with rasterio.open(fine) as file:
+        assert file.res == (0.5, 0.5)
+    code, _, err = fwclass("ground", source, tmp_path / "b.laz", "--overwrite", "--cell", "0.5")
+    assert code == 2 and "none is asked for" in err
 
 
 def test_heights_replace_z_and_nothing_else(tmp_path, fwclass):

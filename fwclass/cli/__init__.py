@@ -23,7 +23,9 @@ def main() -> None:
         fault.show()
         sys.exit(fault.exit_code)
     except (click.Abort, KeyboardInterrupt):
-        click.echo("interrupted; run the same command again to go on", err=True)
+        click.echo(
+            "interrupted; nothing half-written is left (`fwclass run` goes on from here when it is run again)", err=True
+        )
         sys.exit(INTERRUPTED)
     except FwclassError as fault:
         click.echo(f"fwclass: {fault}", err=True)

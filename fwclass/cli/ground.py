@@ -16,7 +16,7 @@ PARAM = click.option("--param", "assignments", multiple=True, metavar="NAME=VALU
 METHOD = click.option("--method", type=click.Choice(get_args(Method)), help="Filter (default: ground.method).")
 PRESET = click.option("--preset", metavar="NAME", help=KINDS)
 CRS = click.option("--crs", metavar="EPSG:CODE", help="Coordinate system, instead of the one that the file names.")
-RASTERS = ("dtm", "dsm", "hillshade")
+RASTERS = ("dtm", "dsm", "ndsm", "hillshade")
 FLAGGED = click.option("--use-flagged", is_flag=True, help="Show withheld and synthetic points to the filter too.")
 
 
@@ -35,7 +35,9 @@ FLAGGED = click.option("--use-flagged", is_flag=True, help="Show withheld and sy
 @CRS
 @click.option("--dtm", type=PATH, help="Terrain as GeoTIFF.")
 @click.option("--dsm", type=PATH, help="Highest echoes as GeoTIFF.")
+@click.option("--ndsm", type=PATH, help="Height of the highest echoes above the terrain as GeoTIFF.")
 @click.option("--hillshade", type=PATH, help="Shaded relief of the terrain as GeoTIFF.")
+@click.option("--cell", type=float, metavar="METRES", help="Edge of the rasters' cells (as --set terrain.cell=0.5).")
 @click.option("--optimize", is_flag=True, help="Search the filter's parameters on labelled points; no OUT.")
 @click.option("--compare", metavar="NAME,NAME,…|all", help="Several filters side by side on one page; no OUT.")
 @click.option("--reference", type=PATH, help="With --optimize or --compare: the classes of the same points.")
@@ -62,52 +64,59 @@ def ground(source: Path, output: Path | None, optimize: bool, compare: str | Non
 
 def _classify(source: Path, output: Path, as_json: bool, asked: dict[str, Any]) -> None:
     from fwclass.run.ground.file import GroundJob, ground_file
+    from fwclass.run.ground.steps import Steps
     from fwclass.run.ground.text import describe
 
-    if asked.pop("auto"):
-        asked["adapt"] = _adapting(asked)
+    auto = asked.pop("auto")
     wanted = {name: asked.pop(name) for name in RASTERS}
     rasters = {name: path for name, path in wanted.items() if path is not None}
-    made = ground_file(GroundJob(source, output, rasters=rasters, **asked))
+    if (cell := asked.pop("cell")) is not None:
+        if not rasters:
+            raise click.UsageError("--cell is that of the rasters, and none is asked for; the filter's is a --param")
+        asked["settings"] += (f"terrain.cell={cell}",)
+    with Steps() as steps:
+        if auto:
+            asked["adapt"] = _adapting(asked, steps.tell)
+        made = ground_file(GroundJob(source, output, rasters=rasters, **asked), steps.tell)
     click.echo(describe(made), err=True)
     if as_json:
         click.echo(json.dumps(made, indent=1))
 
 
-def _adapting(asked: dict[str, Any]) -> Any:
+def _adapting(asked: dict[str, Any], tell: Any) -> Any:
     """``--auto``; the filter is chosen too where nothing names one."""
     from fwclass.run.ground.adapt import adapting
 
     named = asked["method"] or asked["preset"] or any(s.startswith("ground.method") for s in asked["settings"])
-    return adapting(not named, asked["settings"])
+    return adapting(not named, asked["settings"], tell)
 
 
 def _study(source: Path, output: Path | None, methods: str | None, as_json: bool, asked: dict[str, Any]) -> None:
     """Filters are looked at, no points are written."""
-    alien = [f"--{n.replace('_', '-')}" for n in ("keep_classes", "use_flagged", *RASTERS) if asked.pop(n)]
+    alien = [f"--{n.replace('_', '-')}" for n in ("keep_classes", "use_flagged", *RASTERS, "cell") if asked.pop(n)]
     if output is not None or alien:
         raise click.UsageError(f"{alien[0] if alien else 'OUT'} has no place here: nothing is classified; see --out")
+    from fwclass.run.ground.steps import Steps
+
     auto = asked.pop("auto")
     if methods is None:
         if auto:
             raise click.UsageError("--optimize searches what --auto would measure: give one of them")
         from fwclass.run.ground.search import describe, optimize
 
-        made = optimize(source, say=_say, **asked)
+        with Steps() as steps:
+            made = optimize(source, say=steps.say, tell=steps.tell, **asked)
     else:
         from fwclass.run.ground.compare import compare, describe
 
         if asked.pop("method") or asked.pop("assignments"):
             raise click.UsageError("--compare names its filters itself; give parameters with --set")
-        adapt = _adapting({**asked, "method": "each its own"}) if auto else None
-        made = compare(source, methods, say=_say, adapt=adapt, **asked)
+        with Steps() as steps:
+            adapt = _adapting({**asked, "method": "each its own"}, steps.tell) if auto else None
+            made = compare(source, methods, say=steps.say, tell=steps.tell, adapt=adapt, **asked)
     click.echo(describe(made), err=True)
     if as_json:
         click.echo(json.dumps(made, indent=1))
-
-
-def _say(text: str) -> None:
-    click.echo(text, err=True)
 
 
 @cli.command()
@@ -129,9 +138,11 @@ def normalize(source: Path, output: Path, as_json: bool, **asked: Any) -> None:
     The ground is what has class 2; with --method, --preset or --param it is looked for. All other fields stay.
     """
     from fwclass.run.ground.normalize import NormalizeJob, normalize_file
+    from fwclass.run.ground.steps import Steps
     from fwclass.run.ground.text import describe_heights
 
-    made = normalize_file(NormalizeJob(source, output, **asked))
+    with Steps() as steps:
+        made = normalize_file(NormalizeJob(source, output, **asked), steps.tell)
     click.echo(describe_heights(made), err=True)
     if as_json:
         click.echo(json.dumps(made, indent=1))

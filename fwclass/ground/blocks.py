@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,10 +40,22 @@ def ground_by_blocks(
     z: NDArray[np.float64],
     last: NDArray[np.bool_],
     params: GroundParams,
+    tell: Callable[[int, int], None] | None = None,
 ) -> Flags:
-    """`ground_points` of a whole cloud, block by block: what a survey in tiles would get."""
+    """`ground_points` of a whole cloud, block by block: what a survey in tiles would get.
+
+    `tell` is called before every block with its number, from 1, and the number of blocks.
+    """
     flags = Flags(np.zeros(len(x), bool), np.zeros(len(x), bool))
-    for _, rows, own in blocks_of(x, y, params.block, params.halo):
+    blocks = 0 if tell is None else _number_of_blocks(x, y, params.block)
+    for k, (_, rows, own) in enumerate(blocks_of(x, y, params.block, params.halo), 1):
+        if tell is not None:
+            tell(k, blocks)
         found = ground_points(x[rows], y[rows], z[rows], last[rows], params)
         flags.ground[rows[own]], flags.noise[rows[own]] = found.ground[own], found.noise[own]
     return flags
+
+
+def _number_of_blocks(x: NDArray[np.float64], y: NDArray[np.float64], size: float) -> int:
+    ix, iy = TileGrid(size).indices(x, y)
+    return len(np.unique(ix * (1 << 32) + iy))

@@ -15,6 +15,10 @@ Method = Literal["slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf",
 """Ground filters by the names of the command line."""
 
 
+MAX_HALO = 1000.0
+"""What a filter may read around a block [m]; ten times what the widest halls need, and still tens of millions of points."""
+
+
 class FilterParams(Params):
     """Base of one filter's parameters."""
 
@@ -337,6 +341,15 @@ class GroundParams(Params):
     csf: CsfParams
     csf_smrf: CsfSmrfParams
     consensus: ConsensusParams
+
+    @model_validator(mode="after")
+    def _reaches_no_further(self) -> Self:
+        if self.halo > MAX_HALO:
+            raise ValueError(
+                f"the filter would read {self.halo:,.0f} m around a block, more than {MAX_HALO:,.0f} m: choose a smaller "
+                "max_building_size, window, radius or cell of the filter"
+            )
+        return self
 
     def of(self, method: Method) -> FilterParams:
         """The sized parameters of one filter."""

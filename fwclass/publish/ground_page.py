@@ -74,7 +74,7 @@ def render_comparison(made: Mapping[str, Any], pictures: Mapping[str, bytes], pa
 
     Parameters
     ----------
-    made : what `run.ground_compare.compare` tells.
+    made : what `run.ground.compare.compare` tells.
     pictures : PNG by filter, and ``disagreement``.
 
     Returns
@@ -147,7 +147,7 @@ def _row(one: Mapping[str, Any]) -> dict[str, Any]:
         else seconds(one["seconds"])
         if one["seconds"] >= 10
         else f"{one['seconds']:.2f} s",
-        "speed": f"{speed / 1e6:.2f} M" if speed else "–",
+        "speed": (f"{speed / 1e6:.2f} M" if speed >= 1e6 else f"{speed / 1e3:.3g} k") if speed else "–",
         "ground": f"{percent(one['ground_share'])} %",
         "noise": number(one["noise"]),
         "kappa_value": kappa,

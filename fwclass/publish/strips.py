@@ -97,7 +97,11 @@ def write_strip_laz(
         waveforms, wdp = publish_packets(head, packets, output.with_suffix(".wdp"))
     copc = _is_copc(head)
     kind = "LAS" if output.suffix.lower() == ".las" else "LAZ"
-    notes = list(packets.notes) + ([f"COPC written as plain {kind}, without its octree"] if copc else [])
+    notes = list(packets.notes)
+    if packets.internal and wdp is not None:
+        notes.append(f"the waveforms were inside the input; they are in {wdp.name} beside the output now")
+    if copc:
+        notes.append(f"COPC written as plain {kind}, without its octree")
     return {
         "path": str(output), "points": head.points, "changed": changed, "point_format": head.point_format,
         "extra_bytes": [e.las for e in extras], "beyond": {e.las: e.beyond for e in extras if e.beyond},

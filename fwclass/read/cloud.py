@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +10,11 @@ import numpy as np
 from laspy import DecompressionSelection
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError
+from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantised
 from fwclass.read.las import LasSource
 from fwclass.read.linear_units import LinearUnits, linear_units
+from fwclass.read.packets import FAULTS, References, judge
 from fwclass.read.points import PointReader, coordinates
 from fwclass.read.source import las_of, open_source
 from fwclass.read.text import SUFFIXES, TextCloud, is_text, read_text
@@ -29,6 +30,9 @@ _FIELDS = (
     | DecompressionSelection.CLASSIFICATION
     | DecompressionSelection.FLAGS
 )
+
+
+_CUT = [FAULTS.index(name) for name in ("packet past the end", "packet cut short")]
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,7 @@ class PointCloud:
     flagged : bool (n,), withheld or synthetic.
     unfinished : points without a finite coordinate.
     absurd : points beyond any place on earth.
+    cut_packets : what to tell of waveform packets that reach past the end of the packets there are.
     """
 
     path: Path
@@ -63,6 +68,7 @@ class PointCloud:
     flagged: NDArray[np.bool_]
     unfinished: int
     absurd: int
+    cut_packets: tuple[str, ...] = ()
 
     @property
     def points(self) -> int:
@@ -78,8 +84,10 @@ def read_point_cloud(path: str | Path, crs: Any = None) -> PointCloud:
 
     Raises
     ------
+    ConfigError
+        No known kind of file.
     InputError
-        No such file, no known format, damaged, without points, in degrees, or without a single usable coordinate.
+        No such file, damaged, without points, in degrees, or without a single usable coordinate.
     """
     path = Path(path)
     if not path.is_file():
@@ -87,10 +95,10 @@ def read_point_cloud(path: str | Path, crs: Any = None) -> PointCloud:
     if is_text(path):
         return _of_text(read_text(path), crs)
     if path.suffix.lower() not in LAS_SUFFIXES and not _looks_like_las(path):
-        raise InputError(
+        raise ConfigError(
             "the kind of the file is unknown",
             where=path,
-            expected=f"a name that ends in .las, .laz or {', '.join(SUFFIXES)}",
+            expected=f"a name that ends in {', '.join((*LAS_SUFFIXES, *SUFFIXES))}",
             got=path.suffix or "no suffix",
             do="rename the file, or convert it",
         )
@@ -114,17 +122,21 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
     units = linear_units(crs, source.header, source.path)
     if source.n_points == 0:
         raise InputError("the file has no points", where=source.path, do="there is nothing to do; check the delivery")
-    parts = []
-    with PointReader(source, _FIELDS) as reader:
+    parts, cut = [], 0
+    fields = _FIELDS | DecompressionSelection.WAVEPACKET if source.has_waves else _FIELDS
+    with PointReader(source, fields) as reader:
         for _, points in reader.blocks():
             number, of = np.asarray(points["return_number"]), np.asarray(points["number_of_returns"])
             flags = np.asarray(points["withheld"], bool) | np.asarray(points["synthetic"], bool)
+            if source.has_waves:
+                cut += int(np.isin(judge(source, References.of(points)), _CUT).sum())
             parts.append(
                 (*coordinates(source, points), number >= of, np.asarray(points["classification"], np.uint8), flags)
             )
     x, y, z, last, classes, flagged = (np.concatenate(column) for column in zip(*parts, strict=True))
     xyz = x * units.xy, y * units.xy, z * units.z
-    return _cloud(source.path, source, crs, units, xyz, last, classes, flagged)
+    told = (f"{cut:,} of {len(z):,} waveform packets reach past the end of those there are",) if cut else ()
+    return replace(_cloud(source.path, source, crs, units, xyz, last, classes, flagged), cut_packets=told)
 
 
 def _cloud(

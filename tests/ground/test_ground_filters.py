@@ -212,3 +212,20 @@ def test_the_halo_holds_what_noise_and_filter_reach(params, method):
     own = params(method)
     asked = own.consensus.methods if method == "consensus" else (method,)
     assert own.halo >= max(own.noise.reach + own.of(m).reach for m in asked)
+
+
+@pytest.mark.parametrize(
+    ("method", "change"),
+    [
+        ("smrf", {"smrf": {"window": 1e6}}),
+        ("slope", {"slope": {"radius": 1e6}}),
+        ("ptd", {"max_building_size": 1e5}),
+        ("consensus", {"max_building_size": 1e5}),
+    ],
+)
+def test_a_filter_that_would_read_the_whole_survey_is_refused(params, method, change):
+    values = params("smrf").model_dump() | {"method": method}
+    for key, value in change.items():
+        values[key] = values[key] | value if isinstance(value, dict) else value
+    with pytest.raises(ValidationError, match="around a block, more than 1,000 m"):
+        GroundParams.model_validate(values)

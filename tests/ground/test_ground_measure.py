@@ -145,9 +145,7 @@ def test_adapted_parameters_depend_neither_on_order_nor_on_labels():
 def test_a_filter_without_candidates_keeps_its_own_parameters():
     points = town(36.0)[:3]
     base, rules = conf.section("ground"), conf.section("ground_auto")
-    made, _ = adapted(
-        points, np.ones(len(points[0]), bool), base, rules.model_copy(update={"candidates": {}}), "pmf"
-    )
+    made, _ = adapted(points, np.ones(len(points[0]), bool), base, rules.model_copy(update={"candidates": {}}), "pmf")
     assert made.pmf == base.pmf
     assert made.method == "pmf"
     assert made.max_building_size > 36.0

@@ -10,7 +10,7 @@ import pytest
 
 from fwclass.errors import ConfigError
 from fwclass.ground.filters import FILTERS, Flags
-from fwclass.run.ground.compare import agreement, by_cell, compare, describe, methods_of
+from fwclass.run.ground.compare import agreement, by_cell, compare, describe, methods_of, speed
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def page(tmp_path_factory):
 
 def test_counts_and_agreement_are_consistent(page):
     _, out, made = page
-    assert [f["method"] for f in made["filters"]] == ["smrf", "pmf", "slope", "consensus"]
+    assert [f["method"] for f in made["filters"]] == ["smrf", "pmf", "slope", "majority"]
     assert sum(made["votes"]) == made["shown"] == 6000
     table = np.array(made["agreement"])
     np.testing.assert_array_equal(table, table.T)
@@ -44,7 +44,11 @@ def test_counts_and_agreement_are_consistent(page):
 def test_a_level_town_is_no_difficulty(page):
     by_name = {f["method"]: f for f in page[2]["filters"]}
     assert by_name["smrf"]["accuracy"]["kappa"] > 0.95
-    assert "kappa" in describe(page[2])
+    assert "kappa" in describe(page[2]) and "majority: more than half" in describe(page[2])
+
+
+def test_speeds_of_tiny_clouds_are_not_nought():
+    assert [speed(v) for v in (812.0, 43_210.0, 2_345_678.0)] == ["0.812 k", "43.2 k", "2.35 M"]
 
 
 def test_the_page_is_whole_and_escapes_names(page):
@@ -53,7 +57,7 @@ def test_the_page_is_whole_and_escapes_names(page):
     assert "<b> town" not in text
     assert len(re.findall(r'src="data:image/png;base64,', text)) == 5  # four reliefs and the map
     assert not re.search(r'(src|href)="(?!data:)', text)
-    for word in ("Type I", "type I", "Agreement", "consensus", "Parameters"):
+    for word in ("Type I", "type I", "Agreement", "majority", "consensus", "Parameters"):
         assert word in text or word == "Type I"
 
 

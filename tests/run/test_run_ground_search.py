@@ -14,7 +14,7 @@ from fwclass.ground.search import GroundSearchParams, curves, most_runs, search,
 from fwclass.read.cloud import read_point_cloud
 from fwclass.run.ground.labels import halves, labels_of, matrix_of
 from fwclass.run.ground.params import ground_params
-from fwclass.run.ground.search import describe, fragment, optimize, with_values
+from fwclass.run.ground.search import NO_BETTER, announced, describe, fragment, optimize, with_values
 
 LIMITS = GroundSearchParams(leading=2, coarse=3, rounds=3, ranges={})
 RANGES = {"a": (0.0, 1.0, 2.0, 3.0, 4.0), "b": (0.0, 1.0, 2.0, 3.0), "c": (0.0, 0.5, 1.0)}
@@ -125,6 +125,24 @@ def optimised(town, tmp_path_factory):
     return out, said, made
 
 
+def test_a_search_announces_the_slowest_run_as_its_most():
+    assert announced("smrf", 100, [0.1, 0.5, 0.3]) == (
+        "smrf: at most 100 runs of 0.10 to 0.50 s; probably 9 s to 21 s, at most about 50 s"
+    )
+
+
+def test_parameters_that_are_no_better_elsewhere_are_not_recommended(town, monkeypatch):
+    """Where every setting gives the same flags nothing is better than the start, which is kept."""
+    small = ("ground_search.rounds=1", "ground_search.coarse=2")
+    monkeypatch.setattr("fwclass.run.ground.search.with_values", lambda params, values: params)
+    made, heard = optimize(town, "pmf", settings=small, tell=(steps := []).append), steps
+    assert made["held_out"]["kappa"] == made["start"]["kappa"] and made["recommended"] == "start"
+    told = describe(made)
+    assert NO_BETTER in told and "--param" not in told
+    assert made["param"].startswith(f"--param slope={made['start']['parameters']['slope']:g} ")
+    assert heard[0] == "reading" and any("run 4 of at most" in text for text in heard)
+
+
 @pytest.mark.slow
 def test_the_search_beats_its_start_and_tells_held_out_points(optimised):
     _, said, made = optimised
@@ -132,7 +150,8 @@ def test_the_search_beats_its_start_and_tells_held_out_points(optimised):
     assert made["best"]["kappa"] > 0.9
     assert 0.8 < made["held_out"]["kappa"] <= 1.0
     assert sum(map(sum, made["held_out"]["confusion"])) == 9000
-    assert "at most" in said[0]
+    assert "at most" in said[0] and "probably" in said[0]
+    assert made["recommended"] == ("best" if made["held_out"]["kappa"] > made["start"]["kappa"] else "start")
     assert set(made["curves"]) == set(conf.section("ground_search").ranges["pmf"])
     assert "kappa" in describe(made)
 

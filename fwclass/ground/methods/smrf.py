@@ -108,7 +108,8 @@ def objects(surface: NDArray[np.float64], cell: float, slope: float, window: flo
     found = np.zeros(surface.shape, bool)
     # whole millimetres up to 16 km are exact in float32, which halves the work
     last = np.rint(surface / QUANTUM).astype(np.float32)
-    for radius in range(1, math.ceil(window / cell) + 1):
+    everything = math.ceil(math.hypot(*surface.shape))  # a larger disk sees no more
+    for radius in range(1, min(math.ceil(window / cell), everything) + 1):
         this = opened(last, radius)
         found |= last - this > np.float32(slope * cell * radius / QUANTUM)
         last = this

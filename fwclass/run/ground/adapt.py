@@ -12,13 +12,17 @@ from fwclass.ground.auto import GroundAutoParams, adapted
 from fwclass.ground.params import GroundParams
 from fwclass.read.cloud import PointCloud
 from fwclass.run.ground.file import Adapt
+from fwclass.run.ground.steps import Tell, quiet
 
 
-def adapting(choose: bool, settings: tuple[str, ...] = ()) -> Adapt:
-    """What changes parameters to suit a cloud; with `choose` the filter too."""
+def adapting(choose: bool, settings: tuple[str, ...] = (), tell: Tell = quiet) -> Adapt:
+    """What changes parameters to suit a cloud; with `choose` the filter too. `tell` hears how much is tried."""
     rules: GroundAutoParams = conf.section("ground_auto", settings)
 
     def adapt(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams) -> tuple[GroundParams, dict[str, Any]]:
+        method = rules.method if choose else params.method
+        tried = len(rules.updates(method))
+        tell(f"measuring, then trying {tried} settings of {method}" if tried else "measuring")
         points = cloud.x[shown], cloud.y[shown], cloud.z[shown]
         found, measured = adapted(points, cloud.last[shown], params, rules, None if choose else params.method)
         return found, measured.plain()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass import __version__, conf
 from fwclass.assess.confusion import figures
-from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.errors import ConfigError, InputError
 from fwclass.ground.filters import FILTERS, Flags
 from fwclass.ground.measure import measure
 from fwclass.ground.params import GroundParams
@@ -23,13 +23,16 @@ from fwclass.publish.ground_page import disagreement_map, render_comparison
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.run.ground.file import filter_cloud, shown_points
 from fwclass.run.ground.labels import NAMES, labels_of, matrix_of
-from fwclass.run.ground.params import ground_params, used
+from fwclass.run.ground.params import closest, ground_params, used
+from fwclass.run.ground.rasters import check_extent
 from fwclass.run.ground.search import check_directory
+from fwclass.run.ground.steps import Tell, quiet
 from fwclass.run.survey import given_crs
 from fwclass.store.atomic import write_json
 
 FILES = ("comparison.html", "comparison.json")
-CONSENSUS = "consensus"
+MAJORITY = "majority"
+"""Row of what more than half of the filters call ground."""
 
 
 def compare(
@@ -42,7 +45,8 @@ def compare(
     reference: Path | None = None,
     overwrite: bool = False,
     adapt: Callable[..., tuple[GroundParams, dict[str, Any]]] | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    say: Tell = quiet,
+    tell: Tell = quiet,
 ) -> dict[str, Any]:
     """Run filters on a cloud and write ``comparison.html`` and ``comparison.json`` into `out`.
 
@@ -51,7 +55,7 @@ def compare(
     methods : names with commas between them; None or ``all`` takes every single filter.
     out : directory; None is ``<input>-ground`` in the current one.
     adapt : changes the parameters of a method to the data, as in `ground_file`.
-    say : told what is being done.
+    say, tell : told what was found, and what begins.
 
     Returns
     -------
@@ -68,25 +72,27 @@ def compare(
     check_directory(target, FILES, overwrite)
     cloud = read_point_cloud(source, given_crs(crs, "--crs"))
     shown = shown_points(cloud)
+    check_extent(cloud, shown, conf.section("terrain", settings).cell)
     truth = _labels(cloud, reference)
     found, filters = {}, []
     for name in names:
         params = ground_params(name, preset, (), settings)
         if adapt is not None:
             params, _ = adapt(cloud, shown, params)
-        found[name], made = _one(cloud, shown, truth, name, params)
+        found[name], made = _one(cloud, shown, truth, name, params, tell)
         say(f"{name}: {made['seconds']:.2f} s, {100 * made['ground_share']:.1f} % ground")
         filters.append(made)
     votes = np.sum([f.ground for f in found.values()], axis=0)
     majority = Flags(votes * 2 > len(names), np.logical_and.reduce([f.noise for f in found.values()]))
-    filters.append(_told(cloud, shown, truth, CONSENSUS, majority))
+    filters.append(_told(cloud, shown, truth, MAJORITY, majority))
+    tell("measuring")
     made = {
         "input": str(source), "fwclass": __version__, "points": cloud.points, "shown": int(shown.sum()),
         "measured": measure(*_of(cloud, shown)).plain(), "labelled": truth is not None, "filters": filters,
         "agreement": agreement(list(found.values()), shown), "methods": list(names),
         "votes": np.bincount(votes[shown], minlength=len(names) + 1).tolist(),
     }  # fmt: skip
-    pictures = _pictures(cloud, shown, {**found, CONSENSUS: majority}, votes, made, settings)
+    pictures = _pictures(cloud, shown, {**found, MAJORITY: majority}, votes, made, settings, tell)
     target.mkdir(parents=True, exist_ok=True)
     write_json(target / "comparison.json", made)
     page = render_comparison(made, pictures, target / "comparison.html")
@@ -102,7 +108,7 @@ def methods_of(text: str | None) -> tuple[str, ...]:
     if unknown:
         raise ConfigError(
             "there is no such filter", where="--compare", expected=", ".join(FILTERS), got=unknown[0],
-            do=nearest(unknown[0], FILTERS),
+            do=closest(unknown[0], FILTERS),
         )  # fmt: skip
     if len(names) < 2:
         raise ConfigError("at least two filters can be compared", where="--compare", got=text, do="name another")
@@ -123,17 +129,23 @@ def _of(cloud: PointCloud, rows: NDArray[Any]) -> tuple[NDArray[Any], ...]:
 
 
 def _one(
-    cloud: PointCloud, shown: NDArray[np.bool_], truth: NDArray[np.int8] | None, name: str, params: GroundParams
+    cloud: PointCloud,
+    shown: NDArray[np.bool_],
+    truth: NDArray[np.int8] | None,
+    name: str,
+    params: GroundParams,
+    tell: Tell,
 ) -> tuple[Flags, dict[str, Any]]:
     """Flags of one filter, and what is told of it; a first run on some points keeps compiling out of the time."""
+    tell(f"filter {name}")
     some = np.flatnonzero(shown)[:200]
     filter_cloud(cloud, np.isin(np.arange(cloud.points), some), params.model_copy(update={"last_returns": False}))
     began = time.perf_counter()
-    flags = filter_cloud(cloud, shown, params)
+    flags = filter_cloud(cloud, shown, params, tell)
     seconds = time.perf_counter() - began
     told = _told(cloud, shown, truth, name, flags)
-    speed = {"seconds": round(seconds, 3), "points_per_second": round(int(shown.sum()) / max(seconds, 1e-9))}
-    return flags, {**told, **speed, "parameters": used(params)}
+    rate = {"seconds": round(seconds, 3), "points_per_second": round(int(shown.sum()) / max(seconds, 1e-9))}
+    return flags, {**told, **rate, "parameters": used(params)}
 
 
 def _told(
@@ -158,12 +170,16 @@ def agreement(found: Sequence[Flags], shown: NDArray[np.bool_]) -> list[list[flo
 
 def _pictures(
     cloud: PointCloud, shown: NDArray[np.bool_], found: dict[str, Flags], votes: NDArray[Any], made: dict[str, Any],
-    settings: tuple[str, ...],
+    settings: tuple[str, ...], tell: Tell,
 ) -> dict[str, bytes]:  # fmt: skip
     """Shaded relief of every filter's terrain, and the map of disagreement under its own name."""
     publish, terrain = conf.section("publish", settings), conf.section("terrain", settings)
     x, y, z, _ = _of(cloud, shown)
-    made_of = {n: terrain_by_blocks(x, y, z, f.ground[shown], f.noise[shown], terrain) for n, f in found.items()}
+    made_of = {}
+    for name, f in found.items():
+        tell(f"terrain of {name}")
+        made_of[name] = terrain_by_blocks(x, y, z, f.ground[shown], f.noise[shown], terrain)
+    tell("pictures")
     known = {n: (t.dtm, window) for n, (t, window) in made_of.items() if np.isfinite(t.dtm).any()}
     tints = tint_range(np.concatenate([dtm.reshape(-1) for dtm, _ in known.values()])) if known else None
     pictures = {name: relief(dtm, window, publish, tints) for name, (dtm, window) in known.items()}
@@ -189,12 +205,10 @@ def by_cell(cells: NDArray[np.int64], values: NDArray[Any], shape: tuple[int, in
 def describe(made: dict[str, Any]) -> str:
     """The result as text for a terminal."""
     wide = max(len(f["method"]) for f in made["filters"])
-    head = f"{'':{wide}}{'seconds':>9}{'M pts/s':>9}{'ground':>9}"
+    head = f"{'':{wide}}{'seconds':>9}{'pts/s':>9}{'ground':>9}"
     lines = [head + (f"{'type I':>9}{'type II':>9}{'total':>9}{'kappa':>8}" if made["labelled"] else "")]
     for one in made["filters"]:
-        time_ = (
-            f"{one['seconds']:9.2f}{one['points_per_second'] / 1e6:9.2f}" if one["seconds"] is not None else " " * 18
-        )
+        time_ = f"{one['seconds']:9.2f}{speed(one['points_per_second']):>9}" if one["seconds"] is not None else " " * 18
         line = f"{one['method']:<{wide}}{time_}{100 * one['ground_share']:8.1f}%"
         if one["accuracy"]:
             shares = [one["accuracy"][k] for k in ("type_i", "type_ii", "total_error")]
@@ -204,4 +218,15 @@ def describe(made: dict[str, Any]) -> str:
         lines.append(line)
     n = len(made["methods"])
     same = (made["votes"][0] + made["votes"][n]) / max(sum(made["votes"]), 1)
-    return "\n".join([*lines, "", f"all {n} filters agree on {100 * same:.1f} % of the points"])
+    return "\n".join([*lines, "", f"all {n} filters agree on {100 * same:.1f} % of the points", _MAJORITY])
+
+
+_MAJORITY = (
+    "majority: more than half of these filters say ground; --method consensus asks ground.consensus.methods instead,\n"
+    "and shows each of them the widest surroundings that one needs, so that some flags differ"
+)
+
+
+def speed(points: float) -> str:
+    """Points a second, with three figures."""
+    return f"{points / 1e6:.2f} M" if points >= 1e6 else f"{points / 1e3:.3g} k"

@@ -20,7 +20,9 @@ from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.las import LasSource
 from fwclass.run.ground.output import check_output, check_packets, write_points
 from fwclass.run.ground.params import ground_params, used, with_assignments
-from fwclass.run.ground.rasters import write_rasters
+from fwclass.run.ground.rasters import check_extent, terrain_of, write_rasters
+from fwclass.run.ground.steps import CompileClock, Tell, quiet
+from fwclass.run.ground.stray import stray_points, told
 from fwclass.run.survey import given_crs
 
 UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
@@ -44,7 +46,7 @@ class GroundJob:
     crs : coordinate system instead of the file's own, as text.
     keep_classes : points that are no ground keep the class they came with.
     use_flagged : withheld and synthetic points are shown to the filter too.
-    rasters : GeoTIFFs to write, by name: ``dtm``, ``dsm``, ``hillshade``.
+    rasters : GeoTIFFs to write, by name: ``dtm``, ``dsm``, ``ndsm``, ``hillshade``.
     overwrite : outputs may replace files.
     adapt : changes the parameters once the points are there.
     """
@@ -63,12 +65,12 @@ class GroundJob:
     adapt: Adapt | None = None
 
 
-def ground_file(job: GroundJob) -> dict[str, Any]:
+def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     """Find the ground of a file and write its points with new classes; what was done, as plain data.
 
     Ground becomes class 2, what the filter takes for noise class 7, everything else class 1. With `keep_classes` the
     others keep the class they came with (but 2, which becomes 1), and points that came as noise (7, 18) stay what
-    they are and the filter does not see them.
+    they are and the filter does not see them. Nothing is written before all of it is known. `tell` hears every step.
 
     Raises
     ------
@@ -80,30 +82,42 @@ def ground_file(job: GroundJob) -> dict[str, Any]:
     started = time.perf_counter()
     check_output(job.source, job.output, job.overwrite, job.rasters.values())
     params = ground_params(job.method, job.preset, () if job.adapt else job.assignments, job.settings)
+    publish, terrain = conf.section("publish", job.settings), conf.section("terrain", job.settings)
+    tell("reading")
     cloud = read_point_cloud(job.source, given_crs(job.crs, "--crs"))
     check_packets(cloud, job.output, job.overwrite)
     shown = shown_points(cloud, job.keep_classes, job.use_flagged)
+    if job.rasters:
+        check_extent(cloud, shown, terrain.cell)
     measured: dict[str, Any] = {}
-    if job.adapt is not None:
-        params, measured = job.adapt(cloud, _some(cloud, shown), params)
-        params = with_assignments(params, job.assignments)
-    at = time.perf_counter()
-    flags = filter_cloud(cloud, shown, params)
-    filtering = time.perf_counter() - at
-    classes = classes_of(cloud, flags, job.keep_classes)
-    publish = conf.section("publish", job.settings)
+    with CompileClock() as compiling:
+        if job.adapt is not None:
+            params, measured = job.adapt(cloud, some_shown(cloud, shown), params)
+            params = with_assignments(params, job.assignments)
+        at, before = time.perf_counter(), compiling.seconds
+        flags = filter_cloud(cloud, shown, params, tell)
+        filtering = time.perf_counter() - at - (compiling.seconds - before)
+        classes = classes_of(cloud, flags, job.keep_classes)
+        if job.rasters:
+            tell("terrain")
+            found = terrain_of(cloud, flags, shown, job.settings)
+    tell("writing")
     made = write_points(cloud, job.output, classes, publish)
-    rasters = write_rasters(cloud, flags, shown, job.rasters, job.settings, publish) if job.rasters else {}
+    rasters = write_rasters(cloud, found, job.rasters, publish) if job.rasters else {}
     codes, counts = np.unique(classes, return_counts=True)
+    stray = stray_points(cloud, shown)
     return {
         "input": str(job.source), "output": str(job.output), "method": params.method, "preset": job.preset,
         "parameters": used(params), "measured": measured, "points": cloud.points, "unusable": unusable(cloud),
-        "shown": int(shown.sum()), "left_out": int((cloud.usable & ~shown).sum()),
+        "shown": int(shown.sum()), "left_out": int((cloud.usable & ~shown).sum()), "stray": len(stray),
         "last_returns": int((shown & cloud.last).sum()), "ground": int(flags.ground.sum()),
         "noise": int(flags.noise.sum()), "classes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)},
         "crs": cloud.units.told, "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
-        "rasters": rasters, "waveforms": made.get("wdp"), "notes": _notes(cloud, flags, made),
-        "seconds": {"filter": round(filtering, 3), "all": round(time.perf_counter() - started, 3)},
+        "rasters": rasters, "waveforms": made.get("wdp"), "notes": _notes(cloud, shown, flags, stray, made),
+        "seconds": {
+            "filter": round(filtering, 3), "compiling": round(compiling.seconds, 3),
+            "all": round(time.perf_counter() - started, 3),
+        },
     }  # fmt: skip
 
 
@@ -124,7 +138,7 @@ def came_as_noise(cloud: PointCloud) -> NDArray[np.bool_]:
     return (cloud.classes == LOW_NOISE) | (cloud.classes == HIGH_NOISE)
 
 
-def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams) -> Flags:
+def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams, tell: Tell = quiet) -> Flags:
     """Flags of all points of `cloud`; only `shown` points take part.
 
     Raises
@@ -132,7 +146,7 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
     InputError
         No point is left to look at.
     """
-    rows = np.flatnonzero(_some(cloud, shown))
+    rows = np.flatnonzero(some_shown(cloud, shown))
     if params.last_returns and not cloud.last[rows].any():
         raise InputError(
             "no point is the last return of its pulse",
@@ -141,21 +155,27 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
             got=f"none among {len(rows):,} points",
             do="let all returns be ground: --param last_returns=false",
         )
-    found = ground_by_blocks(cloud.x[rows], cloud.y[rows], cloud.z[rows], cloud.last[rows], params)
+    found = ground_by_blocks(
+        cloud.x[rows], cloud.y[rows], cloud.z[rows], cloud.last[rows], params,
+        lambda block, of: tell(f"filter {params.method}: block {block} of {of}"),
+    )  # fmt: skip
     flags = Flags(np.zeros(cloud.points, bool), np.zeros(cloud.points, bool))
     flags.ground[rows], flags.noise[rows] = found.ground, found.noise
     return flags
 
 
-def _some(cloud: PointCloud, shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def some_shown(cloud: PointCloud, shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """`shown`, or `InputError` where no point is."""
     if not shown.any():
+        flagged = int((cloud.usable & cloud.flagged).sum())
+        noise = cloud.points - flagged - int((~cloud.usable).sum())
+        ways = [w for w, n in (("add --use-flagged", flagged), ("leave out --keep-classes", noise)) if n]
         raise InputError(
             "no point is left for the filter",
             where=cloud.path,
             expected="points that are neither withheld nor synthetic, nor noise with --keep-classes",
-            got=f"0 of {cloud.points:,}",
-            do="add --use-flagged, or leave out --keep-classes",
+            got=f"0 of {cloud.points:,}: {flagged:,} withheld or synthetic, {noise:,} noise",
+            do=" and ".join(ways) or "check the file",
         )
     return shown
 
@@ -183,14 +203,23 @@ def unusable(cloud: PointCloud) -> dict[str, int]:
     return {name: n for name, n in counts.items() if n}
 
 
-def _notes(cloud: PointCloud, flags: Flags, made: dict[str, Any]) -> list[str]:
-    notes = list(made.get("notes", []))
+def _notes(
+    cloud: PointCloud, shown: NDArray[np.bool_], flags: Flags, stray: NDArray[np.int64], made: dict[str, Any]
+) -> list[str]:
+    notes = [*made.get("notes", []), *cloud.cut_packets]
     if looks_like_degrees(cloud):
         notes.append("the coordinates look like degrees, and were taken for metres: reproject the file first")
     if isinstance(cloud.source, LasSource) and cloud.crs is not cloud.source.crs:
         notes.append("the output keeps the coordinate system that the input names, not that of --crs")
+    if len(stray):
+        ground = int(flags.ground[stray].sum())
+        notes.append(f"{told(cloud, stray)}; {ground:,} of them {'is' if ground == 1 else 'are'} called ground")
     if not flags.ground.any():
         notes.append("no ground was found: water, or a filter that does not suit this place")
-    if made.get("waveforms") in ("missing", "truncated"):
-        notes.append(f"the waveforms of the input are {made['waveforms']}")
+    elif _flat(cloud, shown):
+        notes.append("all points have the same height: nothing tells ground from objects, so all may be called ground")
     return notes
+
+
+def _flat(cloud: PointCloud, shown: NDArray[np.bool_]) -> bool:
+    return bool(np.ptp(cloud.z[shown]) == 0.0)

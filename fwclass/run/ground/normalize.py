@@ -20,6 +20,8 @@ from fwclass.read.text import SUFFIXES as TEXT
 from fwclass.run.ground.file import GROUND, came_as_noise, classes_of, filter_cloud, shown_points
 from fwclass.run.ground.output import check_output, check_packets, write_points
 from fwclass.run.ground.params import check_settings, ground_params
+from fwclass.run.ground.rasters import check_extent
+from fwclass.run.ground.steps import Tell, quiet
 from fwclass.run.survey import given_crs
 
 
@@ -52,7 +54,7 @@ class NormalizeJob:
         return self.method is not None or self.preset is not None or bool(self.assignments)
 
 
-def normalize_file(job: NormalizeJob) -> dict[str, Any]:
+def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     """Write the points of a file with their height above ground as z; what was done, as plain data.
 
     Everything but z stays as it is. Heights are in the file's own unit, the extra byte is in metres. A point without
@@ -72,16 +74,20 @@ def normalize_file(job: NormalizeJob) -> dict[str, Any]:
     check_settings(job.settings, ("ground", "terrain", "publish"))
     own = {} if job.height is None else {"height": job.height}
     params = conf.section("terrain", job.settings, {"terrain": own})
+    tell("reading")
     cloud = read_point_cloud(job.source, given_crs(job.crs, "--crs"))
     check_packets(cloud, job.output, job.overwrite)
     shown = shown_points(cloud, True, job.use_flagged)
-    flags, method = _ground(cloud, shown, job)
+    check_extent(cloud, cloud.usable, params.cell)
+    flags, method = _ground(cloud, shown, job, tell)
+    tell("terrain and heights")
     rows = np.flatnonzero(cloud.usable)
     found, _ = terrain_by_blocks(
         cloud.x[rows], cloud.y[rows], cloud.z[rows], flags.ground[rows], (flags.noise | ~shown)[rows], params
     )
     height = np.full(cloud.points, np.nan)
     height[rows] = found.height
+    tell("writing")
     made = _written(cloud, flags, height, job)
     known = height[np.isfinite(height)]
     return {
@@ -89,7 +95,8 @@ def normalize_file(job: NormalizeJob) -> dict[str, Any]:
         "points": cloud.points, "ground": int(flags.ground.sum()), "without": int(np.isnan(height).sum()),
         "keep_z": job.keep_z, "crs": cloud.units.told,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z}, "max_gap": params.max_gap,
-        "heights_m": _spread(known), "waveforms": made.get("wdp"), "notes": made.get("notes", []),
+        "heights_m": _spread(known), "waveforms": made.get("wdp"),
+        "notes": [*made.get("notes", []), *cloud.cut_packets],
         "seconds": {"all": round(time.perf_counter() - started, 3)},
     }  # fmt: skip
 
@@ -102,11 +109,11 @@ def _spread(height: NDArray[np.float64]) -> dict[str, float] | None:
     return {"least": low, "median": middle, "greatest": high}
 
 
-def _ground(cloud: PointCloud, shown: NDArray[np.bool_], job: NormalizeJob) -> tuple[Flags, str | None]:
+def _ground(cloud: PointCloud, shown: NDArray[np.bool_], job: NormalizeJob, tell: Tell) -> tuple[Flags, str | None]:
     """Ground and noise by a filter, or by the classes of the file; the filter's name."""
     if job.filters:
         params = ground_params(job.method, job.preset, job.assignments, job.settings)
-        flags, method = filter_cloud(cloud, shown, params), params.method
+        flags, method = filter_cloud(cloud, shown, params, tell), params.method
     elif cloud.classes is not None and (cloud.classes == GROUND).any():
         flags, method = Flags((cloud.classes == GROUND) & shown, came_as_noise(cloud)), None
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -32,8 +33,9 @@ def check_output(source: Path, output: Path, overwrite: bool, rasters: Iterable[
         raise ConfigError(
             "the kind of the output is unknown",
             where=output,
-            expected=f"a name that ends in .las, .laz or {', '.join(TEXT)}",
+            expected=f"a name that ends in {', '.join((*LAS, *TEXT))}",
             got=output.suffix or "no suffix",
+            do="name the output with one of these endings",
         )
     if output.name.lower().endswith(".copc.laz"):
         raise ConfigError(
@@ -46,8 +48,9 @@ def check_output(source: Path, output: Path, overwrite: bool, rasters: Iterable[
     for path in rasters:
         if path.suffix.lower() not in RASTER:
             raise ConfigError(
-                "a raster is a GeoTIFF", where=path, expected="a name that ends in .tif", got=path.suffix or "no suffix"
-            )
+                "a raster is a GeoTIFF", where=path, expected="a name that ends in .tif or .tiff",
+                got=path.suffix or "no suffix", do="name the raster with one of these endings",
+            )  # fmt: skip
     _check_places(source, [output, *rasters], overwrite)
 
 
@@ -57,6 +60,10 @@ def _check_places(source: Path, targets: list[Path], overwrite: bool) -> None:
     for path in targets:
         if not path.parent.is_dir():
             raise ConfigError("the output's directory does not exist", where=path.parent, do="make it first")
+        if not os.access(path.parent, os.W_OK):
+            raise ConfigError(
+                "the output's directory cannot be written to", where=path.parent, do="choose another place"
+            )
         if path.exists() and source.exists() and path.samefile(source):
             raise ConfigError(
                 "a file cannot be written onto itself", where=path, do="name another output; the input is never changed"

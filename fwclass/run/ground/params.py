@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -50,6 +51,7 @@ def ground_params(
         An unknown filter, preset or parameter, or a value that does not fit.
     """
     check_settings(settings, SECTIONS)
+    _check_preset(preset)
     change: dict[str, Any] = {} if preset is None else {"preset": preset}
     if method is not None:
         change["method"] = method
@@ -71,8 +73,48 @@ def with_assignments(params: GroundParams, assignments: Iterable[str]) -> Ground
     try:
         made: GroundParams = conf.checked("ground", values, where)
     except ConfigError as fault:
-        raise ConfigError("a parameter has a value that does not fit", where=where, got=fault.got) from fault
+        wanted, got = _in_words(fault.got)
+        raise ConfigError(
+            "a parameter has a value that does not fit", where=where, expected=wanted, got=got,
+            do="give another value; conf/base.yaml has the unit and the source of every parameter",
+        ) from fault  # fmt: skip
     return made
+
+
+def _in_words(told: str) -> tuple[str, str]:
+    """What is expected and what came, of faults ``section.key: message (got value)``."""
+    found = [re.fullmatch(r"ground\.(.+?): (.*) \(got (.*)\)", one, re.S) for one in told.split("; ")]
+    if not all(found):
+        return "", told.removeprefix("ground: ")
+    wanted = "; ".join(f"{m[1]}: {_plain_words(m[2])}" for m in found if m)
+    return wanted, "; ".join(m[3] for m in found if m)
+
+
+_PHRASES = (
+    ("Input should be greater than or equal to ", "at least "), ("Input should be greater than ", "more than "),
+    ("Input should be less than or equal to ", "at most "), ("Input should be less than ", "less than "),
+    ("Input should be ", ""), ("Value error, ", ""), (" is wanted", ""),
+)  # fmt: skip
+
+
+def _plain_words(message: str) -> str:
+    """A library's phrase as what is expected."""
+    for phrase, ours in _PHRASES:
+        message = message.replace(phrase, ours)
+    return message
+
+
+def _check_preset(name: str | None) -> None:
+    known = conf.presets()
+    if name is not None and name not in known:
+        raise ConfigError(
+            "no such preset", where="--preset", expected=", ".join(known), got=name, do=closest(name, known)
+        )
+
+
+def closest(name: str, known: Iterable[str]) -> str:
+    """`did you mean …?`; without the list, which stands beside it."""
+    return close if (close := nearest(name, known)).startswith("did") else "choose one of these"
 
 
 def check_settings(settings: Iterable[str], sections: tuple[str, ...]) -> None:
@@ -96,7 +138,7 @@ def _check_method(params: GroundParams) -> None:
             where="ground.method",
             expected=", ".join(FILTERS),
             got=", ".join(missing),
-            do=nearest(missing[0], FILTERS),
+            do=closest(missing[0], FILTERS),
         )
 
 
@@ -142,7 +184,7 @@ def _place(params: GroundParams, name: str, text: str) -> tuple[str, ...]:
         where=f"--param {text}",
         expected=", ".join([*_listed(known), "noise.<name>"]),
         got=name,
-        do=close if (close := nearest(plain, known)).startswith("did") else "choose one of these",
+        do=closest(plain, known),
     )
 
 

@@ -1,4 +1,4 @@
-"""Rasters beside a file of points: terrain, surface, relief."""
+"""Rasters beside a file of points: terrain, surface, their difference, relief."""
 
 from __future__ import annotations
 
@@ -9,36 +9,55 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
+from fwclass.errors import InputError
 from fwclass.grid import Window
 from fwclass.ground.filters import Flags
+from fwclass.ground.raster.lattice import window_over
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.ground.terrain.terrain import Terrain
 from fwclass.publish.cog import write_cog
 from fwclass.publish.params import PublishParams
 from fwclass.publish.shade import hillshade
 from fwclass.read.cloud import PointCloud
+from fwclass.run.ground.stray import stray_points, told
 
 NO_LIGHT = 0
 """Value of a cell of the relief without terrain; the others have 1 to 255."""
 
 
-def write_rasters(
-    cloud: PointCloud,
-    flags: Flags,
-    shown: NDArray[np.bool_],
-    targets: dict[str, Path],
-    settings: tuple[str, ...],
-    publish: PublishParams,
-) -> dict[str, Any]:
-    """Write the GeoTIFFs of `targets` (``dtm``, ``dsm``, ``hillshade``), in the file's units; what was written.
+def check_extent(cloud: PointCloud, shown: NDArray[np.bool_], cell: float) -> None:
+    """`InputError` if rasters of `cell` [m] over the shown points would be absurdly large; it tells of stray points."""
+    rows = np.flatnonzero(shown)
+    if not len(rows):
+        return
+    try:
+        window_over(cloud.x[rows], cloud.y[rows], cell, "terrain.cell")
+    except InputError as fault:
+        stray = told(cloud, stray_points(cloud, shown))
+        larger = "take larger cells: --set terrain.cell=…"
+        raise InputError(
+            "the terrain's raster would be too large", where=cloud.path, expected=fault.expected, got=fault.got,
+            do=f"{stray}: remove what is astray, or {larger}" if stray else f"{larger}, or cut the file into parts",
+        ) from fault  # fmt: skip
 
-    Only `shown` points count. Terrain and surface are NaN where there is none.
-    """
+
+def terrain_of(
+    cloud: PointCloud, flags: Flags, shown: NDArray[np.bool_], settings: tuple[str, ...]
+) -> tuple[Terrain, Window]:
+    """Terrain and surface of the `shown` points."""
     rows = np.flatnonzero(shown)
     params = conf.section("terrain", settings)
-    made, window = terrain_by_blocks(
-        cloud.x[rows], cloud.y[rows], cloud.z[rows], flags.ground[rows], flags.noise[rows], params
-    )
+    return terrain_by_blocks(cloud.x[rows], cloud.y[rows], cloud.z[rows], flags.ground[rows], flags.noise[rows], params)
+
+
+def write_rasters(
+    cloud: PointCloud, found: tuple[Terrain, Window], targets: dict[str, Path], publish: PublishParams
+) -> dict[str, Any]:
+    """Write the GeoTIFFs of `targets` (``dtm, dsm, ndsm, hillshade``), in the file's units; what was written.
+
+    Terrain, surface and their difference are NaN where there is none.
+    """
+    made, window = found
     out = {}
     for name, path in targets.items():
         raster, nodata = _raster(name, made, window, cloud.units.z, publish)
@@ -49,6 +68,7 @@ def write_rasters(
 def _raster(name: str, made: Terrain, window: Window, unit: float, publish: PublishParams) -> tuple[NDArray, float]:
     """One raster and its value for no data."""
     if name != "hillshade":
-        return (getattr(made, name) / np.float32(unit)).astype(np.float32), float("nan")
+        values = made.dsm - made.dtm if name == "ndsm" else getattr(made, name)
+        return (values / np.float32(unit)).astype(np.float32), float("nan")
     light = np.rint(1.0 + 254.0 * hillshade(made.dtm, window.cell, publish)).astype(np.uint8)
     return np.where(np.isfinite(made.dtm), light, np.uint8(NO_LIGHT)), NO_LIGHT

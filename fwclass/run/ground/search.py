@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.run.ground.file import filter_cloud, shown_points
 from fwclass.run.ground.labels import NAMES, Matrix, Points, halves, labels_of, matrix_of
 from fwclass.run.ground.params import ground_params
+from fwclass.run.ground.steps import Tell, quiet
 from fwclass.run.survey import given_crs
 from fwclass.store.atomic import write_json
 
@@ -39,7 +40,8 @@ def optimize(
     settings: tuple[str, ...] = (),
     crs: str | None = None,
     overwrite: bool = False,
-    say: Callable[[str], None] = lambda text: None,
+    say: Tell = quiet,
+    tell: Tell = quiet,
 ) -> dict[str, Any]:
     """Search the parameters of a filter with the greatest kappa on labelled points.
 
@@ -53,11 +55,13 @@ def optimize(
     reference : file with the classes of the same points; None takes those of `source`.
     out : directory for ``search.json, ground.yaml, kappa.png``; None writes nothing.
     say : told before the search how long it may take.
+    tell : told before every run of the filter.
 
     Returns
     -------
     dict
-        Plain data for JSON.
+        Plain data for JSON. ``recommended`` is "best", or "start" where the found parameters are no better on points
+        that did not choose them; ``param`` and ``yaml`` are those of the recommended ones.
 
     Raises
     ------
@@ -71,16 +75,13 @@ def optimize(
     if out is not None:
         check_directory(out, ("search.json", "ground.yaml", "kappa.png"), overwrite)
     cloud = read_point_cloud(source, given_crs(crs, "--crs"))
+    tell("reading")
     trial = Trial(cloud, labels_of(cloud, reference), params, ranges)
     start = start_of(params, ranges)
-    first = time.perf_counter()
-    trial.matrices(start)
-    each = time.perf_counter() - first
-    runs = most_runs(ranges, limits)
-    say(
-        f"{params.method}: {len(ranges)} parameters, at most {3 * runs} runs of {each:.2f} s, "
-        f"at most {_duration(3 * runs * each)}; usually a third of it"
-    )
+    runs = 3 * most_runs(ranges, limits)
+    tell(f"{params.method}: how long a run takes")
+    say(announced(params.method, runs, [_timed(trial, s) for s in (start, *_ends(ranges))]))
+    trial.tell = lambda: tell(f"{params.method}: run {len(trial.known) + 1} of at most {runs}")
     made = _searched(trial, start, ranges, limits)
     made = {
         "input": str(source), "reference": str(reference or source), "fwclass": __version__, "method": params.method,
@@ -109,10 +110,12 @@ class Trial:
         self.params, self.quiet = params, params.model_copy(update={"noise": quiet})
         self.ranges = ranges
         self.known: dict[Setting, tuple[Matrix, Matrix]] = {}
+        self.tell: Callable[[], None] = lambda: None
 
     def matrices(self, setting: Setting) -> tuple[Matrix, Matrix]:
         """Confusion matrices (rows reference, columns filter; ground first) of the two halves."""
         if setting not in self.known:
+            self.tell()
             asked = with_values(self.quiet, dict(zip(self.ranges, setting, strict=True)))
             ground = np.zeros(len(self.truth), bool)
             ground[self.rows] = ground_by_blocks(*self.points, self.last, asked).ground
@@ -135,12 +138,14 @@ def _searched(trial: Trial, start: Setting, ranges: dict[str, Values], limits: G
     chosen = [search(ranges, start, partial(trial.kappa, half=half), limits).setting for half in (0, 1)]
     held = trial.matrices(chosen[0])[1] + trial.matrices(chosen[1])[0]
     before, after = (sum(trial.matrices(s)) for s in (start, best.setting))
-    values = named(ranges, best.setting)
+    better = figure(held, "kappa") > figure(before, "kappa")
+    values = named(ranges, best.setting if better else start)
     return {
         "start": {"parameters": named(ranges, start), **_figures(before)},
-        "best": {"parameters": values, **_figures(after)},
+        "best": {"parameters": named(ranges, best.setting), **_figures(after)},
         "held_out": {"parameters": [named(ranges, s) for s in chosen], **_figures(held)},
         "curves": {n: [list(p) for p in line] for n, line in curves(ranges, best.setting, trial.kappa).items()},
+        "recommended": "best" if better else "start",
         "param": " ".join(f"--param {name}={value:g}" for name, value in values.items()),
         "yaml": fragment(trial.params, values),
     }
@@ -201,6 +206,12 @@ def fragment(params: GroundParams, values: dict[str, float]) -> str:
     return str(yaml.safe_dump(tree, sort_keys=False))
 
 
+def figure(matrix: Any, name: str) -> float:
+    """One figure of a confusion matrix; -1 where there is none."""
+    told = figures(matrix, NAMES)[name]
+    return -1.0 if told is None else float(told)
+
+
 def _figures(matrix: Any) -> dict[str, Any]:
     told = figures(matrix, NAMES)
     return {name: told[name] for name in ("confusion", "type_i", "type_ii", "total_error", "kappa")}
@@ -235,7 +246,35 @@ def describe(made: dict[str, Any]) -> str:
         shown = "".join("        -" if v is None else f"{100 * v:8.2f}%" for v in told[1:])
         lines.append(f"{label:<22}{told[0] if told[0] is not None else math.nan:8.4f}{shown}")
     lines.append("held out: chosen on two opposite quarters of the area, assessed on the other two, both ways")
+    if made["recommended"] == "start":
+        return "\n".join([*lines, "", NO_BETTER])
     return "\n".join([*lines, "", made["param"], "", made["yaml"].rstrip()])
+
+
+NO_BETTER = "the found parameters are no better on points that did not choose them: keep the present ones"
+
+
+def announced(method: str, runs: int, timed: Sequence[float]) -> str:
+    """What a search of at most `runs` runs may take, by the seconds of some runs of very different settings.
+
+    Searches seldom need less than a third or more than two thirds of the runs, and the mean stands for all of them.
+    """
+    low, high, mean = min(timed), max(timed), sum(timed) / len(timed)
+    each = f"{low:.2f} to {high:.2f} s" if f"{low:.2f}" != f"{high:.2f}" else f"{high:.2f} s"
+    about = f"{_duration(0.3 * runs * mean)} to {_duration(0.7 * runs * mean)}"
+    return f"{method}: at most {runs} runs of {each}; probably {about}, at most about {_duration(runs * high)}"
+
+
+def _ends(ranges: dict[str, Values]) -> tuple[Setting, Setting]:
+    """The first and the last value of every range."""
+    return tuple(v[0] for v in ranges.values()), tuple(v[-1] for v in ranges.values())
+
+
+def _timed(trial: Trial, setting: Setting) -> float:
+    """Seconds of one run; the filter has run before, so that nothing is compiled."""
+    began = time.perf_counter()
+    trial.matrices(setting)
+    return time.perf_counter() - began
 
 
 def _duration(seconds: float) -> str:

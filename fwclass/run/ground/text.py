@@ -34,13 +34,20 @@ def describe(made: Mapping[str, Any]) -> str:
         *_wrapped("parameters", ", ".join(parameters(made["parameters"]))),
         ("ground", f"{made['ground']:,} ({share(made['ground'], total)})"),
         ("noise", f"{made['noise']:,}"),
-        ("seconds", f"{made['seconds']['all']:.1f}, of which {made['seconds']['filter']:.1f} in the filter"),
+        ("seconds", _seconds(made["seconds"])),
         *[("note", text) for text in made["notes"]],
         ("written", made["output"]),
         *([("", made["waveforms"])] if made["waveforms"] else []),
         *[("", facts["path"]) for facts in made["rasters"].values()],
     ]
     return table(rows)
+
+
+def _seconds(seconds: Mapping[str, float]) -> str:
+    text = f"{seconds['all']:.1f}, of which {seconds['filter']:.1f} in the filter"
+    if seconds["compiling"] < 1.0:
+        return text
+    return f"{text} and {seconds['compiling']:.1f} compiling for this machine, once"
 
 
 def _wrapped(name: str, text: str) -> list[tuple[str, str]]:

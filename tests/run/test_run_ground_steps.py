@@ -1,0 +1,92 @@
+"""What a ground command tells while it works, and what it knows of stray points."""
+
+from __future__ import annotations
+
+import io
+import time
+
+import numba
+import numpy as np
+import pytest
+from rich.console import Console
+
+from fwclass.ground.blocks import ground_by_blocks
+from fwclass.read.cloud import read_point_cloud
+from fwclass.run.ground.file import GroundJob, ground_file
+from fwclass.run.ground.params import ground_params
+from fwclass.run.ground.steps import ONCE, CompileClock, Steps
+from fwclass.run.ground.stray import stray_points, told
+
+
+def test_lines_come_now_and_then_and_say_what_is_done():
+    file = io.StringIO()
+    with Steps(Console(file=file, soft_wrap=True), every=0.05) as steps:
+        steps.tell("filter smrf: block 3 of [16]")
+        time.sleep(0.3)
+        steps.say("kept")
+    lines = file.getvalue().splitlines()
+    assert 2 <= len(lines) <= 8 and "filter smrf: block 3 of [16]" in lines[0] and lines[-1] == "kept"
+
+
+def test_a_short_command_says_nothing():
+    file = io.StringIO()
+    with Steps(Console(file=file)) as steps:
+        steps.tell("reading")
+    assert file.getvalue() == ""
+
+
+def test_a_person_sees_the_step():
+    file = io.StringIO()
+    with Steps(Console(file=file, force_terminal=True, width=80)) as steps:
+        steps.tell("filter smrf: block 3 of 16")
+        time.sleep(0.3)
+    assert "block 3 of 16" in file.getvalue()
+
+
+def test_compiling_is_named_and_timed():
+    seen = []
+    with Steps(Console(file=io.StringIO())) as steps, CompileClock(lambda: seen.append(steps.line)) as clock:
+        steps.tell("filter smrf")
+        double = numba.njit(lambda x: 2.0 * x)
+        double(1.0)
+        once = clock.seconds
+        double(2.0)
+    assert once > 0 and clock.seconds == once and not clock.runs
+    assert seen[0].startswith("filter smrf") and any(ONCE in text for text in seen)
+
+
+def test_every_block_is_told():
+    r = np.random.default_rng(0)
+    x, y = r.uniform(0, 500, (2, 3000))
+    heard = []
+    params = ground_params("slope")
+    some = ground_by_blocks(x, y, 0.1 * x, np.ones(3000, bool), params, lambda *block: heard.append(block))
+    assert heard == [(k, 4) for k in range(1, 5)]
+    np.testing.assert_array_equal(some.ground, ground_by_blocks(x, y, 0.1 * x, np.ones(3000, bool), params).ground)
+
+
+def test_a_file_tells_its_steps(tmp_path):
+    path = tmp_path / "a.txt"
+    np.savetxt(path, np.random.default_rng(0).uniform(0, 50, (500, 3)) * [1, 1, 0.01], fmt="%.2f")
+    heard = []
+    made = ground_file(GroundJob(path, tmp_path / "o.txt", rasters={"dtm": tmp_path / "d.tif"}), heard.append)
+    assert heard == ["reading", "filter smrf: block 1 of 1", "terrain", "writing"]
+    assert made["seconds"]["filter"] + made["seconds"]["compiling"] <= made["seconds"]["all"]
+
+
+@pytest.mark.parametrize("east, stray", [(0.0, 0), (200.0, 0), (3000.0, 1), (-3000.0, 1), (9e7, 1)])
+def test_a_point_is_stray_far_from_all_others(tmp_path, east, stray):
+    path = tmp_path / "a.txt"
+    xyz = np.vstack([np.random.default_rng(0).uniform(0, 200, (500, 3)), [[east + 20.0, 20.0, 5.0]]])
+    np.savetxt(path, xyz, fmt="%.2f")
+    cloud = read_point_cloud(path)
+    rows = stray_points(cloud, cloud.usable)
+    assert rows.tolist() == [500][:stray]
+    assert told(cloud, rows) == (f"1 point lies far from all others, at x {east + 20:.2f}, y 20.00" if stray else "")
+
+
+def test_places_of_equally_few_points_are_no_strays(tmp_path):
+    path = tmp_path / "a.txt"
+    np.savetxt(path, [[1000.0 * k, 0.0, 0.0] for k in range(20)], fmt="%.2f")
+    cloud = read_point_cloud(path)
+    assert len(stray_points(cloud, cloud.usable)) == 0
