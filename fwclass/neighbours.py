@@ -63,15 +63,15 @@ class CellIndex:
                 do="remove outlying points, use smaller tiles or a larger radius",
             )
         x0, y0, z0 = col0 * edge, row0 * edge, int(mz.min())
-        order, start = _sort_by_cell((row - row0) * ncols + (col - col0), ncols * nrows)
+        order, start = sort_by_cell((row - row0) * ncols + (col - col0), ncols * nrows)
         return cls(
             order, start, (mx - x0)[order], (my - y0)[order], (mz - z0)[order], ncols, nrows, edge, x0, y0, z0
         )  # fmt: skip
 
 
 @kernel
-def _sort_by_cell(cell, n_cells):  # type: ignore[no-untyped-def]
-    """Stable counting sort: (order, start)."""
+def sort_by_cell(cell, n_cells):  # type: ignore[no-untyped-def]
+    """Stable counting sort of points by cell number: (rows in order of cells, first of every cell and one more)."""
     start = np.zeros(n_cells + 1, np.int64)
     for c in cell:
         start[c + 1] += 1

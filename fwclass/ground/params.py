@@ -16,7 +16,8 @@ Method = Literal["slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf",
 
 
 MAX_HALO = 1000.0
-"""What a filter may read around a block [m]; ten times what the widest halls need, and still tens of millions of points."""
+"""What a filter may read around a block [m]: ten times what the widest halls need, and still tens of millions of
+points."""
 
 
 class FilterParams(Params):
@@ -346,8 +347,8 @@ class GroundParams(Params):
     def _reaches_no_further(self) -> Self:
         if self.halo > MAX_HALO:
             raise ValueError(
-                f"the filter would read {self.halo:,.0f} m around a block, more than {MAX_HALO:,.0f} m: choose a smaller "
-                "max_building_size, window, radius or cell of the filter"
+                f"the filter would read {self.halo:,.0f} m around a block, more than {MAX_HALO:,.0f} m: "
+                "choose a smaller max_building_size, window, radius or cell of the filter"
             )
         return self
 

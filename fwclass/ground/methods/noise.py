@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.ground.params import NoiseParams
 from fwclass.kernel import kernel
-from fwclass.neighbours import CellIndex, _sort_by_cell
+from fwclass.neighbours import CellIndex, sort_by_cell
 
 LEVELS = 3
 """Sizes of cells that groups are looked for in, each twice the one before."""
@@ -189,7 +189,7 @@ def _beyond_sigma(
     while (int(x.max()) // edge + 1) * (int(y.max()) // edge + 1) > max(MOST_CELLS, 64 * len(x)):
         edge *= 2
     ncols, nrows = int(x.max()) // edge + 1, int(y.max()) // edge + 1
-    order, start = _sort_by_cell(y // edge * ncols + x // edge, ncols * nrows)
+    order, start = sort_by_cell(y // edge * ncols + x // edge, ncols * nrows)
     found = np.zeros(len(x), bool)
     _sigma_rule(
         x[order], y[order], z[order], start, ncols, nrows, radius, params.sigma, params.sigma_least * 1000.0,

@@ -11,6 +11,7 @@ from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.ground.tin.delaunay import GHOST
 from fwclass.ground.tin.tin import Tin
 from fwclass.kernel import inlined, kernel
+from fwclass.neighbours import sort_by_cell
 from fwclass.units import QUANTUM
 
 FEW = 2
@@ -53,7 +54,7 @@ def facet_heights(
     """Heights of the facets [m] at points inside `window`, in any order; NaN where there is no facet."""
     mm, west, south = _corner(facets, window)
     px, py = millimetres(x) - window.col * mm, millimetres(y) - window.row * mm
-    order, start = by_cell((py // mm) * window.ncols + px // mm, window.nrows * window.ncols)
+    order, start = sort_by_cell((py // mm) * window.ncols + px // mm, window.nrows * window.ncols)
     found = np.full(len(order), np.nan)
     places = 2.0 * px[order] + west, 2.0 * py[order] + south
     grid = start, window.ncols, window.nrows, 2.0 * mm, west, south
@@ -75,22 +76,6 @@ def _corner(facets: Facets, window: Window) -> tuple[int, float, float]:
     """Edge of a cell [mm], and the window's corner in half millimetres from the facets' origin."""
     mm = whole_millimetres(window.cell, "cell")
     return mm, 2.0 * (window.col * mm - facets.origin[0]), 2.0 * (window.row * mm - facets.origin[1])
-
-
-@kernel
-def by_cell(cell, n_cells):  # type: ignore[no-untyped-def]
-    """Counting sort of points by cell number: (rows in order of cells, first of every cell and one more)."""
-    start = np.zeros(n_cells + 1, np.int64)
-    for c in cell:
-        start[c + 1] += 1
-    for c in range(n_cells):
-        start[c + 1] += start[c]
-    place = start[:-1].copy()
-    order = np.empty(len(cell), np.int64)
-    for i in range(len(cell)):
-        order[place[cell[i]]] = i
-        place[cell[i]] += 1
-    return order, start
 
 
 @inlined

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
-from fwclass.ground.terrain.facets import by_cell
 from fwclass.kernel import kernel
+from fwclass.neighbours import sort_by_cell
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
@@ -28,7 +28,7 @@ def nearest_height(ground: Points, asked: Points, window: Window, max_gap: float
     mm = whole_millimetres(window.cell, "cell")
     gx, gy = millimetres(ground[0]) - window.col * mm, millimetres(ground[1]) - window.row * mm
     px, py = millimetres(asked[0]) - window.col * mm, millimetres(asked[1]) - window.row * mm
-    order, start = by_cell((gy // mm) * window.ncols + gx // mm, window.nrows * window.ncols)
+    order, start = sort_by_cell((gy // mm) * window.ncols + gx // mm, window.nrows * window.ncols)
     # a ground point is anywhere in its cell, and so is the point that asks
     rings = math.ceil(max_gap / window.cell + math.sqrt(2.0)) + 1
     floor = np.empty(len(px))
