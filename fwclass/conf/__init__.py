@@ -1,0 +1,170 @@
+"""Configuration: `conf/base.yaml` holds every number once, a survey's file changes what it needs.
+
+Everything is checked before anything runs; an unknown key is an error that names the nearest known one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from fwclass.conf.files import conf_directory, find, merged, read, setting
+from fwclass.conf.model import PARAMS, Config
+from fwclass.errors import ConfigError, nearest
+
+__all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "preset", "presets", "section"]
+
+
+def load(name: str | Path, settings: tuple[str, ...] = ()) -> Config:
+    """The configuration `name` over `conf/base.yaml`, with `settings` (``section.key=value``) over both.
+
+    Where one of them names a ``ground.preset``, that lies between `conf/base.yaml` and the others.
+    """
+    path = find(name)
+    change = read(path)
+    for text in settings:
+        change = merged(change, setting(text))
+    raw = _laid(change)
+    return build(path, raw, f"{path} with --set {' --set '.join(settings)}" if settings else str(path))
+
+
+def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any] | None = None) -> Any:
+    """The params of one section as `conf/base.yaml` has them (single-file commands).
+
+    `settings` (``section.key=value``) go before the base, and `change` (nested mappings by section) before both.
+    """
+    path = conf_directory() / "base.yaml"
+    changes: dict[str, Any] = {}
+    for text in settings:
+        changes = merged(changes, setting(text))
+    raw = _laid(merged(changes, dict(change or {})))
+    where = f"{path} with --set {' --set '.join(settings)}" if settings else path
+    return _build(name, raw.get(name), where)
+
+
+def _laid(change: dict[str, Any]) -> dict[str, Any]:
+    """`change` over `conf/base.yaml`, with the ground preset that it names between them."""
+    base = read(conf_directory() / "base.yaml")
+    ground = change.get("ground")
+    name = ground.get("preset") if isinstance(ground, dict) else None
+    if name is not None:
+        own = {key: value for key, value in preset(str(name)).items() if key != "about"}
+        base = merged(base, {"ground": own})
+    return dict(merged(base, change))
+
+
+def presets() -> dict[str, dict[str, Any]]:
+    """What every preset of the ground filters changes, by name; ``about`` says what it is for."""
+    return read(conf_directory() / "presets" / "ground.yaml")
+
+
+def preset(name: str) -> dict[str, Any]:
+    """One of `presets`."""
+    known = presets()
+    if name not in known:
+        raise ConfigError(
+            "no such preset", where="ground.preset", expected=", ".join(known), got=name, do=nearest(name, known)
+        )
+    return known[name]
+
+
+def build(path: Path, raw: dict[str, Any], where: str = "") -> Config:
+    """A checked configuration; `where` names its origin in messages."""
+    where = where or str(path)
+    for name in raw:
+        if name not in PARAMS:
+            raise ConfigError(f"unknown section {name!r}", where=where, got=name, do=nearest(str(name), PARAMS))
+    values = {n: _build(n, raw.get(n), where) for n in PARAMS if n != "simulate"}
+    simulated = values["survey"].directory is None
+    simulate = _build("simulate", raw.get("simulate"), where) if simulated else None
+    config = Config(path=path, raw=raw, simulate=simulate, **values)
+    _check(config)
+    return config
+
+
+def checked(name: str, value: Any, where: object) -> Any:
+    """The params of a section from plain data; `where` names its origin in messages."""
+    return _build(name, value, where)
+
+
+def _build(name: str, value: Any, path: object) -> Any:
+    if value is None:
+        raise ConfigError(f"section {name!r} is missing", where=path, do=f"add `{name}:`")
+    model = PARAMS[name]
+    if name == "ground" and isinstance(value, dict):
+        value = {key: v for key, v in value.items() if key != "preset"}  # laid under the other keys already
+    try:
+        return model.model_validate(value)
+    except ValidationError as fault:
+        raise ConfigError(
+            f"section {name!r} is wrong",
+            where=path,
+            got="; ".join(_explain(name, model, e) for e in fault.errors()[:5]),
+        ) from fault
+
+
+def _explain(name: str, model: type[BaseModel], error: Any) -> str:
+    key = ".".join([name, *(str(p) for p in error["loc"])])
+    if error["type"] == "extra_forbidden":
+        fields = model.model_fields if len(error["loc"]) == 1 else {}
+        return f"unknown key {key} ({nearest(str(error['loc'][-1]), fields)})" if fields else f"unknown key {key}"
+    if error["type"] == "missing":
+        return f"{key} is missing"
+    if error["type"] == "value_error" and isinstance(error["input"], Mapping):
+        return f"{key}: {error['msg'].removeprefix('Value error, ')}"  # several keys that do not fit one another
+    wanted = _WANTED.get(error["type"].split("_")[0], error["msg"])
+    return f"{key}: {wanted} (got {str(error['input'])[:80]!r})"
+
+
+_WANTED = {
+    "tuple": "a list is wanted, as in [a, b]",
+    "model": "keys with values are wanted, as in `key: value`",
+    "dict": "keys with values are wanted, as in `key: value`",
+    "string": "a text is wanted; put it in quotes if YAML takes it for something else",
+    "float": "a number is wanted",
+    "int": "a whole number is wanted",
+    "bool": "true or false is wanted",
+}
+"""What to say for pydantic's kinds of error."""
+
+
+def _check(config: Config) -> None:
+    """What one section cannot see alone."""
+    where = config.path
+    names = [c.name for c in config.survey.classes]
+    used = [code for c in config.survey.classes for code in c.codes]
+    codes = [c.code for c in config.survey.classes]
+    groups: tuple[tuple[str, list[Any]], ...] = (("name", names), ("code", codes), ("reference code", used))
+    for what, values in groups:
+        twice = {v for v in values if values.count(v) > 1}
+        if twice:
+            raise ConfigError(f"a class {what} is given twice", where=f"{where}: survey.classes", got=sorted(twice))
+    if len(names) < 2:
+        raise ConfigError("at least two classes are needed", where=f"{where}: survey.classes", got=names or "none")
+    if not all(0 < c <= 255 for c in codes + used):
+        raise ConfigError("class codes lie in 1 to 255", where=f"{where}: survey.classes", got=codes + used)
+    for kind in ("train", "test"):
+        for box in getattr(config.areas, kind):
+            if not all(map(math.isfinite, box)) or box[0] >= box[2] or box[1] >= box[3]:
+                raise ConfigError(
+                    "an area is [xmin, ymin, xmax, ymax] with min < max",
+                    where=f"{where}: areas.{kind}",
+                    got=box,
+                )
+    if config.survey.model is None:
+        if config.survey.reference.kind == "none":
+            raise ConfigError(
+                "nothing to train on",
+                where=f"{where}: survey.reference",
+                do="name a reference (source or cloud), or a trained model as survey.model",
+            )
+        if not config.areas.train:
+            raise ConfigError(
+                "no training area",
+                where=f"{where}: areas.train",
+                do="list at least one box [xmin, ymin, xmax, ymax]",
+            )
