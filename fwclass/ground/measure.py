@@ -14,6 +14,7 @@ from fwclass.grid import Window, whole_millimetres
 from fwclass.ground.raster.fill import filled
 from fwclass.ground.raster.lattice import window_over
 from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.surface import gradient, low_limit
 from fwclass.kernel import kernel
 from fwclass.units import QUANTUM
 
@@ -227,7 +228,7 @@ def _lowest(flat: NDArray[np.int64], z: NDArray[np.float64], window: Window) -> 
     low, outliers = np.full(window.shape, np.inf), 0
     _lowest_over(flat, z, np.full(low.size, -np.inf), low.reshape(-1))
     low[np.isinf(low)] = np.nan
-    limit = -opened(-filled(low), 1) - DEEP
+    limit = low_limit(filled(low), 1.0, DEEP)
     if (low < limit).any():
         low = np.full(window.shape, np.inf)
         outliers = _lowest_over(flat, z, limit.reshape(-1), low.reshape(-1))
@@ -256,12 +257,7 @@ def _standing(surface: NDArray[np.float64], cell: float, slope: float, window: f
 
 def _slope(surface: NDArray[np.float64], cell: float) -> NDArray[np.float64]:
     """Slope, rise over run, of the surface averaged over five cells."""
-    smooth = ndimage.uniform_filter(surface, 5, mode="nearest")
-    square = np.zeros(surface.shape)
-    for axis, length in enumerate(surface.shape):
-        if length > 1:
-            square += np.gradient(smooth, cell, axis=axis) ** 2
-    return np.sqrt(square)
+    return gradient(ndimage.uniform_filter(surface, 5, mode="nearest"), cell)
 
 
 def _widest(low: NDArray[np.float64], cell: float, slope: float) -> float:

@@ -13,16 +13,12 @@ from fwclass.assess.stage import confusion, figures, unclassified
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantised
 from fwclass.model import ClassDef
-from fwclass.neighbours import nearest_within
 from fwclass.read.cloud import FAR
 from fwclass.read.source import open_source
 from fwclass.read.stage import read_cloud
 from fwclass.read.text import is_text, read_text
+from fwclass.run.pairing import Places, pairs
 from fwclass.schema import Table
-
-SAME_POINT = 0.002
-"""Two clouds are in the same order if no pair of points is further apart than this [m]."""
-
 
 GROUND = (ClassDef("ground", 2, (2,)), ClassDef("other", 1, (1, *range(3, 256))))
 """Ground against everything else, as ground filters are judged (He 2023)."""
@@ -87,14 +83,14 @@ def assess_files(reference: Path, prediction: Path, codes: str | None, ground: b
     if ground and codes is not None:
         raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
     truth, answer = _cloud(reference), _cloud(prediction)
-    pairs = _pairs(truth, answer, conf.section("label").max_distance)
-    known = pairs >= 0
+    found = pairs(_places(truth), _places(answer), conf.section("label").max_distance)
+    known = found >= 0
     if not known.any():
         raise InputError(
             "reference and prediction have no point in common", where=f"{reference}, {prediction}",
             do="check that they show the same place in the same coordinate system",
         )  # fmt: skip
-    wanted, given = truth["source_class"][known], answer["source_class"][pairs[known]]
+    wanted, given = truth["source_class"][known], answer["source_class"][found[known]]
     classes, given = _classes(wanted, given, codes, ground)
     names = [c.name for c in classes]
     made = figures(confusion(wanted, given, classes), names, unclassified(wanted, given, classes))
@@ -116,22 +112,5 @@ def _classes(
     return classes, own[given]
 
 
-def _pairs(truth: Table, answer: Table, limit: float) -> NDArray[np.int64]:
-    """Row of `answer` for every row of `truth`, -1 if none; points without coordinates have none."""
-    if truth.rows == answer.rows and all(_close(truth[n], answer[n]) for n in "xyz"):
-        return np.arange(truth.rows)
-    out = np.full(truth.rows, -1, np.int64)
-    mine, theirs = (np.flatnonzero(np.isfinite(t["x"] + t["y"] + t["z"])) for t in (truth, answer))
-    if len(mine) and len(theirs):
-        points = truth["x"][mine], truth["y"][mine], truth["z"][mine]
-        among = answer["x"][theirs], answer["y"][theirs], answer["z"][theirs]
-        found, _ = nearest_within(points, among, limit)
-        out[mine] = np.where(found >= 0, theirs[found], -1)
-    return out
-
-
-def _close(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """The same numbers, but for rounding, and none in the same places."""
-    both = np.isfinite(a) & np.isfinite(b)
-    same = np.isfinite(a) == np.isfinite(b)
-    return bool(same.all() and (np.abs(a[both] - b[both]) <= SAME_POINT).all())
+def _places(cloud: Table) -> Places:
+    return cloud["x"], cloud["y"], cloud["z"]

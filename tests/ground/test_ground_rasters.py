@@ -8,11 +8,12 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from fwclass.grid import Window
-from fwclass.ground.methods.smrf import domain, gradient, low_limit, objects
+from fwclass.ground.methods.smrf import objects
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.fill import filled
 from fwclass.ground.raster.lattice import lowest
 from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.surface import domain, gradient, low_limit
 
 
 def brute_extreme(surface, radius, function):

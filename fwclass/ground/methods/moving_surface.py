@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
-from fwclass.ground.methods.smrf import gradient
 from fwclass.ground.params import MovingSurfaceParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.fill import filled
 from fwclass.ground.raster.lattice import cells_of, window_over
+from fwclass.ground.raster.surface import gradient
 from fwclass.kernel import kernel
 
 ROUNDS = 4

@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.ground.methods.smrf import domain
 from fwclass.ground.params import PmfParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.fill import filled
 from fwclass.ground.raster.lattice import lowest, window_over
 from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.surface import domain
 
 
 def pmf(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], params: PmfParams) -> NDArray[np.bool_]:

@@ -17,10 +17,10 @@ from fwclass.ground.methods.seeds import (
     sliding_seeds,
     stand_ins,
 )
-from fwclass.ground.methods.smrf import gradient
 from fwclass.ground.params import IptdParams, PtdParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.lattice import window_over
+from fwclass.ground.raster.surface import gradient
 from fwclass.ground.tin.delaunay import Mesh, empty_mesh, insert_all, triangles
 from fwclass.ground.tin.tin import Tin, tin_heights, tin_raster, unique_points
 from fwclass.units import QUANTUM

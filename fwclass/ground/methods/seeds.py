@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fwclass.grid import Window
-from fwclass.ground.methods.smrf import domain, low_limit
 from fwclass.ground.raster.fill import filled
 from fwclass.ground.raster.lattice import cells_of, lowest, window_over
 from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.surface import domain, low_limit
 from fwclass.kernel import kernel
 from fwclass.units import QUANTUM
 

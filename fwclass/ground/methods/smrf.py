@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fwclass.grid import Window
 from fwclass.ground.methods.refine import restored, without_company
@@ -14,6 +13,7 @@ from fwclass.ground.params import SmrfParams
 from fwclass.ground.raster.fill import filled
 from fwclass.ground.raster.lattice import LowestPoints, lowest_points, window_over
 from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.surface import domain, gradient, low_limit
 from fwclass.kernel import kernel
 from fwclass.units import QUANTUM
 
@@ -114,30 +114,3 @@ def objects(surface: NDArray[np.float64], cell: float, slope: float, window: flo
         found |= last - this > np.float32(slope * cell * radius / QUANTUM)
         last = this
     return found
-
-
-def low_limit(surface: NDArray[np.float64], cell: float, slope: float) -> NDArray[np.float64]:
-    """Height [m] below which an echo is a low outlier: slope × cell under the closing with one cell's disk."""
-    return -opened(-surface, 1) - slope * cell
-
-
-def gradient(surface: NDArray[np.float64], cell: float) -> NDArray[np.float64]:
-    """Slope, rise over run, of a surface without NaN; 0 in a surface of a single row and column."""
-    square = np.zeros(surface.shape)
-    for axis, length in enumerate(surface.shape):
-        if length > 1:
-            square += np.gradient(surface, cell, axis=axis) ** 2
-    return np.sqrt(square)
-
-
-def domain(measured: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
-    """The surveyed area: cells with an echo and the gaps between them, closed with a disk of `radius`
-    [cells].
-
-    Beyond it the openings see nothing, as beyond the edge of an image. Otherwise a building at the survey's
-    border would be continued outwards and be too wide to be opened.
-    """
-    near = ndimage.distance_transform_edt(~measured) <= radius
-    if near.all():
-        return near
-    return (ndimage.distance_transform_edt(near) > radius) | measured

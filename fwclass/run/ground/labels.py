@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.errors import InputError
-from fwclass.neighbours import nearest_within
 from fwclass.read.cloud import PointCloud, read_point_cloud
+from fwclass.run.pairing import Places, pairs
 
 NAMES = ("ground", "other")
 """Classes of the confusion matrices."""
@@ -19,11 +19,7 @@ GROUND = 2
 UNSCORED = (0, 7, 18, 65, 66)
 """Class codes that are no reference: never classified, noise, artefacts, synthetic points."""
 
-SAME_POINT = 0.002
-"""Two clouds are in the same order if no pair of points is further apart than this [m]."""
-
 Matrix = NDArray[np.int64]
-Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 def halves(cloud: PointCloud) -> NDArray[np.int8]:
@@ -64,18 +60,14 @@ def _from_file(cloud: PointCloud, reference: Path) -> NDArray[np.uint8] | None:
     other = read_point_cloud(reference)
     if other.classes is None:
         return None
-    ours, theirs = _usable(cloud), _usable(other)
-    in_order = other.points == cloud.points and np.array_equal(other.usable, cloud.usable)
-    if in_order and all(np.abs(a - b).max() <= SAME_POINT for a, b in zip(ours, theirs, strict=True)):
-        return other.classes
-    found, _ = nearest_within(ours, theirs, conf.section("label").max_distance)
-    classes = np.zeros(cloud.points, np.uint8)
-    classes[cloud.usable] = np.where(found >= 0, other.classes[other.usable][found], 0)
-    return classes
+    found = pairs(_places(cloud), _places(other), conf.section("label").max_distance)
+    return np.where(found >= 0, other.classes[found], 0).astype(np.uint8)
 
 
-def _usable(cloud: PointCloud) -> Points:
-    return cloud.x[cloud.usable], cloud.y[cloud.usable], cloud.z[cloud.usable]
+def _places(cloud: PointCloud) -> Places:
+    """Coordinates, NaN for points that cannot be used."""
+    x, y, z = (np.where(cloud.usable, a, np.nan) for a in (cloud.x, cloud.y, cloud.z))
+    return x, y, z
 
 
 def matrix_of(truth: NDArray[np.int8], ground: NDArray[np.bool_], rows: NDArray[np.bool_] | None = None) -> Matrix:

@@ -23,9 +23,10 @@ from fwclass.publish.files import whole
 from fwclass.publish.searchplot import draw_curves
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.run.ground.file import filter_cloud, shown_points
-from fwclass.run.ground.labels import NAMES, Matrix, Points, halves, labels_of, matrix_of
+from fwclass.run.ground.labels import NAMES, Matrix, halves, labels_of, matrix_of
 from fwclass.run.ground.params import ground_params
 from fwclass.run.ground.steps import Tell, quiet
+from fwclass.run.pairing import Places
 from fwclass.run.survey import given_crs
 from fwclass.store.atomic import write_json
 
@@ -102,7 +103,7 @@ class Trial:
         shown = shown_points(cloud)
         noise = filter_cloud(cloud, shown, params).noise
         rows = np.flatnonzero(shown & ~noise)
-        self.points: Points = cloud.x[rows], cloud.y[rows], cloud.z[rows]
+        self.points: Places = cloud.x[rows], cloud.y[rows], cloud.z[rows]
         self.last = cloud.last[rows]
         self.rows, self.truth, self.shown = rows, truth, shown
         self.half = halves(cloud)
