@@ -5,34 +5,75 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fwclass.columns import COLUMNS
+from fwclass.columns import COLUMNS, PER_CODE, SCALES
 from fwclass.columns import Column as Column
 from fwclass.errors import InputError, nearest
 
-_SCALED = re.compile(r"^(?P<base>[a-z_]+)_r(?P<cm>\d+)$")
+_SCALED = re.compile(r"^(?P<base>[a-z][a-z0-9_]*)_(?:(?P<kind>[rckg])(?P<size>[1-9]\d{0,5})|opt)$")
+
+_CODED = re.compile(r"^(?P<base>[a-z_]+)_(?P<code>0|[1-9]\d{0,2})$")
 
 IDENTITY = ("strip", "pulse", "echo_number")
 
 
-def column(name: str) -> Column:
-    """The record of `name`; ``echo_ratio_r100`` is ``echo_ratio`` over a radius of 100 cm."""
-    if name in COLUMNS:
-        return COLUMNS[name]
+class Scale(NamedTuple):
+    """What a feature is taken over: a `kind` of `columns.SCALES`; `size` in centimetres, or echoes (k), 0 for opt."""
+
+    kind: str
+    size: int
+
+    @property
+    def metres(self) -> float:
+        return self.size / 100.0
+
+    @property
+    def suffix(self) -> str:
+        return "opt" if self.kind == "o" else f"{self.kind}{self.size}"
+
+    def __str__(self) -> str:
+        size = "" if self.kind == "o" else f" {self.size}" if self.kind == "k" else f" {self.metres:g} m"
+        return f"{SCALES[self.kind]}{size}"
+
+
+def split_name(name: str) -> tuple[str, Scale | None]:
+    """Base and scale of a column: ``echo_ratio_r100`` is ``echo_ratio`` in a sphere of 1 m; or a `KeyError`."""
+    if name in COLUMNS and not COLUMNS[name].scales:
+        return name, None
     found = _SCALED.match(name)
     if found and found["base"] in COLUMNS:
-        base = COLUMNS[found["base"]]
-        las = f"{base.las} r{found['cm']}" if base.las else ""
-        return replace(base, name=name, las=las, meaning=f"{base.meaning}; radius {int(found['cm']) / 100:g} m")
+        scale = Scale(found["kind"] or "o", int(found["size"] or 0))
+        if scale.kind in COLUMNS[found["base"]].scales:
+            return found["base"], scale
+    known = COLUMNS.get(found["base"] if found else name)
+    if known is not None and known.scales not in ("", PER_CODE):
+        ends = " ".join("_opt" if kind == "o" else f"_{kind}…" for kind in known.scales)
+        raise KeyError(f"no column {name!r}: {known.name!r} is taken over a neighbourhood, its name ends in {ends}")
     raise KeyError(f"no column {name!r}; {nearest(name, COLUMNS)}")
 
 
-def scaled(base: str, radius: float) -> str:
+def column(name: str) -> Column:
+    """The record of `name`; ``echo_ratio_r100`` is ``echo_ratio`` over a radius of 100 cm, ``probability_6`` that of
+    class code 6."""
+    coded = _CODED.match(name)
+    if coded and coded["base"] in COLUMNS and COLUMNS[coded["base"]].scales == PER_CODE and int(coded["code"]) < 256:
+        record, code = COLUMNS[coded["base"]], coded["code"]
+        return replace(record, name=name, las=f"{record.las} {code}", meaning=f"{record.meaning}; class code {code}")
+    base, scale = split_name(name)
+    record = COLUMNS[base]
+    if scale is None:
+        return record
+    las = f"{record.las} {scale.suffix}" if record.las else ""
+    return replace(record, name=name, las=las, meaning=f"{record.meaning}; {scale}")
+
+
+def scaled(base: str, radius: float, kind: str = "r") -> str:
     """Name of feature `base` at `radius` [m]: ``scaled('echo_ratio', 1.0)`` is ``echo_ratio_r100``."""
-    return f"{base}_r{round(radius * 100)}"
+    return f"{base}_{kind}{round(radius * 100)}"
 
 
 class Table(Mapping[str, NDArray]):

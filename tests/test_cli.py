@@ -141,7 +141,8 @@ def test_a_class_without_samples_ends_with_three_and_says_which(tmp_path, small)
 def test_a_feature_that_no_stage_writes(tmp_path, small):
     path = config(tmp_path / "c.yaml", crs="none")
     args = ("run", path, "--workers", 0, "--out", tmp_path / "r")
-    assert told(fwclass(*args, "--set", "survey.features=[echo_ratio_r10]"), 2, "echo_ratio_r100", "features.radii")
+    assert told(fwclass(*args, "--set", "survey.features=[echo_ration_r10]"), 2, "echo_ratio", "features --list")
+    assert told(fwclass(*args, "--set", "survey.features=[echo_ratio_r20000]"), 2, "reaches too far", "200 m")
     for answer in ("source_class", "reference", "confidence", "x"):
         assert told(fwclass(*args, "--set", f"survey.features=[{answer},zc]"), 2, f"'{answer}' is not a feature")
     assert not (tmp_path / "r" / "store" / "index").exists()
@@ -149,8 +150,10 @@ def test_a_feature_that_no_stage_writes(tmp_path, small):
 
 def test_without_waveforms_the_template_s_width_is_refused_with_what_to_set(tmp_path, small):
     path = config(tmp_path / "c.yaml", crs="none")
-    result = fwclass("run", path, "--workers", 0, "--out", tmp_path / "r")
-    assert told(result, 2, "no echo of this survey has one", '--set "survey.features=[height_above_ground')
+    result = fwclass("run", path, "--workers", 0, "--out", tmp_path / "r", "--set", "survey.features=default-waveform")
+    assert told(result, 2, "no echo of this survey has one", "--set survey.features=default\n")
+    result = fwclass("run", path, "--workers", 0, "--out", tmp_path / "r", "--set", "survey.features=[zc, width]")
+    assert told(result, 2, "no echo of this survey has one", '--set "survey.features=[zc]"')
 
 
 def test_a_failed_run_does_not_show_an_older_run_s_figures(tmp_path, small):
@@ -187,9 +190,10 @@ def test_feet_and_the_same_file_twice(tmp_path, small):
 
 def test_settings_out_of_range(tmp_path, small):
     path = config(tmp_path / "c.yaml", crs="none")
-    for setting in ("survey.sources=[]", "areas.gap=-1", "tile.size=0.5", "survey.name=../../x", "survey.features=zc"):
+    for setting in ("survey.sources=[]", "areas.gap=-1", "tile.size=0.5", "survey.name=../../x"):
         result = fwclass("run", path, "--set", setting)
         assert told(result, 2, setting.split("=")[0], f"--set {setting}")
+    assert told(fwclass("run", path, "--set", "survey.features=zc"), 2, "no such feature set", "a list of columns [zc")
     assert told(fwclass("run", path, "--out", tmp_path / "r", "--scheduler", "rubbish"), 1, "no Dask scheduler")
 
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.run.plan import forest, ground, outputs, sources
-from fwclass.run.plan import tiles as of_tiles
+from fwclass.run.model_fit import check_model
+from fwclass.run.part import Task
+from fwclass.run.plan import forest, ground, outputs
 from fwclass.run.plan.layout import Layout, check_features
-from fwclass.run.plan.radiometry import radiometry_tasks
+from fwclass.run.plan.sampling import sampling_tasks
 from fwclass.run.report import write_report
-from fwclass.run.road import Road, ancestors, require_all, stop_if_nothing
-from fwclass.run.survey import check_widths, gather
-from fwclass.store.models import load_forest
+from fwclass.run.road import Road, ancestors
+from fwclass.store.models import load_model
+from workflows.echoes import Tiled, until_labels, until_tiles
 
 
 def classification(config: Config, road: Road, tiles: frozenset[str] | None = None) -> dict[str, Any]:
@@ -23,27 +26,29 @@ def classification(config: Config, road: Road, tiles: frozenset[str] | None = No
     `tiles`: deliver only these tiles; what they need (their neighbours' echoes, the training areas) is made too, so
     that they come out as in a whole run.
     """
-    model = _given_model(config)
-    names = load_forest(model[0]).features if model else config.survey.features
+    model = given_model(config)
+    names = load_model(model[0]).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features")
-    survey = gather(config, road)
+    check_features(config, config.features.also, f"{config.path}: features.also")
+    tiled = until_tiles(config, road, names)
+    return from_tiles(config, road, tiled, names, until_labels(tiled, (*names, *config.features.also)), model, tiles)
 
-    indexed = require_all(road, sources.index_tasks(config, survey.strips))
-    chunks = sources.chunk_tasks(config, survey.strips, indexed)
-    splits = road.do(chunks + sources.cloud_tasks(config, survey.reference))
-    check_widths(config, names, splits, road.store)
-    tiled = road.do(sources.tile_tasks(config, splits))
-    stop_if_nothing(road, {name: receipt for name, receipt in tiled.items() if name[0] == "tile"})
-    layout = Layout.of(config, tiled)
 
+def from_tiles(
+    config: Config, road: Road, tiled: Tiled, names: tuple[str, ...], labelling: Sequence[Task],
+    model: tuple[Path, str] | None = None, tiles: frozenset[str] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """The road from tiles to the report: a classifier by `names`, trained under `config` unless there is a `model`.
+
+    `labelling` are the tasks until labels, with all features that anything asks for.
+    """
+    survey, layout = tiled.survey, replace(tiled.layout, config=config)
     labelled = config.survey.reference.kind != "none"
-    tasks = ground.ground_tasks(layout) + of_tiles.feature_tasks(layout)
-    tasks += radiometry_tasks(layout, survey)
-    tasks += of_tiles.label_tasks(layout) if labelled else []
-    tasks += [] if model else forest.training_tasks(layout)
+    tasks = [*labelling]
+    tasks += [] if model else forest.training_tasks(layout) + sampling_tasks(layout)
     tasks += forest.classify_tasks(layout, names, model)
     tasks += forest.assess_tasks(layout, names) if labelled else []
-    tasks += outputs.output_tasks(layout, names, survey, *sources.where(chunks, splits))
+    tasks += outputs.output_tasks(layout, names, survey, *tiled.where)
     tasks += ground.seam_tasks(layout)
     if tiles is not None:
         tasks = ancestors(tasks, _wanted(layout, tiles))
@@ -66,10 +71,11 @@ def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:
     return [("publish-tile", key) for key in sorted(tiles)]
 
 
-def _given_model(config: Config) -> tuple[Path, str] | None:
+def given_model(config: Config) -> tuple[Path, str] | None:
     """Path and digest of the model that the configuration names, None where it is to be trained."""
     if config.survey.model is None:
         return None
     path = Path(config.survey.model)
     path = path if path.is_absolute() else (config.path.parent / path).resolve()
+    check_model(load_model(path), config, path)
     return path, forest.digest_of_model(path)

@@ -6,8 +6,10 @@ from typing import Any
 
 from pydantic import Field
 
+from fwclass.assess.blocks import BlockCounts
 from fwclass.assess.confusion import confusion, describe, figures, unclassified
 from fwclass.assess.distribution import QUANTILES, distribution, quantiles, summary
+from fwclass.assess.intervals import difference, intervals
 from fwclass.errors import QualityError
 from fwclass.stage import Params, Stage
 
@@ -16,10 +18,13 @@ __all__ = [
     "DISTRIBUTION",
     "QUANTILES",
     "AssessParams",
+    "BlockCounts",
     "confusion",
     "describe",
+    "difference",
     "distribution",
     "figures",
+    "intervals",
     "judge",
     "quantiles",
     "summary",
@@ -28,8 +33,12 @@ __all__ = [
 
 
 class AssessParams(Params):
-    """What is reported, and what accuracy is asked for; numbers and sources stand in `conf/base.yaml`."""
+    """What is reported, and what accuracy is asked for; numbers and sources stand in `conf/base.yaml`.
 
+    `block`: edge of the squares of the global grid [m] that intervals are drawn from.
+    """
+
+    block: float = Field(gt=0)
     quantiles: tuple[float, ...] = Field(min_length=1)
     min_overall_accuracy: float | None = Field(ge=0, le=1)
     min_kappa: float | None = Field(ge=-1, le=1)

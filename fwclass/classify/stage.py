@@ -1,19 +1,26 @@
-"""Classification: the majority vote of the forest, and its share."""
+"""Classification: what a model says of every row, how sure it is, and how the classes share it."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.classify.shares import answer, entropy, fitting
 from fwclass.classify.vote import count, walkable
-from fwclass.errors import InputError
-from fwclass.model import Forest, sample_matrix
+from fwclass.model import Forest, Machine, Model, sample_matrix
 from fwclass.schema import Table
 from fwclass.stage import Params, Stage
 
 
 class ClassifyParams(Params):
-    """Classification has no number of its own: everything comes from the forest."""
+    """What is written; everything that decides comes from the model.
+
+    `probabilities`: the share of every class too, in columns ``probability_<code>``.
+    """
+
+    probabilities: bool
 
 
 def votes(X: NDArray[np.float32], forest: Forest) -> NDArray[np.uint16]:
@@ -23,37 +30,51 @@ def votes(X: NDArray[np.float32], forest: Forest) -> NDArray[np.uint16]:
     votes (NaN goes right at every node). `InputError` if the matrix does not fit the forest or the forest
     is damaged.
     """
-    laid_out, X = walkable(forest), np.asarray(X)
-    if X.ndim != 2 or X.shape[1] != len(forest.features):
-        raise InputError(
-            "the samples do not fit the forest",
-            expected=f"{len(forest.features)} columns: {', '.join(forest.features)}",
-            got=f"shape {X.shape}",
-            do="compute the features that the forest was trained with",
-        )
-    return count(X, laid_out)
+    laid_out = walkable(forest)
+    return count(fitting(X, forest), laid_out)
 
 
-def classify(X: NDArray[np.float32] | Table, forest: Forest) -> Table:
-    """`classification` (class code with most votes, the first class on a tie) and `confidence` (its share).
+def classify(X: NDArray[np.float32] | Table, model: Model, probabilities: bool = False) -> Table:
+    """Class, confidence and entropy of every row, and with `probabilities` the share of every class.
 
-    X is a table that has the forest's features (others are ignored; `InputError` naming the one that is
-    missing) or a matrix as for `votes`. Every row gets a class.
+    X is a table that has the model's features (others are ignored; `InputError` naming the one that is
+    missing) or a matrix (rows, features). Every row gets a class; what a missing value (NaN) does is the model's:
+    in a forest it goes right at every node, in boosting to the side learned, a machine takes the median of its
+    training rows for it (`filled` counts them).
+
+    Returns
+    -------
+    Table with ``classification`` (class code), ``confidence`` (share of that class), ``entropy`` (of the shares, 0 to
+    1) and ``probability_<code>`` where asked; shares as in `answer`.
     """
-    forest.check()
     if isinstance(X, Table):
-        X = sample_matrix(X, forest.features, "classify")
-    counted = votes(X, forest)
-    winner = counted.argmax(axis=1)
-    top = np.take_along_axis(counted, winner[:, None], axis=1)[:, 0]
-    return Table({"classification": forest.codes[winner], "confidence": top / np.float32(forest.trees)})
+        X = sample_matrix(X, model.features, "classify")
+    winner, shares = answer(X, model)
+    made: dict[str, NDArray] = {
+        "classification": model.codes[winner],
+        "confidence": np.take_along_axis(shares, winner[:, None], axis=1)[:, 0],
+        "entropy": entropy(shares),
+    }
+    if probabilities:
+        made |= {name: shares[:, k] for k, name in enumerate(probability_columns(model.codes))}
+    return Table(made)
+
+
+def probability_columns(codes: Iterable[int]) -> tuple[str, ...]:
+    """Names of the columns with the share of every class."""
+    return tuple(f"probability_{int(code)}" for code in codes)
+
+
+def filled(X: NDArray[np.float32], model: Model) -> int:
+    """Missing values of X that the model replaces by what it knows from training."""
+    return int(np.isnan(X).sum()) if isinstance(model, Machine) else 0
 
 
 CLASSIFY = Stage(
     name="classify",
-    version=1,
+    version=2,
     kind="tile",
     function=classify,
     params=ClassifyParams,
-    writes=("classification", "confidence"),
+    writes=("classification", "confidence", "entropy"),
 )

@@ -103,8 +103,12 @@ def decompose(
 def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, as_json: bool) -> None:
     """Confusion matrix and figures of a classified cloud against a reference cloud.
 
-    Both are LAS, LAZ, COPC, or text with a label: class codes, or 0 ground and 1 object.
+    Both are LAS, LAZ, COPC, or text with a label: class codes, or 0 ground and 1 object. Or two directories of assessed
+    runs: what the second gains over the first, with intervals.
     """
+    if reference.is_dir() and prediction.is_dir():
+        _assess_runs(reference, prediction, as_json)
+        return
     from fwclass.assess.stage import describe
     from fwclass.run.assess_files import assess_files
 
@@ -114,3 +118,10 @@ def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, a
     click.echo(f"{matched:,} of {matched + lost:,} reference points have a predicted point", err=True)
     if lost > matched:
         click.echo("WARNING: the two clouds hardly overlap; the figures stand for the small part that does", err=True)
+
+
+def _assess_runs(first: Path, second: Path, as_json: bool) -> None:
+    from fwclass.run.assess_runs import assess_runs, describe
+
+    made = assess_runs(first, second)
+    click.echo(json.dumps(made, indent=1) if as_json else describe(made))

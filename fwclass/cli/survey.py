@@ -2,41 +2,14 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import click
 
 from fwclass.cli.base import PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.road import open_road, tell_failures
 from fwclass.errors import FAILED, PARTIAL, ConfigError, nearest
-
-
-@contextmanager
-def _road(root: Path, workers: int, scheduler: str | None, memory: float) -> Iterator[Any]:
-    """A run directory locked for writing, with its executor."""
-    from fwclass.run.local import Loop
-    from fwclass.run.progress import Display
-    from fwclass.run.road import Road
-    from fwclass.store.lock import writer
-
-    root = root.resolve()
-    with writer(root), Display() as display:
-        if scheduler is None and workers == 0:
-            road = Road(root, Loop(), display)
-            road.store.clear_staging()
-            yield road
-            return
-        from fwclass.run.cluster import Cluster
-
-        with Cluster(scheduler, workers, memory) as cluster:
-            display.say(f"dask         {cluster.address}")
-            road = Road(root, cluster, display)
-            road.store.clear_staging()
-            yield road
 
 
 def _run(
@@ -55,24 +28,15 @@ def _run(
         raise ConfigError("--out is empty", where="--out", do="name a directory for this run alone")
     root = out if out is not None else Path("runs") / config.survey.name
     count = config.run.workers if workers is None else workers
-    with _road(root, count, scheduler, config.run.worker_memory_gib) as road:
+    with open_road(root, count, scheduler, config.run.worker_memory_gib) as road:
         report = WORKFLOWS[workflow](config, road, tiles)
         failures = road.failures
     click.echo(summary(report, root), err=True)
     if failures:
-        _tell_failures(failures)
+        tell_failures(failures)
         sys.exit(PARTIAL)
     if report["accuracy"]:
         judge(report["accuracy"], config.assess)
-
-
-def _tell_failures(failures: list[Any]) -> None:
-    click.echo(f"{len(failures)} parts failed; everything else is done and kept:", err=True)
-    for outcome in failures:
-        first = outcome.message.splitlines()[0] if outcome.message else ""
-        click.echo(f"  {outcome.stage}/{outcome.part}: {first}", err=True)
-    again = shlex.join(["fwclass", *sys.argv[1:]])
-    click.echo(f"mend the cause and run the same again; only the missing parts are made: {again}", err=True)
 
 
 @cli.command()
@@ -118,11 +82,11 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | No
             do="name a configuration without survey.directory",
         )
     count = config.run.workers if workers is None else workers
-    with _road(out, count, None, config.run.worker_memory_gib) as road:
+    with open_road(out, count, None, config.run.worker_memory_gib) as road:
         receipts = road.do(simulate_tasks(config.simulate, "."))
         failures = road.failures
     pulses = sum(int(r.meta.get("pulses", 0)) for r in receipts.values())
     click.echo(f"{pulses:,} pulses in {out / 'strips'}, reference in {out / 'reference'}", err=True)
     if failures:
-        _tell_failures(failures)
+        tell_failures(failures)
         sys.exit(FAILED)

@@ -6,7 +6,7 @@ Everything is checked before anything runs; an unknown key is an error that name
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,8 +103,14 @@ def _build(name: str, value: Any, path: object) -> Any:
         raise ConfigError(
             f"section {name!r} is wrong",
             where=path,
-            got="; ".join(_explain(name, model, e) for e in fault.errors()[:5]),
+            got="; ".join(_explain(name, model, e) for e in _apart(fault.errors())[:5]),
         ) from fault
+
+
+def _apart(errors: Sequence[Any]) -> list[Any]:
+    """`errors` without "too short" of a list whose entries are wrong: pydantic counts only the good ones."""
+    within = {e["loc"][:k] for e in errors for k in range(len(e["loc"]))}
+    return [e for e in errors if not (e["type"] == "too_short" and e["loc"] in within)]
 
 
 def _explain(name: str, model: type[BaseModel], error: Any) -> str:
@@ -134,6 +140,7 @@ _WANTED = {
 
 def _check(config: Config) -> None:
     """What one section cannot see alone."""
+    _ = config.features_asked  # a set is there and can be read
     where = config.path
     names = [c.name for c in config.survey.classes]
     used = [code for c in config.survey.classes for code in c.codes]
@@ -147,6 +154,13 @@ def _check(config: Config) -> None:
         raise ConfigError("at least two classes are needed", where=f"{where}: survey.classes", got=names or "none")
     if not all(0 < c <= 255 for c in codes + used):
         raise ConfigError("class codes lie in 1 to 255", where=f"{where}: survey.classes", got=codes + used)
+    weights = config.train.class_weights
+    for name in weights if isinstance(weights, Mapping) else ():
+        if name not in names:
+            raise ConfigError(
+                f"no class is called {name!r}", where=f"{where}: train.class_weights", expected=", ".join(names),
+                got=name, do=nearest(name, names),
+            )  # fmt: skip
     for kind in ("train", "test"):
         for box in getattr(config.areas, kind):
             if not all(map(math.isfinite, box)) or box[0] >= box[2] or box[1] >= box[3]:

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from fwclass.assess.stage import AssessParams
+from fwclass.classify.stage import ClassifyParams
+from fwclass.conf.sets import feature_set
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_sample import PulseParams
-from fwclass.features.stage import FeaturesParams
+from fwclass.features.params import FeaturesParams
 from fwclass.grid import Box
 from fwclass.ground.auto import GroundAutoParams
 from fwclass.ground.params import GroundParams
@@ -23,8 +25,11 @@ from fwclass.model import ClassDef
 from fwclass.publish.params import PublishParams
 from fwclass.radiometry.params import RadiometryParams
 from fwclass.read.stage import ReadParams
+from fwclass.select.params import SelectParams
 from fwclass.simulate.params import SimulateParams
+from fwclass.thin.params import ThinParams
 from fwclass.tile.stage import TileParams
+from fwclass.train.others.params import CompareParams
 from fwclass.train.stage import TrainParams
 
 
@@ -45,18 +50,39 @@ class ClassSection(Section):
 
 
 class ReferenceSection(Section):
-    """Where reference classes come from: `source` (the files' own classes), `cloud` (other files) or `none`."""
+    """Where reference classes come from.
 
-    kind: Literal["source", "cloud", "none"]
+    `source`: the files' own classes; `cloud`: the nearest point of other `files`; `polygons`: files of polygons with a
+    class `field`; `none`. Only of polygons: `values` says what the field's values mean (a reference code, the name of a
+    class, or null for what labels nothing), `layer` which one where a file has several, `crs` what system they are in
+    where the file names none or a wrong one.
+    """
+
+    kind: Literal["source", "cloud", "polygons", "none"]
     files: tuple[str, ...] = ()
+    field: str | None = None
+    values: dict[str | int, str | int | None] = {}
+    layer: str | None = None
+    crs: str | None = None
+
+    @model_validator(mode="after")
+    def _fit(self) -> ReferenceSection:
+        if self.kind in ("cloud", "polygons") and not self.files:
+            raise ValueError(f"kind {self.kind} needs `files`, relative to survey.directory")
+        if self.kind == "polygons" and self.field is None:
+            raise ValueError("kind polygons needs `field`, which holds the class (`fwclass info FILE` lists them)")
+        alien = [n for n in ("field", "values", "layer", "crs") if getattr(self, n) and self.kind != "polygons"]
+        if alien:
+            raise ValueError(f"`{alien[0]}` belongs to kind polygons")
+        return self
 
 
 class SurveySection(Section):
     """What is classified.
 
     `directory` is relative to the survey's file; null: simulated into the run directory. `crs`, if given, is used for
-    all files, whatever they name; `none` goes without. `features`: columns the forest decides by. `model`: directory
-    of a trained model to use instead of training, or null.
+    all files, whatever they name; `none` goes without. `features`: what the classifier decides by, a list of columns or
+    the name or file of a feature set. `model`: directory of a trained model to use instead of training, or null.
     """
 
     name: str = Field(pattern=r"^\w[\w .-]*$")
@@ -65,7 +91,7 @@ class SurveySection(Section):
     crs: str | None
     reference: ReferenceSection
     trajectory: TrajectorySection
-    features: tuple[str, ...] = Field(min_length=1)
+    features: str | tuple[str, ...] = Field(min_length=1)
     model: str | None
     classes: tuple[ClassSection, ...]
 
@@ -104,6 +130,27 @@ class RunSection(Section):
     seam_check_echoes: int = Field(ge=0)
 
 
+class PapersSection(Section):
+    """How the papers' workflows judge their variants; numbers stand in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    test_echoes : drawn uniformly of all echoes, about; those that lie in the test areas judge every variant.
+    seed : draws them.
+    seeds : of the forests that are compared with and without waveform features.
+    block : edge of the squares of the global grid that intervals draw as a whole [m].
+    repeats : permutations of a feature and tree for the importance.
+    more_classes : classes that a paper does not have: its variants neither train nor are scored on them.
+    """
+
+    test_echoes: int = Field(ge=1)
+    seed: int = Field(ge=0)
+    seeds: tuple[int, ...] = Field(min_length=1)
+    block: float = Field(gt=0)
+    repeats: int = Field(ge=1)
+    more_classes: tuple[ClassSection, ...]
+
+
 PARAMS: dict[str, type[BaseModel]] = {
     "survey": SurveySection,
     "areas": AreasSection,
@@ -121,6 +168,11 @@ PARAMS: dict[str, type[BaseModel]] = {
     "features": FeaturesParams,
     "radiometry": RadiometryParams,
     "train": TrainParams,
+    "select": SelectParams,
+    "thin": ThinParams,
+    "compare": CompareParams,
+    "papers": PapersSection,
+    "classify": ClassifyParams,
     "assess": AssessParams,
     "publish": PublishParams,
 }
@@ -148,12 +200,25 @@ class Config:
     features: FeaturesParams
     radiometry: RadiometryParams
     train: TrainParams
+    select: SelectParams
+    thin: ThinParams
+    compare: CompareParams
+    papers: PapersSection
+    classify: ClassifyParams
     assess: AssessParams
     publish: PublishParams
 
     @property
     def classes(self) -> tuple[ClassDef, ...]:
         return tuple(ClassDef(c.name, c.code, c.codes) for c in self.survey.classes)
+
+    @property
+    def features_asked(self) -> tuple[str, ...]:
+        """Names of the columns that the classifier decides by."""
+        asked = self.survey.features
+        if not isinstance(asked, str):
+            return asked
+        return feature_set(asked, self.path.parent, f"{self.path}: survey.features").features
 
     @property
     def simulated(self) -> bool:

@@ -26,7 +26,7 @@ VENDOR_KEPT, FAR_FROM_VENDOR, UNFITTED = 16, 32, 64
 ECHO_COLUMNS = (
     *IDENTITY, "number_of_echoes", "origin", "x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z", "beam_range",
     "amplitude", "amplitude_db", "width", "energy", "time", "amplitude_sigma", "width_sigma", "range_sigma",
-    "deviation", "baseline", "noise", "misfit", "fit_flags", "source_class", "intensity",
+    "deviation", "baseline", "noise_level", "misfit", "fit_flags", "source_class", "intensity",
 )  # fmt: skip
 LINK_COLUMNS = ("pulse", "echo_number")
 MOST = 255
@@ -102,7 +102,7 @@ def _fitted(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> di
         "range_sigma": fits.time_sigma * speed[row],
         "deviation": fits.deviation,
         "baseline": fits.baseline[row],
-        "noise": fits.noise[row],
+        "noise_level": fits.noise[row],
         "misfit": fits.misfit[row],
         "fit_flags": fits.flags | np.where(far, FAR_FROM_VENDOR, 0).astype(np.uint8),
     }
@@ -135,7 +135,7 @@ def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
     rank = np.where(undeclared, np.maximum(table["return_number"], 1), rank)
     size = np.where(undeclared, np.maximum(table["number_of_returns"], rank), size)
     energy = AREA_PER_FWHM * 10.0 ** (table["vendor_amplitude"].astype(np.float64) / 10.0) * table["vendor_width"]
-    unknown = ("beam_range", "amplitude_sigma", "width_sigma", "range_sigma", "baseline", "noise", "misfit")
+    unknown = ("beam_range", "amplitude_sigma", "width_sigma", "range_sigma", "baseline", "noise_level", "misfit")
     columns = {
         **dict.fromkeys(unknown, nothing),
         "pulse": table["pulse"],
@@ -204,7 +204,7 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 PULSE = Stage(name="pulse", version=2, kind="gather", function=estimate_pulse, params=PulseParams, reads=PULSE_COLUMNS)
 DECOMPOSE = Stage(
     name="decompose",
-    version=3,
+    version=4,
     kind="chunk",
     function=decompose,
     params=DecomposeParams,

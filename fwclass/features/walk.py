@@ -1,121 +1,222 @@
-"""One walk over the neighbours of every wanted point: exact sums, then the features of the neighbourhood."""
+"""One walk over a sorted grid: the echoes around every core echo, at any number of radii at once.
+
+Work goes by blocks of `BLOCK` core echoes, in the order of the cells. Of each echo the neighbours are found once,
+ordered by the shells between the radii, and summed shell by shell; sums of a larger radius start from those of the
+smaller. Then shapes, the second pass along the normal and the asked measures are taken of the whole block.
+"""
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fwclass.features.eigen import eigenvalues, normal
+from fwclass.features.eigen import BATCH
+from fwclass.features.gather import LANES, candidates, compact, count_within, distances, fill, order, shells
+from fwclass.features.moments import AMPLITUDE, CYLINDER, INTENSITY, WIDTH
+from fwclass.features.settle import settle
+from fwclass.features.sums import (
+    rank_heights,
+    sum_heights,
+    sum_kinds,
+    sum_places,
+    sum_values,
+    sum_wide,
+)  # fmt: skip
 from fwclass.kernel import kernel
 
-SUMS = 12
-"""Sums of a neighbourhood, exact integers: Σx, Σy, Σz, Σxx, Σxy, Σxz, Σyy, Σyz, Σzz, range of z, first and last
-echoes; coordinates in millimetres relative to the point."""
+BLOCK = 5 * BATCH
+"""Core echoes whose sums are settled together."""
 
-SHAPE = (
-    "inclination", "echo_ratio", "linearity", "planarity", "sphericity", "roughness",
-    "height_std", "height_range", "height_above_lowest", "density", "first_share", "last_share",
-)  # fmt: skip
-"""Columns of the result of `walk`, in order; the unit normal follows them."""
+STRIDE = BLOCK + 8
+"""Places between two moments of an echo: no power of two, which would crowd them into few lines of the cache."""
+
+
+class Grid(NamedTuple):
+    """The sorted echoes: see `gather.Points`; `wanted` int32, row of the result of every sorted echo, −1 for none;
+    `half`: see `gather.window`."""
+
+    x: NDArray[np.int32]
+    y: NDArray[np.int32]
+    z: NDArray[np.int32]
+    start: NDArray[np.int64]
+    ncols: int
+    nrows: int
+    cell: int
+    half: NDArray[np.int64]
+    wanted: NDArray[np.int32]
+
+
+class Values(NamedTuple):
+    """What sorted echoes carry: packed kinds, attributes in steps; empty where no measure needs them."""
+
+    kinds: NDArray[np.int64]
+    amplitude: NDArray[np.float64]
+    width: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+
+
+class Task(NamedTuple):
+    """What is asked of one walk.
+
+    Attributes
+    ----------
+    radii : int64 (Q,), rising [mm].
+    limits : float64 (Q,), their squares; bounds : the same but the last, filled up with infinity to a multiple of four.
+    cylinder : the neighbourhoods are vertical cylinders, not spheres.
+    optimal : of every echo only the radius of lowest eigenentropy counts; jobs then have radius number 0.
+    shape, extent : bool (Q,), shapes, extents along the normal are needed at the radius.
+    powers, among, ranks : powers of heights, counts in the cylinder, percentiles are needed.
+    jobs : int64 (J, 3), radius number, code of the base, row of the result.
+    """
+
+    radii: NDArray[np.int64]
+    limits: NDArray[np.float64]
+    bounds: NDArray[np.float64]
+    cylinder: bool
+    optimal: bool
+    shape: NDArray[np.bool_]
+    extent: NDArray[np.bool_]
+    powers: bool
+    among: bool
+    ranks: bool
+    jobs: NDArray[np.int64]
+
+
+class Scratch(NamedTuple):
+    """Room for the candidates of one cell, and what becomes of them for one echo.
+
+    Attributes
+    ----------
+    x, y, z : float32, relative to the first echo of the cell [mm]; at : uint32, their sorted rows.
+    flat, square : float64, squared distances [mm2]; distance : those of the neighbours.
+    near, ordered : uint32, places of the neighbours among the candidates; shell : uint64, theirs.
+    places : uint64 (Q,), starts or ends of the shells.
+    values : int32, tally : int64 (BUCKETS + 1,), for percentiles.
+    """
+
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    z: NDArray[np.float32]
+    at: NDArray[np.uint32]
+    flat: NDArray[np.float64]
+    square: NDArray[np.float64]
+    distance: NDArray[np.float64]
+    near: NDArray[np.uint32]
+    ordered: NDArray[np.uint32]
+    shell: NDArray[np.uint64]
+    places: NDArray[np.uint64]
+    values: NDArray[np.int32]
+    tally: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, size: int, radii: int, buckets: int) -> Scratch:
+        """Room for `size` candidates and for those that fill them up."""
+        size += LANES
+        x, y, z = (np.empty(size, np.float32) for _ in range(3))
+        flat, square, distance = (np.empty(size) for _ in range(3))
+        at, near, ordered = (np.empty(size + 1, np.uint32) for _ in range(3))
+        values = np.empty(size, np.int32)
+        shell, places = np.empty(size, np.uint64), np.empty(radii, np.uint64)
+        tally = np.empty(buckets + 1, np.int64)
+        return cls(x, y, z, at, flat, square, distance, near, ordered, shell, places, values, tally)
+
+
+class Block(NamedTuple):
+    """The neighbourhoods of `BLOCK` echoes.
+
+    Attributes
+    ----------
+    x, y, z : neighbours relative to their echo [mm], echo after echo, from the nearest shell to the furthest; at a
+        single radius followed by nought up to a multiple of `LANES`.
+    at : uint32, their sorted rows.
+    begin : int64 (BLOCK,), first neighbour of every echo; ends : int64 (BLOCK, Q), how many lie within each radius.
+    rows : uint64 (BLOCK,), row of the result.
+    moments, shape : float64 (Q, MOMENTS, STRIDE), (Q, SHAPES, STRIDE).
+    measured : float32 (BLOCK,).
+    """
+
+    x: NDArray[np.float32]
+    y: NDArray[np.float32]
+    z: NDArray[np.float32]
+    at: NDArray[np.uint32]
+    begin: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    rows: NDArray[np.uint64]
+    moments: NDArray[np.float64]
+    shape: NDArray[np.float64]
+    measured: NDArray[np.float32]
 
 
 @kernel
-def walk(x, y, z, first, last, wanted, start, ncols, nrows, radius, out):  # type: ignore[no-untyped-def]
-    """Features of the wanted points among all points.
+def walk(grid, values, task, scratch, block, out, chosen):  # type: ignore[no-untyped-def]
+    """The measures of `task` of the wanted echoes to `out`, float32 (measures, wanted echoes).
 
-    Parameters
-    ----------
-    x, y, z : float64 whole millimetres, sorted by cells of edge `radius` [mm] as in `CellIndex`; `start` its offsets.
-    first, last : float64 1 or 0, the echo is the first, the last of its pulse.
-    wanted : int64, row of `out` of every sorted point, −1 where none is wanted.
-    out : float32 (wanted points, len(SHAPE) + 3), `SHAPE` and the normal.
-
-    The point itself and points at the same place count as neighbours; one at exactly `radius` does.
+    `chosen` is float32 (wanted echoes,) for the optimal radius [m], empty where there is no choice.
     """
-    square = np.empty(len(x), np.float64)
-    near = np.empty(len(x), np.uint64)
-    sums = np.empty(SUMS)
-    limit = float(radius * radius)
+    # Names for all: an array that is taken out of a tuple within the loop is counted, and that waits for the memory.
+    xs, ys, zs, start, half, wanted = grid.x, grid.y, grid.z, grid.start, grid.half, grid.wanted
+    x, y, z, at, flat, square = scratch.x, scratch.y, scratch.z, scratch.at, scratch.flat, scratch.square
+    distance, near, shell = scratch.distance, scratch.near, scratch.shell
+    to_x, to_y, to_z, to_at = block.x, block.y, block.z, block.at
+    begin, ends, rows, moments = block.begin, block.ends, block.rows, block.moments
+    limits, bounds, ncols, nrows = task.limits, task.bounds, grid.ncols, grid.nrows
+    room, level, among, count = len(block.x), task.cylinder, task.among, len(task.limits)
+    ordered, places = scratch.ordered, scratch.places
+    named = len(values.kinds) + len(values.amplitude) + len(values.width) + len(values.intensity) > 0
+    filled, used = 0, np.uint64(0)
     for row in range(nrows):
         for col in range(ncols):
-            cell = row * ncols + col
-            for i in range(start[cell], start[cell + 1]):
-                if wanted[i] >= 0:
-                    m, n, lowest = _gather(x, y, z, start, ncols, nrows, row, col, i, limit, square, near)
-                    _add(x, y, z, first, last, i, near[:n], sums)
-                    _finish(float(n), float(m), sums, -float(lowest), radius, out[wanted[i]])
+            first, last = start[row * ncols + col], start[row * ncols + col + 1]
+            while first < last and wanted[first] < 0:
+                first += 1
+            if first == last:
+                continue
+            m = candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, named, x, y, z, at)
+            for i in range(first, last):
+                if wanted[i] < 0:
+                    continue
+                if filled == BLOCK or np.int64(used) + m > room:
+                    _finish(task, values, scratch, block, filled, out, chosen)
+                    filled, used = 0, np.uint64(0)
+                px, py, pz = np.float32(xs[i] - xs[first]), np.float32(ys[i] - ys[first]), np.float32(zs[i] - zs[first])
+                distances(x, y, z, m, px, py, pz, level, flat, square)
+                if among:
+                    for q in range(count):
+                        moments[q, CYLINDER, filled] = count_within(flat, m, limits[q])
+                n = compact(square, m, limits[count - 1], near)
+                begin[filled], rows[filled] = used, wanted[i]
+                if count > 1:
+                    shells(square, bounds, near, n, distance, shell, places)
+                    order(near, n, shell, places, ordered)
+                    used = fill(x, y, z, at, ordered, n, px, py, pz, named, to_x, to_y, to_z, to_at, used)
+                    for q in range(count):
+                        ends[filled, q] = places[q]
+                else:
+                    used = fill(x, y, z, at, near, n, px, py, pz, named, to_x, to_y, to_z, to_at, used)
+                    ends[filled, 0] = n
+                filled += 1
+    _finish(task, values, scratch, block, filled, out, chosen)
 
 
 @kernel
-def _gather(x, y, z, start, ncols, nrows, row, col, i, limit, square, near):  # type: ignore[no-untyped-def]
-    """Counts in cylinder and sphere, and the lowest relative z in the cylinder; `near` gets the sphere.
-
-    Two loops without branches: the first becomes vector code, and whether a candidate is near is a coin toss
-    that no processor predicts. The sums are of integers, as only those may be reordered.
-    """
-    px, py, pz = x[i], y[i], z[i]
-    m, n, lowest = 0, 0, np.int64(0)
-    for r in range(max(row - 1, 0), min(row + 2, nrows)):
-        begin, end = start[r * ncols + max(col - 1, 0)], start[r * ncols + min(col + 2, ncols)]
-        xs, ys, zs = x[begin:end], y[begin:end], z[begin:end]
-        for k in range(end - begin):
-            dx, dy, dz = xs[k] - px, ys[k] - py, zs[k] - pz
-            flat = dx * dx + dy * dy
-            m += flat <= limit
-            below = np.int64(dz if flat <= limit else 0.0)
-            lowest = below if below < lowest else lowest
-            square[k] = flat + dz * dz
-        for k in range(end - begin):
-            near[n] = np.uint64(begin + k)
-            n += square[k] <= limit
-    return m, n, lowest
-
-
-@kernel
-def _add(x, y, z, first, last, i, near, sums):  # type: ignore[no-untyped-def]
-    """The sums over the points `near` point i, relative to it."""
-    px, py, pz = x[i], y[i], z[i]
-    sx = sy = sz = xx = xy = xz = yy = yz = zz = low = high = firsts = lasts = 0.0
-    for j in near:
-        dx, dy, dz = x[j] - px, y[j] - py, z[j] - pz
-        sx += dx
-        sy += dy
-        sz += dz
-        xx += dx * dx
-        xy += dx * dy
-        xz += dx * dz
-        yy += dy * dy
-        yz += dy * dz
-        zz += dz * dz
-        low = dz if dz < low else low
-        high = dz if dz > high else high
-        firsts += first[j]
-        lasts += last[j]
-    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = sx, sy, sz, xx, xy, xz
-    sums[6], sums[7], sums[8], sums[9], sums[10], sums[11] = yy, yz, zz, high - low, firsts, lasts
-
-
-@kernel
-def _finish(n, m, sums, above, radius, out):  # type: ignore[no-untyped-def]
-    """The features from the sums; n² times the covariance is a difference of exact integers."""
-    sx, sy, sz, square = sums[0], sums[1], sums[2], n * n
-    a, b, c = (n * sums[3] - sx * sx) / square, (n * sums[4] - sx * sy) / square, (n * sums[5] - sx * sz) / square
-    d, e, f = (n * sums[6] - sy * sy) / square, (n * sums[7] - sy * sz) / square, (n * sums[8] - sz * sz) / square
-    l1, l2, l3 = eigenvalues(a, b, c, d, e, f)
-    out[12:15] = np.nan
-    out[2:6] = np.nan
-    if n >= 3.0 and l1 > 0.0:
-        out[12], out[13], out[14] = normal(a, b, c, d, e, f, l1, l2, l3)
-        out[2] = (l1 - l2) / l1
-        out[3] = (l2 - l3) / l1
-        out[4] = l3 / l1
-        out[5] = math.sqrt(l3) * 0.001
-    out[0] = math.degrees(math.acos(min(1.0, out[14]))) if out[14] >= 0.0 else np.nan
-    out[1] = n / m
-    out[6] = math.sqrt(f) * 0.001
-    out[7] = sums[9] * 0.001
-    out[8] = above * 0.001
-    out[9] = m / (math.pi * (radius * 0.001) ** 2)
-    out[10] = sums[10] / n
-    out[11] = sums[11] / n
+def _finish(task, values, scratch, block, filled, out, chosen):  # type: ignore[no-untyped-def]
+    """Sums and measures of the first `filled` neighbourhoods of the block."""
+    x, y, z, at, begin, ends, moments = block.x, block.y, block.z, block.at, block.begin, block.ends, block.moments
+    if task.shape.any():
+        sum_places(x, y, z, begin, ends, filled, moments)
+    else:
+        sum_heights(z, begin, ends, filled, moments)
+    sum_wide(z, begin, ends, filled, task.powers, moments)
+    if task.ranks:
+        rank_heights(z, begin, ends, filled, scratch.values, scratch.tally, moments)
+    if len(values.kinds):
+        sum_kinds(values.kinds, at, begin, ends, filled, moments)
+    if len(values.amplitude):
+        sum_values(values.amplitude, at, begin, ends, filled, moments, AMPLITUDE)
+    if len(values.width):
+        sum_values(values.width, at, begin, ends, filled, moments, WIDTH)
+    if len(values.intensity):
+        sum_values(values.intensity, at, begin, ends, filled, moments, INTENSITY)
+    settle(task, block, filled, out, chosen)

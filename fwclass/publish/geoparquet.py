@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,10 @@ POINT_Z = np.dtype([("order", "u1"), ("kind", "<u4"), ("x", "<f8"), ("y", "<f8")
 
 ISO_POINT_Z = 1001
 SIDES = ("xmin", "ymin", "xmax", "ymax")
+
+
+Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Least and greatest x, y, z [m]."""
 
 
 def write_geoparquet(table: Table, path: Path, crs: pyproj.CRS | None, params: PublishParams) -> dict[str, Any]:
@@ -45,19 +51,42 @@ def write_geoparquet(table: Table, path: Path, crs: pyproj.CRS | None, params: P
         x, y or z is missing.
     """
     require(table, ("x", "y", "z"), path)
-    fields = [_field(column(name)) for name in table]
-    arrays = [pa.array(table[name]) for name in table]
+    return write_geoparquet_parts([table], bounds_of(table) if table.rows else None, path, crs, params)
+
+
+def write_geoparquet_parts(
+    parts: Iterable[Table], bounds: Bounds | None, path: Path, crs: pyproj.CRS | None, params: PublishParams
+) -> dict[str, Any]:
+    """As `write_geoparquet`, of tables with the same columns one after another, each in row groups of its own.
+
+    Parameters
+    ----------
+    parts : at least one; `bounds` of all their points, None without any.
+    """
+    rest = iter(parts)
+    first = next(rest)
+    fields = [_field(column(name)) for name in first]
     fields += [
         pa.field("geometry", pa.binary(), nullable=False),
         pa.field("bbox", _box_type(), nullable=False),
     ]
-    arrays += [wkb_points(table["x"], table["y"], table["z"]), _boxes(table["x"], table["y"])]
-    schema = pa.schema(fields, metadata={b"geo": _geo(table, crs)})
+    schema, rows = pa.schema(fields, metadata={b"geo": _geo(bounds, crs)}), 0
     with whole(path) as beside:
-        with pq.ParquetWriter(beside, schema, **_options(table, params)) as writer:
-            writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=params.row_group)
+        with pq.ParquetWriter(beside, schema, **_options(first, params)) as writer:
+            for table in chain([first], rest):
+                arrays = [pa.array(table[name]) for name in first]
+                arrays += [wkb_points(table["x"], table["y"], table["z"]), _boxes(table["x"], table["y"])]
+                writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=params.row_group)
+                rows += table.rows
         size, groups = beside.stat().st_size, pq.ParquetFile(beside).num_row_groups
-    return {"path": str(path), "rows": table.rows, "row_groups": groups, "bytes": size}
+    return {"path": str(path), "rows": rows, "row_groups": groups, "bytes": size}
+
+
+def bounds_of(table: Table) -> Bounds:
+    """Least and greatest x, y, z of a table with rows."""
+    axes = [table[a] for a in ("x", "y", "z")]
+    low, high = [float(a.min()) for a in axes], [float(a.max()) for a in axes]
+    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
 
 
 def wkb_points(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> pa.Array:
@@ -85,17 +114,16 @@ def _field(col: Column) -> pa.Field:
     return pa.field(col.name, kind, nullable=False, metadata={k: v for k, v in about.items() if v})
 
 
-def _geo(table: Table, crs: pyproj.CRS | None) -> bytes:
+def _geo(bounds: Bounds | None, crs: pyproj.CRS | None) -> bytes:
     """The `geo` entry of the file's metadata."""
     about: dict[str, Any] = {
         "encoding": "WKB",
-        "geometry_types": ["Point Z"] if table.rows else [],
+        "geometry_types": ["Point Z"] if bounds else [],
         "crs": crs.to_json_dict() if crs is not None else None,
         "covering": {"bbox": {side: ["bbox", side] for side in SIDES}},
     }
-    if table.rows:
-        axes = [table[a] for a in ("x", "y", "z")]
-        about["bbox"] = [float(a.min()) for a in axes] + [float(a.max()) for a in axes]
+    if bounds:
+        about["bbox"] = [*bounds[0], *bounds[1]]
     geo = {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": about}}
     return json.dumps(geo).encode()
 

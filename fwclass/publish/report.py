@@ -13,6 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from fwclass.publish.files import whole
 from fwclass.publish.ground_section import ground
+from fwclass.publish.sampling_section import sampling
 from fwclass.publish.sections import (
     accuracy,
     distribution,
@@ -36,8 +37,8 @@ CAPTIONS = {
     ),
     "relief": ("Terrain", "Shaded relief of the terrain model, tinted by height."),
 }
-PULSE = "pulse"
-"""The figure that stands beside the waveforms, not among the maps."""
+PULSE, SAMPLING = "pulse", "sampling"
+"""Figures that stand in sections of their own, not among the maps."""
 
 
 def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path: Path) -> dict[str, Any]:
@@ -47,10 +48,10 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
 
     Parameters
     ----------
-    report : ``survey, fwclass, input {files, faults}, counts, stages, classes, accuracy, training,
+    report : ``survey, fwclass, input {files, faults}, counts, stages, classes, accuracy, training, sampling,
         distribution, waveforms, areas, outputs, config, seconds``; plain data, any key may be missing.
     figures : PNG by name; ``map`` and ``relief`` come first, others follow under their names; ``pulse`` stands with
-        the waveforms.
+        the waveforms, ``sampling`` with the labels.
 
     Returns
     -------
@@ -63,7 +64,17 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
         size = beside.stat().st_size
     shown = [
         name
-        for name in ("maps", "accuracy", "distribution", "waveforms", "ground", "stages", "outputs", "config")
+        for name in (
+            "maps",
+            "accuracy",
+            "sampling",
+            "distribution",
+            "waveforms",
+            "ground",
+            "stages",
+            "outputs",
+            "config",
+        )
         if view[name]
     ]
     return {"path": str(path), "bytes": size, "sections": shown}
@@ -93,10 +104,12 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "total": report.get("seconds"),
         "summary": _summary(report, classes, counts),
         "facts": _facts(report, counts),
-        "maps": _images({n: f for n, f in figures.items() if n != PULSE}),
+        "maps": _images({n: f for n, f in figures.items() if n not in (PULSE, SAMPLING)}),
         "waveforms": waveforms(report.get("waveforms")),
         "ground": ground(report.get("ground")),
         "pulse": data_uri(figures[PULSE]) if PULSE in figures else "",
+        "sampling": sampling(report.get("sampling")),
+        "sampling_map": data_uri(figures[SAMPLING]) if SAMPLING in figures else "",
         "accuracy": accuracy(report.get("accuracy"), classes),
         "distribution": distribution(report.get("distribution"), classes),
         "training": training(report.get("training")),

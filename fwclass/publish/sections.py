@@ -107,9 +107,23 @@ def accuracy(made: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]
     totals += [("mean IoU", percent(made["mean_iou"]) + " %")] if made.get("mean_iou") is not None else []
     totals += [(label, percent(made[key]) + " %") for label, key in two.items() if made.get(key) is not None]
     return {
-        "names": names, "rows": rows, "totals": totals, "area": made.get("area") or "", "any_lost": any(lost),
+        "names": names, "rows": rows, "totals": totals, "intervals": _intervals(made.get("intervals")),
+        "area": made.get("area") or "", "any_lost": any(lost),
         "count": number(sum(map(sum, made["confusion"])) + sum(lost)),
     }  # fmt: skip
+
+
+def _intervals(made: Mapping[str, Any] | None) -> str:
+    """One sentence about how sure the figures are; empty without intervals."""
+    if not made:
+        return ""
+    told = []
+    for label, key in (("overall accuracy", "overall_accuracy"), ("kappa", "kappa"), ("mean IoU", "mean_iou")):
+        if made.get(key) is not None:
+            low, high = made[key]
+            share = f"{percent(low)} to {percent(high)} %"
+            told.append(f"{label} {low:.3f} to {high:.3f}" if key == "kappa" else f"{label} {share}")
+    return f"{100 * made['level']:.0f} % intervals from {made['blocks']} blocks drawn at random: {', '.join(told)}."
 
 
 def _of(values: Any, index: int, name: str) -> Any:

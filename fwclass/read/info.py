@@ -13,6 +13,8 @@ from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
 from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
+from fwclass.read.polygons import is_polygon_file
+from fwclass.read.polygons_info import describe_polygons, polygon_info
 from fwclass.read.source import PulseSource, las_of, open_source
 
 Z_MARGIN = 100.0
@@ -65,13 +67,16 @@ class _Tally:
 def info(path: str | Path) -> dict[str, Any]:
     """Contents and faults of a file as plain data for JSON.
 
-    One pass over the points (or pulses); memory does not grow with their number.
+    One pass over the points (or pulses); memory does not grow with their number. Of a file of polygons its layers,
+    fields and their values.
 
     Raises
     ------
     InputError
         The file cannot be read.
     """
+    if is_polygon_file(path):
+        return polygon_info(Path(path))
     opened = open_source(path)
     return pulse_info(opened) if isinstance(opened, PulseSource) else _las_info(las_of(opened))
 
@@ -203,6 +208,8 @@ def _missing_returns(pairs: NDArray[np.int64]) -> int:
 
 def describe(found: dict[str, Any]) -> str:
     """`info` for a terminal."""
+    if "layers" in found:
+        return describe_polygons(found)
     crs = found["crs"]
     rows = [
         ("file", f"{found['path']}  ({found['size']:,} bytes)"),

@@ -13,7 +13,8 @@ from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pul
 from fwclass.decompose.stage import VENDOR_KEPT, decompose, returns_without_echo
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
-from fwclass.features.stage import NORMAL, FeaturesParams, features
+from fwclass.features.params import NORMAL, FeaturesParams
+from fwclass.features.stage import features
 from fwclass.grid import Tile
 from fwclass.publish.laz import write_tile_laz
 from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
@@ -82,9 +83,9 @@ def decompose_file(
             do="check the delivery; there is nothing to decompose",
         )
     table = Table.concat(tables)
-    flown = _flown(table, trajectory, system, undulation) if trajectory is not None else None
-    ranged, notes = _ranged(table, flown, params, trajectory)
-    delivered = ranged.with_columns({"classification": table["source_class"]})
+    flown = flown_over(table, trajectory, system, undulation) if trajectory is not None else None
+    whole, notes = ranged(table, flown, params, trajectory)
+    delivered = whole.with_columns({"classification": table["source_class"]})
     write_tile_laz(delivered, output, system, params["publish"], standard_time=opened.standard_gps_time)
     near = params["decompose"].vendor_tolerance
     pulses = sum(s.n_pulses for s in spans)
@@ -133,7 +134,7 @@ def _pulse_words(pulse: SystemPulse) -> str:
     return told + (f"; noise {noise} DN" if noise else "")
 
 
-def _ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Path | None) -> tuple[Table, list[str]]:
+def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Path | None) -> tuple[Table, list[str]]:
     """`table` with the radiometric columns, and what is to be said of them; as it is where no range is known."""
     settings: RadiometryParams = params["radiometry"]
     known = np.isfinite(table["beam_range"]).any()
@@ -141,7 +142,7 @@ def _ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Pa
         return table, ["no radiometry: give --trajectory, or --set radiometry.platform_altitude=…, for ranges"]
     chunk = Chunk(table, np.arange(table.rows), Tile(0, 0, EVERYTHING))
     shape: FeaturesParams = params["features"]
-    chunk = Chunk(table.with_columns(features(chunk, shape).select(NORMAL)), chunk.core, chunk.tile)
+    chunk = Chunk(table.with_columns(features(chunk, (), shape).select(NORMAL)), chunk.core, chunk.tile)
     compared = [overlap(chunk, flown, settings)] if settings.target is not None else []
     found = calibrate(compared, settings)
     made = radiometry(chunk, flown, found, settings)
@@ -168,7 +169,7 @@ def _ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Pa
     return table.with_columns(made), notes
 
 
-def _flown(table: Table, path: Path, crs: Any, undulation: float) -> Table:
+def flown_over(table: Table, path: Path, crs: Any, undulation: float) -> Table:
     times = table["gps_time"][np.isfinite(table["gps_time"])]
     ends = (float(times.min()), float(times.max())) if len(times) else (np.nan, np.nan)
     return in_survey_time(read_trajectory(path, crs, undulation), *ends, where=path)

@@ -24,6 +24,7 @@ class Display:
         self._rows: dict[str, TaskID] = {}
         self._left: dict[str, int] = {}
         self._counts: dict[str, dict[str, int]] = {}
+        self._told: set[str] = set()
 
     def __enter__(self) -> Display:
         if self._live:
@@ -61,4 +62,6 @@ class Display:
             text = ", ".join(f"{n} {status}" for status, n in sorted(counts.items()))
             self.say(f"{outcome.stage:<12} {text}")
         if outcome.status == "failed":
-            self.say(f"FAILED {outcome.stage}/{outcome.part}: {outcome.message}")
+            told = outcome.message in self._told
+            self._told.add(outcome.message)
+            self.say(f"FAILED {outcome.stage}/{outcome.part}: {'as above' if told else outcome.message}")

@@ -16,6 +16,7 @@ from fwclass.publish.report import render_report
 from fwclass.run.desk import Desk
 from fwclass.run.plan.layout import Layout, Survey
 from fwclass.run.road import Road, Tally
+from fwclass.run.sampling import sampling
 from fwclass.run.work.sources import pulse_of
 from fwclass.run.work.tiles import mosaic
 from fwclass.store.atomic import read_json, write_json
@@ -42,6 +43,7 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
         "accuracy": _accuracy(road, config),
         "training": _training(road, names),
+        "sampling": sampling(config, *(_made(road, s) for s in ("census", "taken", "label", "polygons"))),
         "distribution": _distribution(road),
         "waveforms": _waveforms(road, survey),
         "ground": _ground(road, config),
@@ -131,6 +133,7 @@ def _training(road: Road, names: tuple[str, ...]) -> dict[str, Any] | None:
     return {
         "samples": samples, "trees": receipt.meta["trees"], "features": list(names),
         "out_of_bag": card.get("out_of_bag", {}).get("accuracy"), "notes": card.get("notes", []),
+        "importance": card.get("importance"),
     }  # fmt: skip
 
 
@@ -212,13 +215,16 @@ def _outputs(road: Road) -> dict[str, list[str]]:
 def _figures(config: Config, road: Road, layout: Layout, report: Mapping[str, Any]) -> dict[str, bytes]:
     """Maps of classes and terrain; none where the survey is too large to draw or its rasters failed."""
     from fwclass.publish.figures import class_map, relief  # matplotlib is slow to load, and only a report needs it
+    from fwclass.publish.sampling_map import sampling_map
 
-    pulse = _pulse_figure(road, report)
+    others = _pulse_figure(road, report)
+    if report["sampling"]:
+        others["sampling"] = sampling_map(report["sampling"])
     desk = Desk(road.store)
     terrain = Window.covering(layout.box, config.terrain.cell)
     window = Window.covering(layout.box, config.publish.class_cell)
     if max(np.prod(terrain.shape), np.prod(window.shape)) > MAP_CELLS:
-        return pulse
+        return others
     surfaces = tuple(r.part for r in _made(road, "terrain"))
     blocks = tuple(r.part for r in _made(road, "class-block"))
     dtm = mosaic(desk, "terrain", surfaces, terrain, ("dtm",), {"dtm": np.nan})["dtm"]
@@ -226,7 +232,7 @@ def _figures(config: Config, road: Road, layout: Layout, report: Mapping[str, An
     return {
         "map": class_map(classes, window, report["classes"], config.publish, (dtm, terrain), report["areas"]),
         "relief": relief(dtm, terrain, config.publish),
-        **pulse,
+        **others,
     }
 
 
@@ -260,6 +266,7 @@ def summary(report: Mapping[str, Any], root: Path) -> str:
         )
     elif report["training"]:
         rows.append("accuracy    unknown: no labelled echo lies in a test area (areas.test, areas.gap)")
+    rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
     rows += [f"{kind:<11} {root / kind}  ({len(names)} files)" for kind, names in report["outputs"].items() if names]
     rows.append(f"report      {root / 'report.html'}")
     return "\n".join(rows)

@@ -118,8 +118,16 @@ def require_all(road: Road, tasks: Sequence[Task]) -> dict[Name, Receipt]:
     for task in tasks:
         outcome = road.outcomes[task.name]
         if not outcome.ok:
-            raise InputError(f"{task.stage} of part {task.part} failed", where=road.root, got=outcome.message)
+            raise InputError(
+                f"{task.stage} of part {task.part} failed", where=road.root, got=_first_line(outcome.message),
+                do="see the whole message above, mend the cause and run the same again; what is done is kept",
+            )  # fmt: skip
     return done
+
+
+def _first_line(message: str) -> str:
+    """The display has shown the rest."""
+    return message.splitlines()[0] if message else ""
 
 
 def stop_if_nothing(road: Road, done: Mapping[Name, Receipt]) -> None:
@@ -129,7 +137,7 @@ def stop_if_nothing(road: Road, done: Mapping[Name, Receipt]) -> None:
         raise FwclassError(
             f"nothing could be made: {len(road.failures)} parts failed, first {first.stage}/{first.part}",
             where=road.root,
-            got=first.message,
+            got=_first_line(first.message),
             do="mend the cause and run the same command again; what is done is kept",
         )
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import glob
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.conf import Config
+from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
 from fwclass.read.pls_read import pulse_bounds
@@ -20,8 +20,10 @@ from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.source import Source, open_source
 from fwclass.read.stage import check_source, read_cloud
 from fwclass.run.desk import Desk
+from fwclass.run.files import box_text, found_files, joint_bounds
 from fwclass.run.part import Name, Task
-from fwclass.run.plan.layout import FileDigests, Strip, Survey
+from fwclass.run.plan.layout import Strip, Survey
+from fwclass.run.reference import reference_clouds, reference_polygons
 from fwclass.run.road import Road
 from fwclass.run.work.sources import CLOUD_ROWS, Digests, max_of, min_of
 from fwclass.simulate.params import SimulateParams
@@ -81,24 +83,6 @@ def simulate_tasks(params: SimulateParams, prefix: str) -> list[Task]:
     return made
 
 
-def _found(patterns: Iterable[str], directory: Path, setting: str, where: Path) -> list[Path]:
-    """Files that match, sorted by name; a pattern without a match is an error."""
-    found: dict[Path, None] = {}
-    for pattern in patterns:
-        wanted = str(Path(glob.escape(str(directory))) / pattern)
-        matches = sorted(p for p in map(Path, glob.glob(wanted, recursive=True)) if p.is_file())  # noqa: PTH207
-        if not matches:
-            raise InputError(
-                "no file matches",
-                where=f"{setting} in {where}",
-                expected=f"files like {pattern}",
-                got=f"none in {directory}",
-                do=f"check {setting} and survey.directory (--set survey.directory=...)",
-            )
-        found |= dict.fromkeys(matches)
-    return sorted(found, key=lambda p: (p.name, p))
-
-
 def directory_of(config: Config, root: Path) -> Path:
     """Where the survey's files lie."""
     if config.survey.directory is None:
@@ -115,7 +99,7 @@ def gather(config: Config, road: Road) -> Survey:
             raise InputError("the survey could not be simulated", where=road.root, do="see the failed parts above")
     directory = directory_of(config, road.root)
     digests = Digests(road.store)
-    opened = [open_source(p) for p in _found(config.survey.sources, directory, "survey.sources", config.path)]
+    opened = [open_source(p) for p in found_files(config.survey.sources, directory, "survey.sources", config.path)]
     for source in opened:
         check_source(source, config.read)
     _distinct([s.path for s in opened])
@@ -129,12 +113,14 @@ def gather(config: Config, road: Road) -> Survey:
     crs = common_crs(config, {s.path: s.crs for s in full}, road)
     strips = tuple(Strip(number, s.path, digests.of(_files_of(s)), s.point_format) for number, s in enumerate(opened))
     _different(strips)
-    box = _bounds([_true_bounds(s) for s in full])
+    box = joint_bounds([_true_bounds(s) for s in full])
     _check_areas(config, box)
     standard = all(s.standard_gps_time for s in opened)
-    flown = _found(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path)
+    flown = found_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path)
     trajectory = tuple((p, digests.of([p])) for p in flown)
-    return Survey(strips, _reference(config, directory, digests, box), crs, standard, trajectory)
+    given = given_crs(config.survey.reference.crs, "survey.reference.crs")
+    polygons = reference_polygons(config, directory, digests, crs, given)
+    return Survey(strips, reference_clouds(config, directory, digests, box), crs, standard, trajectory, polygons)
 
 
 def _files_of(source: Any) -> list[Path]:
@@ -182,11 +168,6 @@ def _true_bounds(source: Source) -> tuple[float, ...]:
         least = np.minimum(least, [min_of(cloud[n]) for n in "xyz"])
         most = np.maximum(most, [max_of(cloud[n]) for n in "xyz"])
     return (*least.tolist(), *most.tolist())
-
-
-def _bounds(bounds: Iterable[tuple[float, ...]]) -> Box:
-    rows = list(bounds)
-    return Box(min(b[0] for b in rows), min(b[1] for b in rows), max(b[3] for b in rows), max(b[4] for b in rows))
 
 
 def common_crs(config: Config, found: Mapping[Path, CRS | None], road: Road) -> str | None:
@@ -259,33 +240,24 @@ def _check_areas(config: Config, box: Box) -> None:
             raise ConfigError(
                 f"no {kind}ing area lies on the survey" if kind == "test" else "no training area lies on the survey",
                 where=f"{config.path}: areas.{kind}",
-                expected=f"boxes that touch {_text(box)}",
-                got=", ".join(_text(b) for b in boxes),
+                expected=f"boxes that touch {box_text(box)}",
+                got=", ".join(box_text(b) for b in boxes),
                 do="give the boxes in the survey's coordinates; `fwclass info` shows the files' bounds",
             )
-
-
-def _text(box: Box) -> str:
-    return "[" + ", ".join(f"{v:.1f}" for v in box.bounds) + "]"
-
-
-def _reference(
-    config: Config, directory: Path, digests: Digests, box: Box
-) -> tuple[tuple[Path, FileDigests, int], ...]:
-    if config.survey.reference.kind != "cloud":
-        return ()
-    files = _found(config.survey.reference.files, directory, "survey.reference.files", config.path)
-    opened = [open_source(p) for p in files]
-    place = _bounds([s.bounds for s in opened])
-    if not place.grown(config.label.max_distance).touches(box):
-        raise InputError(
-            "the reference lies in another place than the survey",
-            where=", ".join(str(f) for f in files),
-            expected=f"points around {_text(box)}",
-            got=_text(place),
-            do="check survey.reference.files and the files' coordinate systems",
+    gap, train, test = config.areas.gap, config.areas.boxes("train"), config.areas.boxes("test")
+    if test and all(any(_covers(b.grown(gap), t) for b in train) for t in test):
+        raise ConfigError(
+            "nothing is left to test on: every test area lies in a training area, or nearer to one than areas.gap",
+            where=f"{config.path}: areas.test",
+            expected=f"areas further than {gap:g} m from every training area",
+            got=", ".join(box_text(t) for t in test),
+            do="move the test areas, or leave them out (areas.test: []) to test on all that is far enough",
         )
-    return tuple((s.path, digests.of([s.path]), s.n_points) for s in opened)
+
+
+def _covers(outer: Box, inner: Box) -> bool:
+    low = outer.xmin <= inner.xmin and outer.ymin <= inner.ymin
+    return low and inner.xmax <= outer.xmax and inner.ymax <= outer.ymax
 
 
 def check_widths(config: Config, names: tuple[str, ...], splits: Mapping[Name, Receipt], store: Store) -> None:
@@ -293,12 +265,14 @@ def check_widths(config: Config, names: tuple[str, ...], splits: Mapping[Name, R
     chunks = [store.receipt("decompose", part) for stage, part in splits if stage == "split"]
     echoes = sum(int(r.meta["echoes"]) for r in chunks if r)
     without = sum(int(r.meta["without_width"]) for r in chunks if r)
-    if "width" in names and echoes and echoes == without:
-        others = ", ".join(n for n in names if n != "width")
+    wide = [n for n in names if n.split("_")[0] == "width"]
+    if wide and echoes and echoes == without:
+        others = [n for n in names if n not in wide]
+        plain = set(others) == set(feature_set("default").features)
         raise ConfigError(
-            "the forest is to decide by 'width', and no echo of this survey has one",
+            f"classes are to be told by {wide[0]!r}, and no echo of this survey has one",
             where=f"{config.path}: survey.features",
             expected="waveforms, or an extra byte `Pulse width`",
             got=f"{echoes} echoes without a width",
-            do=f'--set "survey.features=[{others}]"',
+            do="--set survey.features=default" if plain else f'--set "survey.features=[{", ".join(others)}]"',
         )

@@ -1,55 +1,114 @@
-"""A forest on disk: `.npy` arrays and `card.json`. Loading runs no code and checks everything it reads."""
+"""A model on disk: `.npy` arrays and `card.json`. Loading runs no code and checks everything it reads."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.model import Forest
+from fwclass.model import FORMAT, KINDS, Forest, Model
 
-_ARRAYS = {"feature": "uint16", "threshold": "float32", "child": "uint32", "offsets": "int64"}
+CARD = "card.json"
 _CARD_LIMIT = 1 << 24
+"""Bytes of a card; one of 127 features has some ten thousand."""
+_DECIDES = ("format", "kind", "features", "classes", "params", "computed", "preparation")
+"""Keys of the card without which the arrays mean nothing, or something else."""
 
 
-def save_forest(directory: Path, forest: Forest) -> None:
+def save_model(directory: Path, model: Model) -> None:
+    """Write `model` into `directory`, which is made."""
     directory.mkdir(parents=True, exist_ok=True)
-    for name in _ARRAYS:
-        np.save(directory / f"{name}.npy", getattr(forest, name), allow_pickle=False)
-    text = json.dumps(dict(forest.card), sort_keys=True, indent=1, allow_nan=False)
-    (directory / "card.json").write_text(text + "\n", encoding="utf-8")
+    for name in model.layout:
+        np.save(directory / f"{name}.npy", getattr(model, name), allow_pickle=False)
+    card = {**model.card, "kind": model.kind}
+    card["digest"] = _digest(card, {name: getattr(model, name) for name in model.layout})
+    text = json.dumps(card, sort_keys=True, indent=1, allow_nan=False)
+    (directory / CARD).write_text(text + "\n", encoding="utf-8")
 
 
-def load_forest(directory: Path) -> Forest:
-    """The forest in `directory`, or an `InputError` that says what is wrong with it."""
+def load_model(directory: Path) -> Model:
+    """The model in `directory`, or an `InputError` that says what is wrong with it."""
+    if not directory.is_dir():
+        raise InputError(
+            "there is a file where a model's directory is wanted" if directory.exists() else "no such model directory",
+            where=directory, expected="a directory that `fwclass train --model` wrote", do="check the path",
+        )  # fmt: skip
     try:
-        path = directory / "card.json"
-        if path.stat().st_size > _CARD_LIMIT:
-            raise ValueError(f"card.json has {path.stat().st_size} bytes")
-        card = json.loads(path.read_text(encoding="utf-8"))
-        arrays = {name: _array(directory / f"{name}.npy", kind) for name, kind in _ARRAYS.items()}
-        forest = Forest(**arrays, card=card)
+        card = _card(directory / CARD)
+        cls = KINDS[card["kind"]]
+        arrays = {name: _array(directory / f"{name}.npy", *of) for name, of in cls.layout.items()}
+        model: Model = cls(**arrays, card=card)  # type: ignore[call-arg]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
         raise InputError(
             "this is not a model of fwclass, or it is damaged",
             where=directory,
-            expected="card.json and " + ", ".join(f"{n}.npy" for n in _ARRAYS),
+            expected=f"{CARD} of layout {FORMAT} and kind {', '.join(KINDS)}, and its arrays as .npy",
             got=f"{type(fault).__name__}: {fault}",
             do="train again, or copy the whole model directory",
         ) from fault
-    forest.check(directory)
-    return forest
+    model.check(directory)
+    if card.get("digest") != _digest(card, arrays):
+        raise InputError(
+            "the model's card and arrays do not belong together",
+            where=directory,
+            expected=f"{CARD} and the arrays as they were written together, with their digest",
+            got="a card without digest" if "digest" not in card else "a card or an array that was changed since",
+            do="copy the whole model directory again, or train again",
+        )
+    return model
 
 
-def _array(path: Path, kind: str) -> NDArray:
+def load_forest(directory: Path) -> Forest:
+    """As `load_model`, for what only a forest can do."""
+    model = load_model(directory)
+    if not isinstance(model, Forest):
+        raise InputError(
+            "the model is not a forest", where=directory, expected=Forest.kind, got=model.kind, do="train a forest"
+        )
+    return model
+
+
+def _card(path: Path) -> dict[str, Any]:
+    if path.stat().st_size > _CARD_LIMIT:
+        raise ValueError(f"{path.name} has {path.stat().st_size} bytes")
+    card = json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_number)
+    if not isinstance(card, dict):
+        raise ValueError(f"{path.name} is no JSON object")
+    if card.get("format") != FORMAT:
+        raise ValueError(f"its layout is {card.get('format')!r}, this program reads {FORMAT}")
+    if not isinstance(card.get("kind"), str) or card["kind"] not in KINDS:
+        raise ValueError(f"its kind {card.get('kind')!r} is unknown")
+    return card
+
+
+def _digest(card: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> str:
+    """SHA-256 of the arrays and of what in the card decides: against accidents, not against forgers."""
+    told = {key: card[key] for key in _DECIDES if key in card}
+    made = hashlib.sha256(json.dumps(told, sort_keys=True).encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        made.update(f"\n{name} {array.shape}\n".encode())
+        made.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
+    return made.hexdigest()
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no number of JSON")
+
+
+def _array(path: Path, kind: str, dimensions: int) -> NDArray:
     """One array; memory-mapped first, so that a header cannot make us allocate more than the file holds."""
     try:
-        array = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+        with np.errstate(over="ignore"):  # a shape beyond 64 bits: the map is refused as too small for it
+            mapped = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception as fault:  # numpy's header parser lets through whatever Python's tokenizer raises
         raise ValueError(f"{path.name}: {fault}") from fault
-    if array.dtype != np.dtype(kind) or array.ndim != 1:
-        raise ValueError(f"{path.name} is {array.dtype} of {array.ndim} dimensions, expected {kind} of one")
-    return array
+    if mapped.dtype != np.dtype(kind) or mapped.ndim != dimensions:
+        raise ValueError(f"{path.name} is {mapped.dtype} of {mapped.ndim} dimensions, expected {kind} of {dimensions}")
+    return np.array(mapped, order="C")

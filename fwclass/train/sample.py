@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,8 @@ from fwclass.errors import InputError
 from fwclass.hashing import hashed
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.schema import Table
+
+_ARRAYS = ("X", "y", "key", "hash", "eligible", "bare")
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,7 @@ class Sample:
     key : uint64 (rows,), `schema.canonical_key`.
     hash : uint64 (rows,), random number of the key; the smallest of a class are kept.
     eligible : int64 (classes,), labelled rows that the sample was drawn from.
+    bare : int64 (classes,), labelled rows without any feature value, which never train; empty where not counted.
     """
 
     features: tuple[str, ...]
@@ -35,6 +38,7 @@ class Sample:
     key: NDArray[np.uint64]
     hash: NDArray[np.uint64]
     eligible: NDArray[np.int64]
+    bare: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     @property
     def rows(self) -> int:
@@ -55,15 +59,16 @@ class Sample:
 
     def arrays(self) -> dict[str, NDArray]:
         """The arrays that a store keeps; `from_arrays` makes the sample again."""
-        return {"X": self.X, "y": self.y, "key": self.key, "hash": self.hash, "eligible": self.eligible}
+        return {n: getattr(self, n) for n in _ARRAYS}
 
     @classmethod
     def from_arrays(cls, features: Sequence[str], arrays: Mapping[str, NDArray]) -> Sample:
-        return cls(tuple(features), *(arrays[n] for n in ("X", "y", "key", "hash", "eligible")))
+        return cls(tuple(features), *(arrays[n] for n in _ARRAYS))
 
     def take(self, rows: NDArray) -> Sample:
         """The same sample with only `rows` (index or mask)."""
-        return Sample(self.features, self.X[rows], self.y[rows], self.key[rows], self.hash[rows], self.eligible)
+        drawn = (self.X[rows], self.y[rows], self.key[rows], self.hash[rows])
+        return Sample(self.features, *drawn, self.eligible, self.bare)
 
 
 def draw(
@@ -80,48 +85,77 @@ def draw(
     Rows whose code no class counts, and rows without any feature value, never train.
     """
     index = class_index(reference, classes)
+    names = tuple(features)
     rows = np.flatnonzero(np.asarray(inside, bool) & (index >= 0))
-    X = sample_matrix(features.take(rows), features, "training rows")
-    some = ~np.isnan(X).all(axis=1)
-    rows, X = rows[some], X[some]
+    some = np.zeros(len(rows), bool)
+    for name in names:  # a matrix of all rows is never made: only of those that are kept
+        some |= np.isfinite(np.asarray(features[name])[rows])
+    bare = np.bincount(index[rows[~some]], minlength=len(classes)).astype(np.int64)
+    rows = rows[some]
     y = index[rows].astype(np.uint8)
     eligible = np.bincount(y, minlength=len(classes)).astype(np.int64)
     key = np.asarray(key, np.uint64)[rows]
-    return _thinned(Sample(tuple(features), X, y, key, hashed(seed, key), eligible), per_class)
+    drawn = hashed(seed, key)
+    kept = _smallest(y, drawn, len(classes), per_class)
+    X = sample_matrix(features.take(rows[kept]), names, "training rows")
+    return _sorted(Sample(names, X, y[kept], key[kept], drawn[kept], eligible, bare))
 
 
 def join(samples: Iterable[Sample], per_class: int) -> Sample:
     """One sample of the union of the rows that `samples` were drawn from, whatever their order or number."""
-    parts = list(samples)
-    if not parts:
+    held: list[Sample] = []
+    rows = 0
+    for part in samples:
+        if held and (part.features != held[0].features or len(part.eligible) != len(held[0].eligible)):
+            raise ValueError(f"samples differ: {held[0].features} and {part.features}")
+        held.append(part)
+        rows += part.rows
+        if rows > 3 * per_class * len(part.eligible):  # memory stays that of a few samples, however many tiles
+            held = [_thinned(_union(held), per_class)]
+            rows = held[0].rows
+    if not held:
         raise ValueError("nothing to merge")
-    for part in parts[1:]:
-        if part.features != parts[0].features or len(part.eligible) != len(parts[0].eligible):
-            raise ValueError(f"samples differ: {parts[0].features} and {part.features}")
-    joined = Sample(
+    return _sorted(_thinned(_union(held), per_class))
+
+
+def _union(parts: Sequence[Sample]) -> Sample:
+    return Sample(
         parts[0].features,
         np.concatenate([p.X for p in parts]),
         np.concatenate([p.y for p in parts]),
         np.concatenate([p.key for p in parts]),
         np.concatenate([p.hash for p in parts]),
         np.sum([p.eligible for p in parts], axis=0),
+        np.sum([p.bare for p in parts], axis=0),
     )
-    return _thinned(joined, per_class)
+
+
+def _smallest(y: NDArray[np.uint8], drawn: NDArray[np.uint64], n_classes: int, per_class: int) -> NDArray[np.int64]:
+    """Index of the `per_class` rows of every class with the smallest random numbers."""
+    keep = []
+    for c in range(n_classes):
+        rows = np.flatnonzero(y == c)
+        if len(rows) > per_class:
+            rows = rows[np.argpartition(drawn[rows], per_class - 1)[:per_class]]
+        keep.append(rows)
+    return np.concatenate(keep)
 
 
 def _thinned(sample: Sample, per_class: int) -> Sample:
-    keep = []
-    for c in range(len(sample.eligible)):
-        rows = np.flatnonzero(sample.y == c)
-        if len(rows) > per_class:
-            rows = rows[np.argpartition(sample.hash[rows], per_class - 1)[:per_class]]
-        keep.append(rows)
-    chosen = np.concatenate(keep)
-    chosen = chosen[np.argsort(sample.key[chosen], kind="stable")]
-    key = sample.key[chosen]
+    return sample.take(_smallest(sample.y, sample.hash, len(sample.eligible), per_class))
+
+
+def _sorted(sample: Sample) -> Sample:
+    """The sample in the order of its keys."""
+    order = np.argsort(sample.key, kind="stable")
+    key = sample.key[order]
     if (key[1:] == key[:-1]).any():
         raise ValueError("an echo occurs twice in the training rows; only core rows of a tile may train")
-    return sample.take(chosen)
+    return sample.take(order)
+
+
+UNEVEN = 20
+"""Remarked: a class with so many times the training rows of another."""
 
 
 def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
@@ -130,6 +164,7 @@ def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
     listed = ", ".join(f"{name} {n}" for name, n in counts.items())
     lacking = [name for name, n in counts.items() if n == 0]
     if lacking:
+        _check_values(sample, lacking, classes)
         raise InputError(
             f"no training rows of class {', '.join(map(repr, lacking))}",
             where="training areas",
@@ -145,6 +180,7 @@ def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
             do="add a class",
         )
     notes = [f"class {name!r} has one training row" for name, n in counts.items() if n == 1]
+    notes += _balance(sample, counts)
     for k, name in enumerate(sample.features):
         values = sample.X[:, k]
         known = values[~np.isnan(values)]
@@ -158,3 +194,35 @@ def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
         if known.min() == known.max():
             notes.append(f"feature {name!r} is {known[0]:g} in every training row that has it")
     return tuple(notes)
+
+
+def _check_values(sample: Sample, lacking: Sequence[str], classes: Sequence[ClassDef]) -> None:
+    """`InputError` where a class has labelled rows, and only features without a value keep them from training."""
+    bare = {one.name: int(n) for one, n in zip(classes, sample.bare, strict=False) if n and one.name in lacking}
+    if len(bare) < len(lacking):
+        return
+    one = len(sample.features) == 1
+    what = f"feature {sample.features[0]!r} has" if one else "the features have"
+    raise InputError(
+        f"{what} no value in any labelled row of class {', '.join(map(repr, bare))}",
+        where="training areas",
+        expected="a value of " + ("it" if one else f"one of {', '.join(sample.features)}"),
+        got=", ".join(f"{name} {n} rows without value" for name, n in bare.items()),
+        do="take other features (survey.features), or see why the stage that computes them found nothing",
+    )
+
+
+def _balance(sample: Sample, counts: Mapping[str, int]) -> list[str]:
+    """Remarks on classes of which only some rows train, and on uneven ones."""
+    notes = [
+        f"class {name!r}: {n} of {int(eligible)} labelled rows train (train.samples_per_class)"
+        for (name, n), eligible in zip(counts.items(), sample.eligible, strict=True)
+        if n < eligible
+    ]
+    most, least = max(counts, key=lambda c: counts[c]), min(counts, key=lambda c: counts[c])
+    if counts[most] > UNEVEN * counts[least]:
+        notes.append(
+            f"class {most!r} has {counts[most]} training rows and {least!r} {counts[least]}: the forest will rarely "
+            f"say {least!r}; train.class_weights: balanced gives both the same say, more labels are better"
+        )
+    return notes

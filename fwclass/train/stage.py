@@ -2,37 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from fwclass import __version__
-from fwclass.hashing import seeded
 from fwclass.model import FORMAT, ClassDef, Forest, Tree, assemble
 from fwclass.schema import Table
-from fwclass.stage import Params, Stage
-from fwclass.train.grow import count_out_of_bag, draw_bag, entropy_table, grow, workspace
+from fwclass.stage import Stage
+from fwclass.train.bag import bag
+from fwclass.train.gain import GINI, entropy_table
+from fwclass.train.grow import count_out_of_bag, grow
+from fwclass.train.importance import drops as count_drops
+from fwclass.train.importance import summary
+from fwclass.train.node import workspace
+from fwclass.train.params import TrainParams
+from fwclass.train.ranked import COUNTED, Ranks, rank
 from fwclass.train.sample import Sample, draw, join, review
+from fwclass.train.weights import whole_weights
 
-
-class TrainParams(Params):
-    """Parameters of the sample and the forest; numbers and sources stand in `conf/base.yaml`."""
-
-    seed: int = Field(ge=0)
-    samples_per_class: int = Field(ge=1)
-    trees: int = Field(ge=1, le=65535)
-    features_per_split: int = Field(ge=0)
-    steps: int = Field(ge=1, le=1000)
-    min_samples_split: int = Field(ge=2)
-    bagging: float = Field(gt=0, le=1)
-
-    def per_split(self, features: int) -> int:
-        """Features drawn at a node: int(lb M + 1) unless given (Fan 2013, eq. 4)."""
-        return min(features, self.features_per_split or int(math.log2(features) + 1))
+__all__ = ["TrainParams", "candidates", "card", "grow_tree", "grow_trees", "merge", "out_of_bag", "train"]
 
 
 def candidates(
@@ -61,48 +52,61 @@ def merge(samples: Iterable[Sample], params: TrainParams) -> Sample:
     return join(samples, params.samples_per_class)
 
 
-def _bag(rows: int, tree: int, params: TrainParams) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
-    """How often every row was drawn for `tree`, and the generator's state after that."""
-    state = np.array([seeded(params.seed, tree + 1)], np.uint64)
-    weight = np.zeros(rows, np.int32)
-    draw_bag(state, max(1, round(rows * params.bagging)), weight)
-    return weight, state
+class Grower:
+    """Grows the trees of one sample; what they share is prepared once.
 
+    A node draws m features without replacement, tries the thresholds that the split rule gives each, and takes the
+    best by the criterion, the first among equals; x < t goes left, x >= t and NaN right. A feature that is constant
+    in the node cannot divide it; where none of the m can, further ones are drawn. A node is a leaf when it is pure,
+    has fewer draws than `min_samples_split`, or no feature divides it; it gives its heaviest class, on a tie the first.
 
-def grow_tree(X: NDArray[np.float32], y: NDArray[np.uint8], n_classes: int, tree: int, params: TrainParams) -> Tree:
-    """Grow tree number `tree` from a bootstrap of the sample (Fan 2013).
-
-    A node draws m features without replacement, tries the thresholds min + k (max - min) / steps, k = 1 ..
-    steps, of each and takes the largest information gain, the first among equals; x < t goes left, x >= t
-    and NaN right. A feature that is constant in the node cannot divide it; where none of the m can, further
-    ones are drawn. A node is a leaf when it is pure, smaller than `min_samples_split`, or no feature
-    divides it; on a tie of classes it gets the first.
+    Equal width (Fan 2013): min + k (max - min) / steps, k = 1 .. steps. Exact: halfway between neighbouring values.
+    Histogram: between neighbouring bins. The last two may also divide known from missing (t infinite).
 
     Parameters
     ----------
     X : float32 (rows, features), finite or NaN.
-    y : uint8 (rows,), below `n_classes`.
-
-    Returns
-    -------
-    (feature, threshold, child) as in `Forest`; the same for the same sample, seed and tree number.
+    y : uint8 (rows,), below the number of `names`.
+    names : of the classes.
     """
-    X, y = np.asarray(X, np.float32), np.asarray(y, np.uint8)
-    if X.ndim != 2 or len(X) != len(y) or len(y) == 0:
-        raise ValueError(f"a sample of {X.shape} values and {y.shape} classes cannot be trained on")
-    if np.isinf(X).any() or int(y.max()) >= n_classes:
-        raise ValueError("infinite values or unknown classes in the sample")
-    weight, state = _bag(len(y), tree, params)
-    columns = np.ascontiguousarray(X.T)
-    table = entropy_table(int(weight.sum()))
-    node = workspace(len(y), len(columns), n_classes, params.steps)
-    per_split = params.per_split(len(columns))
-    return grow(columns, y, weight, state, per_split, params.min_samples_split, table, node)
+
+    def __init__(self, X: NDArray[np.float32], y: NDArray[np.uint8], names: Sequence[str], params: TrainParams) -> None:
+        X, y = np.asarray(X, np.float32), np.asarray(y, np.uint8)
+        if X.ndim != 2 or len(X) != len(y) or len(y) == 0:
+            raise ValueError(f"a sample of {X.shape} values and {y.shape} classes cannot be trained on")
+        if np.isinf(X).any() or int(y.max()) >= len(names):
+            raise ValueError("infinite values or unknown classes in the sample")
+        self.params, self.y = params, y
+        self.columns: NDArray = np.ascontiguousarray(X.T)
+        self.ranks: Ranks | None = None
+        if params.split != "equal-width":
+            self.columns, self.ranks = rank(self.columns, params.bins if params.split == "histogram" else None)
+        self.heft = whole_weights(params.class_weights, np.bincount(y, minlength=len(names)), names)
+
+    def tree(self, number: int) -> Tree:
+        """(feature, threshold, child) as in `Forest`; the same for the same sample, seed and number."""
+        params = self.params
+        drawn, state = bag(len(self.y), number, params)
+        table = GINI
+        if params.criterion == "entropy":
+            table = entropy_table(int((drawn * self.heft[self.y]).sum()))
+        codes = 0 if self.ranks is None else min(COUNTED, int(self.ranks.missing.max()) + 1)
+        node = workspace(len(self.y), len(self.columns), self.heft, params.steps, codes)
+        per_split = params.per_split(len(self.columns))
+        return grow(
+            self.columns, self.ranks, self.y, drawn, state, per_split, params.min_samples_split, table, node
+        )  # fmt: skip
+
+
+def grow_tree(X: NDArray[np.float32], y: NDArray[np.uint8], n_classes: int, tree: int, params: TrainParams) -> Tree:
+    """Tree number `tree` of a sample whose classes have no names (they are called 0, 1 ...); see `Grower`."""
+    return Grower(X, y, [str(c) for c in range(n_classes)], params).tree(tree)
 
 
 def grow_trees(sample: Sample, classes: Sequence[ClassDef], first: int, count: int, params: TrainParams) -> list[Tree]:
     """Trees number `first` to ``first + count - 1``; parts of a forest that is grown by several workers."""
-    return [grow_tree(sample.X, sample.y, len(classes), t, params) for t in range(first, first + count)]
+    grower = Grower(sample.X, sample.y, [c.name for c in classes], params)
+    return [grower.tree(t) for t in range(first, first + count)]
 
 
 def card(sample: Sample, classes: Sequence[ClassDef], params: TrainParams) -> dict[str, Any]:
@@ -128,7 +132,7 @@ def out_of_bag(sample: Sample, trees: Sequence[Tree], n_classes: int, params: Tr
     """
     votes = np.zeros((sample.rows, n_classes), np.uint16)
     for number, (feature, threshold, child) in enumerate(trees):
-        weight, _ = _bag(sample.rows, number, params)
+        weight, _ = bag(sample.rows, number, params)
         count_out_of_bag(sample.X, feature, threshold, child, weight, votes)
     judged = votes.any(axis=1)
     right = votes.argmax(axis=1)[judged] == sample.y[judged]
@@ -141,20 +145,35 @@ def out_of_bag(sample: Sample, trees: Sequence[Tree], n_classes: int, params: Tr
     }
 
 
-def train(sample: Sample, trees: Sequence[Tree], params: TrainParams, classes: Sequence[ClassDef]) -> Forest:
-    """The forest of all `trees` (in order of their number), with its card and its out-of-bag accuracy."""
+def train(
+    sample: Sample,
+    trees: Sequence[Tree],
+    params: TrainParams,
+    classes: Sequence[ClassDef],
+    drops: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None,
+) -> Forest:
+    """The forest of all `trees` (in order of their number), with its card and its out-of-bag accuracy.
+
+    `drops` of all trees, as `importance.drops` counts them, become the card's ``importance``.
+    """
     written = card(sample, classes, params)
+    asked = params.features_per_split
+    if isinstance(asked, int) and asked > len(sample.features):
+        written["notes"].append(f"train.features_per_split is {asked}: all {len(sample.features)} features are tried")
     written["out_of_bag"] = out_of_bag(sample, trees, len(classes), params)
+    if drops is not None:
+        written["importance"] = summary(sample.features, *drops)
     return assemble(trees, written)
 
 
 TRAIN_SAMPLE = Stage(
     name="sample",
-    version=1,
+    version=2,
     kind="tile",
     function=candidates,
     params=TrainParams,
     reads=("strip", "pulse", "echo_number", "reference"),
 )
 TRAIN_TREES = Stage(name="trees", version=1, kind="gather", function=grow_trees, params=TrainParams)
-TRAIN = Stage(name="train", version=1, kind="gather", function=train, params=TrainParams)
+TRAIN_IMPORTANCE = Stage(name="importance", version=1, kind="gather", function=count_drops, params=TrainParams)
+TRAIN = Stage(name="train", version=2, kind="gather", function=train, params=TrainParams)

@@ -75,6 +75,24 @@ def test_votes_do_not_depend_on_the_block(monkeypatch):
     for block in (1, 8, 37, 300):
         monkeypatch.setattr(vote, "BLOCK", block)
         np.testing.assert_array_equal(votes(X, forest), expected)
+        np.testing.assert_array_equal(vote.winners(X, vote.walkable(forest)), expected.argmax(axis=1))
+
+
+@pytest.mark.parametrize("trees", [1, 2, 3, 10, 41, 100])
+@pytest.mark.parametrize("n_classes", [1, 2, 3, 9])
+def test_who_wins_is_known_before_all_have_voted(trees, n_classes):
+    """Shallow trees of chance agree little: ties and narrow leads are common."""
+    forest = random_forest(trees * n_classes, trees=trees, n_classes=n_classes, splits=6)
+    X = rows(500, 6, seed=trees)
+    counted = votes(X, forest)
+    np.testing.assert_array_equal(vote.winners(X, vote.walkable(forest)), counted.argmax(axis=1))
+    if n_classes > 1 and trees % 2 == 0:
+        top = np.sort(counted, axis=1)
+        assert (top[:, -1] == top[:, -2]).any()  # there were ties
+
+
+def test_no_row_has_a_winner():
+    assert vote.winners(np.empty((0, 6), np.float32), vote.walkable(random_forest(3))).shape == (0,)
 
 
 @settings(max_examples=40, deadline=None)
@@ -117,7 +135,7 @@ def test_rows_without_any_value_get_a_class():
 def test_no_rows():
     made = classify(np.empty((0, 6), np.float32), random_forest(3))
     assert made.rows == 0
-    assert set(made) == {"classification", "confidence"}
+    assert set(made) == {"classification", "confidence", "entropy"}
 
 
 def test_a_table_is_read_by_name_in_any_order():

@@ -1,69 +1,162 @@
-"""Neighbourhood features against a k-d tree and numpy's eigenvectors, and the laws of shape."""
+"""Every measure of spheres, cylinders and the optimal sphere against a k-d tree and plain numpy and scipy."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy import stats
 from scipy.spatial import cKDTree
 
-from fwclass.features.eigen import LINE, TIE, eigenvalues, normal
-from fwclass.features.stage import neighbourhoods
-from fwclass.features.walk import SHAPE
+from fwclass.columns.features import FEATURES
+from fwclass.features.eigen import LINE, TIE, shapes
+from fwclass.features.moments import MOMENTS, XX, XY, XZ, YY, YZ, ZZ, N
+from fwclass.features.params import NORMAL, FeaturesParams
+from fwclass.features.spheres import optimal, spheres
 from fwclass.grid import TileGrid, millimetres
-from fwclass.schema import Table
+from fwclass.schema import Scale, Table
 from fwclass.stage import Chunk
 
-AT = {name: k for k, name in enumerate(SHAPE)}
+ROOT = Path(__file__).resolve().parents[2]
+PARAMS = FeaturesParams(**yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["features"])
+PERCENTILES = (5, 10, 25, 50, 75, 90, 95)
 
 
-def chunk_of(x, y, z, number=None, of=None):
-    one = np.ones(len(x), np.uint8)
-    number, of = (one, one) if number is None else (number, of)
-    table = Table({"x": x, "y": y, "z": z, "echo_number": number, "number_of_echoes": of})
-    return Chunk(table, np.arange(len(x)), TileGrid(1000.0).tile("0_0"))
+def bases(kind):
+    return tuple(f.name for f in FEATURES if kind in f.scales and f.name != "oriented_inclination")
 
 
-def reference(x, y, z, number, of, radius):
-    """The same features by a k-d tree over millimetres and `numpy.linalg.eigh`."""
-    points = np.stack([millimetres(v) for v in (x, y, z)], axis=1).astype(float)
-    limit = radius * 1000.0
-    out = np.full((len(x), len(SHAPE) + 3), np.nan)
-    spheres = cKDTree(points).query_ball_point(points, limit)
-    cylinders = cKDTree(points[:, :2]).query_ball_point(points[:, :2], limit)
-    for i, (sphere, cylinder) in enumerate(zip(spheres, cylinders, strict=True)):
-        near = points[sphere] - points[i]
-        row = dict.fromkeys(SHAPE, np.nan)
-        row["echo_ratio"] = len(sphere) / len(cylinder)
-        row["height_std"] = near[:, 2].std() / 1000.0
-        row["height_range"] = np.ptp(near[:, 2]) / 1000.0
-        row["height_above_lowest"] = (points[i, 2] - points[cylinder, 2].min()) / 1000.0
-        row["density"] = len(cylinder) / (np.pi * radius**2)
-        row["first_share"] = np.mean(number[sphere] == 1)
-        row["last_share"] = np.mean(number[sphere] == of[sphere])
-        l, v = np.linalg.eigh(np.cov(near.T, bias=True))
-        l3, l2, l1 = np.maximum(l, 0.0)
-        if len(sphere) >= 3 and l1 > 1e-9:
-            row["linearity"], row["planarity"] = (l1 - l2) / l1, (l2 - l3) / l1
-            row["sphericity"], row["roughness"] = l3 / l1, np.sqrt(l3) / 1000.0
-            if l2 > LINE * l1 and l2 - l3 > TIE * l1:
-                up = v[:, 0] * np.sign(v[2, 0] or 1.0)
-                row["inclination"] = np.degrees(np.arccos(min(1.0, up[2])))
-                out[i, -3:] = up
-        out[i, : len(SHAPE)] = list(row.values())
-    return out
+ASKED = {
+    Scale("r", 40): bases("r"),
+    Scale("r", 100): bases("r"),
+    Scale("c", 150): bases("c"),
+    Scale("c", 250): bases("c"),
+}
+
+
+def cloud_of(points, seed=5):
+    rng = np.random.default_rng(seed)
+    n = len(points)
+    of = rng.integers(1, 5, n)
+    width = rng.uniform(3, 7, n)
+    width[rng.random(n) < 0.3] = np.nan
+    columns = dict(zip("xyz", (points + np.array([500_000.0, 5_400_000.0, 300.0])).T, strict=True))
+    return Table(
+        columns
+        | {
+            "number_of_echoes": of,
+            "echo_number": np.minimum(rng.integers(1, 5, n), of),
+            "amplitude": rng.uniform(5, 4000, n),
+            "width": width,
+            "intensity": rng.integers(0, 65536, n),
+        }
+    )
+
+
+def chunk_of(table, core=None):
+    return Chunk(table, np.arange(table.rows) if core is None else core, TileGrid(1000.0).tile("0_0"))
+
+
+def neighbours(table, scale):
+    places = np.stack([millimetres(table[v]) for v in "xyz"], axis=1).astype(float)
+    places = places[:, :2] if scale.kind == "c" else places
+    return cKDTree(places).query_ball_point(places, scale.size * 10.0)
+
+
+def heights(z):
+    """Measures of heights relative to the echo [mm]."""
+    flat = np.ptp(z) == 0
+    made = {
+        "count": len(z), "height_range": np.ptp(z) / 1e3, "height_std": z.std() / 1e3,
+        "height_variance": z.var() / 1e6, "height_skewness": 0.0 if flat else stats.skew(z),
+        "height_kurtosis": 0.0 if flat else stats.kurtosis(z, fisher=False), "height_above_mean": -z.mean() / 1e3,
+        "height_above_lowest": -z.min() / 1e3, "height_below_highest": z.max() / 1e3,
+    }  # fmt: skip
+    ranks = np.percentile(z, PERCENTILES, method="inverted_cdf")
+    return made | {f"height_above_p{p:02d}": -v / 1e3 for p, v in zip(PERCENTILES, ranks, strict=True)}
+
+
+def echoes(table, near):
+    of, number = table["number_of_echoes"][near].astype(int), table["echo_number"][near].astype(int)
+    single, first = np.mean(of == 1), np.mean((of > 1) & (number == 1))
+    last = np.mean((of > 1) & (number == of))
+    between = 1.0 - single - first - last
+    made = {"single_share": single, "first_share": first, "intermediate_share": between, "last_share": last}
+    made |= {"egi": single + last, "ebi": single + first, "evi": first + between}
+    for name in ("amplitude", "width", "intensity"):
+        seen = table[name][near].astype(float)
+        seen = seen[~np.isnan(seen)]
+        made[f"{name}_mean"] = seen.mean() if len(seen) else np.nan
+        made[f"{name}_std"] = seen.std() if len(seen) else np.nan
+    return made
+
+
+def shape(places):
+    """Measures of shape and the normal from places relative to the echo [mm]; what has no value is left out."""
+    l, v = np.linalg.eigh(np.cov(places.T, bias=True))
+    l3, l2, l1 = np.maximum(l, 0.0)
+    if len(places) < 3 or (np.ptp(places, axis=0) == 0).all():
+        return {}
+    s = np.array([l1, l2, l3]) / (l1 + l2 + l3)
+    some = s[s > 1e-15]
+    made = {
+        "eigenvalue_1": s[0], "eigenvalue_2": s[1], "eigenvalue_3": s[2], "surface_variation": s[2],
+        "eigenvalue_sum": (l1 + l2 + l3) / 1e6, "linearity": (l1 - l2) / l1, "planarity": (l2 - l3) / l1,
+        "sphericity": l3 / l1, "anisotropy": (l1 - l3) / l1, "omnivariance": np.cbrt(l1 * l2 * l3) / 1e6,
+        "eigenentropy": -np.sum(some * np.log(some)), "plane_std": np.sqrt(l3) / 1e3,
+    }  # fmt: skip
+    if l2 > LINE * l1 and l2 - l3 > TIE * l1:
+        up = v[:, 0] * (np.sign(v[2, 0]) or 1.0)
+        along = places @ up
+        made |= {
+            "verticality": 1.0 - abs(up[2]), "inclination": np.degrees(np.arccos(min(1.0, up[2]))),
+            "roughness": abs(along.mean()) / 1e3, "plane_range": np.ptp(along) / 1e3,
+        }  # fmt: skip
+        made |= dict(zip(NORMAL, up, strict=True))
+    return made
+
+
+def reference(table, near, i, scale):
+    """Measures of one neighbourhood; those without a value are missing."""
+    places = np.stack([millimetres(table[v])[near] - millimetres(table[v])[i] for v in "xyz"], axis=1).astype(float)
+    made = heights(places[:, 2]) | echoes(table, near)
+    return made | (shape(places) if scale.kind == "r" else {"density": len(near) / (np.pi * scale.metres**2)})
+
+
+TOLERANCE = {"inclination": 2e-3, "plane_range": 3e-5, "plane_std": 2e-6, "roughness": 2e-6, "omnivariance": 1e-5}
+"""Absolute; float32's step elsewhere. The angle of a near-vertical normal is a square root of it,
+the omnivariance of a plane a cube root of float64's; places along the
+normal are taken in 1/128 mm."""
+
+
+def check(table, got, scale, sets, suffix):
+    for i, near in enumerate(sets):
+        expected = reference(table, np.array(near), i, scale)
+        for base in bases(scale.kind if suffix != "_opt" else "o"):
+            value = got[base + suffix][i]
+            if base == "echo_ratio":
+                continue
+            want = expected.get(base, np.nan)
+            # amplitude and width are taken in steps of 1/1024
+            loose = 1e-3 if base[:5] in ("ampli", "width") else TOLERANCE.get(base, 2e-6)
+            np.testing.assert_allclose(value, want, rtol=2e-5, atol=loose, err_msg=f"{base}{suffix} of {i}")
 
 
 def random_cloud(rng, n):
-    return rng.uniform(0, 6, (n, 3)).round(3)
+    return rng.uniform(0, 4, (n, 3)).round(3)
 
 
-def sloping_plane(rng, n):
-    xy = rng.uniform(0, 6, (n, 2)).round(3)
-    return np.column_stack([xy, (0.3 * xy[:, 0] - 0.2 * xy[:, 1]).round(3)])
+def sloping_ground(rng, n):
+    xy = rng.uniform(0, 5, (n, 2)).round(3)
+    return np.column_stack([xy, (0.3 * xy[:, 0] - 0.2 * xy[:, 1] + rng.normal(0, 0.02, n)).round(3)])
 
 
 def wall(rng, n):
-    return np.column_stack([rng.uniform(0, 6, n).round(3), np.full(n, 2.5), rng.uniform(0, 6, n).round(3)])
+    return np.column_stack([rng.uniform(0, 5, n).round(3), np.full(n, 2.5), rng.uniform(0, 5, n).round(3)])
 
 
 def exact_line(rng, n):
@@ -75,102 +168,136 @@ def places_taken_twice(rng, n):
     return np.repeat(random_cloud(rng, n // 2), 2, axis=0)
 
 
-def lattice(rng, n):
-    """Many neighbours at exactly the radius."""
-    return np.argwhere(np.ones((8, 8, 4))).astype(float) * 0.5
+def few_and_alone(rng, n):
+    """Neighbourhoods of one, two and three echoes, some of them at one place."""
+    return np.array(
+        [
+            [0, 0, 0],
+            [9, 0, 0],
+            [9.2, 0, 0],
+            [20, 0, 0],
+            [20, 0, 0],
+            [20, 0, 0],
+            [30, 0, 0],
+            [30.1, 0, 0.2],
+            [30, 0.2, 0],
+        ]
+    )
 
 
-CLOUDS = [random_cloud, sloping_plane, wall, exact_line, places_taken_twice, lattice]
+def towers(rng, n):
+    """Heights far apart in one cylinder: the fourth powers pass the bound of exact sums."""
+    return np.column_stack(
+        [rng.uniform(0, 3, (n, 2)).round(3), rng.choice([0.0, 150.0, 3000.0], n) + rng.normal(0, 1, n).round(3)]
+    )
+
+
+CLOUDS = (random_cloud, sloping_ground, wall, exact_line, places_taken_twice, few_and_alone, towers)
 
 
 @pytest.mark.parametrize("cloud", CLOUDS, ids=lambda f: f.__name__)
-@pytest.mark.parametrize("radius", [0.5, 1.0, 2.5])
-def test_features_agree_with_a_kd_tree_and_eigh(cloud, radius):
-    rng = np.random.default_rng(17)
-    points = cloud(rng, 300) + np.array([500_000.0, 5_400_000.0, 300.0])
-    x, y, z = points.T
-    of = rng.integers(1, 4, len(x)).astype(np.uint8)
-    number = np.minimum(rng.integers(1, 4, len(x)), of).astype(np.uint8)
-    got = neighbourhoods(chunk_of(x, y, z, number, of), radius)
-    expected = reference(x, y, z, number, of, radius)
-    # eigenvalues by the closed form are good to ~1e-8 of the largest where two coincide, a square root of
-    # float64's step
-    for name, tolerance in [("inclination", 2e-3), ("roughness", 2e-4)]:
-        np.testing.assert_allclose(got[:, AT[name]], expected[:, AT[name]], atol=tolerance, err_msg=name)
-    for name in set(SHAPE) - {"inclination", "roughness"}:
-        np.testing.assert_allclose(got[:, AT[name]], expected[:, AT[name]], atol=2e-6, rtol=1e-6, err_msg=name)
-    upright = np.abs(expected[:, -1]) > 1e-6  # the sign of a level normal is a toss
-    np.testing.assert_allclose(got[upright, -3:], expected[upright, -3:], atol=1e-5)
+def test_every_measure_agrees_with_numpy_and_scipy(cloud):
+    table = cloud_of(cloud(np.random.default_rng(17), 160))
+    got = spheres(chunk_of(table), ASKED, PARAMS)
+    for scale in ASKED:
+        sets = neighbours(table, scale)
+        check(table, got, scale, sets, f"_{scale.suffix}")
+        if scale.kind == "r":
+            flat = neighbours(table, Scale("c", scale.size))
+            ratio = [len(s) / len(c) for s, c in zip(sets, flat, strict=True)]
+            np.testing.assert_allclose(got[f"echo_ratio_{scale.suffix}"], ratio, rtol=1e-6)
+    normals = np.stack([got[name] for name in NORMAL], axis=1)
+    for i, near in enumerate(neighbours(table, Scale("r", round(PARAMS.normal_radius * 100)))):
+        want = reference(table, np.array(near), i, Scale("r", 100))
+        want = np.array([want.get(name, np.nan) for name in NORMAL])
+        sign = 1.0 if not abs(want[2]) < 1e-6 else np.sign(np.dot(want, normals[i]))  # a level normal's sign is a toss
+        np.testing.assert_allclose(normals[i], want * sign, atol=2e-5)
 
 
-def test_shape_shares_sum_to_one_and_stay_in_range():
-    x, y, z = random_cloud(np.random.default_rng(19), 800).T
-    got = neighbourhoods(chunk_of(x, y, z), 1.0)
-    shares = got[:, [AT["linearity"], AT["planarity"], AT["sphericity"]]]
-    valid = ~np.isnan(shares[:, 0])
-    assert valid.mean() > 0.9
-    np.testing.assert_allclose(shares[valid].sum(1), 1.0, atol=1e-6)
-    assert (shares[valid] >= 0).all()
-    assert (got[:, AT["echo_ratio"]] > 0).all()
-    assert (got[:, AT["echo_ratio"]] <= 1).all()
+@pytest.mark.parametrize("cloud", (random_cloud, sloping_ground, exact_line, few_and_alone), ids=lambda f: f.__name__)
+def test_the_optimal_sphere_is_that_of_lowest_eigenentropy(cloud):
+    table = cloud_of(cloud(np.random.default_rng(19), 120))
+    got = optimal(chunk_of(table), bases("o"), True, PARAMS)
+    radii = PARAMS.optimal_radii
+    entropy = np.full((len(radii), table.rows), np.inf)
+    every = [neighbours(table, Scale("r", round(radius * 100))) for radius in radii]
+    for q, sets in enumerate(every):
+        for i, near in enumerate(sets):
+            entropy[q, i] = reference(table, np.array(near), i, Scale("r", 1)).get("eigenentropy", np.inf)
+    for i in range(table.rows):
+        if np.isinf(entropy[:, i]).all():
+            assert np.isnan(got["optimal_radius"][i])
+            assert np.isnan([got[f"{base}_opt"][i] for base in bases("o")]).all()
+            continue
+        q = int(np.argmin(np.abs(np.array(radii) - got["optimal_radius"][i])))
+        assert entropy[q, i] <= entropy[:, i].min() + 1e-7
+    if cloud is random_cloud:
+        q = np.argmin(np.abs(np.array(radii)[:, None] - got["optimal_radius"]), axis=0)
+        seen = np.flatnonzero(~np.isnan(got["optimal_radius"]))
+        part = table.take(np.arange(table.rows))
+        for i in seen:
+            want = reference(part, np.array(every[q[i]][i]), i, Scale("r", 1))
+            for base in ("count", "linearity", "height_std", "plane_range", "egi", "width_mean"):
+                np.testing.assert_allclose(got[f"{base}_opt"][i], want[base], rtol=2e-5, atol=1e-3, err_msg=base)
 
 
-def test_inclination_of_planes_is_their_slope():
+PLACES = st.lists(st.tuples(*[st.integers(0, 24)] * 3), min_size=1, max_size=60)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(PLACES, st.sampled_from([1, 137, 250]), st.integers(0, 3))
+def test_neighbour_sets_are_those_of_a_kd_tree(places, step, seed):
+    """Lattices, so that many echoes are at one place or at exactly the radius."""
+    points = np.array(places, float) * step / 1000.0
+    table = cloud_of(points + np.array([-1.0, 3.0, 0.0]) * seed)
+    asked = {Scale(kind, size): ("count",) for kind in "rc" for size in (25, 50, 100, 125, 500)}
+    core = np.random.default_rng(seed).permutation(len(points))[: 1 + len(points) // 2]
+    got = spheres(chunk_of(table, core), asked, PARAMS)
+    for scale in asked:
+        sets = neighbours(table, scale)
+        np.testing.assert_array_equal(got[f"count_{scale.suffix}"], [len(sets[i]) for i in core], err_msg=str(scale))
+
+
+def test_no_bit_depends_on_order_halo_or_the_other_radii():
     rng = np.random.default_rng(23)
-    for slope in (0.0, 15.0, 45.0, 80.0):
-        x, y = rng.uniform(0, 5, (2, 2000)).round(3)
-        z = (np.tan(np.radians(slope)) * x).round(3)
-        got = neighbourhoods(chunk_of(x, y, z), 1.0)[:, AT["inclination"]]
-        # rounding to 1 mm over 1 m is 0.03 degrees at most, once there is a handful of neighbours
-        assert np.nanpercentile(np.abs(got - slope), 99) < 0.1
+    table = cloud_of(np.column_stack([rng.uniform(0, 30, (3000, 2)), rng.uniform(0, 6, 3000)]).round(3))
+    one = spheres(chunk_of(table), ASKED, PARAMS)
+    mixed = rng.permutation(table.rows)
+    other = spheres(chunk_of(table.take(mixed)), ASKED, PARAMS)
+    x = table["x"] - table["x"].min()
+    inside = np.flatnonzero((x > 10.0) & (x < 17.3))
+    near = np.flatnonzero((x > 10.0 - 2.5) & (x < 17.3 + 2.5))
+    part = spheres(chunk_of(table.take(near), np.searchsorted(near, inside)), ASKED, PARAMS)
+    for name in one:
+        np.testing.assert_array_equal(other[name], one[name][mixed], err_msg=name)
+        np.testing.assert_array_equal(part[name], one[name][inside], err_msg=name)
+    for scale in ASKED:
+        alone = spheres(chunk_of(table), {scale: ASKED[scale]}, PARAMS)
+        for base in ASKED[scale]:
+            np.testing.assert_array_equal(alone[f"{base}_{scale.suffix}"], one[f"{base}_{scale.suffix}"])
 
 
-def test_quarter_turns_and_order_leave_shape_alone():
-    rng = np.random.default_rng(29)
-    x, y, z = random_cloud(rng, 500).T
-    base = neighbourhoods(chunk_of(x, y, z), 1.0)
-    turned = neighbourhoods(chunk_of(-y, x, z), 1.0)
-    np.testing.assert_allclose(turned[:, : len(SHAPE)], base[:, : len(SHAPE)], atol=2e-4)
-    mixed = rng.permutation(500)
-    np.testing.assert_array_equal(neighbourhoods(chunk_of(x[mixed], y[mixed], z[mixed]), 1.0), base[mixed])
+def test_no_core_rows_give_empty_columns():
+    table = cloud_of(random_cloud(np.random.default_rng(3), 20))
+    for chunk in (chunk_of(table, np.empty(0, np.int64)), chunk_of(table.take(np.empty(0, np.int64)))):
+        assert {len(v) for v in spheres(chunk, ASKED, PARAMS).values()} == {0}
 
 
-def test_few_or_coincident_neighbours_have_no_shape():
-    shape = [AT[name] for name in ("linearity", "planarity", "sphericity", "roughness", "inclination")]
-    for x in ([0.0], [0.0, 0.4], [0.0, 0.0, 0.0]):
-        zero = np.zeros(len(x))
-        got = neighbourhoods(chunk_of(np.array(x), zero, zero), 1.0)
-        assert np.isnan(got[:, shape]).all()
-        assert np.isnan(got[:, -3:]).all()
-        np.testing.assert_array_equal(got[:, AT["echo_ratio"]], 1.0)
-        np.testing.assert_array_equal(got[:, AT["height_std"]], 0.0)
-    x = np.array([0.0, 0.3, 0.7])
-    got = neighbourhoods(chunk_of(x, np.zeros(3), np.zeros(3)), 1.0)
-    np.testing.assert_allclose(got[:, AT["linearity"]], 1.0, atol=1e-6)
-    assert np.isnan(got[:, AT["inclination"]]).all()
-    assert neighbourhoods(chunk_of(x[:0], x[:0], x[:0]), 1.0).shape == (0, len(SHAPE) + 3)
-
-
-def test_eigenvalues_agree_with_numpy_for_spectra_of_every_kind():
+@pytest.mark.parametrize(
+    "spectrum", [(3, 2, 1), (1, 1, 1), (1, 1, 0), (1, 0, 0), (1, 1, 1e-9), (1, 1e-9, 1e-9), (1e6, 1, 1e-3)]
+)
+def test_eigenvalues_agree_with_numpy_for_spectra_of_every_kind(spectrum):
     rng = np.random.default_rng(31)
-    for spectrum in (
-        [3, 2, 1],
-        [1, 1, 1],
-        [1, 1, 0],
-        [1, 0, 0],
-        [0, 0, 0],
-        [1, 1, 1e-9],
-        [1, 1e-9, 1e-9],
-        [1e6, 1, 1e-3],
-    ):
-        for _ in range(20):
-            turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-            m = turn @ np.diag(spectrum).astype(float) @ turn.T
-            args = (m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2])
-            got = eigenvalues(*args)
-            np.testing.assert_allclose(got, spectrum, atol=3e-8 * max(spectrum[0], 1e-30))
-            assert got[0] >= got[1] >= got[2] >= 0
-            n = normal(*args, *got)
-            if spectrum[1] > 1e-5 * spectrum[0] and spectrum[1] - spectrum[2] > 1e-3 * spectrum[1]:
-                np.testing.assert_allclose(abs(np.dot(n, turn[:, 2])), 1.0, atol=1e-6)
-                assert n[2] >= 0
+    moments, out = np.zeros((MOMENTS, 30)), np.empty((6, 30))
+    turns = [np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(30)]
+    for k, turn in enumerate(turns):
+        m = 100.0 * turn @ np.diag(spectrum).astype(float) @ turn.T  # of 100 echoes about their mean
+        moments[N, k] = 100.0
+        moments[[XX, XY, XZ, YY, YZ, ZZ], k] = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
+    shapes(moments, out)
+    np.testing.assert_allclose(out[:3].T, np.tile(spectrum, (30, 1)), atol=3e-8 * spectrum[0])
+    assert (out[0] >= out[1]).all() and (out[1] >= out[2]).all() and (out[2] >= 0).all()
+    if spectrum[1] > 1e-5 * spectrum[0] and spectrum[1] - spectrum[2] > 1e-3 * spectrum[1]:
+        for k, turn in enumerate(turns):
+            assert abs(np.dot(out[3:, k], turn[:, 2])) == pytest.approx(1.0, abs=1e-9)
+            assert out[5, k] >= 0

@@ -1,122 +1,148 @@
-"""The features stage: one tile = many tiles + halo, cells of zc, normals, faults."""
+"""The features stage: one tile = many tiles + halo for every kind of neighbourhood, normals, stated values, faults."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
 from pydantic import ValidationError
 
+from fwclass import conf
+from fwclass.columns import FEATURES as DECLARED
 from fwclass.errors import InputError
-from fwclass.features.stage import FEATURES, FeaturesParams, features, height_in_cell, names
+from fwclass.features.params import NORMAL, Asked, FeaturesParams, is_feature
+from fwclass.features.stage import features
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import Table, column
 from fwclass.stage import Chunk
 
-ROOT = Path(__file__).resolve().parents[2]
-SECTION = yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["features"]
-PARAMS = FeaturesParams(**{**SECTION, "radii": (1.0, 2.0)})
+PARAMS = conf.section("features").model_copy(
+    update={"optimal_radii": (0.5, 1.0, 2.0), "nearest_reach": 3.0, "orientation_rounds": 3, "pulse_reach": 6.0}
+)
+ENDS = {"r": "r150", "c": "c200", "k": "k12", "g": "g250", "o": "opt"}
+EVERY = tuple(f"{c.name}_{ENDS[kind]}" for c in DECLARED for kind in c.scales) + tuple(
+    c.name for c in DECLARED if not c.scales
+)
+SECOND = ("planarity_r75", "height_std_r300", "echo_ratio_r75", "height_above_p50_c100", "planarity_k5", "count_g100")
+WHOLE = Tile(0, 0, 1e7)
 
 
-def cloud(side=60.0, per_m2=4.0, seed=1):
+def cloud(side=40.0, per_m2=3.0, seed=1):
     rng = np.random.default_rng(seed)
-    n = int(side * side * per_m2)
-    x, y = (rng.uniform(0, side, (2, n)) + np.array([[500_000.0], [5_400_000.0]])).round(3)
+    pulses = int(side * side * per_m2 / 2)
+    of = rng.integers(1, 4, pulses)
+    pulse = np.repeat(np.arange(pulses), of)
+    n = len(pulse)
+    number = np.arange(n) - np.repeat(np.cumsum(of) - of, of) + 1
+    x, y = (rng.uniform(0, side, (2, pulses)) + np.array([[500_000.0], [5_400_000.0]])).round(3)
+    x[:100], y[:100] = np.floor(x[:100]), np.floor(y[:100])  # on the edges of tiles and cells
+    x, y = x[pulse] + 1.3 * (number - 1), y[pulse]  # oblique beams
     z = 290.0 + np.where(rng.random(n) < 0.6, 0.05 * (x - 500_000.0), rng.uniform(0, 12, n))
-    x[:200], y[:200] = np.floor(x[:200]), np.floor(y[:200])  # on the edges of tiles and cells
-    of = rng.integers(1, 4, n)
-    tilt = np.radians(rng.uniform(-20, 20, n))
-    return Table(
-        {
-            "strip": np.zeros(n),
-            "pulse": np.arange(n),
-            "x": x,
-            "y": y,
-            "z": z.round(3),
-            "number_of_echoes": of,
-            "echo_number": np.minimum(rng.integers(1, 4, n), of),
-            "amplitude": rng.uniform(5, 200, n),
-            "width": rng.uniform(3, 7, n),
-            "beam_x": np.sin(tilt),
-            "beam_y": np.zeros(n),
-            "beam_z": -np.cos(tilt),
-        }
-    )
+    amplitude = np.where(rng.random(n) < 0.1, np.nan, rng.uniform(5, 200, n))
+    return Table({
+        "strip": np.zeros(n), "pulse": pulse, "echo_number": number, "number_of_echoes": of[pulse],
+        "x": x.round(3), "y": y, "z": z.round(3), "amplitude": amplitude, "width": rng.uniform(3, 7, n),
+        "intensity": rng.integers(0, 65536, n),
+    })  # fmt: skip
 
 
 CLOUD = cloud()
-BOX = Box(500_000.0, 5_400_000.0, 500_060.0, 5_400_060.0)
+BOX = Box(500_000.0, 5_400_000.0, 500_043.0, 5_400_040.0)
 
 
-def chunk_of(table, tile, halo):
-    near = np.flatnonzero(tile.box.grown(halo).contains(table["x"], table["y"]))
-    core = np.flatnonzero(tile.box.contains(table["x"][near], table["y"][near]))
-    return Chunk(table.take(near), core, tile)
+def whole(table, names=EVERY, params=PARAMS):
+    return features(Chunk(table, np.arange(table.rows), WHOLE), names, params)
 
 
-def by_tiles(table, size, params):
-    halo = FEATURES.halo(params)
-    out = {name: np.full(table.rows, -99.0, np.float32) for name in names(params)}
-    tiles = list(TileGrid(size).touching(BOX))
-    for tile in tiles:
-        got = features(chunk_of(table, tile, halo), params)
-        assert tuple(got) == names(params)
-        rows = np.flatnonzero(tile.box.contains(table["x"], table["y"]))
+@pytest.fixture(scope="module")
+def one():
+    return whole(CLOUD, EVERY + SECOND)
+
+
+def tiles_of(table, size, halo):
+    for tile in TileGrid(size).touching(BOX):
+        near = np.flatnonzero(tile.box.grown(halo).contains(table["x"], table["y"]))
+        core = np.flatnonzero(tile.box.contains(table["x"][near], table["y"][near]))
+        if len(core):
+            yield near[core], Chunk(table.take(near), core, tile)
+
+
+@pytest.mark.parametrize("size", [25.0, 9.0])
+def test_one_tile_is_many_tiles_with_halo_to_the_bit(one, size):
+    halo = Asked.of(EVERY + SECOND).reach(PARAMS)
+    seen = np.zeros(CLOUD.rows, int)
+    for rows, chunk in tiles_of(CLOUD, size, halo):
+        got = features(chunk, EVERY + SECOND, PARAMS)
+        assert tuple(got) == (*EVERY, *SECOND, *NORMAL)
+        seen[rows] += 1
         for name, values in got.items():
-            out[name][rows] = values
-    return out, len(tiles)
+            np.testing.assert_array_equal(values, one[name][rows], err_msg=name)
+    assert (seen == 1).all()
 
 
-def whole(table, params):
-    tile = Tile(0, 0, 1e7)
-    return features(Chunk(table, np.arange(table.rows), tile), params)
+@pytest.mark.parametrize("name", ["echo_ratio_r150", "zc", "planarity_k12", "count_g250", "pulse_intensity_variance"])
+def test_less_than_the_halo_is_not_enough(one, name):
+    """The test above can fail: without a halo the borders differ."""
+    got = [(rows, features(chunk, (name,), PARAMS)[name]) for rows, chunk in tiles_of(CLOUD, 9.0, 0.0)]
+    assert any((values != one[name][rows]).any() for rows, values in got)
 
 
-@pytest.mark.parametrize(("size", "count"), [(100.0, 1), (30.0, 4), (20.0, 9), (7.0, 100)])
-def test_one_tile_is_many_tiles_with_halo_to_the_bit(size, count):
-    one = whole(CLOUD, PARAMS)
-    many, tiles = by_tiles(CLOUD, size, PARAMS)
-    assert tiles >= count
-    for name in names(PARAMS):
-        np.testing.assert_array_equal(many[name], one[name], err_msg=name)
+def test_each_feature_asks_for_enough_alone(one):
+    """The reach of a single name is enough for it."""
+    for kind in ("c", "g", "k", "o"):
+        name = next(n for n in EVERY if n.endswith(ENDS[kind]) and not n.startswith("count"))
+        for rows, chunk in tiles_of(CLOUD, 20.0, Asked.of([name]).reach(PARAMS)):
+            np.testing.assert_array_equal(features(chunk, [name], PARAMS)[name], one[name][rows], err_msg=name)
 
 
-def test_order_of_rows_does_not_change_a_bit():
+def test_a_feature_does_not_depend_on_what_else_is_asked(one):
+    for name in EVERY[::7]:
+        np.testing.assert_array_equal(whole(CLOUD, (name,))[name], one[name], err_msg=name)
+
+
+def test_order_of_rows_changes_nothing_but_ties_of_the_nearest(one):
     mixed = np.random.default_rng(2).permutation(CLOUD.rows)
-    one, other = whole(CLOUD, PARAMS), whole(CLOUD.take(mixed), PARAMS)
-    for name in names(PARAMS):
+    names = tuple(n for n in EVERY if not n.endswith("k12"))
+    other = whole(CLOUD.take(mixed), names)
+    for name in names:
         np.testing.assert_array_equal(other[name], one[name][mixed], err_msg=name)
 
 
-def test_less_than_the_halo_is_not_enough():
-    """The test above can fail: without halo the border's features differ."""
-    one = whole(CLOUD, PARAMS)
-    tile = next(iter(TileGrid(20.0).touching(BOX)))
-    rows = np.flatnonzero(tile.box.contains(CLOUD["x"], CLOUD["y"]))
-    got = features(chunk_of(CLOUD, tile, 0.0), PARAMS)
-    assert (got["echo_ratio_r100"] != one["echo_ratio_r100"][rows]).any()
-    assert (got["zc"] != one["zc"][rows]).any()
-
-
-def test_columns_are_declared_and_in_their_range():
-    for name, values in whole(CLOUD, PARAMS).items():
+def test_columns_are_declared_and_in_their_range(one):
+    for name, values in one.items():
         record = column(name)
         valid = values[~np.isnan(values)]
-        assert len(valid) > 0.5 * CLOUD.rows, name  # a sparse crown has too few neighbours at 1 m
+        assert len(valid) > 0.5 * CLOUD.rows, name
         assert record.low is None or valid.min() >= record.low, name
         assert record.high is None or valid.max() <= record.high, name
+        assert values.dtype == np.float32
         assert record.meaning
 
 
-def test_zc_hangs_on_the_global_cells():
-    x = np.array([11.999, 12.0, 23.999, 0.0, -0.001])
-    y = np.array([5.0, 5.0, 9.999, 9.999, 5.0])
-    z = np.array([4.0, 1.0, 7.5, 3.0, 0.5])
-    table = Table({"x": x, "y": y, "z": z})
-    got = height_in_cell(Chunk(table, np.array([4, 0, 1, 2, 3]), Tile(0, 0, 100.0)), PARAMS)
-    np.testing.assert_allclose(got, [0.0, 1.0, 0.0, 6.5, 0.0])
+@pytest.mark.parametrize("kind", ["r", "c", "k", "g", "o"])
+def test_few_coincident_and_collinear_echoes_have_the_stated_values(kind):
+    """The same in every kind of neighbourhood."""
+    bases = [c.name for c in DECLARED if kind in c.scales and c.name != "oriented_inclination"]
+    names = {base: f"{base}_{ENDS[kind]}" for base in bases}
+    eigen = {"eigenvalue_1", "eigenvalue_2", "eigenvalue_3", "eigenvalue_sum", "linearity", "planarity", "sphericity",
+             "anisotropy", "omnivariance", "eigenentropy", "surface_variation", "plane_std"}  # fmt: skip
+    plane = {"verticality", "inclination", "roughness", "plane_range"}
+    fill = CLOUD.take(np.arange(3)).with_columns({"amplitude": np.full(3, np.nan), "z": np.zeros(3)})
+    places = {
+        "few": ([0.2, 0.3], eigen | plane), "coincident": ([0.2, 0.2, 0.2], eigen | plane),
+        "line": ([0.1, 0.2, 0.4], plane)
+    }  # fmt: skip
+    for told, (x, nothing) in places.items():
+        table = fill.take(np.arange(len(x))).with_columns({"x": x, "y": np.full(len(x), 0.1)})
+        got = whole(table, tuple(names.values()))
+        nothing = nothing if kind != "o" or told == "line" else set(bases)  # no radius counts: nothing has a value
+        nothing = nothing | {"amplitude_mean", "amplitude_std"}
+        none = kind == "o" and told != "line"
+        for base in bases:
+            if not (none and base in ("height_skewness", "height_kurtosis")):  # 0, as of equal heights
+                assert np.isnan(got[names[base]]).all() == (base in nothing), (told, base)
+        if kind != "o":
+            for base in ("height_std", "height_skewness", "height_kurtosis", "height_range"):
+                np.testing.assert_array_equal(got[names[base]], 0.0)
 
 
 def test_normals_are_those_of_their_radius():
@@ -124,53 +150,74 @@ def test_normals_are_those_of_their_radius():
     rng = np.random.default_rng(3)
     x, y = rng.uniform(0.0, 20.0, (2, 2000))
     table = CLOUD.take(np.arange(2000)).with_columns({"x": x, "y": y, "z": 0.5 * x - 0.25 * y})
-    got = features(Chunk(table, np.arange(2000), Tile(0, 0, 100.0)), PARAMS)
+    got = whole(table, ("inclination_r100", "inclination_k20", "oriented_inclination_r100"))
     expected = np.array([-0.5, 0.25, 1.0]) / np.sqrt(1.0 + 0.25 + 0.0625)
-    normals = np.stack([got[n] for n in ("normal_x", "normal_y", "normal_z")], axis=1)
+    normals = np.stack([got[n] for n in NORMAL], axis=1)
     seen = ~np.isnan(normals[:, 0])
     assert seen.mean() > 0.99
     off = np.abs(normals[seen] - expected).max(axis=1)
     assert np.quantile(off, 0.95) < 2e-3, "millimetres of rounding over a metre"
     tilt = np.degrees(np.arccos(expected[2]))
-    assert np.nanmedian(got["inclination_r100"]) == pytest.approx(tilt, abs=0.02)
-    wide = features(
-        Chunk(CLOUD, np.arange(CLOUD.rows), Tile(0, 0, 100.0)),
-        FeaturesParams(**{**PARAMS.model_dump(), "normal_radius": 2.0}),
-    )
-    tilt = np.degrees(np.arccos(np.clip(wide["normal_z"], 0.0, 1.0)))
-    np.testing.assert_allclose(tilt, wide["inclination_r200"], atol=0.05)
+    for name in ("inclination_r100", "inclination_k20", "oriented_inclination_r100"):
+        assert np.nanmedian(got[name]) == pytest.approx(tilt, abs=0.02)
 
 
-def test_no_rows_and_no_core_rows():
+def test_no_rows_no_core_rows_and_no_names():
     for table in (CLOUD.take(np.empty(0, np.int64)), CLOUD):
-        got = features(Chunk(table, np.empty(0, np.int64), Tile(0, 0, 100.0)), PARAMS)
-        assert tuple(got) == names(PARAMS)
+        got = features(Chunk(table, np.empty(0, np.int64), Tile(0, 0, 100.0)), EVERY, PARAMS)
+        assert tuple(got) == (*EVERY, *NORMAL)
         assert got.rows == 0
+    assert tuple(whole(CLOUD.take(np.arange(50)).select(("x", "y", "z")), ())) == NORMAL
 
 
-def test_a_missing_column_is_named():
-    table = CLOUD.select(["x", "y", "z"])
-    with pytest.raises(InputError, match="echo_number"):
-        features(Chunk(table, np.arange(3), Tile(0, 0, 100.0)), PARAMS)
+@pytest.mark.parametrize(
+    ("name", "lacks"),
+    [
+        ("single_share_r100", "number_of_echoes"), ("width_mean_k20", "width"), ("intensity_std_g200", "intensity"),
+        ("pulse_amplitude_variance", "amplitude"),
+    ],
+)  # fmt: skip
+def test_a_missing_column_is_named(name, lacks):
+    table = CLOUD.select([n for n in CLOUD if n != lacks])
+    with pytest.raises(InputError, match=lacks):
+        features(Chunk(table, np.arange(3), Tile(0, 0, 100.0)), (name,), PARAMS)
+
+
+def test_names_that_are_no_features():
+    for name in (
+        "planarity",
+        "planarity_g100",
+        "planarity_k0",
+        "zc_r100",
+        "height_std_r0100",
+        "amplitude",
+        "count_k20",
+    ):
+        assert not is_feature(name)
+        with pytest.raises(KeyError):
+            Asked.of([name])
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"radii": ()},
-        {"radii": (1.0, 1.0)},
-        {"radii": (0.125,)},
-        {"radii": (-1.0,)},
-        {"cell_x": 0.0},
-        {"normal_radius": 3.0},
-        {"radius": 1.0},
+        {"optimal_radii": (1.0,)}, {"optimal_radii": (1.0, 1.0)}, {"optimal_radii": (-1.0, 1.0)}, {"cell_x": 0.0},
+        {"normal_radius": 0.0}, {"nearest_reach": 1000.0}, {"orientation_rounds": 0}, {"radii": (1.0,)},
+        {"pulse_reach": -1.0},
     ],
-)
+)  # fmt: skip
 def test_params_that_do_not_fit_are_refused(change):
     with pytest.raises(ValidationError):
-        FeaturesParams(**{**SECTION, **change})
+        FeaturesParams(**{**conf.section("features").model_dump(), **change})
 
 
-def test_halo_holds_radius_and_cell():
-    assert FEATURES.halo(PARAMS) == 12.0
-    assert FEATURES.halo(FeaturesParams(**{**SECTION, "radii": (15.0,), "normal_radius": 15.0})) == 15.0
+@pytest.mark.parametrize(
+    ("names", "reach"),
+    [
+        ((), 1.0), (("zc",), 12.0), (("height_std_r1500",), 15.0), (("planarity_k20",), 3.0), (("planarity_opt",), 2.0),
+        (("optimal_radius",), 2.0), (("oriented_inclination_r200",), 8.0), (("count_g500",), 5.0),
+        (("pulse_intensity_variance",), 6.0), (("zc", "height_std_c1300"), 13.0),
+    ],
+)  # fmt: skip
+def test_reach_holds_what_is_asked(names, reach):
+    assert Asked.of(names).reach(PARAMS) == reach

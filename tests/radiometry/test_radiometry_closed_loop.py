@@ -16,7 +16,8 @@ import pytest
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.features.stage import FeaturesParams, features
+from fwclass.features.params import FeaturesParams
+from fwclass.features.stage import features
 from fwclass.grid import Tile
 from fwclass.radiometry.stage import Calibration, RadiometryParams, calibrate, overlap, pointing_error, radiometry
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span
@@ -104,8 +105,8 @@ def fly(folder: Path, base: dict[str, Any], slope: float, sensor: dict[str, Any]
     table = Table.concat(tables)
     everything = np.arange(table.rows)
     tile = Tile(0, 0, 1e8)
-    around = FeaturesParams(**{**base["features"], "radii": (2.0,), "normal_radius": 2.0})
-    shape = features(Chunk(table, everything, tile), around)
+    around = FeaturesParams(**{**base["features"], "normal_radius": 2.0})
+    shape = features(Chunk(table, everything, tile), (), around)
     table = table.with_columns({name: shape[name] for name in ("normal_x", "normal_y", "normal_z")})
     trajectory = read_trajectory(write_trajectory(settings, folder))
     trajectory = in_survey_time(trajectory, table["gps_time"].min(), table["gps_time"].max(), folder)

@@ -8,7 +8,7 @@ from fwclass.grid import Box
 from fwclass.model import FORMAT, LEAF, Forest
 from fwclass.schema import Table
 from fwclass.store.arrays import read_arrays, write_arrays
-from fwclass.store.models import load_forest, save_forest
+from fwclass.store.models import load_forest, save_model
 from fwclass.store.tables import open_parquet, read_table, row_groups, write_groups, write_table
 
 
@@ -102,7 +102,7 @@ def forest():
 
 
 def test_a_forest_round_trips(tmp_path):
-    save_forest(tmp_path / "m", forest())
+    save_model(tmp_path / "m", forest())
     found = load_forest(tmp_path / "m")
     for n in ("feature", "threshold", "child", "offsets"):
         np.testing.assert_array_equal(getattr(found, n), getattr(forest(), n))
@@ -111,7 +111,7 @@ def test_a_forest_round_trips(tmp_path):
 
 def test_damaged_models_are_refused(tmp_path):
     """Any byte of any file set to any of a few values: loading refuses, or gives a forest that can be walked."""
-    save_forest(tmp_path / "m", forest())
+    save_model(tmp_path / "m", forest())
     refused = 0
     for path in sorted((tmp_path / "m").iterdir()):
         good = path.read_bytes()
@@ -130,7 +130,7 @@ def test_damaged_models_are_refused(tmp_path):
 
 
 def test_a_pickled_array_is_not_loaded(tmp_path):
-    save_forest(tmp_path / "m", forest())
+    save_model(tmp_path / "m", forest())
     np.save(tmp_path / "m" / "child.npy", np.array([{"a": 1}], object), allow_pickle=True)
     with pytest.raises(InputError, match="not a model"):
         load_forest(tmp_path / "m")

@@ -9,7 +9,7 @@ import yaml
 
 from fwclass.hashing import GOLDEN, hashed, mix, seeded
 from fwclass.model import LEAF
-from fwclass.train.grow import entropy_table
+from fwclass.train.gain import entropy_table
 from fwclass.train.stage import TrainParams, grow_tree
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -176,7 +176,8 @@ def test_a_class_with_one_row_is_a_remark():
     first = np.flatnonzero((reference == 6) & inside)[0]
     few = np.where((reference == 6) & (np.arange(300) != first), 0, reference)
     notes = review(candidates(features, few, key, inside, small(), CLASSES), CLASSES)
-    assert notes == ("class 'building' has one training row",)
+    assert notes[0] == "class 'building' has one training row"
+    assert "class_weights" in notes[1]
 
 
 def test_the_out_of_bag_accuracy_foretells_that_on_new_rows():
@@ -208,3 +209,47 @@ def test_classes_by_their_reference_codes():
 def test_a_predicted_code_means_its_class_before_it_means_a_reference_code():
     classes = (ClassDef("low", 5, (3,)), ClassDef("high", 6, (5, 6)))
     np.testing.assert_array_equal(code_index(np.array([5, 6, 3, 0], np.uint8), classes), [0, 1, 0, -1])
+
+
+def test_many_of_one_class_and_few_of_another_are_told():
+    features, reference, key, _ = survey(6000)
+    rare = np.where((reference == 6) & (np.arange(6000) % 300 > 0), 0, reference)
+    sample = merge([candidates(features, rare, key, np.ones(6000, bool), small(), CLASSES)], small())
+    few = int(sample.counts[2])
+    assert 0 < few < 10
+    notes = review(sample, CLASSES)
+    assert any("class 'ground': 300 of" in n and "samples_per_class" in n for n in notes)
+    assert any(f"'building' {few}" in n and "class_weights" in n for n in notes)
+
+
+def test_a_table_of_millions_is_not_copied_to_draw_thousands():
+    """Peak memory of drawing stays well below a matrix of all rows (4 features x 4 bytes each)."""
+    import tracemalloc
+
+    n = 1_000_000
+    r = np.random.default_rng(1)
+    value = r.random(n, dtype=np.float32)
+    features = Table({f"linearity_r{k}": value for k in range(10, 50)})  # 40 features, one array
+    reference = np.where(np.arange(n) % 100_000 == 0, 6, 2).astype(np.uint8)
+    key, inside = np.arange(n, dtype=np.uint64), np.ones(n, bool)
+    tracemalloc.start()
+    sample = candidates(features, reference, key, inside, small(), CLASSES)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert sample.counts.tolist() == [300, 0, 10]
+    assert sample.eligible.tolist() == [n - 10, 0, 10]
+    assert peak < 100e6  # a matrix of all rows alone has 160 MB
+
+
+def test_tiles_are_merged_one_after_the_other():
+    """More tiles than are held at once give the sample of the whole."""
+    features, reference, key, inside = survey()
+    params = small(samples_per_class=50)
+
+    def tiles():
+        for t in range(40):
+            rows = np.arange(len(key)) % 40 == t
+            yield candidates(features.take(rows), reference[rows], key[rows], inside[rows], params, CLASSES)
+
+    merged = merge(tiles(), params)
+    same(merged, merge([candidates(features, reference, key, inside, params, CLASSES)], params))

@@ -51,10 +51,11 @@ def check_output(source: Path, output: Path, overwrite: bool, rasters: Iterable[
                 "a raster is a GeoTIFF", where=path, expected="a name that ends in .tif or .tiff",
                 got=path.suffix or "no suffix", do="name the raster with one of these endings",
             )  # fmt: skip
-    _check_places(source, [output, *rasters], overwrite)
+    check_places(source, [output, *rasters], overwrite)
 
 
-def _check_places(source: Path, targets: list[Path], overwrite: bool) -> None:
+def check_places(source: Path, targets: list[Path], overwrite: bool) -> None:
+    """`ConfigError` if one of `targets` cannot or must not be written."""
     if len({t.resolve() for t in targets}) < len(targets):
         raise ConfigError("two outputs have the same name", where=", ".join(map(str, targets)), do="name each its own")
     for path in targets:

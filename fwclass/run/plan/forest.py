@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from fwclass.classify.stage import CLASSIFY
+from fwclass.conf import Config
+from fwclass.run.model_fit import computed
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Layout, needs_of, plain, plain_classes, providers
-from fwclass.run.work import forest
+from fwclass.run.plan.thin import follow_tasks, thin_columns, thins
+from fwclass.run.work import forest, others
 from fwclass.store.atomic import digest_of, file_digest, files_below
-from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, TRAIN_TREES
+from fwclass.train.others.stage import VERSION
+from fwclass.train.stage import TRAIN, TRAIN_IMPORTANCE, TRAIN_SAMPLE, TRAIN_TREES
 
 TREES_PER_PART = 5
 """Trees that one task grows; a forest does not depend on it."""
@@ -19,12 +23,12 @@ TREES_PER_PART = 5
 
 def training_tasks(layout: Layout) -> list[Task]:
     """sample, training, trees, train."""
-    config, names = layout.config, layout.config.survey.features
-    columns = layout.columns(names)
+    config, names = layout.config, layout.config.features_asked
+    columns = layout.columns(names) | thin_columns(config)
     boxes = config.areas.boxes("train")
     params = {**plain(config.train), "classes": plain_classes(config), "features": list(names)}
     drawn = {n: params[n] for n in ("seed", "samples_per_class", "classes", "features")}
-    per_tree = {n: v for n, v in params.items() if n != "trees"}
+    per_tree = {n: v for n, v in params.items() if n not in ("trees", "importance_repeats")}
     made = []
     chosen = tuple(t.key for t in layout.tiles if any(t.box.touches(b) for b in boxes))
     for tile in layout.tiles:
@@ -40,6 +44,9 @@ def training_tasks(layout: Layout) -> list[Task]:
             needs=tuple(("sample", k) for k in chosen),
         )
     )  # fmt: skip
+    if config.train.method != "forest":
+        return [*made, _other_task(config, names, params)]
+    params["computed"] = computed(names, config.features)
     batches = []
     for first in range(0, config.train.trees, TREES_PER_PART):
         count = min(TREES_PER_PART, config.train.trees - first)
@@ -50,25 +57,44 @@ def training_tasks(layout: Layout) -> list[Task]:
                 partial(forest.grown, first, count, names, config.train, config.classes), needs=(("training", "all"),),
             )
         )  # fmt: skip
+        if config.train.importance_repeats:
+            repeats = {**per_tree, "count": count, "importance_repeats": config.train.importance_repeats}
+            made.append(
+                Task(
+                    "importance", batches[-1], TRAIN_IMPORTANCE.version, repeats,
+                    partial(forest.weighed, first, names, config.train),
+                    needs=(("training", "all"), ("trees", batches[-1])),
+                )
+            )  # fmt: skip
+    weighed = [("importance", b) for b in batches if config.train.importance_repeats]
     made.append(
         Task(
             "train", "model", TRAIN.version, params,
-            partial(forest.trained, tuple(batches), names, config.train, config.classes),
-            needs=(("training", "all"), *(("trees", b) for b in batches)), place="run",
+            partial(forest.trained, tuple(batches), names, config.train, config.classes, params["computed"]),
+            needs=(("training", "all"), *(("trees", b) for b in batches), *weighed), place="run",
         )
     )  # fmt: skip
     return made
 
 
+def _other_task(config: Config, names: tuple[str, ...], params: dict[str, Any]) -> Task:
+    """train, of a classifier that is no forest."""
+    params = {**params, "compare": plain(config.compare), "computed": computed(names, config.features)}
+    work = partial(others.fitted, names, config.train, config.compare, config.classes, params["computed"])
+    return Task("train", "model", VERSION, params, work, needs=(("training", "all"),), place="run")
+
+
 def classify_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, str] | None) -> list[Task]:
-    columns = layout.columns(names)
+    if thins(layout.config):
+        return follow_tasks(layout, names, model)
+    columns, shares = layout.columns(names), layout.config.classify.probabilities
     made = []
     for tile in layout.tiles:
         trained: tuple[Name, ...] = () if model else (("train", "model"),)
         made.append(
             Task(
-                "classify", tile.key, CLASSIFY.version, {"features": list(names)},
-                partial(forest.classified, tile, columns, names, model),
+                "classify", tile.key, CLASSIFY.version, {"features": list(names), "probabilities": shares},
+                partial(forest.classified, tile, columns, names, model, shares),
                 needs=(*needs_of(columns, (tile.key,)), *trained),
                 external=(("model", model[1]),) if model else (),
             )
@@ -76,14 +102,15 @@ def classify_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, st
     return made
 
 
-FAN_2013 = ("zc", "echo_number", "amplitude", "echo_ratio", "backscatter", "inclination", "width")
-"""The seven features of Fan 2013; the report sets their distribution beside the paper's, used by the forest or not."""
+FAN_2013 = ("echo_number", "amplitude", "backscatter", "width")
+"""Of the seven features of Fan 2013 those that no neighbourhood is needed for; the report sets their distribution
+beside the paper's, used by the forest or not."""
 
 
 def described(layout: Layout, names: tuple[str, ...]) -> tuple[str, ...]:
-    """The forest's features, then those of the paper's seven that the forest leaves out, at every radius."""
-    others = [n for n in providers(layout.config) if re.sub(r"_r\d+$", "", n) in FAN_2013]
-    return tuple(dict.fromkeys((*names, *others)))
+    """The classifier's features, those that are computed besides, and what else Fan 2013 has."""
+    known = providers(layout.config)
+    return tuple(dict.fromkeys((*names, *layout.config.features.also, *(n for n in FAN_2013 if n in known))))
 
 
 def assess_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
@@ -95,16 +122,19 @@ def assess_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
         "areas": config.areas.model_dump(mode="json"),
         "classes": plain_classes(config),
         "features": list(names),
+        "block": config.assess.block,
     }
     made = []
     for tile in layout.tiles:
-        work = partial(forest.judged, tile, columns, names, train, test, config.areas.gap, config.classes)
+        work = partial(
+            forest.judged, tile, columns, names, train, test, config.areas.gap, config.assess.block, config.classes
+        )
         needs = needs_of({**columns, "a": "label", "b": "classify", "c": "ground"}, (tile.key,))
-        made.append(Task("confusion", tile.key, 2, params, work, needs=needs))
+        made.append(Task("confusion", tile.key, 3, params, work, needs=needs))
     keys = tuple(t.key for t in layout.tiles)
     made.append(
         Task(
-            "assess", "all", 2, {**params, "quantiles": list(config.assess.quantiles)},
+            "assess", "all", 3, {**params, "quantiles": list(config.assess.quantiles)},
             partial(forest.assessed, keys, names, config.classes, config.assess.quantiles),
             needs=tuple(("confusion", k) for k in keys),
         )

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fwclass.classify.stage import CLASSIFY, probability_columns
+from fwclass.columns import FEATURES
 from fwclass.conf import Config
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.errors import ConfigError, InputError, nearest
-from fwclass.features.stage import names as feature_names
+from fwclass.features.params import NORMAL, Asked, check_scale, is_feature, meant
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN
 from fwclass.radiometry.stage import RADIOMETRY
@@ -20,6 +22,9 @@ from fwclass.store.receipts import Receipt
 
 NO_FEATURE = ("strip", "pulse", "source_class", "origin", "gps_time", "x", "y", "z")
 """Columns that no forest may decide by: they name an echo, its place, or the class that it came with."""
+
+MAX_REACH = 100.0
+"""m, no feature reaches further: the neighbourhoods of a point, not of a quarter."""
 
 FileDigests = tuple[tuple[str, str], ...]
 """(file name, digest of its bytes)."""
@@ -36,11 +41,22 @@ class Strip:
 
 
 @dataclass(frozen=True)
+class PolygonFile:
+    """A file of reference polygons: its layer, and the system that its coordinates are in (WKT; None: the survey's)."""
+
+    path: Path
+    digests: FileDigests
+    layer: str
+    crs: str | None
+
+
+@dataclass(frozen=True)
 class Survey:
     """Files that can be used, checked.
 
     `strips` in the order that numbers them; `reference` is (file, digests, points); `crs` is WKT or None;
-    `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests).
+    `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests); `polygons` are the
+    reference's files of polygons.
     """
 
     strips: tuple[Strip, ...]
@@ -48,6 +64,7 @@ class Survey:
     crs: str | None
     standard_time: bool
     trajectory: tuple[tuple[Path, FileDigests], ...] = ()
+    polygons: tuple[PolygonFile, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -55,7 +72,7 @@ class Layout:
     """What phase three stands on: the tiles there are, where and when their echoes lie, and the reference tiles.
 
     `occupied` has for every size of block [m] those that own an echo; `times` is (first, last) GPS time [s], NaN
-    without any; `lowest` the least z [m].
+    without any; `lowest` the least z [m]; `polygons` are parts of the reference that are no tiles.
     """
 
     config: Config
@@ -66,6 +83,7 @@ class Layout:
     times: tuple[float, float]
     lowest: float
     echoes: int
+    polygons: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
@@ -93,6 +111,7 @@ class Layout:
             (min((t[0] for t in times), default=math.nan), max((t[1] for t in times), default=math.nan)),
             min(r.meta["bounds"][2] for r in mine.values()),
             sum(r.meta["rows"] for r in mine.values()),
+            tuple(sorted(part for stage, part in done if stage == "polygons")),
         )
 
     @property
@@ -117,18 +136,21 @@ class Layout:
     def columns(self, names: Iterable[str]) -> dict[str, str]:
         """The stage whose tables hold each of `names`."""
         known = providers(self.config)
-        return {n: known[n] for n in names}
+        return {n: "features" if is_feature(n) else known[n] for n in names}
 
 
 def providers(config: Config) -> dict[str, str]:
-    """Which stage's tables hold each column that the forest or the outputs may ask for."""
+    """Which stage's tables hold each column that may be asked for, besides features of a neighbourhood."""
     found = dict.fromkeys(DECOMPOSE.writes, "tile")
     found |= dict.fromkeys(GROUND_FILTER.writes, "ground")
     found |= dict.fromkeys(TERRAIN.writes, "height")
-    found |= dict.fromkeys(feature_names(config.features), "features")
+    found |= dict.fromkeys(NORMAL, "features")
     if has_range(config):
         found |= dict.fromkeys(RADIOMETRY.writes, "radiometry")
-    return found | {"reference": "label", "classification": "classify", "confidence": "classify"}
+    found |= dict.fromkeys(CLASSIFY.writes, "classify")
+    if config.classify.probabilities:
+        found |= dict.fromkeys(probability_columns(c.code for c in config.classes), "classify")
+    return found | {"reference": "label"}
 
 
 def has_range(config: Config) -> bool:
@@ -141,14 +163,26 @@ def check_features(config: Config, names: Iterable[str], where: object) -> None:
     """`ConfigError` for a feature that no stage writes, or that would tell the forest the answer or the place."""
     known = {n: s for n, s in providers(config).items() if n not in NO_FEATURE and s not in ("label", "classify")}
     for name in names:
-        if name not in known:
+        check_scale(name, where)
+        if name not in known and not is_feature(name):
+            bases = {c.name: "" for c in FEATURES}
             raise ConfigError(
                 f"{name!r} is not a feature",
                 where=where,
-                expected="a measured column, or a feature at a radius of features.radii",
+                expected="a measured column, or a feature with its scale, as echo_ratio_r100 "
+                "(`fwclass features --list` shows all)",
                 got=name,
-                do=nearest(name, known),
+                do=meant(name, known) or nearest(name, {**known, **bases}),
             )
+    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features)
+    if reach > MAX_REACH:
+        raise ConfigError(
+            "a feature reaches too far",
+            where=where,
+            expected=f"at most {MAX_REACH:g} m: every tile would read its surroundings that far",
+            got=f"{reach:g} m",
+            do="names end in centimetres: height_range_c500 is a cylinder of 5 m",
+        )
 
 
 def plain(params: Any) -> Any:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Any
 
+from fwclass.classify.stage import probability_columns
 from fwclass.conf import Config
 from fwclass.grid import Window
 from fwclass.ground.stage import TERRAIN
@@ -19,6 +20,7 @@ DELIVERED = (
     "x", "y", "z", "strip", "pulse", "echo_number", "number_of_echoes", "gps_time", "intensity", "amplitude",
     "amplitude_sigma", "amplitude_db", "width", "width_sigma", "energy", "range_sigma", "deviation", "fit_flags",
     "height_above_ground", "ground", "noise", "classification", "confidence",
+    "entropy",
 )  # fmt: skip
 """Columns of the delivered tiles, besides the forest's features and radiometry."""
 
@@ -31,7 +33,8 @@ def output_tasks(
     config = layout.config
     params = {**plain(config.publish), "crs": survey.crs, "classes": plain_classes(config)}
     measured = RADIOMETRY.writes if has_range(config) else ()
-    wanted = tuple(dict.fromkeys((*DELIVERED, *measured, *names)))
+    shares = probability_columns(c.code for c in config.classes) if config.classify.probabilities else ()
+    wanted = tuple(dict.fromkeys((*DELIVERED, *shares, *measured, *names, *config.features.also)))
     columns = layout.columns(wanted)
     made = [
         Task(

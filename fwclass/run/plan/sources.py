@@ -12,8 +12,8 @@ from fwclass.grid import TileGrid
 from fwclass.read.spans import Span
 from fwclass.read.stage import READ
 from fwclass.run.part import Name, Task
-from fwclass.run.plan.layout import FileDigests, Strip, plain
-from fwclass.run.work import sources
+from fwclass.run.plan.layout import FileDigests, Strip, Survey, plain
+from fwclass.run.work import reference, sources
 from fwclass.store.receipts import Receipt
 from fwclass.tile.stage import REFERENCE, SPLIT, TILE
 
@@ -92,6 +92,20 @@ def cloud_tasks(config: Config, files: Iterable[tuple[Path, FileDigests, int]]) 
             work = partial(sources.scattered_cloud, path, first, last, grid)
             part = chunk_name(number, k)
             made.append(Task("reference-split", part, SPLIT.version, params, work, external=digests))
+    return made
+
+
+def polygon_tasks(config: Config, survey: Survey) -> list[Task]:
+    """One part for every file of reference polygons: corners in the survey's system, with codes."""
+    asked, made = config.survey.reference, []
+    params = {
+        "field": asked.field, "values": {str(k): v for k, v in asked.values.items()}, "crs": survey.crs,
+        "classes": [[c.name, c.code, list(c.codes)] for c in config.classes],
+    }  # fmt: skip
+    for number, file in enumerate(survey.polygons):
+        work = partial(reference.polygons_read, file, asked.field or "", asked.values, config.classes, survey.crs)
+        own = {**params, "layer": file.layer, "from": file.crs}
+        made.append(Task("polygons", f"{number:03d}", 1, own, work, external=file.digests))
     return made
 
 

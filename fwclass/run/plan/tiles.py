@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from functools import partial
 
+from fwclass.features.params import Asked, is_feature
 from fwclass.features.stage import FEATURES
 from fwclass.label.stage import LABEL
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Layout, needs_of, plain
-from fwclass.run.work import tiles
+from fwclass.run.plan.thin import thin_columns, thins
+from fwclass.run.work import reference, tiles
 
 
 def label_tasks(layout: Layout) -> list[Task]:
@@ -17,6 +19,9 @@ def label_tasks(layout: Layout) -> list[Task]:
         needs: tuple[Name, ...] = (("tile", tile.key),)
         if config.survey.reference.kind == "source":
             work = partial(tiles.labelled_by_source, tile, config.label)
+        elif config.survey.reference.kind == "polygons":
+            work = partial(reference.labelled_by_polygons, tile, layout.polygons)
+            needs += tuple(("polygons", p) for p in layout.polygons)
         else:
             clouds = layout.around(tile.box.grown(LABEL.halo(config.label)), layout.clouds)
             work = partial(tiles.labelled_by_cloud, tile, clouds, config.label)
@@ -26,17 +31,20 @@ def label_tasks(layout: Layout) -> list[Task]:
     return made
 
 
-def feature_tasks(layout: Layout) -> list[Task]:
+def feature_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
+    """Those of `names` that are features of a neighbourhood."""
     config, made = layout.config, []
-    halo = FEATURES.halo(config.features)
-    columns = layout.columns(FEATURES.reads)
+    asked = Asked.of(sorted(n for n in names if is_feature(n)))  # who asks in another order gets the same part
+    halo = asked.reach(config.features)
+    columns = layout.columns(asked.reads)
+    params = {**config.features.model_dump(mode="json", exclude={"also"}), "names": list(asked.names)}
     for tile in layout.tiles:
         present = layout.around(tile.box.grown(halo), layout.keys)
         made.append(
             Task(
-                "features", tile.key, FEATURES.version, plain(config.features),
-                partial(tiles.featured, tile, halo, columns, present, config.features),
-                needs=needs_of(columns, present),
+                "features", tile.key, FEATURES.version, params,
+                partial(tiles.featured, tile, halo, columns, present, asked.names, config.features, thins(config)),
+                needs=(*needs_of(columns, present), *((s, tile.key) for s in thin_columns(config).values())),
             )
         )  # fmt: skip
     return made

@@ -9,20 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.stage import confusion, distribution, figures, summary, unclassified
-from fwclass.classify.stage import classify
+from fwclass.assess.stage import BlockCounts, confusion, distribution, figures, intervals, summary, unclassified
+from fwclass.classify.stage import classify, filled
 from fwclass.errors import InputError
 from fwclass.grid import Box, Tile
-from fwclass.model import ClassDef, Forest, Tree, class_index
+from fwclass.model import ClassDef, Model, Tree, class_index, sample_matrix
 from fwclass.run.desk import TABLE, Desk
+from fwclass.run.work.others import stamped
 from fwclass.schema import Table, canonical_key
 from fwclass.store.arrays import read_arrays, write_arrays
-from fwclass.store.models import load_forest, save_forest
+from fwclass.store.models import load_model, save_model
 from fwclass.store.tables import write_table
+from fwclass.train.importance import drops
 from fwclass.train.sample import Sample, review
 from fwclass.train.stage import TrainParams, candidates, grow_trees, merge, train
 
-SAMPLE, TREES, MODEL, COUNTS = "sample.zarr", "trees.zarr", "model", "counts.zarr"
+SAMPLE, TREES, DROPS, MODEL, COUNTS = "sample.zarr", "trees.zarr", "drops.zarr", "model", "counts.zarr"
 GROUND = 2
 """Class code."""
 _IDENTITY = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
@@ -48,9 +50,10 @@ def sampled(
 ) -> dict[str, Any]:  # fmt: skip
     """The rows of a tile that may train."""
     table = desk.rows(tile.key, {**_IDENTITY, **columns, "reference": "label"})
-    sample = candidates(
-        table.select(names), table["reference"], canonical_key(table), within(table, boxes), params, classes
-    )
+    inside = within(table, boxes)
+    if "sampled" in table:  # a thinned run
+        inside &= table["sampled"]
+    sample = candidates(table.select(names), table["reference"], canonical_key(table), inside, params, classes)
     _save_sample(directory, sample)
     return {"rows": sample.rows}
 
@@ -92,53 +95,80 @@ def grown(
     return {"nodes": int(sum(len(t[0]) for t in trees))}
 
 
+def _load_trees(desk: Desk, batch: str) -> list[Tree]:
+    arrays, _ = read_arrays(desk.store.path("trees", batch, TREES))
+    numbers = sorted({n.split("-")[0] for n in arrays})
+    return [(arrays[f"{n}-feature"], arrays[f"{n}-threshold"], arrays[f"{n}-child"]) for n in numbers]
+
+
+def weighed(
+    first: int, names: tuple[str, ...], params: TrainParams, desk: Desk, directory: Path
+) -> dict[str, Any]:  # fmt: skip
+    """What some of the forest's trees lose when a feature is permuted."""
+    sample = _load_sample(desk, "training", "all", names)
+    lost, judged = drops(sample, _load_trees(desk, f"{first:05d}"), first, params, params.importance_repeats)
+    write_arrays(directory / DROPS, {"drops": lost, "judged": judged})
+    return {"rows": int(judged.sum())}
+
+
 def trained(
     batches: tuple[str, ...], names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...],
-    desk: Desk, directory: Path,
+    computed: Mapping[str, Any], desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """The forest, delivered as the run's model."""
-    trees: list[Tree] = []
-    for batch in batches:
-        arrays, _ = read_arrays(desk.store.path("trees", batch, TREES))
-        for number in sorted({n.split("-")[0] for n in arrays}):
-            trees.append((arrays[f"{number}-feature"], arrays[f"{number}-threshold"], arrays[f"{number}-child"]))
-    forest = train(_load_sample(desk, "training", "all", names), trees, params, classes)
-    save_forest(directory / MODEL, forest)
+    trees = [tree for batch in batches for tree in _load_trees(desk, batch)]
+    lost = None
+    if params.importance_repeats:
+        parts = [read_arrays(desk.store.path("importance", b, DROPS))[0] for b in batches]
+        lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
+    forest = stamped(train(_load_sample(desk, "training", "all", names), trees, params, classes, lost), computed)
+    save_model(directory / MODEL, forest)
     return {"card": dict(forest.card), "trees": forest.trees, "nodes": len(forest.feature)}
 
 
-_loaded: dict[tuple[str, str], Forest] = {}
+_loaded: dict[tuple[str, str], Model] = {}
 
 
-def forest_at(path: Path, digest: str) -> Forest:
-    """The forest in `path`, kept in this process as long as its digest is the same."""
+def model_at(path: Path, digest: str) -> Model:
+    """The model in `path`, kept in this process as long as its digest is the same."""
     key = (str(path), digest)
     if key not in _loaded:
         _loaded.clear()
-        _loaded[key] = load_forest(path)
+        _loaded[key] = load_model(path)
     return _loaded[key]
+
+
+def model_of(given: tuple[Path, str] | None, desk: Desk) -> Model:
+    """The model at a path, by its digest; None: the run's own."""
+    if given is None:
+        receipt = desk.store.receipt("train", "model")
+        given = (desk.store.path("train", "model", MODEL), receipt.digest if receipt else "")
+    return model_at(*given)
 
 
 def classified(
     tile: Tile, columns: Mapping[str, str], names: tuple[str, ...], model: tuple[Path, str] | None,
-    desk: Desk, directory: Path,
+    probabilities: bool, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
-    """Class and confidence of a tile's echoes. `model`: path and digest of a given one, None for the run's own."""
-    if model is None:
-        receipt = desk.store.receipt("train", "model")
-        model = (desk.store.path("train", "model", MODEL), receipt.digest if receipt else "")
-    table = classify(desk.rows(tile.key, columns).select(names), forest_at(*model))
+    """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
+
+    `model`: path and digest of a given one, None for the run's own.
+    """
+    used = model_of(model, desk)
+    X = sample_matrix(desk.rows(tile.key, columns), used.features, tile.key)
+    table = classify(X, used, probabilities)
     write_table(directory / TABLE, table)
     codes, counts = np.unique(table["classification"], return_counts=True)
-    return {"codes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}}
+    found = {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
+    return {"codes": found, "filled": filled(X, used)}
 
 
 def judged(
     tile: Tile, columns: Mapping[str, str], names: tuple[str, ...], train: tuple[Box, ...], test: tuple[Box, ...],
-    gap: float, classes: tuple[ClassDef, ...], desk: Desk, directory: Path,
+    gap: float, block: float, classes: tuple[ClassDef, ...], desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
-    """Confusion counts and feature histograms of a tile's echoes in the test areas; the ground filter's counts of all
-    its labelled echoes, for it learns from none."""
+    """Confusion counts (whole, and by blocks of edge `block` [m]) and feature histograms of a tile's echoes in the test
+    areas; the ground filter's counts of all its labelled echoes, for it learns from none."""
     extra = {"reference": "label", "classification": "classify", "ground": "ground"}
     table = desk.rows(tile.key, {**_IDENTITY, **columns, **extra})
     filtered = ground_counts(table, classes)
@@ -146,7 +176,9 @@ def judged(
     matrix = confusion(table["reference"], table["classification"], classes)
     lost = unclassified(table["reference"], table["classification"], classes)
     counts = distribution(table.select(names), table["reference"], classes)
-    write_arrays(directory / COUNTS, {"counts": np.concatenate([counts[n].reshape(-1) for n in names])})
+    flat = np.concatenate([counts[n].reshape(-1) for n in names])
+    blocks = BlockCounts.of(table["x"], table["y"], table["reference"], table["classification"], classes, block)
+    write_arrays(directory / COUNTS, {"counts": flat, "place": blocks.place, "blocks": blocks.counts})
     return {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist()}
 
 
@@ -170,10 +202,14 @@ def assessed(
     desk: Desk,
     directory: Path,
 ) -> dict[str, Any]:
-    """Figures over all test areas, and the distribution of the features by class."""
+    """Figures over all test areas with their intervals, and the distribution of the features by class.
+
+    What it keeps of the blocks serves to compare two runs.
+    """
     n = len(classes)
     matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
     total: NDArray[np.int64] = np.zeros(1, np.int64)
+    parts = []
     for tile in tiles:
         meta = desk.meta("confusion", tile)
         matrix += np.array(meta["matrix"], np.int64)
@@ -181,10 +217,14 @@ def assessed(
         filtered += np.array(meta["ground"], np.int64)
         arrays, _ = desk.arrays("confusion", tile, COUNTS)
         total = total + arrays["counts"]
+        parts.append(BlockCounts(arrays["place"], arrays["blocks"]))
+    blocks = BlockCounts.merged(parts, n)
+    write_arrays(directory / COUNTS, {"place": blocks.place, "blocks": blocks.counts})
     histograms = dict(zip(names, total.reshape(len(names), n, -1), strict=True))
     called = [c.name for c in classes]
+    accuracy = figures(matrix, called, lost) | {"intervals": intervals(blocks.counts)}
     return {
-        "accuracy": figures(matrix, called, lost) if matrix.any() or lost.any() else None,
+        "accuracy": accuracy if matrix.any() or lost.any() else None,
         "distribution": summary(histograms, called, shares),
         "ground": figures(filtered, ("ground", "other")) if filtered.any() else None,
     }

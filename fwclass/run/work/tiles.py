@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.features.stage import FeaturesParams, features
+from fwclass.features.params import FeaturesParams
+from fwclass.features.stage import features
 from fwclass.grid import Tile, Window
 from fwclass.label.stage import LabelParams, from_cloud, from_source
 from fwclass.run.desk import TABLE, Desk
+from fwclass.run.work.thin import features_of_some
 from fwclass.schema import Table
 from fwclass.stage import Chunk
 from fwclass.store.arrays import write_arrays
@@ -62,18 +64,24 @@ def mosaic(
 
 
 def featured(
-    tile: Tile, halo: float, columns: Mapping[str, str], present: tuple[str, ...], params: FeaturesParams,
-    desk: Desk, directory: Path,
+    tile: Tile, halo: float, columns: Mapping[str, str], present: tuple[str, ...], names: tuple[str, ...],
+    params: FeaturesParams, thins: bool, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
-    """Neighbourhood features of a tile's echoes."""
-    write_table(directory / TABLE, features(desk.chunk(tile, halo, columns, present), params))
+    """Neighbourhood features of a tile's echoes; of a thinned run's, of the sampled ones."""
+    chunk = desk.chunk(tile, halo, columns, present)
+    if thins:
+        sampled = desk.rows(tile.key, {"sampled": "thin"})["sampled"]
+        made = features_of_some(chunk, sampled, names, params)
+    else:
+        made = features(chunk, names, params)
+    write_table(directory / TABLE, made)
     return {}
 
 
 def labelled_by_source(tile: Tile, params: LabelParams, desk: Desk, directory: Path) -> dict[str, Any]:
     """Reference classes from the source's own classification."""
     chunk = desk.chunk(tile, 0.0, {"source_class": "tile"}, (tile.key,))
-    return _write_labels(from_source(chunk, params), directory)
+    return write_labels(from_source(chunk, params), directory)
 
 
 def labelled_by_cloud(
@@ -84,10 +92,10 @@ def labelled_by_cloud(
     box = tile.box.grown(params.max_distance)
     cloud = desk.inside(box, tile.size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
     order = np.lexsort(tuple(cloud[n] for n in ("source_class", "gps_time", "z", "y", "x")))
-    return _write_labels(from_cloud(chunk, cloud.take(order), params), directory)
+    return write_labels(from_cloud(chunk, cloud.take(order), params), directory)
 
 
-def _write_labels(table: Table, directory: Path) -> dict[str, Any]:
+def write_labels(table: Table, directory: Path) -> dict[str, Any]:
     write_table(directory / TABLE, table)
     codes, counts = np.unique(table["reference"], return_counts=True)
     return {"codes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}}

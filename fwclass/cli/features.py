@@ -1,0 +1,75 @@
+"""Features of one file, and the list of what there is: features."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fwclass.cli.base import JSON, OVERWRITE, PATH, cli
+from fwclass.cli.ground import CRS, METHOD, PARAM, PRESET
+
+SETS = click.option(
+    "--set",
+    "words",
+    multiple=True,
+    metavar="NAME|FILE|SECTION.KEY=VALUE",
+    help="The feature set (default: `default`); or a setting, may be repeated.",
+)
+
+
+@cli.command()
+@click.argument("source", metavar="[IN]", type=PATH, required=False)
+@click.argument("output", metavar="[OUT.parquet]", type=PATH, required=False)
+@SETS
+@click.option("--features", "listed", metavar="NAME,NAME,…", help="These features instead of a set.")
+@click.option(
+    "--list", "show", is_flag=True, help="Show all features and sets; with a set (--list NAME): its features."
+)
+@METHOD
+@PRESET
+@PARAM
+@click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
+@click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights: the geoid's height.")
+@click.option("--skip-missing", is_flag=True, help="Leave out features that the file cannot give, instead of an error.")
+@CRS
+@OVERWRITE
+@JSON
+def features(
+    source: Path | None, output: Path | None, words: tuple[str, ...], show: bool, as_json: bool, **asked: Any
+) -> None:
+    """Features of every echo of one file as GeoParquet; or, with --list, which features and sets there are.
+
+    IN is LAS, LAZ, COPC, PulseWaves or text. Waveforms are decomposed first; without them, returns are echoes. The
+    ground, where heights above it are asked for, is what has class 2; with --method, --preset or --param it is looked
+    for.
+    """
+    from fwclass.run.features.names import sorted_settings
+
+    named, settings = sorted_settings(words)
+    if show:
+        if output is not None or settings or asked["listed"]:
+            raise click.UsageError("--list shows features, or those of one set: --list NAME")
+        _list(*((str(source), "--list") if source is not None else (named, "--set")), as_json)
+        return
+    if source is None or output is None:
+        raise click.UsageError("IN and OUT.parquet are wanted, or --list")
+    from fwclass.run.features.file import FeaturesJob, features_file
+    from fwclass.run.features.text import describe
+    from fwclass.run.ground.steps import Steps
+
+    with Steps() as steps:
+        made = features_file(FeaturesJob(source, output, named, settings=settings, **asked), steps.tell)
+    click.echo(describe(made), err=True)
+    if as_json:
+        click.echo(json.dumps(made, indent=1))
+
+
+def _list(name: str | None, where: str, as_json: bool) -> None:
+    from fwclass.run.features import listing
+
+    facts = listing.everything() if name is None else listing.of_set(name, where)
+    words = listing.describe_everything if name is None else listing.describe_set
+    click.echo(json.dumps(facts, indent=1) if as_json else words(facts))

@@ -1,0 +1,148 @@
+"""Commands about models: train, classify."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fwclass.cli.base import JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.road import open_road
+from fwclass.errors import ConfigError, nearest
+
+
+@cli.command()
+@click.argument("conf", type=PATH)
+@click.option("--model", "target", type=PATH, help="Directory that the model is written to.")
+@click.option("--method", metavar="NAME", help="forest, linear-svm, rbf-svm, sklearn-forest or boosting.")
+@click.option("--compare", metavar="all|NAME,NAME,…", help="Several classifiers side by side; no --model.")
+@click.option("--assess/--no-assess", default=True, help="Judge the model on the test areas (default: yes).")
+@click.option("--out", type=PATH, help="Run directory (default: runs/<survey>).")
+@SET
+@SCHEDULER
+@WORKERS
+@OVERWRITE
+@JSON
+def train(
+    conf: Path, target: Path | None, method: str | None, compare: str | None, out: Path | None,
+    settings: tuple[str, ...], **asked: Any,
+) -> None:  # fmt: skip
+    """Train a model on a survey's training areas, and judge it on its test areas.
+
+    What is computed on the way stays in the run directory; `fwclass run` there goes on from it. With --compare no model
+    is written: a table tells accuracy and time of each classifier on the same sample and the same echoes.
+    """
+    if (compare is None) == (target is None):
+        raise click.UsageError("give --model DIR, or --compare NAME,NAME,…")
+    if compare is not None and method is not None:
+        raise click.UsageError("--compare names its classifiers itself")
+    if method is not None:
+        settings = (*settings, f"train.method={_known(method, '--method')}")
+    from fwclass import conf as configuration
+
+    config = configuration.load(conf, settings)
+    root = out if out is not None else Path("runs") / config.survey.name
+    if target is not None:
+        _train(config, root, target, asked)
+    elif compare is not None:
+        _compare(config, root, _methods(compare), asked)
+
+
+def _known(method: str, where: str) -> str:
+    from fwclass.train.others.stage import METHODS
+
+    if method not in METHODS:
+        raise ConfigError(
+            "no such classifier", where=where, expected=", ".join(METHODS), got=method,
+            do=nearest(method, METHODS),
+        )  # fmt: skip
+    return method
+
+
+def _methods(text: str) -> tuple[str, ...]:
+    from fwclass.train.others.stage import METHODS
+
+    return METHODS if text == "all" else tuple(dict.fromkeys(_known(n.strip(), "--compare") for n in text.split(",")))
+
+
+def _count(config: Any, asked: dict[str, Any]) -> int:
+    return int(config.run.workers if asked["workers"] is None else asked["workers"])
+
+
+def _train(config: Any, root: Path, target: Path, asked: dict[str, Any]) -> None:
+    from fwclass.run.model_directory import check_target, deliver
+    from fwclass.run.training_text import describe
+    from workflows.training import training
+
+    check_target(target, asked["overwrite"])
+    memory = config.run.worker_memory_gib
+    with open_road(root, _count(config, asked), asked["scheduler"], memory) as road:
+        made = training(config, road, asked["assess"])
+        deliver(road.store.path("train", "model", "model"), target, asked["overwrite"])
+    click.echo(f"{describe(made)}\nmodel       {target}", err=True)
+    if asked["as_json"]:
+        click.echo(json.dumps({**made, "model": str(target)}, indent=1))
+
+
+def _compare(config: Any, root: Path, methods: tuple[str, ...], asked: dict[str, Any]) -> None:
+    from fwclass.run.compare import describe
+    from workflows.training import comparison
+
+    memory = config.run.worker_memory_gib
+    with open_road(root, _count(config, asked), asked["scheduler"], memory) as road:
+        made = comparison(config, road, methods)
+    click.echo(describe(made), err=asked["as_json"])
+    if asked["as_json"]:
+        click.echo(json.dumps(made, indent=1))
+
+
+def _codes(context: click.Context, parameter: click.Parameter, words: tuple[str, ...]) -> Mapping[int, int]:
+    """``64=20`` as numbers."""
+    found = {}
+    for word in words:
+        left, _, right = word.partition("=")
+        if not left.isdigit() or not right.isdigit() or not int(left) < 256 or not int(right) < 256:
+            raise click.BadParameter(f"{word!r} is no pair of class codes like 64=20")
+        found[int(left)] = int(right)
+    return found
+
+
+@cli.command()
+@click.argument("source", metavar="IN", type=PATH)
+@click.argument("output", metavar="OUT", type=PATH)
+@click.option("--model", type=PATH, required=True, help="Directory of the model.")
+@click.option("--method", metavar="NAME", help="Ground filter for heights above ground (default: ground.method).")
+@click.option("--preset", metavar="NAME", help="Its preset; see docs/ground.md.")
+@click.option("--param", "assignments", multiple=True, metavar="NAME=VALUE", help="A parameter of the filter.")
+@click.option("--own-ground", is_flag=True, help="Heights count from class 2 of the file; no filter.")
+@click.option("--legacy-code", "legacy", multiple=True, callback=_codes, metavar="CODE=CODE",
+              help="Write another code; point formats 0 to 5 hold codes up to 31.")  # fmt: skip
+@click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET), for models that need ranges.")
+@click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights.")
+@click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
+@SET
+@OVERWRITE
+@JSON
+def classify(
+    source: Path, output: Path, as_json: bool, trajectory: Path | None, undulation: float, **asked: Any
+) -> None:
+    """Classify the points of one file by a trained model.
+
+    Waveforms are decomposed where there are any; each point takes the class of its echo. Points keep their order and
+    all other fields; confidence and entropy become extra bytes.
+    """
+    from fwclass.run.classify_file import ClassifyJob, classify_file, describe
+    from fwclass.run.features.echoes import Flight
+    from fwclass.run.ground.steps import Steps
+
+    if asked["own_ground"] and (asked["method"] or asked["preset"] or asked["assignments"]):
+        raise click.UsageError("--own-ground takes the file's ground: no filter is run")
+    job = ClassifyJob(source, output, flight=Flight(trajectory, undulation), **asked)
+    with Steps() as steps:
+        made = classify_file(job, steps.tell)
+    click.echo(describe(made), err=True)
+    if as_json:
+        click.echo(json.dumps(made, indent=1))

@@ -1,0 +1,73 @@
+"""The command that chooses features: select."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fwclass.cli.base import JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.road import open_road
+from fwclass.errors import ConfigError
+
+
+def _listed(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
+    """``a,b,c`` as names."""
+    return tuple(word.strip() for word in text.split(",") if word.strip()) if text else ()
+
+
+@cli.command()
+@click.argument("conf", type=PATH)
+@click.option(
+    "--method", type=click.Choice(["forward", "rffs", "fscore", "thinning"]), required=True, help="How to choose."
+)
+@click.option("--candidates", metavar="SET|FILE|A,B,…", help="What to choose from (default: survey.features).")
+@click.option(
+    "--order", metavar="A,B,…", callback=_listed, help="With forward: add in this order, drop what gains nothing."
+)
+@click.option(
+    "--pick", type=click.Choice(["best", "smallest", "cheapest"]), default="best", show_default=True,
+    help="Which set is written: the best, or the smallest or cheapest as good within one standard error.",
+)  # fmt: skip
+@click.option(
+    "--to", "target", type=PATH, help="The feature-set file (default: OUT/select/METHOD.yaml); .json and .png beside."
+)
+@click.option("--out", type=PATH, help="Run directory, shared with `fwclass run` (default: runs/<survey>).")
+@SET
+@SCHEDULER
+@WORKERS
+@OVERWRITE
+@JSON
+def select(
+    conf: Path, method: str, candidates: str | None, target: Path | None, out: Path | None, settings: tuple[str, ...],
+    scheduler: str | None, workers: int | None, overwrite: bool, as_json: bool, **asked: Any,
+) -> None:  # fmt: skip
+    """Choose features on the training areas of a survey, and tell what they cost.
+
+    forward (Fan 2013) adds the best feature again and again, rffs (Xiong 2018) drops the least important, fscore
+    (Shi 2019) adds by rank; each set is judged by forests in spatial folds. The file it writes is what
+    `--set survey.features=FILE` takes. thinning tells accuracy and time if only a share of the echoes is classified.
+    """
+    from fwclass import conf as configuration
+    from fwclass.run.select import output
+    from workflows.selection import selection
+    from workflows.thinning import thinning
+
+    config = configuration.load(conf, settings)
+    root = out if out is not None else Path("runs") / config.survey.name
+    names = output.candidates_of(config, candidates)
+    if method != "forward" and asked["order"]:
+        raise ConfigError("--order belongs to --method forward", where="--order", got=f"--method {method}")
+    path = output.check_target(target, root, method, overwrite)
+    count = config.run.workers if workers is None else workers
+    with open_road(root, count, scheduler, config.run.worker_memory_gib) as road:
+        if method == "thinning":
+            made = thinning(config, road, names)
+        else:
+            made = selection(config, road, names, method, **asked)
+    output.write(made, path)
+    click.echo(output.describe(made, path), err=True)
+    if as_json:
+        click.echo(json.dumps(made, indent=1))

@@ -1,0 +1,52 @@
+"""What a column is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+NAN = float("nan")
+
+SCALES = {
+    "r": "sphere of radius", "c": "vertical cylinder of radius", "k": "nearest echoes, itself included,",
+    "g": "cell of edge", "o": "sphere of optimal radius",
+}  # fmt: skip
+"""Kinds of neighbourhood. ``_r100``, ``_c100``, ``_g100``: centimetres; ``_k20``: echoes; ``_opt``: no size."""
+
+PER_CODE = "p"
+"""`scales` of what every class has one of: ``probability_6`` is that of class code 6."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of any table.
+
+    Attributes
+    ----------
+    name : the field's standard term; neighbourhood features carry their scale, as in ``echo_ratio_r100``.
+    dtype : numpy dtype as text.
+    unit : SI or field unit; "" for counts, codes and fractions.
+    meaning : one sentence.
+    null : the value that says "no value"; None where every row has one.
+    scales : kinds of neighbourhood that a feature may be taken over, letters of `SCALES`; "": it has no scale.
+    low, high : range of valid values, or None.
+    source : paper and equation, or the format's field.
+    las : name as a LAS extra byte, or "" if the column has a field of its own in LAS or is not published.
+    las_about : what the extra byte's 32 bytes of description say after the unit; "": the first words of `meaning`.
+    las_dtype, las_scale : how the extra byte stores it: value = scale x stored number; "" stores `dtype` itself.
+        Where `null` is NaN and the stored type is whole, the lowest number (signed) or the highest (unsigned) stands
+        for "no value" and is declared as the extra byte's no-data value.
+    """
+
+    name: str
+    dtype: str
+    unit: str
+    meaning: str
+    null: float | None = None
+    low: float | None = None
+    high: float | None = None
+    scales: str = ""
+    source: str = ""
+    las: str = ""
+    las_about: str = ""
+    las_dtype: str = ""
+    las_scale: float = 1.0

@@ -1,0 +1,84 @@
+"""Feature sets: named lists of features, one file each in `conf/features`, or a user's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from fwclass.conf.files import conf_directory, read
+from fwclass.errors import ConfigError, nearest
+
+
+class EachSection(BaseModel):
+    """Every base over every scale (as names end, ``r100``), scale by scale."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    bases: tuple[str, ...]
+    scales: tuple[str, ...]
+
+
+class _File(BaseModel):
+    """`selection` is what `fwclass select` wrote about how the set was found; it changes nothing."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    about: str = ""
+    source: str = ""
+    features: tuple[str, ...] = ()
+    each: tuple[EachSection, ...] = ()
+    selection: dict[str, object] | None = None
+
+
+@dataclass(frozen=True)
+class FeatureSet:
+    """`features`: names in order, each once."""
+
+    name: str
+    about: str
+    source: str
+    features: tuple[str, ...]
+
+
+def shipped_sets() -> tuple[str, ...]:
+    """Names of the sets that come with fwclass."""
+    return tuple(sorted(p.stem for p in (conf_directory() / "features").glob("*.yaml")))
+
+
+def feature_set(name: str, beside: Path | None = None, where: object = "--set") -> FeatureSet:
+    """The set of that name, or in the file of that path (relative to here, or to the directory `beside`).
+
+    `where` tells in an error who asked for it.
+    """
+    known = shipped_sets()
+    if name in known:
+        return _read(conf_directory() / "features" / f"{name}.yaml")
+    for path in (Path(name), *([beside / name] if beside else [])):
+        if path.is_file():
+            return _read(path)
+    raise ConfigError(
+        "no such feature set",
+        where=where,
+        expected=f"one of {', '.join(known)}, the file of one, or a list of columns [zc, ...]",
+        got=name,
+        do=f"{nearest(name, known)}; `fwclass features --list` shows the sets",
+    )
+
+
+def _read(path: Path) -> FeatureSet:
+    try:
+        found = _File.model_validate(read(path))
+    except ValidationError as fault:
+        told = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in fault.errors()[:3])
+        raise ConfigError(
+            "this is not a feature set", where=path, expected="about, source, features, each", got=told
+        ) from fault
+    names = [*found.features, *(f"{b}_{s}" for each in found.each for s in each.scales for b in each.bases)]
+    if not names:
+        raise ConfigError("a feature set without features", where=path, do="list some under `features:`")
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise ConfigError("a feature is listed twice", where=path, got=", ".join(twice), do="take one out")
+    return FeatureSet(path.stem, found.about, found.source, tuple(names))

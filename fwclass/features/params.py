@@ -1,0 +1,176 @@
+"""Parameters of the features, and what a list of feature names asks for."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from pydantic import Field, field_validator
+
+from fwclass.columns import COLUMNS
+from fwclass.columns import FEATURES as DECLARED
+from fwclass.errors import ConfigError
+from fwclass.schema import Scale, split_name
+from fwclass.stage import Params
+
+NORMAL = ("normal_x", "normal_y", "normal_z")
+
+MAX_NEAREST = 500
+"""Echoes of the largest neighbourhood of nearest echoes. The papers take 10 to 100; the time of a search grows with k
+and faster, and 500 echoes lie within 4 to 11 m at 1 to 10 echoes per square metre, which spheres describe better."""
+
+ORIENTED = "oriented_inclination"
+"""The feature whose sides spread beyond its sphere."""
+
+_BASES = frozenset(c.name for c in DECLARED)
+_END = re.compile(r"_(?P<kind>[rckg])(?P<size>\d+)$")
+_PLACE = ("x", "y", "z")
+_NUMBERS = ("echo_number", "number_of_echoes")
+_READS = {
+    **dict.fromkeys(("single_share", "first_share", "intermediate_share", "last_share", "egi", "ebi", "evi"), _NUMBERS),
+    **dict.fromkeys(("amplitude_mean", "amplitude_std"), ("amplitude",)),
+    **dict.fromkeys(("width_mean", "width_std"), ("width",)),
+    **dict.fromkeys(("intensity_mean", "intensity_std"), ("intensity",)),
+    "pulse_intensity_variance": ("strip", "pulse", "intensity"),
+    "pulse_amplitude_variance": ("strip", "pulse", "amplitude"),
+}
+"""What a feature reads besides the echoes' places."""
+
+
+class FeaturesParams(Params):
+    """Parameters of the features; which are computed is a list of names, and their scales stand in the names.
+
+    Attributes
+    ----------
+    also : features that are computed and delivered besides those that the classifier decides by.
+    cell_x, cell_y : edges of the cells of `zc` [m].
+    normal_radius : sphere whose normals are kept, for radiometry [m].
+    orientation_rounds : steps of one radius over which the side of a normal spreads from sure ones.
+    optimal_radii : spheres that the optimal one is chosen from [m].
+    nearest_reach : no nearest echo is looked for further away [m].
+    pulse_reach : echoes of a pulse further apart in plan are not compared [m].
+    """
+
+    also: tuple[str, ...]
+    cell_x: float = Field(gt=0)
+    cell_y: float = Field(gt=0)
+    normal_radius: float = Field(gt=0)
+    orientation_rounds: int = Field(ge=1, le=100)
+    optimal_radii: tuple[float, ...] = Field(min_length=2)
+    nearest_reach: float = Field(gt=0, le=100)
+    pulse_reach: float = Field(gt=0)
+
+    @field_validator("optimal_radii")
+    @classmethod
+    def _rising(cls, radii: tuple[float, ...]) -> tuple[float, ...]:
+        if min(radii) <= 0 or any(b <= a for a, b in zip(radii, radii[1:], strict=False)):
+            raise ValueError("radii must be positive and rise")
+        return radii
+
+
+def is_feature(name: str) -> bool:
+    """`name` is computed by this room."""
+    try:
+        return split_name(name)[0] in _BASES
+    except KeyError:
+        return False
+
+
+def check_scale(name: str, where: object) -> None:
+    """`ConfigError` for a feature's name whose size is no size, or whose neighbourhood has too many echoes."""
+    end = _END.search(name)
+    if end is None or name[: end.start()] not in _BASES:
+        return
+    kind, digits = end["kind"], end["size"]
+    if not is_feature(name) and kind in COLUMNS[name[: end.start()]].scales:
+        zero = set(digits) <= {"0"}
+        raise ConfigError(
+            f"{name!r} is not a feature: the size must be positive" if zero
+            else f"{name!r} is not a feature: its size is not a size",
+            where=where, expected="echoes, 1 and more" if kind == "k" else "centimetres, 1 to 999999, without leading 0",
+            got=digits,
+        )  # fmt: skip
+    if kind == "k" and int(digits) > MAX_NEAREST:
+        raise ConfigError(
+            f"{name!r} asks for too many neighbours", where=where, expected=f"at most {MAX_NEAREST} nearest echoes",
+            got=digits, do="take fewer, or a sphere: planarity_r300 is one of 3 m",
+        )  # fmt: skip
+
+
+def meant(name: str, others: Iterable[str] = ()) -> str:
+    """``did you mean …?`` for a word that is no feature and none of `others`, or ""."""
+    end = _END.search(name)
+    base = name[: end.start()] if end else re.sub(r"_opt$", "", name)
+    close = difflib.get_close_matches(base, sorted({*_BASES, *others}), n=1)
+    if not close:
+        return ""
+    whole = close[0] + name[len(base) :]
+    found = whole if is_feature(whole) else close[0]
+    return f"did you mean {found!r}?"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a list of feature names asks for.
+
+    Attributes
+    ----------
+    names : the features, in order, each once.
+    scales : (scale, bases taken over it), in order of first appearance.
+    plain : features without a scale.
+    """
+
+    names: tuple[str, ...]
+    scales: tuple[tuple[Scale, tuple[str, ...]], ...]
+    plain: tuple[str, ...]
+
+    @classmethod
+    def of(cls, names: Iterable[str]) -> Asked:
+        """`KeyError` for a name that is no feature."""
+        once = tuple(dict.fromkeys(names))
+        scales: dict[Scale, list[str]] = {}
+        plain = []
+        for name in once:
+            base, scale = split_name(name)
+            if base not in _BASES:
+                raise KeyError(f"{name!r} is no feature of a neighbourhood")
+            if scale is None:
+                plain.append(name)
+            else:
+                scales.setdefault(scale, []).append(base)
+        return cls(once, tuple((s, tuple(bases)) for s, bases in scales.items()), tuple(plain))
+
+    def of_kind(self, kinds: str) -> dict[Scale, tuple[str, ...]]:
+        """Bases by scale, of the given kinds of neighbourhood (letters of `columns.SCALES`)."""
+        return {scale: bases for scale, bases in self.scales if scale.kind in kinds}
+
+    @property
+    def bases(self) -> frozenset[str]:
+        return frozenset((*self.plain, *(b for _, bases in self.scales for b in bases)))
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Columns that they are computed from."""
+        more = (name for base in sorted(self.bases) for name in _READS.get(base, ()))
+        return tuple(dict.fromkeys((*_PLACE, *more)))
+
+    def reach(self, params: FeaturesParams) -> float:
+        """Distance around a tile that they are computed from, and the normals too [m]."""
+        reach = [params.normal_radius]
+        for scale, bases in self.scales:
+            if scale.kind == "k":
+                reach.append(params.nearest_reach)
+            elif scale.kind == "o":
+                reach.append(max(params.optimal_radii))
+            else:
+                turns = params.orientation_rounds if ORIENTED in bases else 0
+                reach.append(scale.metres * (1 + turns))
+        if "zc" in self.plain:
+            reach += [params.cell_x, params.cell_y]
+        if "optimal_radius" in self.plain:
+            reach.append(max(params.optimal_radii))
+        if any(name.startswith("pulse_") for name in self.plain):
+            reach.append(params.pulse_reach)
+        return float(max(reach))

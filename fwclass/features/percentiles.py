@@ -1,0 +1,105 @@
+"""Percentiles of whole numbers by nearest rank, without sorting what is not needed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fwclass.features.moments import PERCENTILE, PERCENTILES
+from fwclass.kernel import kernel
+
+FEW = 48
+"""So many values are sorted by insertion; more are first thrown into buckets."""
+
+BUCKETS = 512
+
+
+@kernel
+def percentiles(z, low, high, values, count, moments):  # type: ignore[no-untyped-def]
+    """Set PERCENTILE … of `moments`: the values of rank ceil(p/100 · N), at least 1, of the whole numbers `z`.
+
+    `low` and `high` are the least and greatest of `z`; `values` int32 (len(z),) and `count` int64 (BUCKETS + 1,) are
+    scratch.
+    """
+    n = len(z)
+    if n <= FEW:
+        _insert(z, values)
+        for p in range(len(PERCENTILES)):
+            moments[PERCENTILE + p] = values[_rank(PERCENTILES[p], n)]
+        return
+    shift = 0
+    while (high - low) >> shift >= BUCKETS:
+        shift += 1
+    _throw(z, low, shift, values, count)
+    bucket = 0
+    for p in range(len(PERCENTILES)):
+        rank = _rank(PERCENTILES[p], n)
+        while count[bucket] <= rank:
+            bucket += 1
+        if shift > 0:
+            begin = count[bucket - 1] if bucket > 0 else 0
+            moments[PERCENTILE + p] = _select(values[begin : count[bucket]], rank - begin)
+        else:
+            moments[PERCENTILE + p] = low + bucket
+
+
+@kernel
+def _throw(z, low, shift, values, count):  # type: ignore[no-untyped-def]
+    """Put `z` to `values` by buckets of 2^shift from `low`; `count` gets the place behind each bucket.
+
+    Buckets of one value (`shift` 0) are counted and no more.
+    """
+    count[:] = 0
+    for k in range(len(z)):
+        count[np.uint64((np.int64(z[k]) - low) >> shift) + np.uint64(1)] += 1
+    for b in range(BUCKETS):
+        count[b + 1] += count[b]
+    if shift == 0:
+        count[:BUCKETS] = count[1:]
+        return
+    for k in range(len(z)):
+        value = np.int32(z[k])
+        own = np.uint64((np.int64(value) - low) >> shift)
+        values[np.uint64(count[own])] = value
+        count[own] += 1
+
+
+@kernel
+def _rank(p, n):  # type: ignore[no-untyped-def]
+    """Place of percentile `p` among `n` sorted values, from 0."""
+    return max((p * n + 99) // 100, 1) - 1
+
+
+@kernel
+def _insert(z, values):  # type: ignore[no-untyped-def]
+    for k in range(len(z)):
+        value = np.int32(z[k])
+        at = k
+        while at > 0 and values[at - 1] > value:
+            values[at] = values[at - 1]
+            at -= 1
+        values[at] = value
+
+
+@kernel
+def _select(values, rank):  # type: ignore[no-untyped-def]
+    """The value of `rank` (from 0); reorders `values` (Hoare's quickselect)."""
+    first, last = 0, len(values) - 1
+    while first < last:
+        pivot = values[(first + last) // 2]
+        i, j = first, last
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if rank <= j:
+            last = j
+        elif rank >= i:
+            first = i
+        else:
+            break
+    return values[rank]

@@ -1,0 +1,143 @@
+"""Features of spheres, vertical cylinders and spheres of the optimal radius around the core rows of a chunk."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.features.eigen import SHAPES
+from fwclass.features.gather import LANES, Points, most_in_window, window
+from fwclass.features.measures import CODE, needs
+from fwclass.features.moments import AREA, MOMENTS, STEP, packed_kinds, steps
+from fwclass.features.params import NORMAL, FeaturesParams
+from fwclass.features.percentiles import BUCKETS
+from fwclass.features.walk import BLOCK, STRIDE, Block, Grid, Scratch, Task, Values, walk
+from fwclass.schema import Scale, Table
+from fwclass.stage import Chunk
+
+Columns = dict[str, NDArray[np.float32]]
+
+CLASS = 4.0
+"""Radii of one walk differ by at most this factor: a small sphere is not looked for among a large cylinder's echoes."""
+
+POOL = 1 << 14
+"""At least so many neighbours are kept for the sums of a block and its second pass."""
+
+
+def spheres(chunk: Chunk, asked: Mapping[Scale, Sequence[str]], params: FeaturesParams) -> Columns:
+    """Features `asked` (bases by scale, kinds r, c and o) and the normals of the core rows, by name."""
+    made: Columns = {}
+    normals = Scale("r", round(params.normal_radius * 100))
+    plain = {scale: tuple(bases) for scale, bases in asked.items() if scale.kind in "rc"}
+    plain[normals] = (*plain.get(normals, ()), *NORMAL)
+    for kind in "rc":
+        for scales in size_classes(scale for scale in plain if scale.kind == kind):
+            made |= _walk(chunk, {scale: plain[scale] for scale in scales})
+    for scale, bases in asked.items():
+        if scale.kind == "o":
+            made |= optimal(chunk, bases, False, params)
+    return made
+
+
+def optimal(chunk: Chunk, bases: Sequence[str], wants_radius: bool, params: FeaturesParams) -> Columns:
+    """`bases` of the sphere of the optimal radius of each core row, and that radius itself (``optimal_radius``) [m].
+
+    It is the one of `params.optimal_radii` with the lowest eigenentropy, the smaller on a tie; those with fewer than
+    three echoes or all at one place do not count. NaN where none counts.
+
+    Source: Weinmann 2015.
+    """
+    radii = [round(radius * 1000) for radius in params.optimal_radii]
+    names = [f"{base}_opt" for base in bases]
+    out, chosen = _run(chunk, radii, "r", [(0, base) for base in bases], optimal=True)
+    made = dict(zip(names, out, strict=True))
+    return {**made, "optimal_radius": chosen} if wants_radius else made
+
+
+def size_classes(scales: Iterable[Scale]) -> list[list[Scale]]:
+    """Scales in groups that one walk takes, each of rising size."""
+    classes: list[list[Scale]] = []
+    for scale in sorted(scales, key=lambda s: s.size):
+        if classes and scale.size <= CLASS * classes[-1][0].size:
+            classes[-1].append(scale)
+        else:
+            classes.append([scale])
+    return classes
+
+
+def _walk(chunk: Chunk, asked: Mapping[Scale, Sequence[str]]) -> Columns:
+    scales = list(asked)
+    jobs = [(q, base) for q, scale in enumerate(scales) for base in asked[scale]]
+    out, _ = _run(chunk, [scale.size * 10 for scale in scales], scales[0].kind, jobs, optimal=False)
+    names = [base if base in NORMAL else f"{base}_{scales[q].suffix}" for q, base in jobs]
+    return dict(zip(names, out, strict=True))
+
+
+def _run(
+    chunk: Chunk, radii: Sequence[int], kind: str, jobs: Sequence[tuple[int, str]], optimal: bool
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """float32 (jobs, core rows) of the jobs (radius number, base), and the optimal radii [m]."""
+    out = np.full((len(jobs), len(chunk.core)), np.nan, np.float32)
+    chosen = np.full(len(chunk.core) if optimal else 0, np.nan, np.float32)
+    if len(chunk.core) == 0:
+        return out, chosen
+    task = _task(radii, kind, jobs, optimal)
+    points = Points.of(chunk.table, radii[-1])
+    half = window(points.cell, radii[-1])
+    most = int(most_in_window(points.start, points.ncols, points.nrows, half))
+    wanted = np.full(chunk.table.rows, -1, np.int32)
+    wanted[chunk.core] = np.arange(len(chunk.core), dtype=np.int32)
+    grid = Grid(
+        points.x, points.y, points.z, points.start, points.ncols, points.nrows, points.cell, half, wanted[points.order]
+    )
+    values = _values(chunk.table, points.order, [base for _, base in jobs])
+    scratch = Scratch.of(most, len(radii), BUCKETS)
+    walk(grid, values, task, scratch, _block(task, max(2 * most, POOL) + 2 * LANES), out, chosen)
+    return out, chosen
+
+
+def _task(radii: Sequence[int], kind: str, jobs: Sequence[tuple[int, str]], optimal: bool) -> Task:
+    every = needs(base for _, base in jobs)
+    own = [needs(base for q, base in jobs if q == at) for at in range(len(radii))]
+    size = np.array(radii, np.int64)
+    return Task(
+        radii=size,
+        limits=(size * size).astype(np.float64),
+        bounds=np.append((size[:-1] * size[:-1]).astype(np.float64), np.full(-(len(size) - 1) % 4, np.inf)),
+        cylinder=kind == "c",
+        optimal=optimal,
+        shape=np.array([optimal or need.shape for need in own]),
+        extent=np.array([need.extent for need in own]),
+        powers=every.powers,
+        among=every.cylinder,
+        ranks=every.percentiles,
+        jobs=np.array([(q, CODE[base], row) for row, (q, base) in enumerate(jobs)], np.int64).reshape(-1, 3),
+    )
+
+
+def _values(table: Table, order: NDArray[np.int32], bases: Iterable[str]) -> Values:
+    need = needs(bases)
+    kinds = np.empty(0, np.int64)
+    if need.kinds:
+        kinds = packed_kinds(table["echo_number"][order], table["number_of_echoes"][order])
+    none = np.empty(0)
+    return Values(
+        kinds,
+        steps(table["amplitude"][order], STEP) if need.amplitude else none,
+        steps(table["width"][order], STEP) if need.width else none,
+        steps(table["intensity"][order], 1.0) if need.intensity else none,
+    )
+
+
+def _block(task: Task, room: int) -> Block:
+    """Room for the neighbourhoods of a block of echoes, `room` neighbours in all."""
+    count = len(task.radii)
+    moments = np.zeros((count, MOMENTS, STRIDE))
+    moments[:, AREA] = (np.pi * (task.radii * 0.001) ** 2)[:, None]
+    x, y, z = (np.empty(room, np.float32) for _ in range(3))
+    return Block(
+        x, y, z, np.empty(room, np.uint32), np.zeros(BLOCK, np.int64), np.zeros((BLOCK, count), np.int64),
+        np.zeros(BLOCK, np.uint64), moments, np.full((count, SHAPES, STRIDE), np.nan), np.empty(BLOCK, np.float32),
+    )  # fmt: skip

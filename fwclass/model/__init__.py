@@ -1,0 +1,32 @@
+"""Classes, the sample matrix and trained models: arrays and a card without code, safe from a stranger."""
+
+from __future__ import annotations
+
+from fwclass.model.base import FORMAT, LEAF, Model
+from fwclass.model.boosted import Boosted, scores_of
+from fwclass.model.classes import ClassDef, class_index, code_index, sample_matrix
+from fwclass.model.forest import Forest, Tree, assemble
+from fwclass.model.machines import KernelMachine, LinearMachine, Machine, Preparation
+
+__all__ = [
+    "FORMAT",
+    "KINDS",
+    "LEAF",
+    "Boosted",
+    "ClassDef",
+    "Forest",
+    "KernelMachine",
+    "LinearMachine",
+    "Machine",
+    "Model",
+    "Preparation",
+    "Tree",
+    "assemble",
+    "class_index",
+    "code_index",
+    "sample_matrix",
+    "scores_of",
+]
+
+KINDS: dict[str, type[Model]] = {m.kind: m for m in (Forest, Boosted, LinearMachine, KernelMachine)}
+"""Every kind of model, by the name that its card has."""

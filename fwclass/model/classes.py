@@ -1,0 +1,85 @@
+"""The classes of a survey, and the sample matrix that every model decides by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import ConfigError
+from fwclass.schema import Table, require
+
+
+@dataclass(frozen=True)
+class ClassDef:
+    """One class of a survey.
+
+    Attributes
+    ----------
+    name : the word for it in reports.
+    code : the ASPRS code that the classifier writes.
+    codes : the reference codes that count as this class.
+    """
+
+    name: str
+    code: int
+    codes: tuple[int, ...]
+
+
+def class_index(codes: NDArray[np.uint8], classes: Sequence[ClassDef]) -> NDArray[np.int16]:
+    """Index into `classes` of every reference code (any shape); -1 for a code that no class counts.
+
+    `ConfigError` if a code is outside 0..255 or counts as two classes.
+    """
+    table = np.full(256, -1, np.int16)
+    for index, one in enumerate(classes):
+        for code in one.codes:
+            _claim(table, code, index, classes)
+    return table[np.asarray(codes, np.uint8)]
+
+
+def code_index(codes: NDArray[np.uint8], classes: Sequence[ClassDef]) -> NDArray[np.int16]:
+    """Index into `classes` of every code that a prediction holds; -1 for a code that means none of them.
+
+    A class is known by the `code` that the classifier writes; another program's prediction may also hold any of
+    its reference `codes`, unless that is the `code` of another class.
+    """
+    table = np.full(256, -1, np.int16)
+    for index, one in enumerate(classes):
+        _claim(table, one.code, index, classes)
+    reference = class_index(np.arange(256, dtype=np.uint8), classes)
+    return np.where(table >= 0, table, reference)[np.asarray(codes, np.uint8)]
+
+
+def _claim(table: NDArray[np.int16], code: int, index: int, classes: Sequence[ClassDef]) -> None:
+    if not 0 <= code <= 255:
+        raise ConfigError(
+            f"class {classes[index].name!r} has an impossible code",
+            expected="0 to 255",
+            got=code,
+            where="classes",
+        )
+    if table[code] not in (-1, index):
+        raise ConfigError(
+            f"code {code} stands for two classes",
+            where="classes",
+            got=f"{classes[table[code]].name!r} and {classes[index].name!r}",
+            do="give every code to one class",
+        )
+    table[code] = index
+
+
+def sample_matrix(features: Table, names: Iterable[str], where: object = "features") -> NDArray[np.float32]:
+    """Columns `names` of `features` as float32 (rows, names), in C order; infinite values become NaN.
+
+    `InputError` naming the first column that is missing.
+    """
+    names = tuple(names)
+    require(features, names, where)
+    out = np.empty((features.rows, len(names)), np.float32)
+    for k, name in enumerate(names):
+        out[:, k] = features[name]
+    out[np.isinf(out)] = np.nan
+    return out

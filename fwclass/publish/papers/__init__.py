@@ -1,0 +1,1 @@
+"""Pages that set a run's figures beside those of a paper."""

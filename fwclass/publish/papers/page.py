@@ -1,0 +1,57 @@
+"""The page of a paper: one HTML file, styles inside, images as data, nothing from the network."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from fwclass.publish.files import whole
+from fwclass.publish.papers.fan import fan_view
+from fwclass.publish.papers.tables import VERDICTS
+from fwclass.publish.papers.xiong import xiong_view
+from fwclass.publish.report import TEMPLATE as REPORT
+from fwclass.publish.report import data_uri, environment
+
+VIEWS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {"fan2013": fan_view, "xiong2018": xiong_view}
+
+
+def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) -> dict[str, Any]:
+    """Write the page of ``facts["paper"]``; every text is escaped.
+
+    Parameters
+    ----------
+    facts : what `run.papers` gathers.
+    picture : PNG of the class map, or None.
+
+    Returns
+    -------
+    dict with ``path, bytes``.
+    """
+    name = str(facts["paper"])
+    view = {
+        "style": _style(), "survey": facts["survey"], "version": facts["fwclass"], "citation": facts["citation"],
+        "doi": facts["doi"], "data": facts["data"], "notes": list(facts["notes"]), "claims": _claims(facts),
+        "map": data_uri(picture) if picture else "", **VIEWS[name](facts),
+    }  # fmt: skip
+    page = environment().get_template(f"papers/{name}.html.j2").render(view)
+    with whole(path) as beside:
+        beside.write_text(page, encoding="utf-8", newline="\n")
+        size = beside.stat().st_size
+    return {"path": str(path), "bytes": size}
+
+
+def _claims(facts: Mapping[str, Any]) -> dict[str, Any]:
+    rows = [{**c, "badge": VERDICTS[c["verdict"]]} for c in facts["claims"]]
+    count = {v: sum(r["verdict"] == v for r in rows) for v in VERDICTS}
+    words = {"holds": "hold", "does not hold": "do not hold", "not comparable": "cannot be compared"}
+    told = ", ".join(f"{n} {v if n == 1 and v != 'not comparable' else words[v]}" for v, n in count.items() if n)
+    return {"rows": rows, "told": told}
+
+
+def _style() -> str:
+    """The style of the run's report."""
+    text = (Path(__file__).parents[1] / REPORT).read_text(encoding="utf-8")
+    found = re.search(r"<style>(.*?)</style>", text, re.S)
+    return found[1] if found else ""

@@ -1,0 +1,87 @@
+"""Tables that all papers' pages have: confusion matrices beside the paper's, accuracies with their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fwclass.publish.sections import accuracy as matrix_of
+from fwclass.publish.sections import number, percent
+
+VERDICTS = {"holds": "badge", "does not hold": "badge bad", "not comparable": "badge open"}
+"""Style of every verdict."""
+
+MINUS = "\u2212"
+
+
+def seconds_of(value: float | None) -> str:
+    """Seconds with the digits that count."""
+    if value is None:
+        return "–"
+    return f"{value:.0f} s" if value >= 100 else f"{value:.1f} s" if value >= 1 else f"{value:.2f} s"
+
+
+def ours(made: Mapping[str, Any]) -> dict[str, str]:
+    """Overall accuracy, kappa and mean IoU, with their intervals where known."""
+    spans = made.get("intervals") or {}
+    told = {}
+    for key, digits in (("overall_accuracy", 1), ("mean_iou", 1), ("kappa", 3)):
+        value, span = made.get(key), spans.get(key)
+        scale = 1 if key == "kappa" else 100
+        told[key] = "–" if value is None else f"{scale * value:.{digits}f}"
+        told[f"{key}_span"] = f"{scale * span[0]:.{digits}f}–{scale * span[1]:.{digits}f}" if span else ""
+    return told
+
+
+def matrices(
+    made: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], printed: Sequence[Sequence[int]] | None
+) -> dict[str, Any]:
+    """Our confusion matrix, and the paper's in the same dress; the paper's classes are in the order of ours."""
+    names = [str(n) for n in made["classes"]]
+    return {
+        "ours": matrix_of(made, classes),
+        "paper": matrix_of(_printed(printed, names), classes) if printed and len(printed) == len(names) else None,
+    }
+
+
+def _printed(confusion: Sequence[Sequence[int]], names: Sequence[str]) -> dict[str, Any]:
+    """Figures of a printed matrix, rows reference."""
+    n = len(names)
+    right = [confusion[k][k] for k in range(n)]
+    rows, columns = [sum(r) for r in confusion], [sum(confusion[i][j] for i in range(n)) for j in range(n)]
+    total = sum(rows)
+    chance = sum(r * c for r, c in zip(rows, columns, strict=True)) / total**2
+    agreed = sum(right) / total
+    return {
+        "classes": list(names), "confusion": [list(r) for r in confusion], "overall_accuracy": agreed,
+        "kappa": (agreed - chance) / (1 - chance),
+        "producers_accuracy": [a / b for a, b in zip(right, rows, strict=True)],
+        "users_accuracy": [a / b for a, b in zip(right, columns, strict=True)],
+        "iou": [a / (b + c - a) for a, b, c in zip(right, rows, columns, strict=True)],
+    }  # fmt: skip
+
+
+def difference(one: Mapping[str, Any], digits: int = 2) -> dict[str, str]:
+    """Gain and interval of a comparison by figure, in points (kappa: of 100 too)."""
+    told = {}
+    for key in ("overall_accuracy", "kappa", "mean_iou"):
+        part = one[key]
+        told[key] = signed(part["value"], digits)
+        told[f"{key}_span"] = (
+            f"[{signed(part['low'], digits)}, {signed(part['high'], digits)}]" if part["low"] is not None else "–"
+        )
+    return told
+
+
+def signed(value: float, digits: int = 2) -> str:
+    """A fraction in points with its sign."""
+    return f"{100 * value:+.{digits}f}".replace("-", MINUS)
+
+
+def rows_table(rows: Mapping[str, Sequence[int]]) -> list[tuple[str, str, str]]:
+    """(class, training rows, test echoes)."""
+    return [(name, number(a), number(b)) for name, (a, b) in rows.items()]
+
+
+def share(value: float | None) -> str:
+    return percent(value) or "–"

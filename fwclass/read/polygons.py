@@ -1,0 +1,175 @@
+"""Polygons with a class field: GeoParquet, GeoPackage, GeoJSON or Shapefile, in the survey's coordinate system."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS, Transformer
+from pyproj.exceptions import ProjError
+
+from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.read import geoparquet, vector
+from fwclass.read.wkb import Shapes, shapes
+
+PARQUET = (".parquet", ".geoparquet")
+MOST_DEGREES = 361.0
+"""No longitude is beyond, with some slack for areas over the date line."""
+
+
+@dataclass(frozen=True)
+class PolygonLayer:
+    """A layer of polygons that was opened and found readable.
+
+    `fields`: type by name. `crs`: `pyproj.CRS`, or None where the file names none. `column`: of the geometries, in
+    GeoParquet.
+    """
+
+    path: Path
+    layer: str
+    fields: Mapping[str, str]
+    crs: Any
+    features: int
+    geometry: str
+    column: str | None = None
+
+    @property
+    def files(self) -> list[Path]:
+        """The file and those that belong to it."""
+        return vector.files_of(self.path)
+
+
+def is_polygon_file(path: str | Path) -> bool:
+    """By the name's ending."""
+    return Path(path).suffix.lower() in (*PARQUET, *vector.FORMATS)
+
+
+def layers(path: Path) -> list[str]:
+    """Names of the file's layers."""
+    return [path.stem] if path.suffix.lower() in PARQUET else vector.layers(path)
+
+
+def open_polygons(path: Path, layer: str | None = None) -> PolygonLayer:
+    """Look at a layer without reading its rows.
+
+    Raises
+    ------
+    InputError
+        No file of a known format, or one that cannot be read.
+    ConfigError
+        The layer is not there, or has to be named.
+    """
+    if not is_polygon_file(path):
+        raise InputError(
+            "this is no polygon file", where=path, expected="GeoParquet, GeoPackage, GeoJSON or Shapefile (.shp)",
+            got=path.suffix or "no ending", do="convert it, for example with ogr2ogr",
+        )  # fmt: skip
+    if path.suffix.lower() in PARQUET:
+        return PolygonLayer(path, **geoparquet.header(path))
+    return PolygonLayer(path, **vector.header(path, layer))
+
+
+def check_field(opened: PolygonLayer, field: str) -> None:
+    """`ConfigError` where the layer lacks the class field, `InputError` where it holds nothing."""
+    if opened.features == 0:
+        raise InputError(
+            "the polygon file is empty", where=opened.path, expected="at least one polygon", got="no feature",
+            do="check the export of the polygons, and survey.reference.layer",
+        )  # fmt: skip
+    if field not in opened.fields:
+        raise ConfigError(
+            "the polygons have no such field",
+            where=f"{opened.path}: survey.reference.field",
+            expected=", ".join(opened.fields) or "a field with the class",
+            got=field,
+            do=nearest(field, opened.fields) if opened.fields else "add a field with the class of every polygon",
+        )
+
+
+def source_crs(opened: PolygonLayer, given: CRS | None, survey: CRS | None) -> CRS | None:
+    """The system that the polygons' coordinates are in: the one given, else the file's own.
+
+    None where the survey has none either: they are taken as they are. `InputError` where it is unknown.
+    """
+    crs = given or opened.crs
+    if crs is None and survey is not None:
+        raise InputError(
+            "the coordinate system of the polygons is unknown",
+            where=opened.path,
+            expected="a CRS in the file, or survey.reference.crs in the configuration",
+            got="neither",
+            do="--set survey.reference.crs=EPSG:<code>",
+        )
+    return crs if survey is not None else None
+
+
+def read_polygons(opened: PolygonLayer, field: str | None) -> tuple[list[Any], Shapes]:
+    """Value of `field` of every feature (no values without a field), and the polygons, as the file has them."""
+    if opened.column is not None:
+        values, geometries = geoparquet.rows(opened.path, opened.column, field)
+    else:
+        values, geometries = vector.rows(opened.path, opened.layer, field)
+    return values, shapes(geometries, opened.path)
+
+
+def values_of(opened: PolygonLayer, field: str) -> list[Any]:
+    """Value of `field` of every feature."""
+    if opened.column is not None:
+        return geoparquet.column(opened.path, field)
+    return vector.column(opened.path, opened.layer, field)
+
+
+def reprojected(made: Shapes, source: CRS, target: CRS, where: object) -> tuple[Shapes, str]:
+    """`made` in `target`, and how it was done in words ("" where nothing had to be).
+
+    Only the corners move: an edge stays straight. `InputError` where a corner has no place in `target`.
+    """
+    _check_degrees(made, source, where)
+    if source.equals(target, ignore_axis_order=True) or _flat(source).equals(_flat(target), ignore_axis_order=True):
+        return made, ""
+    transformer = Transformer.from_crs(_flat(source), _flat(target), always_xy=True)
+    try:
+        x, y = transformer.transform(made.x, made.y)
+    except ProjError as fault:
+        raise _homeless(where, 0, str(fault)) from fault
+    x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    lost = np.flatnonzero(~(np.isfinite(x) & np.isfinite(y)))
+    if len(lost):
+        ring = int(np.searchsorted(made.ring_start, lost[0], "right")) - 1
+        part = int(np.searchsorted(made.part_start, ring, "right")) - 1
+        at = f"{made.x[lost[0]]:.10g}, {made.y[lost[0]]:.10g}"
+        raise _homeless(where, int(made.feature[part]) + 1, at)
+    accuracy = transformer.accuracy
+    sure = f", to {accuracy:g} m" if accuracy is not None and accuracy > 0 and math.isfinite(accuracy) else ""
+    return replace(made, x=x, y=y), f"from {source.name} to {target.name}{sure}"
+
+
+def _flat(crs: CRS) -> CRS:
+    """The horizontal part."""
+    return CRS(crs.sub_crs_list[0]) if crs.is_compound else crs.to_2d()
+
+
+def _check_degrees(made: Shapes, source: CRS, where: object) -> None:
+    if not source.is_geographic or not len(made.x):
+        return
+    most = max(float(np.abs(made.x).max()), float(np.abs(made.y).max()))
+    if most > MOST_DEGREES:
+        raise InputError(
+            "the polygons' coordinates are not the degrees that the file speaks of",
+            where=where, expected=f"degrees of {source.name}", got=f"coordinates up to {most:.1f}",
+            do="name the system they are in: --set survey.reference.crs=EPSG:<code>",
+        )  # fmt: skip
+
+
+def _homeless(where: object, number: int, got: str) -> InputError:
+    return InputError(
+        "a polygon cannot be brought into the survey's coordinate system",
+        where=f"{where}: feature {number}" if number else where,
+        expected="coordinates where both systems are defined",
+        got=got,
+        do="check the coordinate system of the polygons (survey.reference.crs)",
+    )

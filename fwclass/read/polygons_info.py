@@ -1,0 +1,96 @@
+"""What a file of polygons holds: layers, fields, the values of fields that may be a class, and what is wrong."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from fwclass.errors import InputError
+from fwclass.read.polygons import PolygonLayer, layers, open_polygons, read_polygons, values_of
+
+MOST_VALUES = 40
+"""A field with more values than this is no class field."""
+
+MAX_TABLE = 1_000_000
+"""Features of a layer whose values are counted."""
+
+
+def polygon_info(path: Path) -> dict[str, Any]:
+    """Contents and faults of a polygon file as plain data for JSON.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    if not path.is_file():
+        raise InputError("no such file", where=path, do="check the path")
+    found, faults = [], []
+    for name in layers(path):
+        about, wrong = _layer(open_polygons(path, name))
+        found.append(about)
+        faults += [f"{name}: {fault}" for fault in wrong]
+    if not found:
+        faults.append("no layer with geometries")
+    return {"path": str(path), "size": path.stat().st_size, "layers": found, "faults": faults}
+
+
+def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
+    crs, faults = opened.crs, []
+    if crs is None:
+        faults.append("no coordinate system: name one as survey.reference.crs")
+    bounds = None
+    if 0 < opened.features <= MAX_TABLE:
+        try:
+            _, shapes = read_polygons(opened, None)
+        except InputError as fault:
+            faults.append(f"{fault.what} ({fault.where.rsplit(': ', 1)[-1]}: {fault.got})")
+        else:
+            if shapes.parts:
+                x, y = shapes.x, shapes.y
+                bounds = [float(x.min()), float(y.min()), float(x.max()), float(y.max())]
+            if shapes.invalid:
+                faults.append(f"{shapes.invalid} polygons with rings that are not closed or have too few points")
+            if shapes.empty:
+                faults.append(f"{shapes.empty} features without a polygon")
+    about = {
+        "name": opened.layer,
+        "features": opened.features,
+        "geometry": opened.geometry,
+        "crs": {"name": crs.name, "epsg": crs.to_epsg(), "projected": bool(crs.is_projected)} if crs else None,
+        "bounds": bounds,
+        "fields": dict(opened.fields),
+        "values": _values(opened) if 0 < opened.features <= MAX_TABLE else {},
+    }
+    return about, faults
+
+
+def _values(opened: PolygonLayer) -> dict[str, dict[str, int]]:
+    """How many features have which value, of every field with few of them."""
+    found = {}
+    for field in opened.fields:
+        counts = Counter("no value" if v is None or v != v else str(v) for v in values_of(opened, field))
+        if len(counts) <= MOST_VALUES:
+            found[field] = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+    return found
+
+
+def describe_polygons(found: dict[str, Any]) -> str:
+    """`polygon_info` for a terminal."""
+    rows = [("file", f"{found['path']}  ({found['size']:,} bytes)"), ("format", "polygons")]
+    for layer in found["layers"]:
+        crs, box = layer["crs"], layer["bounds"]
+        code = f" (EPSG:{crs['epsg']})" if crs and crs["epsg"] else ""
+        rows += [
+            ("layer", f"{layer['name']}: {layer['features']:,} features, {layer['geometry']}"),
+            ("CRS", f"{crs['name']}{code}" if crs else "none"),
+            ("bounds", "x {0:.10g} to {2:.10g}, y {1:.10g} to {3:.10g}".format(*box) if box else "none"),
+        ]
+        for name, kind in layer["fields"].items():
+            values = layer["values"].get(name)
+            text = ", ".join(f"{v}: {n:,}" for v, n in values.items()) if values else f"more than {MOST_VALUES} values"
+            rows.append(("field", f"{name} ({kind})  {text}"))
+    lines = [f"{name:<12} {text}" for name, text in rows]
+    lines += [f"  ! {fault}" for fault in found["faults"]] or ["  no faults found"]
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""`fwclass features`: the features of every echo of one file, and the lists of what there is."""

@@ -1,0 +1,37 @@
+"""Files that a survey names, and the places that they cover."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterable
+from pathlib import Path
+
+from fwclass.errors import InputError
+from fwclass.grid import Box
+
+
+def found_files(patterns: Iterable[str], directory: Path, setting: str, where: Path) -> list[Path]:
+    """Files that match, sorted by name; a pattern without a match is an error."""
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        wanted = str(Path(glob.escape(str(directory))) / pattern)
+        matches = sorted(p for p in map(Path, glob.glob(wanted, recursive=True)) if p.is_file())  # noqa: PTH207
+        if not matches:
+            raise InputError(
+                "no file matches",
+                where=f"{setting} in {where}",
+                expected=f"files like {pattern}",
+                got=f"none in {directory}",
+                do=f"check {setting} and survey.directory (--set survey.directory=...)",
+            )
+        found |= dict.fromkeys(matches)
+    return sorted(found, key=lambda p: (p.name, p))
+
+
+def joint_bounds(bounds: Iterable[tuple[float, ...]]) -> Box:
+    rows = list(bounds)
+    return Box(min(b[0] for b in rows), min(b[1] for b in rows), max(b[3] for b in rows), max(b[4] for b in rows))
+
+
+def box_text(box: Box) -> str:
+    return "[" + ", ".join(f"{v:.1f}" for v in box.bounds) + "]"

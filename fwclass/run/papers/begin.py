@@ -1,0 +1,47 @@
+"""What the papers' workflows check and prepare before they run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError
+from fwclass.run.road import Road
+from fwclass.schema import split_name
+
+
+def require_whole(config: Config, tiles: frozenset[str] | None, workflow: str) -> None:
+    """`ConfigError` where the figures of a paper cannot be made."""
+    if tiles is not None:
+        raise ConfigError(
+            f"--workflow {workflow} tells figures of the whole survey", where="--tiles", do="leave --tiles out"
+        )
+    if config.survey.model is not None:
+        raise ConfigError(
+            f"--workflow {workflow} trains its own models", where=f"{config.path}: survey.model", do="set it to null"
+        )
+
+
+def beside(road: Road) -> Road:
+    """A road on the same run whose parts do not count in the report: what is asked for once more, or aside."""
+    return Road(road.root, road.executor, road.display)
+
+
+def base_of(name: str) -> str:
+    """A feature's name without its scale."""
+    try:
+        return split_name(name)[0]
+    except KeyError:
+        return name
+
+
+def features_like(config: Config, bases: Iterable[str]) -> tuple[str, ...]:
+    """The survey's features, and those that it computes besides, that a paper has too, in the paper's order."""
+    known = tuple(dict.fromkeys((*config.features_asked, *config.features.also)))
+    found = tuple(n for b in bases for n in known if base_of(n) == b)
+    if len(found) < 2:
+        raise ConfigError(
+            "the survey has too few features of the paper", where=f"{config.path}: survey.features",
+            expected=", ".join(bases), got=", ".join(known),
+        )  # fmt: skip
+    return found

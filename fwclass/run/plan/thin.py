@@ -1,0 +1,57 @@
+"""Parts of a thinned run (Xiong 2018): which echoes are sampled, and classes from the nearest sampled echo."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from fwclass.classify.stage import CLASSIFY
+from fwclass.conf import Config
+from fwclass.run.part import Name, Task
+from fwclass.run.plan.layout import Layout, needs_of, plain
+from fwclass.run.work import thin
+from fwclass.thin.sample import THIN
+
+
+def thins(config: Config) -> bool:
+    """Only a share of the echoes is classified."""
+    return config.thin.rate < 1.0
+
+
+def thin_columns(config: Config) -> dict[str, str]:
+    """The column that says which echoes count, and its stage; nothing where all do."""
+    return {"sampled": THIN.name} if thins(config) else {}
+
+
+def thin_tasks(layout: Layout) -> list[Task]:
+    """Which echoes of every tile are sampled; none where all are."""
+    config, made = layout.config, []
+    if not thins(config):
+        return []
+    halo = THIN.halo(config.thin)
+    columns = dict.fromkeys(THIN.reads, "tile")
+    for tile in layout.tiles:
+        present = layout.around(tile.box.grown(halo), layout.keys)
+        work = partial(thin.thinned, tile, halo, present, config.thin)
+        needs = needs_of(columns, present)
+        made.append(Task(THIN.name, tile.key, THIN.version, plain(config.thin), work, needs=needs))
+    return made
+
+
+def follow_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, str] | None) -> list[Task]:
+    """classify, of a thinned run."""
+    config, made = layout.config, []
+    columns, shares = layout.columns(names), config.classify.probabilities
+    trained: tuple[Name, ...] = () if model else (("train", "model"),)
+    params = {"features": list(names), "probabilities": shares, "reach": config.thin.reach, "thin": THIN.version}
+    for tile in layout.tiles:
+        present = layout.around(tile.box.grown(config.thin.reach), layout.keys)
+        made.append(
+            Task(
+                "classify", tile.key, CLASSIFY.version, params,
+                partial(thin.classified, tile, columns, present, model, shares, config.thin.reach),
+                needs=(*needs_of({**columns, **thin_columns(config)}, present), *trained),
+                external=(("model", model[1]),) if model else (),
+            )
+        )  # fmt: skip
+    return made

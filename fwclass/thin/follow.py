@@ -1,0 +1,44 @@
+"""Every echo takes what its nearest sampled echo has."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.neighbours import nearest_within
+
+Places = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+DOUBLINGS = 5
+"""The search begins at reach / 2^5 and doubles: most echoes are near to a sampled one, and a narrow search is quick."""
+
+
+def taken_from(points: Places, sampled: NDArray[np.bool_], reach: float) -> NDArray[np.int64]:
+    """For each of `points` the place, among the sampled ones, of the one that it follows: a sampled one itself.
+
+    -1 where none is within `reach` [m].
+    """
+    made = np.empty(len(sampled), np.int64)
+    made[sampled] = np.arange(int(sampled.sum()))
+    others = ~sampled
+    x, y, z = points
+    made[others] = follow((x[others], y[others], z[others]), (x[sampled], y[sampled], z[sampled]), reach)
+    return made
+
+
+def follow(points: Places, sampled: Places, reach: float) -> NDArray[np.int64]:
+    """For each of `points` (x, y, z) [m] the row of the nearest of `sampled` within `reach` [m], -1 if none.
+
+    Exact; of equally near ones the one whose cell of the global grid comes first, then the lower row.
+    """
+    found = np.full(len(points[0]), -1, np.int64)
+    left = np.arange(len(found))
+    for k in range(DOUBLINGS, -1, -1):
+        if len(left) == 0:
+            break
+        limit = reach if k == 0 else max(0.001, round(reach / 2**k, 3))
+        near, _ = nearest_within((points[0][left], points[1][left], points[2][left]), sampled, limit)
+        hit = near >= 0
+        found[left[hit]] = near[hit]
+        left = left[~hit]
+    return found

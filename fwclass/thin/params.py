@@ -1,0 +1,24 @@
+"""Parameters of the thinning."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from fwclass.stage import Params
+
+
+class ThinParams(Params):
+    """Numbers and sources stand in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    seed : of the first echo that a cell keeps.
+    rate : share of the echoes that features are computed for and the classifier is asked about; 1 is all.
+    cell : edge of the cells of the global grid in which every so-manieth echo is kept [m].
+    reach : no echo is further than this from a kept one; as many more are kept as that takes [m].
+    """
+
+    seed: int = Field(ge=0)
+    rate: float = Field(gt=0, le=1)
+    cell: float = Field(gt=0)
+    reach: float = Field(gt=0)

@@ -1,0 +1,36 @@
+"""The rows that a tree grows from: a bootstrap, or a share without replacement."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.hashing import below, seeded
+from fwclass.kernel import kernel
+from fwclass.train.params import TrainParams
+
+
+@kernel
+def draw_bag(state, draws, weight):  # type: ignore[no-untyped-def]
+    """Draw rows with replacement; `weight` (rows,) int32 counts how often each was drawn."""
+    weight[:] = 0
+    for _ in range(draws):
+        weight[below(state, len(weight))] += 1
+
+
+@kernel
+def draw_share(state, draws, weight):  # type: ignore[no-untyped-def]
+    """Draw rows without replacement: every row by the odds that the rest must still be filled (Knuth 1997, 3.4.2 S)."""
+    wanted = draws
+    for i in range(len(weight)):
+        weight[i] = 1 if below(state, len(weight) - i) < wanted else 0
+        wanted -= weight[i]
+
+
+def bag(rows: int, tree: int, params: TrainParams) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
+    """How often every row was drawn for `tree`, and the generator's state after that."""
+    state = np.array([seeded(params.seed, tree + 1)], np.uint64)
+    weight = np.zeros(rows, np.int32)
+    draws = max(1, round(rows * params.bagging))
+    (draw_bag if params.replacement else draw_share)(state, draws, weight)
+    return weight, state

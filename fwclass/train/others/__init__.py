@@ -1,0 +1,1 @@
+"""Classifiers of other kinds, trained by scikit-learn, for comparison."""

@@ -1,0 +1,58 @@
+"""What a support vector machine needs of its sample: fewer rows, no gaps, features of one size."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.model import Preparation
+from fwclass.train.sample import Sample
+
+
+def preparation(X: NDArray[np.float32], scaling: str) -> Preparation:
+    """Medians that stand for missing values, and shift and scale of every feature, of the training rows `X`.
+
+    A feature without any value gets 0 for its median; one that does not vary keeps its scale.
+    """
+    fill = np.array([_median(column) for column in X.T])
+    wide = np.where(np.isnan(X), fill, X).astype(np.float64)
+    if scaling == "standard":
+        shift, scale = wide.mean(axis=0), wide.std(axis=0)
+    else:
+        shift, scale = wide.min(axis=0), np.ptp(wide, axis=0)
+    return Preparation(fill, shift, np.where(scale > 0, scale, 1.0))
+
+
+def _median(column: NDArray[np.float32]) -> float:
+    known = column[~np.isnan(column)]
+    return float(np.median(known.astype(np.float64))) if len(known) else 0.0
+
+
+def fewer(sample: Sample, rows: int) -> Sample:
+    """At most `rows` rows: of every class those with the smallest hashes, all classes alike as far as they reach."""
+    if sample.rows <= rows:
+        return sample
+    counts = np.sort(sample.counts[sample.counts > 0])
+    left, each = rows, 0
+    for k, count in enumerate(counts):
+        each = left // (len(counts) - k)
+        if count > each:
+            break
+        left -= int(count)
+    keep = []
+    for c in range(len(sample.eligible)):
+        mine = np.flatnonzero(sample.y == c)
+        keep.append(mine[np.argsort(sample.hash[mine], kind="stable")[: max(1, each)]])
+    return sample.take(np.sort(np.concatenate(keep)))
+
+
+def pieces(sample: Sample, folds: int) -> NDArray[np.int64]:
+    """A fold (rows,) for every row: each strip is cut into pieces of consecutive pulses, dealt out in turn.
+
+    Neighbouring echoes of a strip share a piece, so that a fold is not judged by the neighbours of its own rows.
+    """
+    count = 4 * folds
+    order = np.argsort(sample.key, kind="stable")
+    fold = np.empty(sample.rows, np.int64)
+    fold[order] = np.arange(sample.rows) * count // max(1, sample.rows) % folds
+    return fold

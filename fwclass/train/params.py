@@ -1,0 +1,59 @@
+"""Parameters of the sample, the forest and its importance; numbers and sources stand in `conf/base.yaml`."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from fwclass.stage import Params
+
+
+class TrainParams(Params):
+    """How the sample is drawn and the trees are grown.
+
+    Attributes
+    ----------
+    method : kind of classifier; the others are for comparison, and what only a forest has does not bind them.
+    split : thresholds that a node tries: `equal-width`, the node's range in `steps` (Fan 2013); `exact`, between
+        all its distinct values; `histogram`, between at most `bins` quantiles of the whole sample.
+    criterion : `entropy` (information gain) or `gini`.
+    features_per_split : `log2` is int(lb M + 1) (Fan 2013, eq. 4), `sqrt` int(√M), `all` M, or the number itself.
+    bagging, replacement : share of the sample that a tree draws, with replacement or without.
+    class_weights : `none`, `balanced` (rows / (classes × rows of the class)), or a weight per class name; a class
+        without one weighs 1.
+    importance_repeats : permutations of a feature and tree that the importance is measured by; 0 leaves it out.
+    """
+
+    method: Literal["forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting"]
+    seed: int = Field(ge=0)
+    samples_per_class: int = Field(ge=1)
+    trees: int = Field(ge=1, le=65535)
+    split: Literal["equal-width", "exact", "histogram"]
+    criterion: Literal["entropy", "gini"]
+    features_per_split: Literal["log2", "sqrt", "all"] | Annotated[int, Field(ge=1)]
+    steps: int = Field(ge=1, le=1000)
+    bins: int = Field(ge=2, le=255)
+    min_samples_split: int = Field(ge=2)
+    bagging: float = Field(gt=0, le=1)
+    replacement: bool
+    class_weights: Literal["none", "balanced"] | dict[str, Annotated[float, Field(gt=0)]]
+    importance_repeats: int = Field(ge=0, le=1000)
+
+    @model_validator(mode="after")
+    def _something_out_of_bag(self) -> Self:
+        if self.importance_repeats and self.bagging == 1 and not self.replacement:
+            raise ValueError("importance needs rows that a tree did not see: bagging below 1, or importance_repeats 0")
+        return self
+
+    def per_split(self, features: int) -> int:
+        """Features drawn at a node of a forest of so many."""
+        asked = self.features_per_split
+        if asked == "log2":
+            asked = int(math.log2(features) + 1)
+        elif asked == "sqrt":
+            asked = math.isqrt(features)
+        elif asked == "all":
+            asked = features
+        return min(features, asked)

@@ -1,0 +1,49 @@
+"""Feature sets: the shipped ones are what the papers list, a user's own are read and refused in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from fwclass import conf
+from fwclass.conf.sets import feature_set, shipped_sets
+from fwclass.errors import ConfigError
+from fwclass.schema import column
+
+
+def test_shipped_sets_are_of_declared_columns_and_have_the_papers_sizes():
+    sizes = {name: len(feature_set(name).features) for name in shipped_sets()}
+    assert (sizes["fan2013"], sizes["fan2013-six"], sizes["shi2019"], sizes["xiong2018"]) == (7, 6, 6, 127)
+    for name in shipped_sets():
+        names = feature_set(name).features
+        assert [column(feature).name for feature in names] == list(names)
+    assert set(feature_set("fan2013").features) - set(feature_set("fan2013-six").features) == {"backscatter"}
+
+
+def test_a_file_of_one_s_own_beside_the_survey(tmp_path):
+    (tmp_path / "mine.yaml").write_text("features: [zc]\neach:\n- {bases: [planarity, linearity], scales: [r50, k20]}")
+    want = ("zc", "planarity_r50", "linearity_r50", "planarity_k20", "linearity_k20")
+    assert feature_set("mine.yaml", tmp_path).features == want
+    assert feature_set(str(tmp_path / "mine.yaml")).features == want
+    assert feature_set(str(tmp_path / "mine.yaml")).name == "mine"
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("about: nothing", "without features"),
+        ("features: [zc, zc]", "twice"),
+        ("featurs: [zc]", "not a feature set"),
+        ("features: 3", "not a feature set"),
+        ("- zc", "mapping"),
+    ],
+)
+def test_a_faulty_file_is_refused(tmp_path, text, word):
+    (tmp_path / "bad.yaml").write_text(text)
+    with pytest.raises(ConfigError, match=word):
+        feature_set("bad.yaml", tmp_path)
+
+
+def test_an_unknown_set_names_who_asked_and_the_nearest():
+    with pytest.raises(ConfigError, match=r"survey\.features[\s\S]*xiong2018"):
+        conf.load("demo", ("survey.features=xiong2017",))
+    assert conf.load("demo", ("survey.features=xiong2018",)).features_asked[0] == "height_above_ground"

@@ -1,0 +1,225 @@
+"""Parts of the papers' pages: printed tables, texts that come from outside, what a page says in words."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fwclass.conf.papers import checked, paper
+from fwclass.errors import ConfigError
+from fwclass.publish.papers import plots, tables
+from fwclass.publish.papers.page import _claims
+from fwclass.run.papers import fan_claims, xiong_claims
+from fwclass.run.papers.xiong import importances, radii
+
+CLASSES = [{"name": "ground", "code": 2}, {"name": "building", "code": 6}, {"name": "vegetation", "code": 5}]
+
+
+def test_printed_tables_of_fan_agree_with_their_own_percentages() -> None:
+    """Rows are the reference: only then do the printed figures come out; the misprint of m = 3 is the one exception."""
+    printed = paper("fan2013")
+    for m, one in [*printed["splits"].items(), ("svm", printed["svm"])]:
+        matrix = np.array(one["confusion"])
+        assert 100 * np.trace(matrix) / matrix.sum() == pytest.approx(one["overall"], abs=0.1)
+        producers = 100 * np.diag(matrix) / matrix.sum(axis=1)
+        wrong = np.abs(producers - one["producers"]) > 0.11
+        assert wrong.tolist() == [False, False, m == "3"]
+    matrix = np.array(printed["splits"]["3"]["confusion"])
+    matrix[2, 1] = 438
+    assert matrix[2].sum() == np.array(printed["splits"]["4"]["confusion"])[2].sum()
+    assert 100 * matrix[2, 2] / matrix[2].sum() == pytest.approx(88.2, abs=0.05)
+
+
+def test_survivors_of_xiong_are_the_26_that_it_names() -> None:
+    printed = paper("xiong2018")
+    assert sum(map(len, printed["radii"].values())) + 1 == printed["selection"]["chosen"]
+    known = {base for group in printed["groups"].values() for base in group}
+    assert {base for bases in printed["radii"].values() for base in bases} <= known
+
+
+def test_every_printed_claim_is_tested() -> None:
+    assert list(paper("fan2013")["claims"]) == list(fan_claims.CLAIMS)
+    assert list(paper("xiong2018")["claims"]) == list(xiong_claims.CLAIMS)
+
+
+@pytest.mark.parametrize("name", ["fan2013", "xiong2018"])
+def test_a_text_cut_at_its_comma_is_refused(name: str) -> None:
+    """`{claim: Trees below, buildings above, figure: x}` is the key "buildings above" with null in YAML."""
+    printed = paper(name)
+    first = next(iter(printed["claims"]))
+    cut = {**printed, "claims": {**printed["claims"], first: {**printed["claims"][first], "buildings above": None}}}
+    with pytest.raises(ConfigError, match=f"claims.{first}.buildings above"):
+        checked(name, cut, "here")
+    with pytest.raises(ConfigError, match="tables"):
+        checked(name, {**printed, "tables": 1}, "here")
+
+
+def test_every_claim_of_fan_is_told_whole() -> None:
+    assert paper("fan2013")["claims"]["tree_ratio"]["claim"].endswith("that of buildings and ground 100 %")
+
+
+def test_a_printed_matrix_gets_the_figures_of_its_counts() -> None:
+    made = tables.matrices(
+        {"classes": ["a", "b"], "confusion": [[8, 2], [1, 9]], "kappa": 0.7}, CLASSES[:2], [[3, 1], [2, 4]]
+    )
+    told = dict(made["paper"]["totals"])
+    assert told["overall accuracy"] == "70.0 %"
+    assert told["kappa"] == "0.400"  # agreed 0.7, by chance 0.5
+    assert made["paper"]["rows"][0]["producers_accuracy"] == "75.0"
+    assert tables.matrices({"classes": ["a"], "confusion": [[1]]}, CLASSES[:1], [[3, 1], [2, 4]])["paper"] is None
+
+
+def test_differences_without_an_interval_say_so() -> None:
+    part = {"value": -0.01234, "low": None, "high": None}
+    told = tables.difference(dict.fromkeys(("overall_accuracy", "kappa", "mean_iou"), part))
+    assert (told["overall_accuracy"], told["overall_accuracy_span"]) == ("−1.23", "–")
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "told"),
+    [(["holds"], "1 holds"), (["holds", "holds", "not comparable"], "2 hold, 1 cannot be compared")],
+)
+def test_verdicts_are_counted_in_words(verdicts: list[str], told: str) -> None:
+    assert _claims({"claims": [{"verdict": v} for v in verdicts]})["told"] == told
+
+
+def _pair(value: float, low: float | None, high: float | None) -> dict:
+    return {"overall_accuracy": {"value": value, "low": low, "high": high}}
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [
+        (0.001, 0.02, "holds"),
+        (-0.001, 0.02, "does not hold"),
+        (-0.03, -0.01, "does not hold"),
+        (None, None, "not comparable"),
+    ],
+)
+def test_a_gain_holds_only_beyond_chance(low: float | None, high: float | None, verdict: str) -> None:
+    facts = {
+        "thesis": {"seeds": [1]}, "differences": {"with-1/without-1": _pair(0.01, low, high)},
+    }  # fmt: skip
+    assert fan_claims.CLAIMS["waveform"](facts)[1] == verdict
+    facts = {
+        "chosen": ["a"],
+        "candidates": ["a", "b"],
+        "differences": {"rf_selected/rf": _pair(0.01, low, high)},
+        "strategies": {k: {"overall_accuracy": 0.9} for k in ("rf_selected", "rf")},
+    }
+    assert xiong_claims.CLAIMS["selection_helps"](facts)[1] == verdict
+
+
+def test_a_selection_that_keeps_all_features_tells_nothing() -> None:
+    facts = {"chosen": ["a"], "candidates": ["a"], "differences": {"rf_selected/rf": _pair(0.0, 0.0, 0.0)}}
+    for name in ("selection_helps", "train_time", "test_time"):
+        assert xiong_claims.CLAIMS[name](facts)[1] == "not comparable"
+
+
+def test_without_waveforms_the_thesis_is_not_comparable() -> None:
+    assert fan_claims.CLAIMS["waveform"]({"thesis": None})[1] == "not comparable"
+
+
+def _xiong_facts(names: list[str]) -> dict:
+    """Facts of a run by `names`, all of equal worth; only what the claims on features look at."""
+    drop = {n: {"mean": 0.01, "std": 0.0} for n in names}
+    printed = paper("xiong2018")
+    return {
+        "candidates": names, "chosen": names, "printed": printed,
+        "importance": importances({"drop": drop, "repeats": 1}, printed["groups"]),
+        "radii": radii(names, names, printed["radii"]), "strategies": {"rf_selected": {"omission": {"ground": 0.1}}},
+        "thinning": {"lowest": 1.0, "steps": [{"rate": 1.0, "accuracy": 0.9}]},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("names", "claim", "why"),
+    [
+        (["zc", "amplitude"], "height_statistics", "height statistics"),
+        (["zc", "amplitude"], "echoes", "echoes"),
+        (["zc", "amplitude"], "nh_first", "height above ground"),
+        (["zc", "amplitude"], "larger_radii", "no candidate has a radius"),
+        (["zc", "egi_r50"], "larger_radii", "one radius"),
+        (["zc", "egi_r50"], "echoes", "too few kinds"),
+        (["height_above_ground"], "nh_first", "only candidate"),
+        (["zc", "amplitude"], "building_omission", "building"),
+        (["zc", "amplitude"], "thinning", "select.rates"),
+    ],
+)
+def test_claims_of_xiong_on_features_that_a_run_lacks_are_not_comparable(
+    names: list[str], claim: str, why: str
+) -> None:
+    told = xiong_claims.CLAIMS[claim](_xiong_facts(names))
+    assert told[1] == "not comparable"
+    assert why in told[2]
+
+
+@pytest.mark.parametrize(
+    ("names", "claims"),
+    [
+        (
+            ["inclination_r100", "echo_ratio_r50"],
+            ["zc_alone", "steps", "backscatter", "best_set", "ground_zc", "width"],
+        ),
+        (["zc", "echo_number", "echo_ratio_r50"], ["steps", "backscatter", "best_set", "slopes", "amplitude"]),
+        (["zc", "backscatter"], ["steps", "best_set", "tree_ratio"]),
+    ],
+)
+def test_claims_of_fan_on_features_that_a_run_lacks_are_not_comparable(names: list[str], claims: list[str]) -> None:
+    steps = [{"tried": [n], "accuracy": 0.5 + 0.1 * k} for k, n in enumerate(names)]
+    curve = {"steps": steps, "candidates": names, "chosen": names}
+    box = dict.fromkeys(("p5", "p25", "p50", "p75", "p95"), 1.0)
+    facts = {
+        "features": names, "classes": CLASSES, "printed": paper("fan2013"),
+        "selection": {"paper": curve, "best": curve},
+        "distribution": {n: {"ground": box, "building": box} for n in names}, "thesis": None,
+        "splits": {"2": {"overall_accuracy": 0.9}}, "every_feature": {"overall_accuracy": 0.9},
+    }  # fmt: skip
+    for claim in [*claims, "split", "waveform", "accuracy"]:
+        told = fan_claims.CLAIMS[claim](facts)
+        assert told[1] == "not comparable", claim
+        assert told[2]
+    if names[0] == "zc":
+        assert fan_claims.CLAIMS["zc_alone"](facts)[1] == "does not hold"
+
+
+def test_importances_are_scaled_to_the_first_and_summed_by_kind() -> None:
+    drop = {
+        "egi_r50": {"mean": 0.02, "std": 0.001}, "egi_r100": {"mean": 0.01, "std": None},
+        "height_above_ground": {"mean": 0.04, "std": 0.002},
+    }  # fmt: skip
+    made = importances({"drop": drop, "repeats": 2}, paper("xiong2018")["groups"])
+    assert [(r["name"], r["score"]) for r in made["rows"]] == [
+        ("height_above_ground", 100.0), ("egi_r50", 50.0), ("egi_r100", 25.0),
+    ]  # fmt: skip
+    assert made["groups"] == {"normalised height": 100.0, "echoes": 75.0}
+
+
+def test_survivors_are_counted_at_their_radius() -> None:
+    names = ["height_above_ground", "egi_r50", "egi_r100", "height_std_r100", "planarity_k20"]
+    made = radii(names, ["height_above_ground", "height_std_r100"], {"0.5": ["egi"], "1.0": [], "1.5": ["ebi"]})
+    assert [(r["radius"], r["ours"], r["of"], r["paper"]) for r in made] == [
+        (0.5, [], 1, ["egi"]), (1.0, ["height_std"], 2, []), (1.5, [], 0, ["ebi"]),
+    ]  # fmt: skip
+
+
+def test_plots_draw_what_is_missing_as_nothing_and_repeat_to_the_byte() -> None:
+    box = {"p5": 0.0, "p25": 1.0, "p50": 2.0, "p75": 3.0, "p95": 4.0}
+    made = {"zc": {"ground": box, "building": dict.fromkeys(box)}, "echo_ratio_r100": {"ground": box}}
+    first = plots.draw_distribution(made, paper("fan2013")["distribution"])
+    assert first == plots.draw_distribution(made, paper("fan2013")["distribution"])
+    assert Image.open(io.BytesIO(first)).size[0] > 800
+    part = {"value": 0.01, "low": None, "high": None}
+    found = dict.fromkeys(("overall_accuracy", "kappa", "mean_iou"), part)
+    assert plots.draw_thesis([("1", found)])[:4] == b"\x89PNG"
+
+
+def test_the_papers_are_shipped() -> None:
+    for name in ("fan2013", "xiong2018"):
+        template = Path(plots.__file__).with_name(f"{name}.html.j2")
+        assert template.is_file()
+        assert paper(name)["doi"].startswith("10.")

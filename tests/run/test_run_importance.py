@@ -1,0 +1,47 @@
+"""The parts that weigh features join to what the whole forest gives, and the model's card holds it."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import yaml
+
+from fwclass.model import ClassDef
+from fwclass.run.work import forest
+from fwclass.store.arrays import read_arrays
+from fwclass.store.models import load_model
+from fwclass.train.importance import importance
+from fwclass.train.sample import Sample
+from fwclass.train.stage import TrainParams, grow_trees
+
+BASE = yaml.safe_load((Path(__file__).resolve().parents[2] / "conf" / "base.yaml").read_text())["train"]
+CLASSES = (ClassDef("ground", 2, (2,)), ClassDef("tree", 5, (5,)))
+NAMES = ("zc", "width", "amplitude")
+
+
+def test_importance_in_parts(tmp_path):
+    r = np.random.default_rng(1)
+    y = r.integers(0, 2, 300).astype(np.uint8)
+    X = (r.normal(size=(300, 3)) + y[:, None] * [2, 0.5, 0]).astype(np.float32)
+    key = np.arange(300, dtype=np.uint64)
+    sample = Sample(NAMES, X, y, key, key, np.bincount(y))
+    params = TrainParams(**{**BASE, "trees": 4, "importance_repeats": 3})
+
+    def path(stage, part, name=""):
+        (tmp_path / stage / part).mkdir(parents=True, exist_ok=True)
+        return tmp_path / stage / part / name
+
+    desk = SimpleNamespace(
+        store=SimpleNamespace(path=path), arrays=lambda stage, part, name: read_arrays(path(stage, part, name))
+    )
+    forest._save_sample(path("training", "all"), sample)
+    for first, count in ((0, 3), (3, 1)):
+        part = f"{first:05d}"
+        forest.grown(first, count, NAMES, params, CLASSES, desk, path("trees", part))
+        forest.weighed(first, NAMES, params, desk, path("importance", part))
+    made = forest.trained(("00000", "00003"), NAMES, params, CLASSES, {}, desk, path("train", "model"))
+    expected = importance(sample, grow_trees(sample, CLASSES, 0, 4, params), 2, params, 3)
+    for card in (made["card"], load_model(path("train", "model", forest.MODEL)).card):
+        told = card["importance"]
+        assert told["repeats"] == 3
+        assert [told["drop"][n]["mean"] for n in NAMES] == expected.mean(axis=1).tolist()

@@ -1,0 +1,155 @@
+"""The papers' workflows on a small simulated survey: figures that belong together, pages, resuming."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runmaker import SETTINGS
+
+from fwclass import conf
+from fwclass.errors import ConfigError
+from fwclass.run.local import Loop
+from fwclass.run.progress import Display
+from fwclass.run.road import Road
+from fwclass.store.lock import writer
+from workflows import WORKFLOWS
+
+SMALL = (
+    *SETTINGS,
+    "survey.classes=[{name: ground, code: 2, codes: [2]}, {name: building, code: 6, codes: [6]},"
+    " {name: vegetation, code: 5, codes: [3, 4, 5]}]",
+    "papers.more_classes=[{name: artificial, code: 64, codes: [64]}]",
+    "papers.block=10", "papers.seeds=[1, 2]", "papers.test_echoes=20000", "papers.repeats=2",
+    "select.block=15", "select.folds=2", "select.trees=4", "select.samples_per_class=500", "select.timing_repeats=1",
+    "select.timing_echoes=1000", "select.rates=[1.0, 0.1]", "select.drop=0.5", "select.least=3",
+    "compare.rbf_svm.max_rows=1000", "compare.rbf_svm.search_rows=300", "compare.rbf_svm.gamma=[0.3]",
+)  # fmt: skip
+
+
+def follow(name: str, survey: Path, root: Path, *settings: str, tiles=None):
+    config = conf.load("demo", (*SMALL, f"survey.directory={survey}", *settings))
+    root.mkdir(parents=True, exist_ok=True)
+    with writer(root), Display() as display:
+        road = Road(root, Loop(), display)
+        return road, WORKFLOWS[name](config, road, tiles)
+
+
+@pytest.fixture(scope="module")
+def fan(survey: Path, tmp_path_factory: pytest.TempPathFactory):
+    """(root, facts) of the workflow fan2013."""
+    root = tmp_path_factory.mktemp("fan")
+    road, _ = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
+    assert not road.failures
+    return root, json.loads((root / "fan2013.json").read_text())
+
+
+def test_variants_are_judged_on_the_same_echoes(fan) -> None:
+    _, facts = fan
+    made = [*facts["splits"].values(), *facts["machines"].values(), *facts["thesis"]["with"], facts["every_feature"]]
+    rows = [np.sum(one["confusion"], axis=1).tolist() for one in made]
+    assert all(r == rows[0] for r in rows)
+    assert rows[0] == [facts["rows"][c["name"]][1] for c in facts["classes"]]
+    assert list(facts["splits"]) == ["3", "4", "5", "6"]
+
+
+def test_classes_that_the_paper_lacks_are_told_but_do_not_count(fan) -> None:
+    _, facts = fan
+    assert sum(facts["unscored"]["artificial"].values()) == facts["rows"]["artificial"][1] > 0
+    assert facts["splits"]["3"]["classes"] == ["ground", "building", "vegetation"]
+    assert facts["every_class"]["classes"][-1] == "artificial"
+    assert np.sum(facts["every_class"]["confusion"]) == sum(n for _, n in facts["rows"].values())
+
+
+def test_three_features_per_split_is_the_run_s_own_forest(fan) -> None:
+    """int(lb 6 + 1) = 3: the variant must repeat the run's own trees; seed 1 with waveforms is the same forest too."""
+    _, facts = fan
+    assert facts["splits"]["3"]["confusion"] == facts["thesis"]["with"][0]["confusion"]
+    own = json.loads((fan[0] / "model" / "card.json").read_text())
+    assert facts["splits"]["3"]["out_of_bag"] == pytest.approx(own["out_of_bag"]["accuracy"])
+
+
+def test_differences_are_those_of_the_accuracies(fan) -> None:
+    _, facts = fan
+    for k, seed in enumerate(facts["thesis"]["seeds"]):
+        one = facts["differences"][f"with-{seed}/without-{seed}"]["overall_accuracy"]
+        gain = facts["thesis"]["with"][k]["overall_accuracy"] - facts["thesis"]["without"][k]["overall_accuracy"]
+        assert one["value"] == pytest.approx(gain)
+        assert one["low"] <= one["value"] <= one["high"]
+    assert facts["thesis"]["features"]["without"] == ["zc", "echo_number", "echo_ratio_r100", "inclination_r100"]
+
+
+def test_every_claim_has_a_verdict_and_the_page_stands_alone(fan) -> None:
+    root, facts = fan
+    assert len(facts["claims"]) == 14
+    assert {c["verdict"] for c in facts["claims"]} <= {"holds", "does not hold", "not comparable"}
+    page = (root / "fan2013.html").read_text()
+    assert "http" not in page.replace("http-equiv", "")
+    assert page.count("data:image/png") == 4
+    for claim in facts["claims"]:
+        assert claim["verdict"] in page
+
+
+def test_a_second_run_makes_nothing(fan, survey: Path) -> None:
+    root, facts = fan
+    road, _ = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
+    assert {o.status for o in road.outcomes.values()} == {"skipped"}
+    assert json.loads((root / "fan2013.json").read_text()) == {
+        **facts, "selection": json.loads((root / "fan2013.json").read_text())["selection"],
+    }  # fmt: skip
+
+
+def test_the_figures_need_the_whole_survey(survey: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="whole survey"):
+        follow("fan2013", survey, tmp_path, tiles=frozenset({"5120_54030"}))
+    with pytest.raises(ConfigError, match="trains its own"):
+        follow("xiong2018", survey, tmp_path, "survey.model=some/model")
+    with pytest.raises(ConfigError, match="too few features of the paper"):
+        follow("fan2013", survey, tmp_path, "survey.features=[height_above_ground]", "features.also=[]")
+
+
+@pytest.fixture(scope="module")
+def xiong(survey: Path, tmp_path_factory: pytest.TempPathFactory):
+    """(root, facts) of the workflow xiong2018 with few features."""
+    root = tmp_path_factory.mktemp("xiong")
+    names = ["height_above_ground", *(f"{b}_r{r}" for r in (50, 100) for b in ("height_std", "inclination", "egi"))]
+    road, report = follow(
+        "xiong2018", survey, root, f"survey.features=[{', '.join(names)}]", "features.also=[]", "train.split=exact",
+        "train.criterion=gini", "train.bagging=0.9", "train.replacement=false", "papers.more_classes=[]",
+    )  # fmt: skip
+    assert not road.failures
+    return root, json.loads((root / "xiong2018.json").read_text()), report
+
+
+@pytest.mark.slow
+def test_the_run_classifies_by_what_the_selection_kept(xiong) -> None:
+    root, facts, report = xiong
+    card = json.loads((root / "model" / "card.json").read_text())
+    assert card["features"] == facts["chosen"] == report["training"]["features"]
+    assert facts["strategies"]["rf_selected"]["features"] == len(facts["chosen"])
+    assert facts["strategies"]["rf"]["features"] == 7
+
+
+@pytest.mark.slow
+def test_omission_and_commission_are_those_of_the_matrix(xiong) -> None:
+    _, facts, _ = xiong
+    for one in facts["strategies"].values():
+        matrix = np.array(one["confusion"])
+        lost, taken = matrix.sum(axis=1) - np.diag(matrix), matrix.sum(axis=0) - np.diag(matrix)
+        for k, name in enumerate(one["classes"]):
+            assert one["omission"][name] == pytest.approx(lost[k] / matrix[k].sum())
+            if matrix[:, k].any():
+                assert one["commission"][name] == pytest.approx(taken[k] / matrix[:, k].sum())
+
+
+@pytest.mark.slow
+def test_survivors_and_importances_count_every_feature_once(xiong) -> None:
+    root, facts, _ = xiong
+    survivors = [n for r in facts["radii"] for n in r["ours"]]
+    assert len(survivors) == len([n for n in facts["chosen"] if n != "height_above_ground"])
+    assert sorted(r["name"] for r in facts["importance"]["rows"]) == sorted(facts["candidates"])
+    assert facts["importance"]["rows"][0]["score"] == pytest.approx(100)
+    assert [s["rate"] for s in facts["thinning"]["steps"]] == [1.0, 0.1]
+    assert (root / "xiong2018.html").read_text().count("data:image/png") == 5

@@ -1,0 +1,247 @@
+"""Models of every kind on disk: what is written is what is read, and a stranger's bytes run nothing."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fwclass.classify.shares import answer
+from fwclass.errors import InputError
+from fwclass.model import FORMAT, KINDS, LEAF, Boosted, Forest, KernelMachine, LinearMachine
+from fwclass.store.models import load_forest, load_model, save_model
+
+NAMES = ("zc", "width")
+
+
+def card(n=3, **more):
+    classes = [{"name": f"c{k}", "code": 2 + k, "codes": [2 + k]} for k in range(n)]
+    ready = {"fill": [0.0, 1.0], "shift": [0.0, 2.0], "scale": [1.0, 3.0]}
+    return {"format": FORMAT, "features": list(NAMES), "classes": classes, "preparation": ready, "notes": [], **more}
+
+
+def tree():
+    feature = np.array([0, LEAF, 1, LEAF, LEAF], np.uint16)
+    return feature, np.array([1, 0, 2, 0, 0], np.float32), np.array([1, 0, 3, 0, 0], np.uint32), np.array([0, 5])
+
+
+def models():
+    feature, threshold, child, offsets = tree()
+    side, value = np.array([1, 0, 0, 0, 0], np.uint8), np.array([0, 0.5, 0, -1, 2.0])
+    thrice = [np.tile(a, 3) for a in (feature, threshold, child, side, value)]
+    return {
+        "forest": Forest(feature, threshold, child, offsets, card()),
+        "boosting": Boosted(*thrice, np.array([0, 5, 10, 15]), np.array([0.1, 0.2, 0.3]), card()),
+        "linear-svm": LinearMachine(np.arange(6.0).reshape(3, 2), np.ones(3), card()),
+        "rbf-svm": KernelMachine(
+            np.arange(8.0).reshape(4, 2), np.ones((2, 4)), np.zeros(3), np.array([1, 2, 1]), np.array([0.5]), card()
+        ),
+    }
+
+
+def test_every_kind_is_tried():
+    assert set(models()) == set(KINDS)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_model_round_trips(tmp_path, kind):
+    made = models()[kind]
+    save_model(tmp_path / "m", made)
+    found = load_model(tmp_path / "m")
+    assert type(found) is type(made) and found.card == {**made.card, "kind": kind, "digest": found.card["digest"]}
+    for name in made.layout:
+        np.testing.assert_array_equal(getattr(found, name), getattr(made, name))
+    assert sorted(p.suffix for p in (tmp_path / "m").iterdir()) == [".json", *[".npy"] * len(made.layout)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_damaged_models_are_refused_or_answer(tmp_path, kind):
+    """Any byte of any file set to any of a few values: loading refuses, or gives a model that answers."""
+    save_model(tmp_path / "m", models()[kind])
+    X, refused = np.array([[0.5, 1.0], [np.nan, 9.0]], np.float32), 0
+    for path in sorted((tmp_path / "m").iterdir()):
+        good = path.read_bytes()
+        for at in range(0, len(good), 7):
+            for value in (0, 49, 127, 255):
+                path.write_bytes(good[:at] + bytes([value]) + good[at + 1 :])
+                try:
+                    with np.errstate(all="ignore"):
+                        winner, shares = answer(X, load_model(tmp_path / "m"))
+                    assert shares.shape[0] == 2 and (winner < shares.shape[1]).all()
+                except InputError:
+                    refused += 1
+        for cut in (0, 10, len(good) // 2):
+            path.write_bytes(good[:cut])
+            with pytest.raises(InputError):
+                load_model(tmp_path / "m")
+        path.write_bytes(good)
+    assert refused > 100
+
+
+@pytest.mark.parametrize("length", ["99999999999", str(1 << 32)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_header_that_promises_more_than_there_is_allocates_nothing(tmp_path, kind, length):
+    save_model(tmp_path / "m", models()[kind])
+    name, (dtype, dimensions) = next(iter(models()[kind].layout.items()))
+    shape = ", ".join([length] * dimensions) + ","
+    head = f"{{'descr': '<{dtype}', 'fortran_order': False, 'shape': ({shape}), }}"
+    head = head.ljust(117) + "\n"
+    (tmp_path / "m" / f"{name}.npy").write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head.encode())
+    with pytest.raises(InputError, match="not a model"):
+        load_model(tmp_path / "m")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_pickled_array_is_not_loaded(tmp_path, kind):
+    save_model(tmp_path / "m", models()[kind])
+    name = next(iter(models()[kind].layout))
+    np.save(tmp_path / "m" / f"{name}.npy", np.array([{"a": 1}], object), allow_pickle=True)
+    with pytest.raises(InputError, match="not a model"):
+        load_model(tmp_path / "m")
+
+
+def rewrite(directory, **changes):
+    path = directory / "card.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"kind": "oracle"}, "kind 'oracle' is unknown"), ({"kind": None}, "kind None"), ({"kind": []}, "kind"),
+        ({"kind": "linear-svm"}, "weights.npy"), ({"format": FORMAT + 1}, "its layout is"),
+        ({"features": ["zc"]}, "damaged"), ({"classes": [{"name": "a", "code": 300}] * 3}, "damaged"),
+        ({"classes": "abc"}, "damaged"), ({"features": {"a": 1}}, "damaged"), ({"features": 7}, "damaged"),
+    ],
+)  # fmt: skip
+def test_a_card_that_does_not_fit_is_refused(tmp_path, change, told):
+    save_model(tmp_path / "m", models()["forest"])
+    rewrite(tmp_path / "m", **change)
+    with pytest.raises(InputError, match=told):
+        load_model(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    "ready",
+    [
+        None, [], {"fill": [0, 0], "shift": [0, 0]}, {"fill": [0], "shift": [0, 0], "scale": [1, 1]},
+        {"fill": [0, 0], "shift": [0, 0], "scale": [1, 0]}, {"fill": [0, 1e999], "shift": [0, 0], "scale": [1, 1]},
+        {"fill": ["a", 0], "shift": [0, 0], "scale": [1, 1]},
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("kind", ["linear-svm", "rbf-svm"])
+def test_a_machine_without_a_sound_preparation_is_refused(tmp_path, kind, ready):
+    save_model(tmp_path / "m", models()[kind])
+    rewrite(tmp_path / "m", preparation=ready)
+    with pytest.raises(InputError):
+        load_model(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"features": list(NAMES[::-1])}, {"computed": {"cell_x": 20.0}}, {"params": {"trees": 2}}, {"digest": None},
+        {"classes": [{"name": f"c{k}", "code": 4 - k, "codes": [4 - k]} for k in range(3)]}, {"digest": []},
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("kind", KINDS)
+def test_card_and_arrays_belong_together(tmp_path, kind, change):
+    """Whatever decides cannot be edited by accident; remarks can."""
+    save_model(tmp_path / "m", models()[kind])
+    rewrite(tmp_path / "m", notes=["mine"])
+    assert load_model(tmp_path / "m").card["notes"] == ["mine"]
+    rewrite(tmp_path / "m", **change)
+    with pytest.raises(InputError, match="do not belong together"):
+        load_model(tmp_path / "m")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_array_of_another_model_is_refused(tmp_path, kind):
+    save_model(tmp_path / "m", models()[kind])
+    name = {"forest": "threshold", "boosting": "threshold", "linear-svm": "weights", "rbf-svm": "vectors"}[kind]
+    np.save(tmp_path / "m" / f"{name}.npy", getattr(models()[kind], name) * 2)
+    with pytest.raises(InputError, match="do not belong together"):
+        load_model(tmp_path / "m")
+
+
+def test_a_model_without_digest_or_directory_is_refused(tmp_path):
+    save_model(tmp_path / "m", models()["forest"])
+    path = tmp_path / "m" / "card.json"
+    path.write_text(json.dumps({k: v for k, v in json.loads(path.read_text()).items() if k != "digest"}))
+    with pytest.raises(InputError, match="without digest"):
+        load_model(tmp_path / "m")
+    with pytest.raises(InputError, match="no such model directory"):
+        load_model(tmp_path / "nomodel")
+    with pytest.raises(InputError, match="a file where a model's directory is wanted"):
+        load_model(path)
+
+
+@pytest.mark.parametrize(("value", "sound"), [(np.nan, False), (-np.inf, False), (np.inf, True)])
+@pytest.mark.parametrize("kind", ["forest", "boosting"])
+def test_thresholds_of_inner_nodes_are_numbers_or_divide_known_from_missing(kind, value, sound):
+    made = models()[kind]
+    made.threshold[1] = value  # a leaf's says nothing
+    made.check()
+    made.threshold[2] = value
+    if sound:
+        made.check()
+        return
+    with pytest.raises(InputError, match="threshold"):
+        made.check()
+
+
+def test_no_number_of_json_and_no_object_are_refused(tmp_path):
+    save_model(tmp_path / "m", models()["forest"])
+    for text in ("NaN", "[]", "{", '{"format": Infinity}', "[" * 100_000):
+        (tmp_path / "m" / "card.json").write_text(text)
+        with pytest.raises(InputError):
+            load_model(tmp_path / "m")
+
+
+def test_only_a_forest_is_a_forest(tmp_path):
+    save_model(tmp_path / "m", models()["boosting"])
+    with pytest.raises(InputError, match="not a forest"):
+        load_forest(tmp_path / "m")
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.integers(0, 3), min_size=9, max_size=9),
+    st.lists(st.integers(0, 10), min_size=9, max_size=9),
+    st.lists(st.integers(0, 9), min_size=1, max_size=5),
+    st.integers(1, 4),
+)
+def test_any_nodes_are_sound_boosted_trees_or_an_error(feature, child, cuts, n):
+    """Whatever passes the check is walked safely to a leaf."""
+    asked = np.array([LEAF if f > 1 else f for f in feature], np.uint16)
+    offsets = np.array([0, *sorted(cuts), 9])
+    scores = 1 if n == 2 else n
+    model = Boosted(
+        asked, np.linspace(-1, 1, 9).astype(np.float32), np.array(child, np.uint32), np.arange(9, dtype=np.uint8) % 2,
+        np.ones(9), offsets, np.zeros(scores), card(n),
+    )  # fmt: skip
+    X = np.array([[0.3, np.nan], [-5, 2], [np.nan, np.nan]], np.float32)
+    try:
+        winner, shares = answer(X, model)
+    except InputError:
+        return
+    np.testing.assert_allclose(shares.sum(axis=1), 1)
+    assert (winner < n).all()
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.integers(0, 6), st.integers(0, 4), st.integers(0, 4), st.lists(st.integers(-2, 7), max_size=5), st.integers(2, 4)
+)
+def test_any_shapes_are_a_sound_machine_or_an_error(rows, columns, duals, counts, n):
+    model = KernelMachine(
+        np.ones((rows, columns)), np.ones((duals, rows)), np.zeros(n * (n - 1) // 2), np.array(counts, np.int64),
+        np.array([1.0]), card(n),
+    )  # fmt: skip
+    try:
+        winner, shares = answer(np.zeros((2, 2), np.float32), model)
+    except InputError:
+        return
+    assert columns == 2 and shares.shape == (2, n) and (winner < n).all()

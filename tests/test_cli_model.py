@@ -1,0 +1,204 @@
+"""`fwclass train` and `fwclass classify`: what they write, and what they refuse."""
+
+import json
+import sys
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from pyproj import CRS
+
+from fwclass.cli import cli
+from fwclass.errors import ConfigError, InputError
+from fwclass.model import FORMAT, LEAF, LinearMachine, assemble
+from fwclass.store.models import load_model, save_model
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+
+def call(*words):
+    return CliRunner().invoke(cli, [str(w) for w in words])
+
+
+def card(names, codes, **more):
+    classes = [{"name": f"c{c}", "code": c, "codes": [c]} for c in codes]
+    ready = {"fill": [0.0] * len(names), "shift": [0.0] * len(names), "scale": [1.0] * len(names)}
+    return {"format": FORMAT, "features": list(names), "classes": classes, "preparation": ready, "computed": {}, **more}
+
+
+@pytest.fixture
+def model(tmp_path):
+    """Bright points are the second class, others the first."""
+    made = LinearMachine(np.array([[0.1, 0.0]]), np.array([-50.0]), card(("intensity", "number_of_echoes"), (2, 64)))
+    save_model(tmp_path / "m", made)
+    return tmp_path / "m"
+
+
+def cloud(path, n=300, point_format=6):
+    r = np.random.default_rng(4)
+    head = laspy.LasHeader(point_format=point_format, version="1.4" if point_format > 5 else "1.2")
+    head.scales, head.offsets = [0.001] * 3, [500_000, 5_000_000, 0]
+    head.add_crs(CRS.from_epsg(32633))
+    las = laspy.LasData(head)
+    las.x, las.y, las.z = (r.random((3, n)) * 50).T.T + np.array([[500_000], [5_000_000], [100]])
+    las.intensity = r.integers(0, 1000, n)
+    las.return_number = las.number_of_returns = np.ones(n, np.uint8)
+    las.gps_time = r.permutation(n).astype(float)
+    las.user_data = np.arange(n) % 200
+    las.write(path)
+    return path
+
+
+def test_points_keep_their_order_and_get_class_confidence_and_entropy(tmp_path, model):
+    source = cloud(tmp_path / "in.las")
+    made = call("classify", source, tmp_path / "out.laz", "--model", model, "--json")
+    assert made.exit_code == 0, made.output
+    told = json.loads(made.stdout)
+    old, new = laspy.read(source), laspy.read(tmp_path / "out.laz")
+    for name in ("X", "Y", "Z", "intensity", "gps_time", "user_data"):
+        np.testing.assert_array_equal(old[name], new[name])
+    bright = np.asarray(old.intensity) > 500
+    np.testing.assert_array_equal(new.classification, np.where(bright, 64, 2))
+    score = 0.2 * (np.asarray(old.intensity, float) * 0.5 - 250)
+    share = 1 / (1 + np.exp(-np.abs(score)))
+    np.testing.assert_allclose(new["confidence"], share, atol=1e-6)
+    np.testing.assert_allclose(
+        new["entropy"], -(share * np.log2(share) + (1 - share) * np.log2(np.maximum(1 - share, 1e-300))), atol=1e-5
+    )
+    assert told["points"] == 300 and told["classes"] == {"2": int((~bright).sum()), "64": int(bright.sum())}
+    assert told["kind"] == "linear-svm" and told["filled"] == 0
+
+
+def test_every_class_has_its_share_where_asked(tmp_path, model):
+    source = cloud(tmp_path / "in.las")
+    asked = ("--set", "classify.probabilities=true")
+    assert call("classify", source, tmp_path / "out.laz", "--model", model, *asked).exit_code == 0
+    new = laspy.read(tmp_path / "out.laz")
+    np.testing.assert_allclose(new["probability 2"] + new["probability 64"], 1, atol=1e-6)
+
+
+def test_old_point_formats_cannot_hold_every_class(tmp_path, model):
+    source = cloud(tmp_path / "in.las", point_format=1)
+    made = call("classify", source, tmp_path / "out.laz", "--model", model)
+    assert isinstance(made.exception, ConfigError) and "--legacy-code 64=" in str(made.exception)
+    assert not (tmp_path / "out.laz").exists()
+    assert call("classify", source, tmp_path / "out.laz", "--model", model, "--legacy-code", "64=20").exit_code == 0
+    assert set(np.unique(laspy.read(tmp_path / "out.laz").classification)) == {2, 20}
+
+
+def test_nothing_is_overwritten_unasked(tmp_path, model):
+    source, output = cloud(tmp_path / "in.las"), tmp_path / "out.laz"
+    output.write_bytes(b"precious")
+    made = call("classify", source, output, "--model", model)
+    assert isinstance(made.exception, ConfigError) and output.read_bytes() == b"precious"
+    assert call("classify", source, output, "--model", model, "--overwrite").exit_code == 0
+    assert isinstance(call("classify", source, source, "--model", model, "--overwrite").exception, ConfigError)
+
+
+@pytest.mark.parametrize(
+    ("names", "told"),
+    [
+        (("intensity", "width"), "'width'"),
+        (("backscatter", "intensity"), "'backscatter'"),
+        (("nonsense", "a"), "'nonsense'"),
+    ],
+)
+def test_a_feature_that_the_file_lacks_is_named(tmp_path, names, told):
+    save_model(
+        tmp_path / "m",
+        LinearMachine(np.ones((1, 2)), np.zeros(1), card(names, (2, 6), computed={"normal_radius": 1.0})),
+    )
+    made = call("classify", cloud(tmp_path / "in.las"), tmp_path / "out.laz", "--model", tmp_path / "m")
+    assert isinstance(made.exception, (ConfigError, InputError)) and told in str(made.exception)
+    assert not (tmp_path / "out.laz").exists()
+
+
+def stump(names, **more):
+    leaf = (np.array([LEAF], np.uint16), np.zeros(1, np.float32), np.zeros(1, np.uint32))
+    return assemble([leaf], card(names, (2, 6), **more))
+
+
+@pytest.mark.parametrize(
+    ("name", "computed", "told"),
+    [
+        ("zc", {"cell_x": 5.0, "cell_y": 10.0}, "cell_x"), ("zc", {}, "cell_x"),
+        ("height_std_k20", {"nearest_reach": 1.0}, "nearest_reach"),
+        ("linearity_opt", {"optimal_radii": [1.0]}, "optimal_radii"),
+    ],
+)  # fmt: skip
+def test_features_computed_in_another_way_are_refused(tmp_path, name, computed, told):
+    save_model(tmp_path / "m", stump((name,), computed=computed))
+    made = call("classify", cloud(tmp_path / "in.las"), tmp_path / "out.laz", "--model", tmp_path / "m")
+    assert isinstance(made.exception, ConfigError) and told in str(made.exception)
+
+
+def test_other_classes_than_the_survey_s_are_refused():
+    from fwclass import conf
+    from fwclass.run.model_fit import check_model
+
+    config = conf.load("demo")
+    codes = [c.code for c in config.classes]
+    check_model(assemble([(np.array([LEAF], np.uint16), np.zeros(1, np.float32), np.zeros(1, np.uint32))],
+                         card(("intensity",), codes)), config, "m")  # fmt: skip
+    with pytest.raises(ConfigError, match="other classes"):
+        check_model(stump(("intensity",)), config, "m")
+
+
+def test_what_is_no_model_is_refused(tmp_path):
+    (tmp_path / "m").mkdir()
+    made = call("classify", cloud(tmp_path / "in.las"), tmp_path / "out.laz", "--model", tmp_path / "m")
+    assert isinstance(made.exception, InputError) and "not a model" in str(made.exception)
+
+
+@pytest.mark.parametrize(
+    "words", [(), ("--model", "m", "--compare", "all"), ("--compare", "all", "--method", "boosting")]
+)
+def test_train_wants_a_model_or_a_comparison(words):
+    assert call("train", "demo", *words).exit_code == 2
+
+
+def test_train_refuses_before_it_works(tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "letter.txt").write_text("dear")
+    save_model(tmp_path / "old", stump(("intensity",)))
+    for target, more in (("full", ("--overwrite",)), ("old", ()), ("no/where", ())):
+        made = call("train", "demo", "--model", tmp_path / target, "--out", tmp_path / "run", *more)
+        assert isinstance(made.exception, ConfigError), target
+    for words in (("--model", tmp_path / "x", "--method", "oracle"), ("--compare", "forest,oracle")):
+        made = call("train", "demo", "--out", tmp_path / "run", *words)
+        assert isinstance(made.exception, ConfigError) and "oracle" in str(made.exception)
+    assert not (tmp_path / "run").exists() and (tmp_path / "full" / "letter.txt").exists()
+
+
+@pytest.mark.slow
+def test_train_compare_and_classify_a_simulated_survey(tmp_path):
+    small = ("--set", "simulate.size=80", "--set", "simulate.strips=2")
+    assert call("simulate", "demo", "--out", tmp_path / "s", "--workers", 0, *small).exit_code == 0
+    settings = (
+        f"survey.directory={tmp_path / 's'}", "survey.features=[echo_number,amplitude,width,number_of_echoes]",
+        "areas.train=[[512000,5403000,512040,5403080]]", "areas.gap=2", "ground.block=64", "terrain.block=64",
+        "train.trees=8", "train.samples_per_class=1000", "features.also=[]",
+    )  # fmt: skip
+    words = ("--out", tmp_path / "run", "--workers", 0, *(w for s in settings for w in ("--set", s)))
+    made = call("train", "demo", "--model", tmp_path / "m", "--json", *words)
+    assert made.exit_code == 0, made.output
+    told = json.loads(made.stdout)
+    assert told["accuracy"]["overall_accuracy"] > 0.5 and load_model(tmp_path / "m").card["computed"] == {}
+    assert isinstance(call("train", "demo", "--model", tmp_path / "m", *words).exception, ConfigError)
+    made = call(
+        "train", "demo", "--model", tmp_path / "m", "--overwrite", "--method", "boosting", "--no-assess", *words
+    )
+    assert made.exit_code == 0 and load_model(tmp_path / "m").kind == "boosting"
+    made = call("train", "demo", "--compare", "forest,linear-svm", "--json", *words)
+    both = json.loads(made.stdout)["classifiers"]
+    assert [b["method"] for b in both] == ["forest", "linear-svm"]
+    assert np.sum(both[0]["figures"]["confusion"]) == np.sum(both[1]["figures"]["confusion"])
+    assert both[0]["figures"]["overall_accuracy"] == told["accuracy"]["overall_accuracy"]
+    strip = next((tmp_path / "s" / "strips").glob("*.las"))
+    made = call("classify", strip, tmp_path / "out.laz", "--model", tmp_path / "m", "--legacy-code", "64=20")
+    assert made.exit_code == 0, made.output
+    assert (tmp_path / "out.wdp").exists() and len(laspy.read(tmp_path / "out.laz").points) == len(
+        laspy.read(strip).points
+    )

@@ -1,0 +1,54 @@
+"""What every workflow begins with: echoes in tiles, then their heights, features, radiometry and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from fwclass.conf import Config
+from fwclass.run.part import Task
+from fwclass.run.plan import ground, sources
+from fwclass.run.plan import tiles as of_tiles
+from fwclass.run.plan.layout import Layout, Survey
+from fwclass.run.plan.radiometry import radiometry_tasks
+from fwclass.run.plan.thin import thin_tasks
+from fwclass.run.reference import check_polygons
+from fwclass.run.road import Road, require_all, stop_if_nothing
+from fwclass.run.survey import check_widths, gather
+
+
+@dataclass(frozen=True)
+class Tiled:
+    """A survey whose echoes lie in tiles.
+
+    `where`: which chunks, and which tiles, every strip's echoes came from.
+    """
+
+    survey: Survey
+    layout: Layout
+    where: tuple[Mapping[int, tuple[str, ...]], Mapping[int, tuple[str, ...]]]
+
+
+def until_tiles(config: Config, road: Road, names: tuple[str, ...]) -> Tiled:
+    """Walk the road up to the tiles; `names` are the columns that will be decided by."""
+    survey = gather(config, road)
+    polygons = require_all(road, sources.polygon_tasks(config, survey))
+    indexed = require_all(road, sources.index_tasks(config, survey.strips))
+    chunks = sources.chunk_tasks(config, survey.strips, indexed)
+    splits = road.do(chunks + sources.cloud_tasks(config, survey.reference))
+    check_widths(config, names, splits, road.store)
+    tiled = road.do(sources.tile_tasks(config, splits))
+    stop_if_nothing(road, {name: receipt for name, receipt in tiled.items() if name[0] == "tile"})
+    layout = Layout.of(config, {**tiled, **polygons})
+    check_polygons(config, polygons.values(), layout.box)
+    return Tiled(survey, layout, sources.where(chunks, splits))
+
+
+def until_labels(tiled: Tiled, names: tuple[str, ...]) -> list[Task]:
+    """Ground, heights, those of `names` that are features of a neighbourhood, radiometry; labels where there are."""
+    layout = tiled.layout
+    tasks = ground.ground_tasks(layout) + thin_tasks(layout) + of_tiles.feature_tasks(layout, names)
+    tasks += radiometry_tasks(layout, tiled.survey)
+    if layout.config.survey.reference.kind != "none":
+        tasks += of_tiles.label_tasks(layout)
+    return tasks

@@ -1,0 +1,48 @@
+"""Fan 2013 as a run: everything that `classification` makes, and a page that sets our figures beside the paper's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.conf.papers import paper
+from fwclass.run.papers import fan
+from fwclass.run.papers.begin import beside, features_like, require_whole
+from fwclass.run.papers.page import deliver
+from fwclass.run.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
+from fwclass.run.plan.layout import check_features
+from fwclass.run.road import Road, require_all
+from workflows.classification import from_tiles
+from workflows.echoes import until_labels, until_tiles
+from workflows.selection import selection
+
+NAME = "fan2013"
+
+
+def fan2013(config: Config, road: Road, tiles: frozenset[str] | None = None) -> dict[str, Any]:
+    """Run all stages, then the paper's tables on training and test areas; return the run's report.
+
+    `tiles` cannot be chosen: the figures are those of the whole survey.
+    """
+    require_whole(config, tiles, NAME)
+    printed = paper(NAME)
+    used = config.features_asked
+    check_features(config, (*used, *config.features.also), f"{config.path}: survey.features, features.also")
+    names = features_like(config, printed["selection"]["order"])
+    tiled = until_tiles(config, road, used)
+    report = from_tiles(config, road, tiled, used, until_labels(tiled, (*used, *config.features.also)))
+    if road.failures:
+        return report
+    aside = beside(road)
+    every = replace(config, select=config.select.model_copy(update={"patience": len(names)}))
+    curves = {
+        "paper": selection(config, aside, names, "forward", order=names),
+        "best": selection(every, aside, names, "forward"),
+    }
+    variants = fan.variants(config, names, printed)
+    made = require_all(road, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants))
+    made |= require_all(road, comparison_tasks(config, fan.comparisons(config, variants)))
+    made |= require_all(road, time_tasks(config, names, fan.timed(variants)))
+    facts = fan.facts(config, printed, report, curves, variants, made)
+    return deliver(config, road, tiled.layout, report, facts)

@@ -1,0 +1,90 @@
+"""Training only: the road up to the model, and its assessment on the test areas."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, InputError
+from fwclass.run.compare import compared
+from fwclass.run.part import Task
+from fwclass.run.plan import forest
+from fwclass.run.plan.layout import Layout, check_features
+from fwclass.run.road import Road, ancestors, require_all
+from workflows.echoes import Tiled, until_labels, until_tiles
+
+
+def training(config: Config, road: Road, assess: bool) -> dict[str, Any]:
+    """Train the model of `config` on `road`, and with `assess` judge it on the test areas; plain data.
+
+    ``card`` is the model's; ``accuracy`` the figures of `figures`, or None where nothing was judged. The parts are
+    those of `classification`: a run in the same directory takes them over.
+    """
+    _check_labelled(config)
+    tiled, tasks = _begun(config, road)
+    tasks += forest.training_tasks(tiled.layout)
+    require_all(road, ancestors(tasks, [("train", "model")]))
+    receipt = road.store.receipt("train", "model")
+    made: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
+    if assess:
+        names, layout = config.features_asked, tested_layout(tiled.layout)
+        tasks += forest.classify_tasks(layout, names, None) + forest.assess_tasks(layout, names)
+        require_all(road, ancestors(tasks, [("assess", "all")]))
+        judged = road.store.receipt("assess", "all")
+        made["accuracy"] = judged.meta["accuracy"] if judged else None
+    return made
+
+
+def comparison(config: Config, road: Road, methods: tuple[str, ...]) -> dict[str, Any]:
+    """Several kinds of classifier on one sample and the same test echoes; see `compared`. Nothing is thinned."""
+    _check_labelled(config)
+    config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))
+    tiled, tasks = _begun(config, road)
+    layout, names = tested_layout(tiled.layout), config.features_asked
+    sample: list[Task] = [t for t in forest.training_tasks(tiled.layout) if t.stage in ("sample", "training")]
+    columns = {*layout.columns(names).values(), "label", "tile"}
+    wanted = [("training", "all"), *((stage, t.key) for t in layout.tiles for stage in columns if stage != "tile")]
+    require_all(road, ancestors([*tasks, *sample], wanted))
+    return compared(config, road.store, layout, methods, road.display.say)
+
+
+def _begun(config: Config, road: Road) -> tuple[Tiled, list[Task]]:
+    names = config.features_asked
+    check_features(config, names, f"{config.path}: survey.features")
+    check_features(config, config.features.also, f"{config.path}: features.also")
+    tiled = until_tiles(config, road, names)
+    return tiled, until_labels(tiled, (*names, *config.features.also))
+
+
+def _check_labelled(config: Config) -> None:
+    if config.survey.model is not None:
+        raise ConfigError(
+            "the survey names a model, and one is to be trained", where=f"{config.path}: survey.model",
+            got=config.survey.model, do="--set survey.model=null",
+        )  # fmt: skip
+    if config.survey.reference.kind == "none":
+        raise ConfigError(
+            "a model learns from labels, and the survey has none", where=f"{config.path}: survey.reference",
+            expected="kind: source, cloud or polygons", got="none", do="name labelled files in survey.reference",
+        )  # fmt: skip
+
+
+def tested_layout(layout: Layout) -> Layout:
+    """`layout` with only the tiles where something may be tested; `InputError` where there are none."""
+    areas = layout.config.areas
+    hidden, test = [b.grown(areas.gap) for b in areas.boxes("train")], areas.boxes("test")
+    tiles = []
+    for tile in layout.tiles:
+        own = tile.box
+        within = any(
+            b.xmin <= own.xmin and b.ymin <= own.ymin and own.xmax <= b.xmax and own.ymax <= b.ymax for b in hidden
+        )
+        if not within and (not test or any(own.touches(b) for b in test)):
+            tiles.append(tile)
+    if not tiles:
+        raise InputError(
+            "no tile lies in a test area", where="areas.test", expected="boxes on the survey",
+            do="give some, or --no-assess",
+        )  # fmt: skip
+    return replace(layout, tiles=tuple(tiles))

@@ -1,0 +1,51 @@
+"""Xiong 2018 as a run: features are selected, what is kept classifies, a page sets our figures beside the paper's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.conf.papers import paper
+from fwclass.run.papers import xiong
+from fwclass.run.papers.begin import beside, require_whole
+from fwclass.run.papers.page import deliver
+from fwclass.run.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
+from fwclass.run.plan.layout import check_features
+from fwclass.run.road import Road, require_all
+from workflows.classification import from_tiles
+from workflows.echoes import until_labels, until_tiles
+from workflows.selection import selection
+
+NAME = "xiong2018"
+
+
+def xiong2018(config: Config, road: Road, tiles: frozenset[str] | None = None) -> dict[str, Any]:
+    """Select among the survey's features, run all stages with the best set, then the paper's tables; return the report.
+
+    `tiles` cannot be chosen: the figures are those of the whole survey.
+    """
+    require_whole(config, tiles, NAME)
+    printed, names = paper(NAME), config.features_asked
+    check_features(config, names, f"{config.path}: survey.features")
+    aside = beside(road)
+    found = selection(config, aside, names, "rffs")
+    chosen = tuple(found["chosen"])
+    final = replace(
+        config,
+        survey=config.survey.model_copy(update={"features": chosen}),
+        features=config.features.model_copy(update={"also": ()}),
+    )
+    tiled = until_tiles(config, road, names)
+    report = from_tiles(final, road, tiled, chosen, until_labels(tiled, names))
+    if road.failures:
+        return report
+    variants = xiong.variants(config, names, chosen)
+    forest = next(v for v in variants if v.name == xiong.ALL)
+    made = require_all(road, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants))
+    made |= require_all(road, importance_tasks(config, names, forest))
+    made |= require_all(road, comparison_tasks(config, xiong.comparisons(variants)))
+    thinned = xiong.thinned(config, aside, tiled.layout, chosen)
+    made |= require_all(road, time_tasks(config, names, variants))
+    facts = xiong.facts(config, printed, report, found, thinned, variants, made)
+    return deliver(config, road, tiled.layout, report, facts)
