@@ -115,6 +115,16 @@ def test_a_feature_that_the_file_lacks_is_named(tmp_path, names, told):
     assert not (tmp_path / "out.laz").exists()
 
 
+def test_no_two_classes_are_written_as_one_code(tmp_path, model):
+    for words, told in ((["64=2"], "'c2' and 'c64'"), (["64=9", "2=9"], "code 9")):
+        asked = [w for word in words for w in ("--legacy-code", word)]
+        made = call("classify", cloud(tmp_path / "in.las"), tmp_path / "out.las", "--model", model, *asked)
+        assert isinstance(made.exception, ConfigError) and told in str(made.exception)
+    asked = ("--legacy-code", "64=2", "--legacy-code", "2=64")
+    made = call("classify", cloud(tmp_path / "in.las"), tmp_path / "out.las", "--model", model, *asked)
+    assert made.exit_code == 0, made.output
+
+
 def stump(names, **more):
     leaf = (np.array([LEAF], np.uint16), np.zeros(1, np.float32), np.zeros(1, np.uint32))
     return assemble([leaf], card(names, (2, 6), **more))
@@ -169,7 +179,41 @@ def test_train_refuses_before_it_works(tmp_path):
     for words in (("--model", tmp_path / "x", "--method", "oracle"), ("--compare", "forest,oracle")):
         made = call("train", "demo", "--out", tmp_path / "run", *words)
         assert isinstance(made.exception, ConfigError) and "oracle" in str(made.exception)
+        assert f"where: {words[-2]}" in str(made.exception)
+    words = ("--model", tmp_path / "x", "--set", "train.class_weights={bilding: 3}")
+    made = call("train", "demo", "--out", tmp_path / "run", *words)
+    assert isinstance(made.exception, ConfigError) and "did you mean 'building'" in str(made.exception)
     assert not (tmp_path / "run").exists() and (tmp_path / "full" / "letter.txt").exists()
+
+
+def test_select_wants_something_to_choose(tmp_path):
+    for asked, told in (
+        ("zc", "nothing to choose"), ("height_std_r100", "nothing to choose"), ("fan2014", "no such feature set"),
+        ("zc,planarity_k999", "at most 500"),
+    ):  # fmt: skip
+        words = ("--method", "forward", "--candidates", asked, "--out", tmp_path / "run", "--workers", 0)
+        made = call("select", "demo", *words)
+        assert isinstance(made.exception, ConfigError), made.output
+        assert told in str(made.exception) and "where: --candidates" in str(made.exception)
+
+
+def test_what_a_training_tells():
+    from fwclass.run.training_text import describe
+
+    drop = {f"f{k:02d}": {"mean": k / 100, "std": 0.001} for k in range(12)}
+    told = {
+        "kind": "forest", "features": list(drop), "samples": [6, 4], "notes": ["odd"],
+        "classes": [{"name": "ground"}, {"name": "roof"}], "importance": {"repeats": 3, "drop": drop},
+        "out_of_bag": {"accuracy": 0.75, "rows": 8, "per_class": [0.5, None]},
+    }  # fmt: skip
+    text = describe({"card": told, "accuracy": None})
+    assert "75.00 % right (ground 50.00, roof n/a, judged on 8 of 10 rows)" in text and "guessing" not in text
+    assert text.index("f11") < text.index("f10") and "f02" in text and "f01" not in text and "and 2 more" in text
+    assert "11.00 ± 0.10 %" in text
+    blind = {**told, "out_of_bag": {"accuracy": 0.0, "rows": 4, "per_class": [0.0, 0.0]}, "importance": None}
+    assert "no better than guessing" in describe({"card": blind, "accuracy": None})
+    blind["out_of_bag"] = {"accuracy": None, "rows": 0, "per_class": [None, None]}
+    assert "out of bag  n/a" in describe({"card": blind, "accuracy": None})
 
 
 @pytest.mark.slow

@@ -90,11 +90,6 @@ def _check(config: Config, candidates: Names, order: Sequence[str]) -> None:
     twice = sorted({c for c in candidates if candidates.count(c) > 1})
     if twice:
         raise ConfigError("a candidate is named twice", where="--candidates", got=", ".join(twice))
-    if len(candidates) < 2:
-        raise ConfigError(
-            "there is nothing to choose", where="--candidates", expected="two features or more",
-            got=", ".join(candidates) or "none", do="name a feature set, its file, or a list a,b,c",
-        )  # fmt: skip
     unknown = [o for o in order if o not in candidates]
     if unknown:
         raise ConfigError(

@@ -18,21 +18,24 @@ from workflows.echoes import Tiled, until_labels, until_tiles
 def training(config: Config, road: Road, assess: bool) -> dict[str, Any]:
     """Train the model of `config` on `road`, and with `assess` judge it on the test areas; plain data.
 
-    ``card`` is the model's; ``accuracy`` the figures of `figures`, or None where nothing was judged. The parts are
-    those of `classification`: a run in the same directory takes them over.
+    ``card`` is the model's; ``accuracy`` the figures of `figures`, or None where nothing was judged; ``ambiguous`` how
+    many echoes of the tiles that were looked at lie in polygons of different classes. The parts are those of
+    `classification`: a run in the same directory takes them over.
     """
     _check_labelled(config)
     tiled, tasks = _begun(config, road)
     tasks += forest.training_tasks(tiled.layout)
     require_all(road, ancestors(tasks, [("train", "model")]))
     receipt = road.store.receipt("train", "model")
-    made: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
+    made: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None, "ambiguous": 0}
     if assess:
         names, layout = config.features_asked, tested_layout(tiled.layout)
         tasks += forest.classify_tasks(layout, names, None) + forest.assess_tasks(layout, names)
         require_all(road, ancestors(tasks, [("assess", "all")]))
         judged = road.store.receipt("assess", "all")
         made["accuracy"] = judged.meta["accuracy"] if judged else None
+    labelled = (road.store.receipt(*name) for name in road.outcomes if name[0] == "label")
+    made["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
     return made
 
 

@@ -23,6 +23,10 @@ LEVEL = 0.95
 LEAST = 5
 """Blocks; resamples of fewer are too much alike to tell anything."""
 
+FEW = 20
+"""Blocks below which an interval is told with a caution: it is too narrow, and a sliver at the border of the test area
+weighs in the draw as a whole block."""
+
 FIGURES = ("overall_accuracy", "kappa", "mean_iou")
 
 
@@ -57,7 +61,7 @@ def difference(first: ArrayLike, second: ArrayLike) -> dict[str, Any] | None:
 
     Returns
     -------
-    ``{"level", "blocks", figure: {"difference", "interval"}}``.
+    ``{"level", "blocks", "caution", figure: {"difference", "interval"}}``; see `caution`.
     """
     a, b = np.asarray(first, np.int64), np.asarray(second, np.int64)
     if a.shape[:2] != b.shape[:2] or (a.sum(axis=2) != b.sum(axis=2)).any():
@@ -73,7 +77,17 @@ def difference(first: ArrayLike, second: ArrayLike) -> dict[str, Any] | None:
     told = {
         name: {"difference": _number(value), "interval": ends[name]} for name, value in zip(FIGURES, gain, strict=True)
     }
-    return {"level": LEVEL, "blocks": len(both), **told}
+    return {"level": LEVEL, "blocks": len(both), "caution": caution(len(both)), **told}
+
+
+def caution(blocks: int) -> str | None:
+    """What is to be said beside intervals from so few blocks; None from `FEW` on."""
+    if blocks >= FEW:
+        return None
+    return (
+        f"{blocks} blocks are too few blocks to lean on (slivers at the border of the test area count as blocks): the "
+        f"intervals are too narrow; {FEW} and more are wanted, from a larger test area or a smaller assess.block"
+    )
 
 
 def scores(matrices: ArrayLike) -> NDArray[np.float64]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from fwclass.assess.blocks import BlockCounts
 from fwclass.assess.confusion import confusion, describe, figures, unclassified
 from fwclass.assess.distribution import QUANTILES, distribution, quantiles, summary
-from fwclass.assess.intervals import difference, intervals
+from fwclass.assess.intervals import caution, difference, intervals
 from fwclass.errors import QualityError
 from fwclass.stage import Params, Stage
 
@@ -19,6 +19,7 @@ __all__ = [
     "QUANTILES",
     "AssessParams",
     "BlockCounts",
+    "caution",
     "confusion",
     "describe",
     "difference",
@@ -39,7 +40,7 @@ class AssessParams(Params):
     """
 
     block: float = Field(gt=0)
-    quantiles: tuple[float, ...] = Field(min_length=1)
+    quantiles: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(min_length=1)
     min_overall_accuracy: float | None = Field(ge=0, le=1)
     min_kappa: float | None = Field(ge=-1, le=1)
 

@@ -60,6 +60,12 @@ def select(
     names = output.candidates_of(config, candidates)
     if method != "forward" and asked["order"]:
         raise ConfigError("--order belongs to --method forward", where="--order", got=f"--method {method}")
+    if method != "thinning" and len(names) < 2:
+        raise ConfigError(
+            "there is nothing to choose", where="--candidates" if candidates else f"{config.path}: survey.features",
+            expected="two features or more", got=", ".join(names) or "none",
+            do="--candidates with a feature set, its file, or a list a,b,c",
+        )  # fmt: skip
     path = output.check_target(target, root, method, overwrite)
     count = config.run.workers if workers is None else workers
     with open_road(root, count, scheduler, config.run.worker_memory_gib) as road:

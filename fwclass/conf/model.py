@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -145,7 +145,7 @@ class PapersSection(Section):
 
     test_echoes: int = Field(ge=1)
     seed: int = Field(ge=0)
-    seeds: tuple[int, ...] = Field(min_length=1)
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(min_length=1)
     block: float = Field(gt=0)
     repeats: int = Field(ge=1)
     more_classes: tuple[ClassSection, ...]

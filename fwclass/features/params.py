@@ -89,7 +89,8 @@ def check_scale(name: str, where: object) -> None:
         raise ConfigError(
             f"{name!r} is not a feature: the size must be positive" if zero
             else f"{name!r} is not a feature: its size is not a size",
-            where=where, expected="echoes, 1 and more" if kind == "k" else "centimetres, 1 to 999999, without leading 0",
+            where=where,
+            expected=f"echoes, 1 to {MAX_NEAREST}" if kind == "k" else "centimetres, 1 to 999999, without leading 0",
             got=digits,
         )  # fmt: skip
     if kind == "k" and int(digits) > MAX_NEAREST:

@@ -123,7 +123,8 @@ def _intervals(made: Mapping[str, Any] | None) -> str:
             low, high = made[key]
             share = f"{percent(low)} to {percent(high)} %"
             told.append(f"{label} {low:.3f} to {high:.3f}" if key == "kappa" else f"{label} {share}")
-    return f"{100 * made['level']:.0f} % intervals from {made['blocks']} blocks drawn at random: {', '.join(told)}."
+    text = f"{100 * made['level']:.0f} % intervals from {made['blocks']} blocks drawn at random: {', '.join(told)}."
+    return f"{text} Caution: {made['caution']}." if made.get("caution") else text
 
 
 def _of(values: Any, index: int, name: str) -> Any:

@@ -61,6 +61,8 @@ def describe(made: dict[str, Any]) -> str:
             continue
         told = f"{factor * gain:+.{digits}f} [{factor * ends[0]:+.{digits}f}, {factor * ends[1]:+.{digits}f}]{unit}"
         lines.append(f"{label:<18}{told}")
+    if made["caution"]:
+        lines.append(f"CAUTION: {made['caution']}")
     return "\n".join(lines)
 
 

@@ -7,15 +7,25 @@ Data never travels through the scheduler: a task's function reads from and write
 from __future__ import annotations
 
 import importlib.util
+import signal
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 
 import dask
-from distributed import Client, LocalCluster, as_completed
+from distributed import Client, LocalCluster, WorkerPlugin, as_completed
 
 from fwclass.errors import FwclassError
 from fwclass.run.part import Name, Outcome, Task, execute
+
+
+class Unheeding(WorkerPlugin):  # type: ignore[misc]
+    """A terminal sends Ctrl-C to the workers too; only the command heeds it, and ends them."""
+
+    name = "unheeding"
+
+    def setup(self, worker: object) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class Cluster:
@@ -31,6 +41,8 @@ class Cluster:
                     memory_limit=f"{worker_memory_gib} GiB", host="127.0.0.1", silence_logs=40,
                 )  # fmt: skip
             self._client = Client(self._cluster or address, timeout="30s")
+            if self._cluster is not None:
+                self._client.register_plugin(Unheeding())
         except (OSError, TimeoutError, ValueError) as fault:
             raise FwclassError(
                 "no Dask scheduler answers",

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from fwclass import __version__
+from fwclass.assess.stage import caution
 from fwclass.conf import Config
 from fwclass.grid import Window
 from fwclass.publish.report import render_report
@@ -121,7 +122,10 @@ def _accuracy(road: Road, config: Config) -> dict[str, Any] | None:
         return None
     gap = config.areas.gap
     area = "the listed test areas" if config.areas.test else "all echoes"
-    return {**receipt.meta["accuracy"], "area": f"{area} further than {gap:g} m from every training area"}
+    found = dict(receipt.meta["accuracy"])
+    if found.get("intervals"):
+        found["intervals"] = {**found["intervals"], "caution": caution(found["intervals"]["blocks"])}
+    return {**found, "area": f"{area} further than {gap:g} m from every training area"}
 
 
 def _training(road: Road, names: tuple[str, ...]) -> dict[str, Any] | None:

@@ -80,5 +80,11 @@ def _of_polygons(polygons: Sequence[Receipt], ambiguous: int) -> list[str]:
         if meta["without_code"]:
             told.append(f"{name}: {meta['without_code']} features label nothing: no value, or mapped to null.")
     if ambiguous:
-        told.append(f"{ambiguous} echoes lie in polygons of different classes and are not labelled.")
+        told.append(f"{ambiguous_text(ambiguous)}.")
     return told
+
+
+def ambiguous_text(n: int) -> str:
+    """What is told of `n` echoes in polygons of different classes."""
+    where = "in polygons of different classes and"
+    return f"1 echo lies {where} is not labelled" if n == 1 else f"{n} echoes lie {where} are not labelled"

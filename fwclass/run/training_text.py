@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fwclass.assess.stage import describe as confusion_table
+from fwclass.run.sampling import ambiguous_text
 
 MOST = 10
 """Features whose importance is shown."""
@@ -21,6 +22,8 @@ def describe(made: dict[str, Any]) -> str:
     lines += _out_of_bag(card.get("out_of_bag"), card["classes"], sum(card["samples"]))
     lines += _importance(card.get("importance"))
     lines += [f"note        {note}" for note in card.get("notes", ())]
+    if made.get("ambiguous"):
+        lines.append(f"note        {ambiguous_text(made['ambiguous'])}")
     if made["accuracy"]:
         lines += ["", confusion_table(made["accuracy"]), ""]
     return "\n".join(lines)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fwclass.assess.confusion import figures
-from fwclass.assess.intervals import FIGURES, LEAST, difference, intervals, scores
+from fwclass.assess.intervals import FEW, FIGURES, LEAST, caution, difference, intervals, scores
 
 
 def blocks(r, n, accuracy, rows=1000):
@@ -106,3 +106,11 @@ def test_other_reference_is_refused():
         difference(made, made[::-1] * 2)
     with pytest.raises(ValueError, match="no confusion matrices"):
         intervals(made[0])
+
+
+def test_few_blocks_are_told_with_a_caution():
+    r = np.random.default_rng(9)
+    few, enough = (blocks(r, n, np.full(n, 0.8)) for n in (FEW - 1, FEW))
+    assert "too few blocks to lean on" in difference(few, few)["caution"]
+    assert str(FEW - 1) in caution(FEW - 1)
+    assert difference(enough, enough)["caution"] is None

@@ -43,6 +43,36 @@ def test_a_faulty_file_is_refused(tmp_path, text, word):
         feature_set("bad.yaml", tmp_path)
 
 
+def test_wrong_entries_of_a_list_are_told_without_its_length():
+    with pytest.raises(ConfigError, match=r"select\.rates\.0") as told:
+        conf.load("demo", ("select.rates=[0, 2]",))
+    assert "select.rates.1" in str(told.value) and "at least 1 item" not in str(told.value)
+    with pytest.raises(ConfigError, match="at least 1 item"):
+        conf.load("demo", ("select.rates=[]",))
+
+
+def test_class_weights_are_of_the_survey_s_classes():
+    assert conf.load("demo", ("train.class_weights={building: 3}",)).train.class_weights == {"building": 3.0}
+    with pytest.raises(ConfigError, match=r"bilding[\s\S]*train\.class_weights[\s\S]*did you mean 'building'"):
+        conf.load("demo", ("train.class_weights={bilding: 3}",))
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("planarity_k501", "at most 500 nearest echoes"), ("planarity_k0", "size must be positive"),
+        ("planarty_k20", "did you mean 'planarity_k20'"), ("amplitud", "did you mean 'amplitude'"),
+    ],
+)  # fmt: skip
+def test_a_survey_s_features_have_a_size_that_can_be_had(name, says):
+    from fwclass.run.plan.layout import check_features
+
+    config = conf.load("demo")
+    check_features(config, ("planarity_k500", "planarity_opt", "zc"), "here")
+    with pytest.raises(ConfigError, match=says):
+        check_features(config, ("zc", name), "here")
+
+
 def test_an_unknown_set_names_who_asked_and_the_nearest():
     with pytest.raises(ConfigError, match=r"survey\.features[\s\S]*xiong2018"):
         conf.load("demo", ("survey.features=xiong2017",))

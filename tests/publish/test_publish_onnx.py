@@ -92,6 +92,7 @@ def test_the_command_writes_a_file_and_no_other_over_it(tmp_path):
 
     save_model(tmp_path / "model", forest(3))
     command = ["export", str(tmp_path / "model"), str(tmp_path / "made" / "forest.onnx")]
+    (tmp_path / "made").mkdir()
     assert CliRunner().invoke(cli, command).exit_code == 0
     content = (tmp_path / "made" / "forest.onnx").read_bytes()
     (label, _, _), _ = run(content, rows(10))
@@ -100,3 +101,13 @@ def test_the_command_writes_a_file_and_no_other_over_it(tmp_path):
     assert isinstance(again.exception, ConfigError)
     assert CliRunner().invoke(cli, [*command, "--overwrite"]).exit_code == 0
     assert [p.name for p in (tmp_path / "made").iterdir()] == ["forest.onnx"]
+
+
+@pytest.mark.parametrize(("name", "says"), [("no/forest.onnx", "does not exist"), ("forest.txt", "ends in .onnx")])
+def test_the_command_refuses_a_place_or_an_ending_that_is_none(tmp_path, name, says):
+    from fwclass.cli import cli
+
+    save_model(tmp_path / "model", forest(3))
+    made = CliRunner().invoke(cli, ["export", str(tmp_path / "model"), str(tmp_path / name)])
+    assert isinstance(made.exception, ConfigError) and says in str(made.exception)
+    assert [p.name for p in tmp_path.iterdir()] == ["model"]

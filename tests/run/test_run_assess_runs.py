@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from runmaker import walk
 
+from fwclass.assess.intervals import FEW, FIGURES, caution
 from fwclass.errors import InputError
 from fwclass.run.assess_runs import assess_runs, describe
 from fwclass.store.arrays import read_arrays
@@ -43,10 +44,19 @@ def test_the_gain_is_that_of_the_reports(survey, finished, tmp_path):
         assert made[name]["difference"] == pytest.approx(reports[1][name] - reports[0][name], abs=1e-12)
         low, high = made[name]["interval"]
         assert low <= made[name]["difference"] <= high
+    assert ("CAUTION" in describe(made)) == (made["blocks"] < FEW)
+    assert (reports[0]["intervals"]["caution"] is None) == (reports[0]["intervals"]["blocks"] >= FEW)
     low, high = reports[0]["intervals"]["overall_accuracy"]
     assert low <= reports[0]["overall_accuracy"] <= high
     with pytest.raises(InputError, match="not judged on the same echoes"):
         assess_runs(roots[0], finished[0])
+
+
+def test_few_blocks_are_told():
+    part = {"difference": 0.01, "interval": [-0.1, 0.2]}
+    made = {"level": 0.95, "blocks": 7, "caution": caution(7), **dict.fromkeys(FIGURES, part)}
+    assert "from 7 blocks" in describe(made) and "CAUTION: 7 blocks are too few blocks to lean on" in describe(made)
+    assert "CAUTION" not in describe({**made, "caution": None})
 
 
 def test_a_directory_that_is_no_run_is_refused(finished, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import lasmaker
 import laspy
@@ -19,6 +20,7 @@ from fwclass.features.stage import features
 from fwclass.grid import Tile
 from fwclass.run.features.file import FeaturesJob, features_file
 from fwclass.run.features.names import sorted_settings, wanted
+from fwclass.run.features.text import describe
 from fwclass.schema import Table
 from fwclass.stage import Chunk
 
@@ -133,6 +135,9 @@ def test_a_text_has_places_and_perhaps_classes(truth, tmp_path):
         (["--features", "planarity_g100"], "other neighbourhoods"), (["--features", "planarty_r100"], "did you mean"),
         (["--set", "fan2013", "--features", "zc"], "named twice"), (["--set", "fan2013", "--set", "shi2019"], "two"),
         (["--set", "train.trees=3"], "no effect here"), (["--features", "count_c50000"], "reaches too far"),
+        (["--features", "planarty_k20"], "did you mean 'planarity_k20'?"), (["--features", "planarity_k0"], "positive"),
+        (["--features", "height_std_r0"], "size must be positive"), (["--features", "planarity_k501"], "at most 500"),
+        (["--features", "height_std_r0100"], "without leading 0"), (["--set", "nowhere"], "where: --set"),
         (["--features", "x"], "not a feature"), (["--features", ","], "no feature is named"),
     ],
 )  # fmt: skip
@@ -147,6 +152,24 @@ def test_outputs_are_not_replaced(las, made, tmp_path):
         features_file(FeaturesJob(las, las.with_suffix(".parquet"), listed="zc"))
     with pytest.raises(ConfigError, match="GeoParquet"):
         features_file(FeaturesJob(las, tmp_path / "o.laz", listed="zc"))
+
+
+def test_a_place_that_cannot_be_written_is_named(las):
+    """Root may write everywhere, as far as permissions tell; nobody makes files in /proc."""
+    output = Path("/proc/e.parquet")
+    if not output.parent.is_dir():
+        pytest.skip("no /proc on this system")
+    with pytest.raises(ConfigError, match=r"cannot be written(.|\n)*where: /proc/e.parquet"):
+        features_file(FeaturesJob(las, output, listed="zc"))
+
+
+def test_one_of_a_thing_is_told_as_one():
+    facts = {"input": "a", "echoes": 1, "features": ["zc"], "set": "--features", "notes": [], "reach": 1.0, "tiles": 1,
+             "left_out": {}, "without_value": {}, "output": "b", "bytes": 1,
+             "seconds": {"compiling": 0.0, "all": 1.0}}  # fmt: skip
+    told = describe(facts)
+    assert "1 echo, 1 feature of" in told and told.splitlines()[1].endswith("; 1 tile")
+    assert "2 features of" in describe({**facts, "features": ["zc", "egi_r50"]})
 
 
 def test_the_list_shows_every_feature_and_set():
@@ -166,6 +189,12 @@ def test_the_list_of_one_set(words):
     assert [f["name"] for f in facts["features"]] == list(feature_set("xiong2018").features)
     assert all(f["formula"] for f in facts["features"])
     assert "eigenvalue_2_r150" in CliRunner().invoke(cli, ["features", *words]).stdout
+
+
+def test_an_unknown_set_names_the_option_that_asked():
+    for words, where in ((["--list", "fan2014"], "where: --list"), (["--list", "--set", "fan2014"], "where: --set")):
+        result = CliRunner().invoke(cli, ["features", *words])
+        assert isinstance(result.exception, ConfigError) and where in str(result.exception)
 
 
 def test_a_set_file_of_ones_own(tmp_path):

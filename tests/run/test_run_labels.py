@@ -17,9 +17,12 @@ from fwclass.run.desk import Desk
 from fwclass.run.local import Loop
 from fwclass.run.plan.tiles import label_tasks
 from fwclass.run.progress import Display
+from fwclass.run.report import summary
 from fwclass.run.road import Road
+from fwclass.run.training_text import describe
 from fwclass.store.lock import writer
 from workflows.echoes import until_tiles
+from workflows.training import training
 
 CLASSES = {2: "ground", 5: "vegetation", 6: "building", 64: "artificial"}
 FAST = ("survey.features=[height_above_ground, amplitude]", "features.also=[]", "train.trees=4")
@@ -166,11 +169,28 @@ def test_the_report_tells_what_is_odd(reported):
     told = " ".join(report["sampling"]["remarks"])
     assert report["sampling"]["ambiguous"] > 100
     assert f"{report['sampling']['ambiguous']} echoes lie in polygons of different classes" in told
+    assert f"{report['sampling']['ambiguous']} echoes lie in polygons" in summary(report, root)
     assert "Training area [512500.0, 5403000.0, 512510.0, 5403010.0] has no labelled echo" in told
     assert "1 features without a geometry" in told and "1 features label nothing" in told
     page = (root / "report.html").read_text()
     assert 'id="sampling"' in page and "Labels and sample" in page and "has no labelled echo" in page
     assert json.loads((root / "report.json").read_text())["sampling"]["remarks"] == report["sampling"]["remarks"]
+
+
+def test_a_training_tells_how_many_echoes_are_ambiguous(reported, survey):
+    """In the run's own directory, so that all is made: every tile is looked at."""
+    root, report = reported
+    settings = (
+        asked(root.parent / "labels.parquet", values="{nothing: null}"), *FAST,
+        "areas.train=[[512000, 5403000, 512060, 5403120], [512500, 5403000, 512510, 5403010]]",
+    )  # fmt: skip
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
+    with writer(root), Display() as display:
+        made = training(config, Road(root, Loop(), display), True)
+    assert made["ambiguous"] == report["sampling"]["ambiguous"]
+    assert f"{made['ambiguous']} echoes lie in polygons of different classes" in describe(made)
+    assert "polygons" not in describe({**made, "ambiguous": 0})
+    assert "1 echo lies in polygons" in describe({**made, "ambiguous": 1})
 
 
 def broken(survey, root, *settings) -> FwclassError:
@@ -211,7 +231,7 @@ def test_polygons_that_mean_nothing_are_told(survey, drawn, tmp_path):
     assert "empty" in str(broken(survey, tmp_path / "run", asked(tmp_path / "empty.gpkg")))
 
 
-def test_polygons_elsewhere_without_a_system_or_of_another_kind_are_told(survey, drawn, tmp_path):
+def test_polygons_elsewhere_without_a_system_or_of_another_kind_are_told(survey, drawn, tmp_path, capsys):
     drawn.translate(50_000).to_frame("geometry").assign(klass="ground").to_parquet(tmp_path / "away.parquet")
     fault = broken(survey, tmp_path / "run", asked(tmp_path / "away.parquet"))
     assert isinstance(fault, InputError) and "another place" in str(fault) and "[562000.0, 5403000.0" in str(fault)
@@ -221,7 +241,9 @@ def test_polygons_elsewhere_without_a_system_or_of_another_kind_are_told(survey,
     lines = drawn.assign(geometry=drawn.boundary)
     lines.to_parquet(tmp_path / "lines.parquet")
     fault = broken(survey, tmp_path / "run", asked(tmp_path / "lines.parquet"))
-    assert isinstance(fault, InputError) and "feature 1" in str(fault) and "LineString" in str(fault)
+    told = " ".join(capsys.readouterr().err.split())  # the display has the whole message, the fault its first line
+    assert isinstance(fault, InputError) and "is no polygon" in str(fault)
+    assert "feature 1" in told and "LineString" in told
 
 
 def test_a_system_that_is_given_stands_for_the_file_s_own(survey, drawn, squares, tmp_path):

@@ -106,6 +106,8 @@ def test_the_figures_need_the_whole_survey(survey: Path, tmp_path: Path) -> None
         follow("fan2013", survey, tmp_path, tiles=frozenset({"5120_54030"}))
     with pytest.raises(ConfigError, match="trains its own"):
         follow("xiong2018", survey, tmp_path, "survey.model=some/model")
+    with pytest.raises(ConfigError, match="code is given twice"):
+        follow("fan2013", survey, tmp_path, "papers.more_classes=[{name: roof, code: 6, codes: [7]}]")
     with pytest.raises(ConfigError, match="too few features of the paper"):
         follow("fan2013", survey, tmp_path, "survey.features=[height_above_ground]", "features.also=[]")
 
@@ -153,3 +155,21 @@ def test_survivors_and_importances_count_every_feature_once(xiong) -> None:
     assert facts["importance"]["rows"][0]["score"] == pytest.approx(100)
     assert [s["rate"] for s in facts["thinning"]["steps"]] == [1.0, 0.1]
     assert (root / "xiong2018.html").read_text().count("data:image/png") == 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "claims"), [("fan2013", 14), ("xiong2018", 13)])
+def test_a_survey_that_has_little_of_what_a_paper_has_gets_its_page(
+    name: str, claims: int, survey: Path, tmp_path: Path
+) -> None:
+    """Two features, one that only a waveform tells: the claims on all others are not comparable, none ends the run."""
+    road, _ = follow(
+        name, survey, tmp_path, "survey.features=[amplitude, width]", "features.also=[]", "papers.more_classes=[]"
+    )
+    assert not road.failures
+    facts = json.loads((tmp_path / f"{name}.json").read_text())
+    assert len(facts["claims"]) == claims
+    verdicts = {c["name"]: c["verdict"] for c in facts["claims"]}
+    lacking = {"zc_alone", "steps", "split", "waveform", "tree_ratio", "height_statistics", "echoes", "nh_first"}
+    assert {verdicts[n] for n in lacking & set(verdicts)} == {"not comparable"}
+    assert (tmp_path / f"{name}.html").read_text().count("not comparable") >= 4

@@ -13,7 +13,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.run.local import Loop
 from fwclass.run.part import Task
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
+from fwclass.run.road import Road, require_all
 
 
 def statuses(road):
@@ -113,6 +113,20 @@ def test_a_part_that_fails_stops_only_what_needs_it(tmp_path):
     }
     assert "disk on fire" in road.failures[0].message
     assert "disk on fire" in (tmp_path / "logs" / "one-b.log").read_text()
+
+
+def test_a_failure_is_told_once(tmp_path, capsys):
+    """Parts that fail alike, and the error that ends the run, do not repeat what stands above."""
+
+    def broken(desk, directory):
+        raise InputError("no oil", where="tank", do="fill it")
+
+    road = Road(tmp_path, Loop(), Display())
+    with pytest.raises(InputError, match="no oil") as ended:
+        require_all(road, [Task("one", part, 1, {}, broken) for part in "abc"])
+    shown = capsys.readouterr().err
+    assert shown.count("fill it") == 1 and shown.count("as above") == 2
+    assert "fill it" not in str(ended.value)
 
 
 def test_a_failure_of_today_does_not_let_yesterdays_part_through(tmp_path):

@@ -222,6 +222,42 @@ def test_many_of_one_class_and_few_of_another_are_told():
     assert any(f"'building' {few}" in n and "class_weights" in n for n in notes)
 
 
+def test_rows_without_any_value_are_counted_and_the_feature_is_named():
+    """They never train; where they are all that a class has, the features are at fault and not the labels."""
+    features, reference, key, inside = survey()
+    index = class_index(reference, CLASSES)
+    bare = np.flatnonzero(inside & (index == 2))
+    known = np.asarray(features["amplitude"]).copy()
+    known[bare[:50]] = np.nan
+    sample = candidates(Table({"amplitude": known}), reference, key, inside, small(), CLASSES)
+    assert sample.bare.tolist() == [0, 0, 50]
+    assert sample.bare.sum() + sample.eligible.sum() == (inside & (index >= 0)).sum()
+    halves = [np.arange(len(key)) % 2 == k for k in range(2)]
+    parts = [
+        candidates(Table({"amplitude": known[h]}), reference[h], key[h], inside[h], small(), CLASSES) for h in halves
+    ]
+    same(merge(parts, small()), sample)
+    known[bare] = np.nan
+    sample = candidates(Table({"amplitude": known}), reference, key, inside, small(), CLASSES)
+    with pytest.raises(InputError, match=r"feature 'amplitude' has no value in any labelled row of class 'building'"):
+        review(sample, CLASSES)
+    none = candidates(Table({"amplitude": known * np.nan}), reference, key, inside, small(), CLASSES)
+    with pytest.raises(InputError, match="'ground', 'vegetation', 'building'"):
+        review(none, CLASSES)
+    unlabelled = np.where(reference == 6, 0, reference).astype(np.uint8)
+    with pytest.raises(InputError, match=r"no training rows of class 'building'"):
+        review(candidates(Table({"amplitude": known}), unlabelled, key, inside, small(), CLASSES), CLASSES)
+
+
+def test_more_features_per_split_than_there_are_is_told():
+    features, reference, key, inside = survey(600)
+    for asked, told in ((9, True), (4, False), ("all", False)):
+        params = small(trees=1, features_per_split=asked)
+        sample = candidates(features, reference, key, inside, params, CLASSES)
+        made = train(sample, grow_trees(sample, CLASSES, 0, 1, params), params, CLASSES)
+        assert any("features_per_split is 9: all 4" in note for note in made.card["notes"]) == told
+
+
 def test_a_table_of_millions_is_not_copied_to_draw_thousands():
     """Peak memory of drawing stays well below a matrix of all rows (4 features x 4 bytes each)."""
     import tracemalloc

@@ -15,16 +15,21 @@ def describe(made: Mapping[str, Any]) -> str:
     compiling = f", {seconds['compiling']:.1f} of them compiling, once" if seconds["compiling"] >= 1.0 else ""
     lost = made["left_out"]
     empty = {n: c for n, c in made["without_value"].items() if c == made["echoes"]}
+    echoes, features = _count(made["echoes"], "echo", "echoes"), _count(len(made["features"]), "feature")
     rows = [
-        f"{made['input']}: {made['echoes']:,} echoes, {len(made['features'])} features of {made['set']}",
+        f"{made['input']}: {echoes}, {features} of {made['set']}",
         *made["notes"],
-        f"neighbourhoods reach {made['reach']:g} m; {made['tiles']:,} tiles",
+        f"neighbourhoods reach {made['reach']:g} m; {_count(made['tiles'], 'tile')}",
         *([f"LEFT OUT, {why}: {_names([n for n in lost if lost[n] == why])}" for why in dict.fromkeys(lost.values())]),
         *([f"WARNING: no echo has a value of {_names(list(empty))}"] if empty else []),
         f"{seconds['all']:.1f} s{compiling}",
         f"written: {made['output']} ({made['bytes'] / 1e6:.1f} MB)",
     ]
     return "\n".join(rows)
+
+
+def _count(n: int, one: str, many: str = "") -> str:
+    return f"{n:,} {one if n == 1 else many or f'{one}s'}"
 
 
 def _names(names: list[str]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -61,10 +61,7 @@ def check_places(source: Path, targets: list[Path], overwrite: bool) -> None:
     for path in targets:
         if not path.parent.is_dir():
             raise ConfigError("the output's directory does not exist", where=path.parent, do="make it first")
-        if not os.access(path.parent, os.W_OK):
-            raise ConfigError(
-                "the output's directory cannot be written to", where=path.parent, do="choose another place"
-            )
+        _require_writable(path)
         if path.exists() and source.exists() and path.samefile(source):
             raise ConfigError(
                 "a file cannot be written onto itself", where=path, do="name another output; the input is never changed"
@@ -73,6 +70,17 @@ def check_places(source: Path, targets: list[Path], overwrite: bool) -> None:
             raise ConfigError("the output is not a file", where=path, do="choose another name")
         if path.exists() and not overwrite:
             raise ConfigError("the output exists", where=path, do="choose another name, or add --overwrite")
+
+
+def _require_writable(path: Path) -> None:
+    """`ConfigError` where no file can be made beside `path`; tried, as permissions do not tell all (/proc)."""
+    try:
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as fault:
+        raise ConfigError(
+            "the output cannot be written", where=path, got=fault.strerror or fault, do="choose another place"
+        ) from fault
 
 
 def check_packets(cloud: PointCloud, output: Path, overwrite: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
@@ -20,6 +21,23 @@ def require_whole(config: Config, tiles: frozenset[str] | None, workflow: str) -
         raise ConfigError(
             f"--workflow {workflow} trains its own models", where=f"{config.path}: survey.model", do="set it to null"
         )
+    _require_further(config)
+
+
+def _require_further(config: Config) -> None:
+    """`ConfigError` where `papers.more_classes` names, or counts codes of, a class that is there already."""
+    classes = (*config.survey.classes, *config.papers.more_classes)
+    told: tuple[tuple[str, list[Any]], ...] = (
+        ("name", [c.name for c in classes]), ("code", [c.code for c in classes]),
+        ("reference code", [code for c in classes for code in c.codes]),
+    )  # fmt: skip
+    for what, values in told:
+        twice = sorted({str(v) for v in values if values.count(v) > 1})
+        if twice:
+            raise ConfigError(
+                f"a class {what} is given twice", where=f"{config.path}: survey.classes, papers.more_classes",
+                got=", ".join(twice), do="list in papers.more_classes only what survey.classes lacks",
+            )  # fmt: skip
 
 
 def beside(road: Road) -> Road:

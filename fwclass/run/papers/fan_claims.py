@@ -55,7 +55,8 @@ def _split(facts: Facts) -> Verdict:
 
 def _steps(facts: Facts) -> dict[str, float]:
     """Gain of accuracy over the best set before, by base, in the paper's order."""
-    gains, best = {}, 0.0
+    gains: dict[str, float] = {}
+    best = 0.0
     for step in facts["selection"]["paper"]["steps"]:
         base = base_of(step["tried"][0])
         gains[base] = gains.get(base, 0.0) + step["accuracy"] - best

@@ -1,0 +1,54 @@
+"""Workers on this machine: Ctrl-C, which a terminal sends to them too, is the command's alone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+SCRIPT = """
+import sys, time
+from functools import partial
+from pathlib import Path
+
+from fwclass.run.cluster import Cluster
+from fwclass.run.part import Task
+
+
+def slow(desk, directory):
+    (directory.parents[2] / "begun").touch()
+    time.sleep(60)
+    return {}
+
+
+if __name__ == "__main__":
+    root = Path(sys.argv[1])
+    try:
+        with Cluster(None, 2, 1.0) as cluster:
+            list(cluster.run(root, [Task("slow", "all", 1, {}, partial(slow))]))
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(130)
+"""
+
+
+def test_ctrl_c_ends_the_workers_without_a_word_of_theirs(tmp_path: Path) -> None:
+    script, root = tmp_path / "slow.py", tmp_path / "run"
+    script.write_text(SCRIPT)
+    root.mkdir()
+    with (tmp_path / "told").open("w+") as told:
+        begun = subprocess.Popen([sys.executable, script, root], start_new_session=True, stderr=told, stdout=told)
+        try:
+            until = time.monotonic() + 90
+            while not list(root.rglob("begun")) and begun.poll() is None and time.monotonic() < until:
+                time.sleep(0.2)
+            assert list(root.rglob("begun")), (tmp_path / "told").read_text()
+            os.killpg(begun.pid, signal.SIGINT)
+            assert begun.wait(60) == 130
+        finally:
+            if begun.poll() is None:
+                os.killpg(begun.pid, signal.SIGKILL)
+    assert (tmp_path / "told").read_text() == "interrupted\n"
