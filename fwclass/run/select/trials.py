@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.classify.stage import votes
+from fwclass.classify.vote import walkable, winners
 from fwclass.model import FORMAT, ClassDef, assemble
 from fwclass.run.desk import Desk
 from fwclass.run.part import Task
@@ -97,4 +97,4 @@ def predicted(X: Any, trees: Any, names: Names, classes: Sequence[ClassDef]) -> 
     }
     if len(X) == 0:
         return np.empty(0, np.int64)
-    return votes(X, assemble(trees, card)).argmax(axis=1)
+    return winners(X, walkable(assemble(trees, card))).astype(np.int64)
