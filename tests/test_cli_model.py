@@ -88,6 +88,31 @@ def test_old_point_formats_cannot_hold_every_class(tmp_path, model):
     assert set(np.unique(laspy.read(tmp_path / "out.laz").classification)) == {2, 20}
 
 
+def test_a_class_brings_its_legacy_code(tmp_path):
+    told = card(("intensity",), (2, 64))
+    told["classes"][1]["legacy_code"] = 31
+    save_model(tmp_path / "m", LinearMachine(np.full((1, 1), 0.2), np.full(1, -100.0), told))
+    for form, codes in ((1, {2, 31}), (6, {2, 64})):
+        source = cloud(tmp_path / f"in{form}.las", point_format=form)
+        made = call("classify", source, tmp_path / f"out{form}.laz", "--model", tmp_path / "m")
+        assert made.exit_code == 0, made.output
+        assert set(np.unique(laspy.read(tmp_path / f"out{form}.laz").classification)) == codes
+    told["classes"][1]["legacy_code"] = 64
+    save_model(tmp_path / "n", LinearMachine(np.full((1, 1), 0.2), np.full(1, -100.0), told))
+    made = call("classify", source, tmp_path / "out.laz", "--model", tmp_path / "n")
+    assert isinstance(made.exception, InputError) and "legacy code" in str(made.exception)
+
+
+def test_heights_of_another_filter_than_the_models_are_told(tmp_path):
+    for learned in ("csf", "smrf"):
+        told = card(("height_above_ground",), (2, 64), computed={"ground": learned})
+        save_model(tmp_path / learned, LinearMachine(np.ones((1, 1)), np.zeros(1), told))
+        source = cloud(tmp_path / "in.las")
+        made = call("classify", source, tmp_path / f"{learned}.laz", "--model", tmp_path / learned, "--method", "smrf")
+        assert made.exit_code == 0, made.output
+        assert ("--method csf" in made.stderr) == (learned == "csf")
+
+
 def test_nothing_is_overwritten_unasked(tmp_path, model):
     source, output = cloud(tmp_path / "in.las"), tmp_path / "out.laz"
     output.write_bytes(b"precious")

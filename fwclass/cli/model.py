@@ -119,7 +119,7 @@ def _codes(context: click.Context, parameter: click.Parameter, words: tuple[str,
 @click.option("--param", "assignments", multiple=True, metavar="NAME=VALUE", help="A parameter of the filter.")
 @click.option("--own-ground", is_flag=True, help="Heights count from class 2 of the file; no filter.")
 @click.option("--legacy-code", "legacy", multiple=True, callback=_codes, metavar="CODE=CODE",
-              help="Write another code; point formats 0 to 5 hold codes up to 31.")  # fmt: skip
+              help="Write another code (formats 0 to 5 hold up to 31; default: the model's).")  # fmt: skip
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET), for models that need ranges.")
 @click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights.")
 @click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")

@@ -210,7 +210,7 @@ class Config:
 
     @property
     def classes(self) -> tuple[ClassDef, ...]:
-        return tuple(ClassDef(c.name, c.code, c.codes) for c in self.survey.classes)
+        return tuple(ClassDef(**c.model_dump()) for c in self.survey.classes)
 
     @property
     def features_asked(self) -> tuple[str, ...]:

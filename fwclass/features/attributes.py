@@ -92,7 +92,7 @@ def _add_attribute(values, at, m, row):  # type: ignore[no-untyped-def]
         most = size if size > most else most
     add_values(values, at, m, row)
     if most * most * len(at) >= EXACT:
-        wide_squares(values, at, m, row)
+        wide_squares(values[at], m, row)
 
 
 @kernel

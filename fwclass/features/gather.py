@@ -118,11 +118,10 @@ def most_in_window(start, ncols, nrows, half):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, named, x, y, z, at):  # type: ignore[no-untyped-def]
+def candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, x, y, z):  # type: ignore[no-untyped-def]
     """Copy the echoes of the window of a cell, relative to echo `first`, and far ones up to a multiple of `LANES`.
 
-    `at` gets their sorted rows where `named`. Returns their number. Places are unsigned: numba takes a negative one to
-    count from the end, and asks every time.
+    Returns their number. Places are unsigned: numba takes a negative one to count from the end, and asks every time.
     """
     m = np.uint64(0)
     reach = len(half) - 1
@@ -137,14 +136,28 @@ def candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, named, x,
             y[m + np.uint64(k)] = np.float32(np.int32(ys[begin + np.uint64(k)] - y0))
         for k in range(count):
             z[m + np.uint64(k)] = np.float32(np.int32(zs[begin + np.uint64(k)] - z0))
-        if named:
-            for k in range(count):
-                at[m + np.uint64(k)] = begin + np.uint64(k)
         m += np.uint64(count)
     while m % np.uint64(LANES) > np.uint64(0):
         x[m] = y[m] = z[m] = np.float32(1e12)
         m += np.uint64(1)
     return np.int64(m)
+
+
+@kernel
+def carried(values, start, ncols, nrows, half, row, col, to):  # type: ignore[no-untyped-def]
+    """Copy what the `candidates` of a cell carry; nought for those that fill up."""
+    m = np.uint64(0)
+    reach = len(half) - 1
+    for r in range(max(row - reach, 0), min(row + reach + 1, nrows)):
+        wide = half[abs(r - row)]
+        begin = np.uint64(start[r * ncols + max(col - wide, 0)])
+        count = np.int64(start[r * ncols + min(col + wide + 1, ncols)] - start[r * ncols + max(col - wide, 0)])
+        for k in range(count):
+            to[m + np.uint64(k)] = values[begin + np.uint64(k)]
+        m += np.uint64(count)
+    while m % np.uint64(LANES) > np.uint64(0):
+        to[m] = 0
+        m += np.uint64(1)
 
 
 @inlined
@@ -221,7 +234,7 @@ def order(near, n, shell, places, ordered):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def fill(x, y, z, at, near, n, px, py, pz, named, to_x, to_y, to_z, to_at, used):  # type: ignore[no-untyped-def]
+def fill(x, y, z, near, n, px, py, pz, to_x, to_y, to_z, used):  # type: ignore[no-untyped-def]
     """Copy the first `n` of `near`, relative to (px, py, pz), to place `used` and on, and nought up to whole `LANES`.
 
     Returns the place behind.
@@ -232,11 +245,15 @@ def fill(x, y, z, at, near, n, px, py, pz, named, to_x, to_y, to_z, to_at, used)
         to_y[used + np.uint64(k)] = y[j] - py
     for k in range(n):
         to_z[used + np.uint64(k)] = z[near[k]] - pz
-    if named:
-        for k in range(n):
-            to_at[used + np.uint64(k)] = at[near[k]]
     end = used + np.uint64(n)
     while end % np.uint64(LANES) > np.uint64(0):
         to_x[end] = to_y[end] = to_z[end] = np.float32(0.0)
         end += np.uint64(1)
     return end
+
+
+@inlined
+def fill_values(values, near, n, to, used):  # type: ignore[no-untyped-def]
+    """Copy what the first `n` of `near` carry to place `used` and on."""
+    for k in range(n):
+        to[used + np.uint64(k)] = values[near[k]]

@@ -179,16 +179,16 @@ def add_values(values, at, moments, row):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def wide_squares(values, at, moments, row):  # type: ignore[no-untyped-def]
-    """Set the sums of `add_values` over all of `at` where the squares may pass `EXACT`."""
+def wide_squares(values, moments, row):  # type: ignore[no-untyped-def]
+    """Set sum and sum of squares of all of `values` where they may pass `EXACT`."""
     size = 0.0
-    for k in range(len(at)):
-        value = abs(values[at[k]])
+    for k in range(len(values)):
+        value = abs(values[k])
         size = value if value > size else size
-    one, two = _unit(size * len(at)), _unit(size * size * len(at))
+    one, two = _unit(size * len(values)), _unit(size * size * len(values))
     total = squares = 0.0
-    for k in range(len(at)):
-        value = values[at[k]]
+    for k in range(len(values)):
+        value = values[k]
         if value == value:
             total += np.rint(value / one)
             squares += np.rint(value * value / two)

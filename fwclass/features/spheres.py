@@ -22,6 +22,10 @@ Columns = dict[str, NDArray[np.float32]]
 CLASS = 4.0
 """Radii of one walk differ by at most this factor: a small sphere is not looked for among a large cylinder's echoes."""
 
+TWICE = 2.0
+"""Radii are walked one by one, each with its sums at once, where that meets at most so many times the candidates of the
+largest: to put neighbours into the order of their shells costs more."""
+
 POOL = 1 << 14
 """At least so many neighbours are kept for the sums of a block and its second pass."""
 
@@ -33,7 +37,7 @@ def spheres(chunk: Chunk, asked: Mapping[Scale, Sequence[str]], params: Features
     plain = {scale: tuple(bases) for scale, bases in asked.items() if scale.kind in "rc"}
     plain[normals] = (*plain.get(normals, ()), *NORMAL)
     for kind in "rc":
-        for scales in size_classes(scale for scale in plain if scale.kind == kind):
+        for scales in size_classes({scale: bases for scale, bases in plain.items() if scale.kind == kind}):
             made |= _walk(chunk, {scale: plain[scale] for scale in scales})
     for scale, bases in asked.items():
         if scale.kind == "o":
@@ -56,15 +60,27 @@ def optimal(chunk: Chunk, bases: Sequence[str], wants_radius: bool, params: Feat
     return {**made, "optimal_radius": chosen} if wants_radius else made
 
 
-def size_classes(scales: Iterable[Scale]) -> list[list[Scale]]:
+def size_classes(asked: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
     """Scales in groups that one walk takes, each of rising size."""
     classes: list[list[Scale]] = []
-    for scale in sorted(scales, key=lambda s: s.size):
+    for scale in sorted(asked, key=lambda s: s.size):
         if classes and scale.size <= CLASS * classes[-1][0].size:
             classes[-1].append(scale)
         else:
             classes.append([scale])
-    return classes
+    return [part for scales in classes for part in _apart(scales, asked)]
+
+
+def _apart(scales: list[Scale], asked: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
+    """`scales` one by one where all sums can be taken at once and few echoes are met twice."""
+    at_once = all(_at_once(asked[scale]) for scale in scales)
+    met = sum(scale.size**2 for scale in scales)
+    return [[scale] for scale in scales] if at_once and met <= TWICE * scales[-1].size ** 2 else [scales]
+
+
+def _at_once(bases: Iterable[str]) -> bool:
+    need = needs(bases)
+    return not (need.extent or need.percentiles)
 
 
 def _walk(chunk: Chunk, asked: Mapping[Scale, Sequence[str]]) -> Columns:
@@ -93,8 +109,8 @@ def _run(
         points.x, points.y, points.z, points.start, points.ncols, points.nrows, points.cell, half, wanted[points.order]
     )
     values = _values(chunk.table, points.order, [base for _, base in jobs])
-    scratch = Scratch.of(most, len(radii), BUCKETS)
-    walk(grid, values, task, scratch, _block(task, max(2 * most, POOL) + 2 * LANES), out, chosen)
+    scratch = Scratch.of(most, task, BUCKETS, values)
+    walk(grid, values, task, scratch, _block(task, max(2 * most, POOL) + 2 * LANES, values), out, chosen)
     return out, chosen
 
 
@@ -113,6 +129,7 @@ def _task(radii: Sequence[int], kind: str, jobs: Sequence[tuple[int, str]], opti
         powers=every.powers,
         among=every.cylinder,
         ranks=every.percentiles,
+        at_once=len(radii) == 1 and not optimal and _at_once(base for _, base in jobs),
         jobs=np.array([(q, CODE[base], row) for row, (q, base) in enumerate(jobs)], np.int64).reshape(-1, 3),
     )
 
@@ -131,13 +148,13 @@ def _values(table: Table, order: NDArray[np.int32], bases: Iterable[str]) -> Val
     )
 
 
-def _block(task: Task, room: int) -> Block:
+def _block(task: Task, room: int, values: Values) -> Block:
     """Room for the neighbourhoods of a block of echoes, `room` neighbours in all."""
     count = len(task.radii)
     moments = np.zeros((count, MOMENTS, STRIDE))
     moments[:, AREA] = (np.pi * (task.radii * 0.001) ** 2)[:, None]
     x, y, z = (np.empty(room, np.float32) for _ in range(3))
     return Block(
-        x, y, z, np.empty(room, np.uint32), np.zeros(BLOCK, np.int64), np.zeros((BLOCK, count), np.int64),
+        x, y, z, values.room(room), np.zeros(BLOCK, np.int64), np.zeros((BLOCK, count), np.int64),
         np.zeros(BLOCK, np.uint64), moments, np.full((count, SHAPES, STRIDE), np.nan), np.empty(BLOCK, np.float32),
     )  # fmt: skip

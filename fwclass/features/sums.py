@@ -33,7 +33,7 @@ from fwclass.features.moments import (
     wide_squares,
 )  # fmt: skip
 from fwclass.features.percentiles import percentiles
-from fwclass.kernel import kernel, vectorised
+from fwclass.kernel import inlined, kernel, vectorised
 
 
 @vectorised
@@ -102,9 +102,9 @@ def sum_heights(z, begin, ends, count, moments):  # type: ignore[no-untyped-def]
             at = end
 
 
-@kernel
-def sum_kinds(kinds, rank, begin, ends, count, moments):  # type: ignore[no-untyped-def]
-    """SINGLE, FIRST and INTERMEDIATE; `rank` is the neighbours' row of `kinds`, see `moments.packed_kinds`."""
+@vectorised
+def sum_kinds(kinds, begin, ends, count, moments):  # type: ignore[no-untyped-def]
+    """SINGLE, FIRST and INTERMEDIATE of the neighbours' `kinds`, see `moments.packed_kinds`."""
     for p in range(count):
         packed = np.int64(0)
         base = np.uint64(begin[p])
@@ -112,16 +112,21 @@ def sum_kinds(kinds, rank, begin, ends, count, moments):  # type: ignore[no-unty
         for q in range(ends.shape[1]):
             end = base + np.uint64(ends[p, q])
             for step in range(np.int64(end - at)):
-                k = at + np.uint64(step)
-                packed += kinds[rank[k]]
-            moments[q, SINGLE, p] = packed & 0x1FFFFF
-            moments[q, FIRST, p] = (packed >> 21) & 0x1FFFFF
-            moments[q, INTERMEDIATE, p] = packed >> 42
+                packed += kinds[at + np.uint64(step)]
+            unpack_kinds(packed, moments[q], p)
             at = end
 
 
-@kernel
-def sum_values(values, rank, begin, ends, count, moments, row):  # type: ignore[no-untyped-def]
+@inlined
+def unpack_kinds(packed, moments, p):  # type: ignore[no-untyped-def]
+    """The three fields of a sum of packed kinds to column `p`."""
+    moments[SINGLE, p] = packed & 0x1FFFFF
+    moments[FIRST, p] = (packed >> 21) & 0x1FFFFF
+    moments[INTERMEDIATE, p] = packed >> 42
+
+
+@vectorised
+def sum_values(values, begin, ends, count, moments, row):  # type: ignore[no-untyped-def]
     """Count, sum and sum of squares of an attribute in steps (NaN is no value) to rows `row`, +1 and +2."""
     for p in range(count):
         with_value = total = squares = 0.0
@@ -130,8 +135,7 @@ def sum_values(values, rank, begin, ends, count, moments, row):  # type: ignore[
         for q in range(ends.shape[1]):
             end = base + np.uint64(ends[p, q])
             for step in range(np.int64(end - at)):
-                k = at + np.uint64(step)
-                value = values[rank[k]]
+                value = values[at + np.uint64(step)]
                 has = value == value
                 value = value if has else 0.0
                 with_value += 1.0 if has else 0.0
@@ -140,7 +144,7 @@ def sum_values(values, rank, begin, ends, count, moments, row):  # type: ignore[
             moments[q, row, p], moments[q, row + 1, p], moments[q, row + 2, p] = with_value, total, squares
             at = end
             if squares >= EXACT:
-                wide_squares(values, rank[base:end], moments[q, :, p], row)
+                wide_squares(values[base:end], moments[q, :, p], row)
 
 
 @kernel

@@ -13,7 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.features.eigen import BATCH
-from fwclass.features.gather import LANES, candidates, compact, count_within, distances, fill, order, shells
+from fwclass.features.gather import (
+    LANES,
+    candidates,
+    carried,
+    compact,
+    count_within,
+    distances,
+    fill,
+    fill_values,
+    order,
+    shells,
+)  # fmt: skip
 from fwclass.features.moments import AMPLITUDE, CYLINDER, INTENSITY, WIDTH
 from fwclass.features.settle import settle
 from fwclass.features.sums import (
@@ -24,6 +35,7 @@ from fwclass.features.sums import (
     sum_values,
     sum_wide,
 )  # fmt: skip
+from fwclass.features.within import sum_within
 from fwclass.kernel import kernel
 
 BLOCK = 5 * BATCH
@@ -56,6 +68,12 @@ class Values(NamedTuple):
     width: NDArray[np.float64]
     intensity: NDArray[np.float64]
 
+    def room(self, size: int) -> Values:
+        """Room for `size` of what is there."""
+        kinds = np.empty(size if len(self.kinds) else 0, np.int64)
+        amplitude, width, intensity = (np.empty(size if len(values) else 0) for values in self[1:])
+        return Values(kinds, amplitude, width, intensity)
+
 
 class Task(NamedTuple):
     """What is asked of one walk.
@@ -68,6 +86,7 @@ class Task(NamedTuple):
     optimal : of every echo only the radius of lowest eigenentropy counts; jobs then have radius number 0.
     shape, extent : bool (Q,), shapes, extents along the normal are needed at the radius.
     powers, among, ranks : powers of heights, counts in the cylinder, percentiles are needed.
+    at_once : one radius, and nothing needs the neighbours themselves: see `within`.
     jobs : int64 (J, 3), radius number, code of the base, row of the result.
     """
 
@@ -81,6 +100,7 @@ class Task(NamedTuple):
     powers: bool
     among: bool
     ranks: bool
+    at_once: bool
     jobs: NDArray[np.int64]
 
 
@@ -89,8 +109,9 @@ class Scratch(NamedTuple):
 
     Attributes
     ----------
-    x, y, z : float32, relative to the first echo of the cell [mm]; at : uint32, their sorted rows.
+    x, y, z : float32, relative to the first echo of the cell [mm]; carried : what they carry, as the grid's.
     flat, square : float64, squared distances [mm2]; distance : those of the neighbours.
+    picked : float64 (4, m), see `within`; without room unless its sums are taken.
     near, ordered : uint32, places of the neighbours among the candidates; shell : uint64, theirs.
     places : uint64 (Q,), starts or ends of the shells.
     values : int32, tally : int64 (BUCKETS + 1,), for percentiles.
@@ -99,10 +120,11 @@ class Scratch(NamedTuple):
     x: NDArray[np.float32]
     y: NDArray[np.float32]
     z: NDArray[np.float32]
-    at: NDArray[np.uint32]
+    carried: Values
     flat: NDArray[np.float64]
     square: NDArray[np.float64]
     distance: NDArray[np.float64]
+    picked: NDArray[np.float64]
     near: NDArray[np.uint32]
     ordered: NDArray[np.uint32]
     shell: NDArray[np.uint64]
@@ -111,16 +133,18 @@ class Scratch(NamedTuple):
     tally: NDArray[np.int64]
 
     @classmethod
-    def of(cls, size: int, radii: int, buckets: int) -> Scratch:
-        """Room for `size` candidates and for those that fill them up."""
+    def of(cls, size: int, task: Task, buckets: int, values: Values) -> Scratch:
+        """Room for `size` candidates, for those that fill them up and for what they carry of `values`."""
         size += LANES
         x, y, z = (np.empty(size, np.float32) for _ in range(3))
         flat, square, distance = (np.empty(size) for _ in range(3))
-        at, near, ordered = (np.empty(size + 1, np.uint32) for _ in range(3))
-        values = np.empty(size, np.int32)
-        shell, places = np.empty(size, np.uint64), np.empty(radii, np.uint64)
+        near, ordered = (np.empty(size + 1, np.uint32) for _ in range(2))
+        ranked = np.empty(size, np.int32)
+        shell, places = np.empty(size, np.uint64), np.empty(len(task.radii), np.uint64)
         tally = np.empty(buckets + 1, np.int64)
-        return cls(x, y, z, at, flat, square, distance, near, ordered, shell, places, values, tally)
+        picked = np.empty((4, size if task.at_once else 0))
+        carried = values.room(size)
+        return cls(x, y, z, carried, flat, square, distance, picked, near, ordered, shell, places, ranked, tally)
 
 
 class Block(NamedTuple):
@@ -130,7 +154,7 @@ class Block(NamedTuple):
     ----------
     x, y, z : neighbours relative to their echo [mm], echo after echo, from the nearest shell to the furthest; at a
         single radius followed by nought up to a multiple of `LANES`.
-    at : uint32, their sorted rows.
+    carried : what the neighbours carry.
     begin : int64 (BLOCK,), first neighbour of every echo; ends : int64 (BLOCK, Q), how many lie within each radius.
     rows : uint64 (BLOCK,), row of the result.
     moments, shape : float64 (Q, MOMENTS, STRIDE), (Q, SHAPES, STRIDE).
@@ -140,7 +164,7 @@ class Block(NamedTuple):
     x: NDArray[np.float32]
     y: NDArray[np.float32]
     z: NDArray[np.float32]
-    at: NDArray[np.uint32]
+    carried: Values
     begin: NDArray[np.int64]
     ends: NDArray[np.int64]
     rows: NDArray[np.uint64]
@@ -157,14 +181,16 @@ def walk(grid, values, task, scratch, block, out, chosen):  # type: ignore[no-un
     """
     # Names for all: an array that is taken out of a tuple within the loop is counted, and that waits for the memory.
     xs, ys, zs, start, half, wanted = grid.x, grid.y, grid.z, grid.start, grid.half, grid.wanted
-    x, y, z, at, flat, square = scratch.x, scratch.y, scratch.z, scratch.at, scratch.flat, scratch.square
+    x, y, z, flat, square = scratch.x, scratch.y, scratch.z, scratch.flat, scratch.square
     distance, near, shell = scratch.distance, scratch.near, scratch.shell
-    to_x, to_y, to_z, to_at = block.x, block.y, block.z, block.at
+    kinds, amplitude, width, intensity = scratch.carried
+    to_x, to_y, to_z = block.x, block.y, block.z
+    to_kinds, to_amplitude, to_width, to_intensity = block.carried
     begin, ends, rows, moments = block.begin, block.ends, block.rows, block.moments
     limits, bounds, ncols, nrows = task.limits, task.bounds, grid.ncols, grid.nrows
     room, level, among, count = len(block.x), task.cylinder, task.among, len(task.limits)
-    ordered, places = scratch.ordered, scratch.places
-    named = len(values.kinds) + len(values.amplitude) + len(values.width) + len(values.intensity) > 0
+    ordered, places, at_once, picked = scratch.ordered, scratch.places, task.at_once, scratch.picked
+    shape, powers = task.shape[0], task.powers
     filled, used = 0, np.uint64(0)
     for row in range(nrows):
         for col in range(ncols):
@@ -173,12 +199,29 @@ def walk(grid, values, task, scratch, block, out, chosen):  # type: ignore[no-un
                 first += 1
             if first == last:
                 continue
-            m = candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, named, x, y, z, at)
-            for i in range(first, last):
+            m = candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, x, y, z)
+            if len(kinds):
+                carried(values.kinds, start, ncols, nrows, half, row, col, kinds)
+            if len(amplitude):
+                carried(values.amplitude, start, ncols, nrows, half, row, col, amplitude)
+            if len(width):
+                carried(values.width, start, ncols, nrows, half, row, col, width)
+            if len(intensity):
+                carried(values.intensity, start, ncols, nrows, half, row, col, intensity)
+            at = first
+            while at_once and at < last:
+                at, filled = sum_within(
+                    xs, ys, zs, wanted, first, at, last, x, y, z, kinds, amplitude, width, intensity, m, limits[0],
+                    level, among, shape, powers, picked, moments[0], rows, filled,
+                )  # fmt: skip
+                if filled == BLOCK:
+                    _finish(task, scratch, block, filled, out, chosen)
+                    filled = 0
+            for i in range(at, last):
                 if wanted[i] < 0:
                     continue
                 if filled == BLOCK or np.int64(used) + m > room:
-                    _finish(task, values, scratch, block, filled, out, chosen)
+                    _finish(task, scratch, block, filled, out, chosen)
                     filled, used = 0, np.uint64(0)
                 px, py, pz = np.float32(xs[i] - xs[first]), np.float32(ys[i] - ys[first]), np.float32(zs[i] - zs[first])
                 distances(x, y, z, m, px, py, pz, level, flat, square)
@@ -187,36 +230,47 @@ def walk(grid, values, task, scratch, block, out, chosen):  # type: ignore[no-un
                         moments[q, CYLINDER, filled] = count_within(flat, m, limits[q])
                 n = compact(square, m, limits[count - 1], near)
                 begin[filled], rows[filled] = used, wanted[i]
+                own = near
                 if count > 1:
                     shells(square, bounds, near, n, distance, shell, places)
                     order(near, n, shell, places, ordered)
-                    used = fill(x, y, z, at, ordered, n, px, py, pz, named, to_x, to_y, to_z, to_at, used)
+                    own = ordered
                     for q in range(count):
                         ends[filled, q] = places[q]
                 else:
-                    used = fill(x, y, z, at, near, n, px, py, pz, named, to_x, to_y, to_z, to_at, used)
                     ends[filled, 0] = n
+                if len(kinds):
+                    fill_values(kinds, own, n, to_kinds, used)
+                if len(amplitude):
+                    fill_values(amplitude, own, n, to_amplitude, used)
+                if len(width):
+                    fill_values(width, own, n, to_width, used)
+                if len(intensity):
+                    fill_values(intensity, own, n, to_intensity, used)
+                used = fill(x, y, z, own, n, px, py, pz, to_x, to_y, to_z, used)
                 filled += 1
-    _finish(task, values, scratch, block, filled, out, chosen)
+    _finish(task, scratch, block, filled, out, chosen)
 
 
 @kernel
-def _finish(task, values, scratch, block, filled, out, chosen):  # type: ignore[no-untyped-def]
-    """Sums and measures of the first `filled` neighbourhoods of the block."""
-    x, y, z, at, begin, ends, moments = block.x, block.y, block.z, block.at, block.begin, block.ends, block.moments
-    if task.shape.any():
-        sum_places(x, y, z, begin, ends, filled, moments)
-    else:
-        sum_heights(z, begin, ends, filled, moments)
-    sum_wide(z, begin, ends, filled, task.powers, moments)
-    if task.ranks:
-        rank_heights(z, begin, ends, filled, scratch.values, scratch.tally, moments)
-    if len(values.kinds):
-        sum_kinds(values.kinds, at, begin, ends, filled, moments)
-    if len(values.amplitude):
-        sum_values(values.amplitude, at, begin, ends, filled, moments, AMPLITUDE)
-    if len(values.width):
-        sum_values(values.width, at, begin, ends, filled, moments, WIDTH)
-    if len(values.intensity):
-        sum_values(values.intensity, at, begin, ends, filled, moments, INTENSITY)
+def _finish(task, scratch, block, filled, out, chosen):  # type: ignore[no-untyped-def]
+    """Sums, unless they stand already, and measures of the first `filled` neighbourhoods of the block."""
+    if not task.at_once:
+        x, y, z, begin, ends, moments = block.x, block.y, block.z, block.begin, block.ends, block.moments
+        kinds, amplitude, width, intensity = block.carried
+        if task.shape.any():
+            sum_places(x, y, z, begin, ends, filled, moments)
+        else:
+            sum_heights(z, begin, ends, filled, moments)
+        sum_wide(z, begin, ends, filled, task.powers, moments)
+        if task.ranks:
+            rank_heights(z, begin, ends, filled, scratch.values, scratch.tally, moments)
+        if len(kinds):
+            sum_kinds(kinds, begin, ends, filled, moments)
+        if len(amplitude):
+            sum_values(amplitude, begin, ends, filled, moments, AMPLITUDE)
+        if len(width):
+            sum_values(width, begin, ends, filled, moments, WIDTH)
+        if len(intensity):
+            sum_values(intensity, begin, ends, filled, moments, INTENSITY)
     settle(task, block, filled, out, chosen)

@@ -25,7 +25,7 @@ class Model:
     ----------
     kind : what it is, as the card's ``kind`` says.
     layout : dtype and dimensions of every array, by name.
-    card : plain data for JSON: ``format, kind, features (names in order), classes ([{name, code, codes}]), params,
+    card : plain data for JSON: ``format, kind, features (names in order), classes (`ClassDef.plain`), params,
         samples (rows per class), training (digest of the training rows), fwclass (version)``; as written, ``digest``
         (of the arrays and of what in the card decides); and, where known,
         ``computed (parameters that its features were computed with), eligible, notes, out_of_bag`` and what a kind
@@ -48,10 +48,7 @@ class Model:
     @property
     def classes(self) -> tuple[ClassDef, ...]:
         """The classes that it was trained for."""
-        return tuple(
-            ClassDef(str(c.get("name", c["code"])), c["code"], tuple(c.get("codes", (c["code"],))))
-            for c in self.card["classes"]
-        )
+        return tuple(ClassDef.of(c) for c in self.card["classes"])
 
     def check(self, where: object = "model") -> None:
         """`InputError` unless every array has its layout and whatever follows it stays inside.
@@ -72,6 +69,8 @@ class Model:
                 return f"its card names {len(self.features)} features"
             if not 1 <= len(self.codes) <= 256 or len(self.classes) != len(self.codes):
                 return f"its card names {len(self.codes)} classes"
+            if any(c.legacy_code is not None and not 0 <= c.legacy_code < 32 for c in self.classes):
+                return "its card names a legacy code beyond 31"
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as fault:
             return f"its card cannot be read ({type(fault).__name__}: {fault})"
         return ""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,23 @@ class ClassDef:
     name : the word for it in reports.
     code : the ASPRS code that the classifier writes.
     codes : the reference codes that count as this class.
+    legacy_code : what is written where points cannot hold `code` (LAS point formats 0 to 5); None if nothing is given.
     """
 
     name: str
     code: int
     codes: tuple[int, ...]
+    legacy_code: int | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """For the card of a model; `of` makes the class again."""
+        made: dict[str, Any] = {"name": self.name, "code": self.code, "codes": list(self.codes)}
+        return made if self.legacy_code is None else {**made, "legacy_code": self.legacy_code}
+
+    @classmethod
+    def of(cls, card: Mapping[str, Any]) -> ClassDef:
+        code = card["code"]
+        return cls(str(card.get("name", code)), code, tuple(card.get("codes", (code,))), card.get("legacy_code"))
 
 
 def class_index(codes: NDArray[np.uint8], classes: Sequence[ClassDef]) -> NDArray[np.int16]:

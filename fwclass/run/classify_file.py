@@ -25,7 +25,7 @@ from fwclass.read.source import open_source
 from fwclass.run.features.echoes import FileEchoes, Flight, GroundChoice, read_echoes, with_heights, with_radiometry
 from fwclass.run.ground.output import LAS, check_output
 from fwclass.run.ground.steps import Tell, quiet
-from fwclass.run.model_fit import check_computed, check_names
+from fwclass.run.model_fit import check_computed, check_names, ground_note
 from fwclass.run.survey import given_crs
 from fwclass.schema import Table
 from fwclass.stage import Chunk
@@ -47,7 +47,7 @@ class ClassifyJob:
     model : directory of the model.
     method, preset, assignments : ground filter; without any that of the settings.
     own_ground : heights count from class 2 of the file instead.
-    legacy : class code to write in place of another, for point formats 0 to 5.
+    legacy : class code to write in place of another; point formats 0 to 5 take what the model's classes say besides.
     """
 
     source: Path
@@ -123,6 +123,9 @@ def legal_codes(job: ClassifyJob, model: Model) -> NDArray[np.uint8]:
             expected="an existing file of points, and a name that ends in .las or .laz", do="convert the file first",
         )  # fmt: skip
     table = np.arange(256, dtype=np.uint8)
+    if source.point_format <= 5:
+        for one in model.classes:
+            table[one.code] = one.code if one.legacy_code is None else one.legacy_code
     for code, other in (job.legacy or {}).items():
         table[code] = other
     _check_merged(table, model)
@@ -155,6 +158,7 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
     """The file's echoes with every column that the model decides by but the features of a neighbourhood."""
     tell("reading")
     needed = (*model.features, *asked.reads)
+    notes: tuple[str, ...] = ()
     found = read_echoes(job.source, needed, job.settings, given_crs(job.crs, "--crs"), tell)
     links = found.links
     if "height_above_ground" in needed:
@@ -163,10 +167,12 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
             method = conf.section("ground", job.settings).method
         by = GroundChoice(method, job.preset, job.assignments)
         found = with_heights(found, job.source, by, job.settings, tell)
+        if "height_above_ground" in model.features and (note := ground_note(model, method)):
+            notes = (note,)
     if any(n in RADIOMETRY.writes for n in needed):
         found = with_radiometry(found, job.flight, job.settings)
     check_names(model, found.table, job.source)
-    return FileEchoes(found.table, found.crs, found.told, links)
+    return FileEchoes(found.table, found.crs, (*found.told, *notes), links)
 
 
 def _classified(

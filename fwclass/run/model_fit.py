@@ -12,8 +12,11 @@ from fwclass.model import ClassDef, Model
 from fwclass.radiometry.stage import RADIOMETRY
 
 
-def computed(names: Iterable[str], params: FeaturesParams) -> dict[str, Any]:
-    """Of the section `features` what the values of `names` depend on, besides their own scales; plain data."""
+def computed(names: Iterable[str], params: FeaturesParams, ground: str | None = None) -> dict[str, Any]:
+    """Of the section `features` what the values of `names` depend on, besides their own scales; plain data.
+
+    With height above ground among them also the `ground` filter that made it, where it is known.
+    """
     names = tuple(names)
     asked = Asked.of(n for n in names if is_feature(n))
     kinds = {scale.kind for scale, _ in asked.scales}
@@ -26,7 +29,8 @@ def computed(names: Iterable[str], params: FeaturesParams) -> dict[str, Any]:
         "normal_radius": any(n in RADIOMETRY.writes for n in names),
     }
     plain = params.model_dump(mode="json")
-    return {name: plain[name] for name, yes in needed.items() if yes}
+    made = {name: plain[name] for name, yes in needed.items() if yes}
+    return {**made, "ground": ground} if ground and "height_above_ground" in names else made
 
 
 def check_computed(model: Model, params: FeaturesParams, where: object) -> None:
@@ -43,6 +47,17 @@ def check_computed(model: Model, params: FeaturesParams, where: object) -> None:
                 got=value,
                 do=f"--set features.{name}={setting}" if name in theirs else "train it again",
             )
+
+
+def ground_note(model: Model, method: str | None) -> str:
+    """What to tell where heights of another ground filter (None: the file's own ground) than the model's decide."""
+    learned = model.card.get("computed", {}).get("ground")
+    if learned is None or learned == method:
+        return ""
+    here = "the file's own ground" if method is None else method
+    return (
+        f"the model learned from heights above the ground of {learned}, here it is that of {here}: --method {learned}"
+    )
 
 
 def check_classes(model: Model, classes: Sequence[ClassDef], where: object) -> None:

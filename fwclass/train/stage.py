@@ -114,7 +114,7 @@ def card(sample: Sample, classes: Sequence[ClassDef], params: TrainParams) -> di
     return {
         "format": FORMAT,
         "features": list(sample.features),
-        "classes": [{"name": c.name, "code": c.code, "codes": list(c.codes)} for c in classes],
+        "classes": [c.plain() for c in classes],
         "params": params.model_dump(mode="json"),
         "samples": [int(n) for n in sample.counts],
         "eligible": [int(n) for n in sample.eligible],
@@ -176,4 +176,4 @@ TRAIN_SAMPLE = Stage(
 )
 TRAIN_TREES = Stage(name="trees", version=1, kind="gather", function=grow_trees, params=TrainParams)
 TRAIN_IMPORTANCE = Stage(name="importance", version=1, kind="gather", function=count_drops, params=TrainParams)
-TRAIN = Stage(name="train", version=2, kind="gather", function=train, params=TrainParams)
+TRAIN = Stage(name="train", version=3, kind="gather", function=train, params=TrainParams)

@@ -45,7 +45,7 @@ class Variant:
 
 def all_classes(config: Config) -> tuple[ClassDef, ...]:
     """The survey's classes, then those that the paper does not have."""
-    more = (ClassDef(c.name, c.code, c.codes) for c in config.papers.more_classes)
+    more = (ClassDef(**c.model_dump()) for c in config.papers.more_classes)
     return (*config.classes, *more)
 
 

@@ -46,7 +46,7 @@ def training_tasks(layout: Layout) -> list[Task]:
     )  # fmt: skip
     if config.train.method != "forest":
         return [*made, _other_task(config, names, params)]
-    params["computed"] = computed(names, config.features)
+    params["computed"] = computed(names, config.features, config.ground.method)
     batches = []
     for first in range(0, config.train.trees, TREES_PER_PART):
         count = min(TREES_PER_PART, config.train.trees - first)
@@ -79,7 +79,11 @@ def training_tasks(layout: Layout) -> list[Task]:
 
 def _other_task(config: Config, names: tuple[str, ...], params: dict[str, Any]) -> Task:
     """train, of a classifier that is no forest."""
-    params = {**params, "compare": plain(config.compare), "computed": computed(names, config.features)}
+    params = {
+        **params,
+        "compare": plain(config.compare),
+        "computed": computed(names, config.features, config.ground.method),
+    }
     work = partial(others.fitted, names, config.train, config.compare, config.classes, params["computed"])
     return Task("train", "model", VERSION, params, work, needs=(("training", "all"),), place="run")
 

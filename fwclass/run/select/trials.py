@@ -93,7 +93,7 @@ def predicted(X: Any, trees: Any, names: Names, classes: Sequence[ClassDef]) -> 
     card = {
         "format": FORMAT,
         "features": list(names),
-        "classes": [{"name": c.name, "code": c.code, "codes": list(c.codes)} for c in classes],
+        "classes": [c.plain() for c in classes],
     }
     if len(X) == 0:
         return np.empty(0, np.int64)

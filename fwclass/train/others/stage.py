@@ -52,7 +52,7 @@ def _card(
         "format": FORMAT,
         "method": method,
         "features": list(sample.features),
-        "classes": [{"name": c.name, "code": c.code, "codes": list(c.codes)} for c in classes],
+        "classes": [c.plain() for c in classes],
         "params": {"samples_per_class": params.samples_per_class, "seed": params.seed},
         "samples": [int(n) for n in sample.counts],
         "eligible": [int(n) for n in sample.eligible],
