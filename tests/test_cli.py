@@ -2,20 +2,11 @@
 
 import json
 import struct
-import subprocess
-import sys
-from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parents[1]
-
-
-def fwclass(*words, cwd=None):
-    command = [sys.executable, "-c", "from fwclass.cli import main; main()", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=300)
+from commandline import fwclass, process
 
 
 def cloud(path, xyz, classes, point_format=6):
@@ -55,7 +46,7 @@ def told(result, code, *texts):
 
 
 def test_usage_errors_end_with_two():
-    assert told(fwclass("nonsense"), 2, "No such command")
+    assert told(process("nonsense"), 2, "No such command")
     assert told(fwclass("run"), 2, "Missing argument")
     assert told(fwclass("run", "nowhere.yaml"), 2, "no such configuration", "riegl-sample")
 
@@ -78,7 +69,7 @@ def test_a_missing_or_geographic_crs_is_told(tmp_path, small):
 
 def test_sources_that_do_not_exist_and_areas_elsewhere(tmp_path, small):
     path = config(tmp_path / "c.yaml", sources="b*.las", crs="none")
-    assert told(fwclass("run", path, "--out", tmp_path / "r"), 1, "no file matches", "b*.las")
+    assert told(process("run", path, "--out", tmp_path / "r"), 1, "no file matches", "b*.las")
     path = config(tmp_path / "c.yaml", crs="none")
     away = ("--set", "areas.train=[[1000,0,1100,10]]", "--workers", 0, "--out", tmp_path / "r")
     assert told(fwclass("run", path, *away), 2, "no training area lies on the survey", "[0.")
@@ -90,11 +81,11 @@ def test_an_empty_and_a_foreign_file(tmp_path):
     assert told(fwclass("run", path, "--workers", 0, "--out", tmp_path / "r"), 1, "a.las")
     (tmp_path / "a.las").write_text("x y z\n1 2 3\n" * 200)
     assert told(fwclass("run", path, "--workers", 0, "--out", tmp_path / "r"), 1, "a.las")
-    assert told(fwclass("info", tmp_path / "a.las", "--json"), 1, "a.las")
+    assert told(process("info", tmp_path / "a.las", "--json"), 1, "a.las")
 
 
 def test_info_json_is_alone_on_standard_output(small):
-    facts = json.loads(fwclass("info", small, "--json").stdout)
+    facts = json.loads(process("info", small, "--json").stdout)
     assert facts["points"] == 400
     result = fwclass("info", small)
     assert result.returncode == 0 and "400" in result.stdout
@@ -194,7 +185,7 @@ def test_settings_out_of_range(tmp_path, small):
         result = fwclass("run", path, "--set", setting)
         assert told(result, 2, setting.split("=")[0], f"--set {setting}")
     assert told(fwclass("run", path, "--set", "survey.features=zc"), 2, "no such feature set", "a list of columns [zc")
-    assert told(fwclass("run", path, "--out", tmp_path / "r", "--scheduler", "rubbish"), 1, "no Dask scheduler")
+    assert told(process("run", path, "--out", tmp_path / "r", "--scheduler", "rubbish"), 1, "no Dask scheduler")
 
 
 def test_a_wrong_header_does_not_hide_the_points(tmp_path, small):
@@ -211,7 +202,7 @@ def test_a_run_on_echoes_without_waveforms_and_its_threshold(tmp_path, small):
     settings = ["--set", "survey.features=[zc, echo_ratio_r100]", "--set", "areas.gap=0.5"]
     args = ("run", path, "--workers", 0, "--out", tmp_path / "r", *settings)
     assert told(fwclass(*args), 0, "400", "accuracy", "report.html")
-    assert told(fwclass(*args, "--set", "assess.min_kappa=0.99"), 4, "kappa misses its threshold")
+    assert told(process(*args, "--set", "assess.min_kappa=0.99"), 4, "kappa misses its threshold")
     strip = laspy.read(tmp_path / "r" / "laz" / "strips" / "a.laz")
     source = laspy.read(small)
     np.testing.assert_array_equal(strip.X, source.X)

@@ -113,6 +113,22 @@ def test_heights_of_another_filter_than_the_models_are_told(tmp_path):
         assert ("--method csf" in made.stderr) == (learned == "csf")
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("nope.laz", "out.laz"), "no such file"),
+        (("in.las", "out.txt"), "written as LAS or LAZ"),
+        (("in.las", "out.laz", "--legacy-code", "46=20"), "no class of code 46"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_before_any_work(tmp_path, model, monkeypatch, words, told):
+    cloud(tmp_path / "in.las")
+    monkeypatch.chdir(tmp_path)
+    made = call("classify", *words, "--model", model)
+    assert isinstance(made.exception, (ConfigError, InputError)) and told in str(made.exception)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["in.las", "m"]
+
+
 def test_nothing_is_overwritten_unasked(tmp_path, model):
     source, output = cloud(tmp_path / "in.las"), tmp_path / "out.laz"
     output.write_bytes(b"precious")

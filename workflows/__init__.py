@@ -2,9 +2,34 @@
 
 from __future__ import annotations
 
-from workflows.classification import classification
-from workflows.fan2013 import fan2013
-from workflows.xiong2018 import xiong2018
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from typing import Any
 
-WORKFLOWS = {"classification": classification, "fan2013": fan2013, "xiong2018": xiong2018}
+Workflow = Callable[..., dict[str, Any]]
+"""Takes the configuration, the road and the tiles asked for (None: all), gives the run's report."""
+
+
+class _Named(Mapping[str, Workflow]):
+    """Workflows by name; a workflow is the function in the file of its name, which is imported when it is taken."""
+
+    names = ("classification", "fan2013", "xiong2018")
+
+    def __getitem__(self, name: str) -> Workflow:
+        if name not in self.names:
+            raise KeyError(name)
+        workflow: Workflow = getattr(import_module(f"{__name__}.{name}"), name)
+        return workflow
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+WORKFLOWS: Mapping[str, Workflow] = _Named()
 """Workflows by the name that `fwclass run --workflow` takes."""

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
-
-from pydantic import Field
+from typing import Any
 
 from fwclass.assess.blocks import BlockCounts
 from fwclass.assess.confusion import confusion, describe, figures, unclassified
 from fwclass.assess.distribution import QUANTILES, distribution, quantiles, summary
 from fwclass.assess.intervals import caution, difference, intervals
+from fwclass.assess.params import AssessParams
 from fwclass.errors import QualityError
-from fwclass.stage import Params, Stage
+from fwclass.stage import Stage
 
 __all__ = [
     "ASSESS",
@@ -31,18 +30,6 @@ __all__ = [
     "summary",
     "unclassified",
 ]
-
-
-class AssessParams(Params):
-    """What is reported, and what accuracy is asked for; numbers and sources stand in `conf/base.yaml`.
-
-    `block`: edge of the squares of the global grid [m] that intervals are drawn from.
-    """
-
-    block: float = Field(gt=0)
-    quantiles: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(min_length=1)
-    min_overall_accuracy: float | None = Field(ge=0, le=1)
-    min_kappa: float | None = Field(ge=-1, le=1)
 
 
 def judge(made: dict[str, Any], params: AssessParams) -> None:

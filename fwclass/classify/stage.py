@@ -7,20 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.classify.params import ClassifyParams
 from fwclass.classify.shares import answer, entropy, fitting
 from fwclass.classify.vote import count, walkable
 from fwclass.model import Forest, Machine, Model, sample_matrix
 from fwclass.schema import Table
-from fwclass.stage import Params, Stage
-
-
-class ClassifyParams(Params):
-    """What is written; everything that decides comes from the model.
-
-    `probabilities`: the share of every class too, in columns ``probability_<code>``.
-    """
-
-    probabilities: bool
+from fwclass.stage import Stage
 
 
 def votes(X: NDArray[np.float32], forest: Forest) -> NDArray[np.uint16]:

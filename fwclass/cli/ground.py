@@ -9,7 +9,7 @@ from typing import Any, get_args
 import click
 
 from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, cli
-from fwclass.ground.params import Method
+from fwclass.ground.methods import Method
 
 KINDS = "Kind of land: wilderness, nature, town, city, metro, dense-forest or steep."
 PARAM = click.option("--param", "assignments", multiple=True, metavar="NAME=VALUE", help="A parameter of the filter.")

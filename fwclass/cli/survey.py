@@ -17,8 +17,6 @@ def _run(
     scheduler: str | None, workers: int | None,
 ) -> None:  # fmt: skip
     from fwclass import conf as configuration
-    from fwclass.assess.stage import judge
-    from fwclass.run.report import summary
     from workflows import WORKFLOWS
 
     if workflow not in WORKFLOWS:
@@ -28,6 +26,9 @@ def _run(
         raise ConfigError("--out is empty", where="--out", do="name a directory for this run alone")
     root = out if out is not None else Path("runs") / config.survey.name
     count = config.run.workers if workers is None else workers
+    from fwclass.assess.stage import judge
+    from fwclass.run.report import summary
+
     with open_road(root, count, scheduler, config.run.worker_memory_gib) as road:
         report = WORKFLOWS[workflow](config, road, tiles)
         failures = road.failures

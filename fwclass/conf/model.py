@@ -9,28 +9,26 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from fwclass.assess.stage import AssessParams
-from fwclass.classify.stage import ClassifyParams
-from fwclass.conf.sets import feature_set
-from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.pulse_sample import PulseParams
+from fwclass.assess.params import AssessParams
+from fwclass.classes import ClassDef
+from fwclass.classify.params import ClassifyParams
+from fwclass.conf.sets import feature_set, listed_once
+from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.features.params import FeaturesParams
 from fwclass.grid import Box
-from fwclass.ground.auto import GroundAutoParams
 from fwclass.ground.params import GroundParams
-from fwclass.ground.search import GroundSearchParams
-from fwclass.ground.terrain.terrain import TerrainParams
-from fwclass.label.stage import LabelParams
-from fwclass.model import ClassDef
+from fwclass.ground.terrain.params import TerrainParams
+from fwclass.ground.tuning_params import GroundAutoParams, GroundSearchParams
+from fwclass.label.params import LabelParams
 from fwclass.publish.params import PublishParams
 from fwclass.radiometry.params import RadiometryParams
-from fwclass.read.stage import ReadParams
+from fwclass.read.params import ReadParams
 from fwclass.select.params import SelectParams
 from fwclass.simulate.params import SimulateParams
 from fwclass.thin.params import ThinParams
-from fwclass.tile.stage import TileParams
+from fwclass.tile.params import TileParams
 from fwclass.train.others.params import CompareParams
-from fwclass.train.stage import TrainParams
+from fwclass.train.params import TrainParams
 
 
 class Section(BaseModel):
@@ -217,7 +215,7 @@ class Config:
         """Names of the columns that the classifier decides by."""
         asked = self.survey.features
         if not isinstance(asked, str):
-            return asked
+            return listed_once(asked, f"{self.path}: survey.features")
         return feature_set(asked, self.path.parent, f"{self.path}: survey.features").features
 
     @property

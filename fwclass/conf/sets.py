@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,7 +79,12 @@ def _read(path: Path) -> FeatureSet:
     names = [*found.features, *(f"{b}_{s}" for each in found.each for s in each.scales for b in each.bases)]
     if not names:
         raise ConfigError("a feature set without features", where=path, do="list some under `features:`")
+    return FeatureSet(path.stem, found.about, found.source, listed_once(names, path))
+
+
+def listed_once(names: Sequence[str], where: object) -> tuple[str, ...]:
+    """`names`, or a `ConfigError` where one stands twice."""
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
-        raise ConfigError("a feature is listed twice", where=path, got=", ".join(twice), do="take one out")
-    return FeatureSet(path.stem, found.about, found.source, tuple(names))
+        raise ConfigError("a feature is listed twice", where=where, got=", ".join(twice), do="take one out")
+    return tuple(names)

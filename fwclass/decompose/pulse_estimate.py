@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose import pulse_scan
+from fwclass.decompose.params import FEWEST, PulseParams
 from fwclass.decompose.pulse_align import Echoes, cut_out, fit_template, half_sample_mode, narrowest
 from fwclass.decompose.pulse_channels import channel_groups, clip_levels, estimate_channels, rough_levels
-from fwclass.decompose.pulse_sample import FEWEST, PulseParams, join_samples, rows_of, sample_pulses
+from fwclass.decompose.pulse_sample import join_samples, rows_of, sample_pulses
 from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, mean_shape
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.waveforms import Waveforms

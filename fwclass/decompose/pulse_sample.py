@@ -3,48 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
+from fwclass.decompose.params import PulseParams
 from fwclass.hashing import hashed
 from fwclass.schema import Table
-from fwclass.stage import Params
 from fwclass.waveforms import RETURN_COLUMNS, Waveforms
-
-FEWEST = 8
-"""Echoes below which not even a width is believed."""
-
-
-class PulseParams(Params):
-    """Parameters of the estimate of the system's pulse; the numbers are in `conf/base.yaml`.
-
-    Attributes
-    ----------
-    shape : ``gaussian`` or ``measured``, or ``auto``: measured where that predicts recorded echoes better.
-    width : FWHM of the pulse [ns]; null: estimated.
-    fallback_width : FWHM where nothing can be estimated [ns].
-    sample, seed : waveforms of a strip that are looked at, about, and which.
-    bright : least height of an echo that counts, in standard deviations of the noise.
-    min_echoes, max_echoes : fewer echoes give no shape; of more the surest are taken.
-    isolation : share of an echo's height by which its waveform may rise again elsewhere.
-    tail : longest time after the peak that the pulse is followed [ns].
-    worth : least mean gain of chi-square, per echo that the shape was not made of, that a measured shape must bring.
-    """
-
-    shape: Literal["auto", "gaussian", "measured"]
-    width: float | None = Field(gt=0.0)
-    fallback_width: float = Field(gt=0.0)
-    sample: int = Field(ge=1)
-    seed: int = Field(ge=0)
-    bright: float = Field(gt=0.0)
-    min_echoes: int = Field(ge=FEWEST)
-    max_echoes: int = Field(ge=FEWEST)
-    isolation: float = Field(gt=0.0, lt=1.0)
-    tail: float = Field(ge=0.0, le=1000.0)
-    worth: float = Field(ge=0.0)
 
 
 def sample_pulses(waves: Waveforms, strip: int, n_pulses: int, params: PulseParams) -> Waveforms:

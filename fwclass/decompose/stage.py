@@ -12,10 +12,10 @@ from fwclass.decompose.placing import beams, detection_limits, from_anchor, outg
 from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import quantised
-from fwclass.schema import IDENTITY, Table
+from fwclass.schema import Table
 from fwclass.stage import Stage
 from fwclass.units import AREA_PER_FWHM
-from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
+from fwclass.waveforms import ECHO_COLUMNS, PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 FITTED, KEPT, READ_AS_ECHO = 0, 1, 2
 """Values of `origin`."""
@@ -23,11 +23,6 @@ FITTED, KEPT, READ_AS_ECHO = 0, 1, 2
 VENDOR_KEPT, FAR_FROM_VENDOR, UNFITTED = 16, 32, 64
 """Values of `fit_flags` beside those of `fitting`."""
 
-ECHO_COLUMNS = (
-    *IDENTITY, "number_of_echoes", "origin", "x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z", "beam_range",
-    "amplitude", "amplitude_db", "width", "energy", "time", "amplitude_sigma", "width_sigma", "range_sigma",
-    "deviation", "baseline", "noise_level", "misfit", "fit_flags", "source_class", "intensity",
-)  # fmt: skip
 LINK_COLUMNS = ("pulse", "echo_number")
 MOST = 255
 """Echoes of a pulse at most, all its segments together: `echo_number` has one byte. Later ones are left out."""

@@ -24,8 +24,13 @@ and faster, and 500 echoes lie within 4 to 11 m at 1 to 10 echoes per square met
 ORIENTED = "oriented_inclination"
 """The feature whose sides spread beyond its sphere."""
 
+NO_FEATURE = ("strip", "pulse", "source_class", "origin", "gps_time", "x", "y", "z")
+"""Columns that no forest may decide by: they name an echo, its place, or the class that it came with."""
+
 _BASES = frozenset(c.name for c in DECLARED)
 _END = re.compile(r"_(?P<kind>[rckg])(?P<size>\d+)$")
+_LIKE = {"r": "r100", "c": "c200", "k": "k20", "g": "g100", "o": "opt"}
+"""A neighbourhood of every kind, to show how names end."""
 _PLACE = ("x", "y", "z")
 _NUMBERS = ("echo_number", "number_of_echoes")
 _READS = {
@@ -90,7 +95,7 @@ def check_scale(name: str, where: object) -> None:
             f"{name!r} is not a feature: the size must be positive" if zero
             else f"{name!r} is not a feature: its size is not a size",
             where=where,
-            expected=f"echoes, 1 to {MAX_NEAREST}" if kind == "k" else "centimetres, 1 to 999999, without leading 0",
+            expected=f"echoes, 1 to {MAX_NEAREST}" if kind == "k" else "centimetres, 1 to 10000, without leading 0",
             got=digits,
         )  # fmt: skip
     if kind == "k" and int(digits) > MAX_NEAREST:
@@ -108,8 +113,9 @@ def meant(name: str, others: Iterable[str] = ()) -> str:
     if not close:
         return ""
     whole = close[0] + name[len(base) :]
-    found = whole if is_feature(whole) else close[0]
-    return f"did you mean {found!r}?"
+    if not is_feature(whole) and close[0] in _BASES and not is_feature(close[0]):  # a base without its neighbourhood
+        whole = f"{close[0]}_{_LIKE[COLUMNS[close[0]].scales[0]]}"
+    return f"did you mean {whole if is_feature(whole) else close[0]!r}?"
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fwclass.features.moments import PERCENTILE, PERCENTILES
+from fwclass.features.quickselect import lowest_first
 from fwclass.kernel import kernel
 
 FEW = 48
@@ -37,7 +38,8 @@ def percentiles(z, low, high, values, count, moments):  # type: ignore[no-untype
             bucket += 1
         if shift > 0:
             begin = count[bucket - 1] if bucket > 0 else 0
-            moments[PERCENTILE + p] = _select(values[begin : count[bucket]], rank - begin)
+            lowest_first(values[begin : count[bucket]], count[bucket] - begin, rank - begin + 1)
+            moments[PERCENTILE + p] = values[rank]
         else:
             moments[PERCENTILE + p] = low + bucket
 
@@ -78,28 +80,3 @@ def _insert(z, values):  # type: ignore[no-untyped-def]
             values[at] = values[at - 1]
             at -= 1
         values[at] = value
-
-
-@kernel
-def _select(values, rank):  # type: ignore[no-untyped-def]
-    """The value of `rank` (from 0); reorders `values` (Hoare's quickselect)."""
-    first, last = 0, len(values) - 1
-    while first < last:
-        pivot = values[(first + last) // 2]
-        i, j = first, last
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if rank <= j:
-            last = j
-        elif rank >= i:
-            first = i
-        else:
-            break
-    return values[rank]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.features.quickselect import lowest_first
 from fwclass.kernel import inlined, kernel
 from fwclass.neighbours import CellIndex
 
@@ -132,7 +133,8 @@ def _keys(x, y, z, order, i, look, near, n, keys):  # type: ignore[no-untyped-de
 def _lowest(keys, n, k, out):  # type: ignore[no-untyped-def]
     """The `k` lowest of `n` keys, rising, into `out`; how many. Keys differ."""
     if n > 4 * k:
-        n = _partition(keys, n, k)
+        lowest_first(keys, n, k)
+        n = k
     m = min(n, k)
     for a in range(n):
         key, rank = keys[a], 0
@@ -141,29 +143,3 @@ def _lowest(keys, n, k, out):  # type: ignore[no-untyped-def]
         if rank < k:
             out[rank] = key
     return m
-
-
-@kernel
-def _partition(keys, n, k):  # type: ignore[no-untyped-def]
-    """Move the k lowest of n keys to the front (quickselect by the middle of three); k."""
-    low, high = 0, n - 1
-    while low < high:
-        a, b, c = keys[low], keys[(low + high) >> 1], keys[high]
-        pivot = max(min(a, b), min(max(a, b), c))
-        i, j = low, high
-        while i <= j:
-            while keys[i] < pivot:
-                i += 1
-            while keys[j] > pivot:
-                j -= 1
-            if i <= j:
-                keys[i], keys[j] = keys[j], keys[i]
-                i += 1
-                j -= 1
-        if k - 1 <= j:
-            high = j
-        elif k - 1 >= i:
-            low = i
-        else:
-            break
-    return k

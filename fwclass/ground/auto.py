@@ -7,26 +7,23 @@ points.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 
 from fwclass.grid import TileGrid
 from fwclass.ground.filters import ground_points
 from fwclass.ground.measure import Measured, measure
+from fwclass.ground.methods import Method
 from fwclass.ground.methods.noise import noise
-from fwclass.ground.params import GroundParams, Method, section_of
+from fwclass.ground.params import GroundParams, section_of
 from fwclass.ground.raster.lattice import cells_of, window_over
-from fwclass.stage import Params
+from fwclass.ground.tuning_params import GroundAutoParams
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
-Group = dict[str, tuple[float, ...]]
-"""Parameters that change together, ``part.name`` for those of a combined filter's part: as many values of each."""
 
 PRINCIPLES: dict[Method, set[str]] = {
     "ptd": {"tin"},
@@ -39,48 +36,6 @@ PRINCIPLES: dict[Method, set[str]] = {
     "slope": {"slope"},
 }
 """What a filter rests on; who shares a principle shares its errors, and is no referee."""
-
-
-class GroundAutoParams(Params):
-    """How parameters are adapted.
-
-    Attributes
-    ----------
-    building_margin, building_most : the largest building is so many times the widest that was found, at most [m].
-    method : the filter where none is asked for.
-    referees : filters that others are compared with: the first two of another principle.
-    candidates : by filter, groups of parameters that change together; every combination of the groups is tried. A
-        filter without candidates keeps its parameters.
-    thin : clouds with at least so many times as many points as cells of `cell` are thinned to the lowest of each,
-    cell : whose edge this is [m].
-    sample, square : larger clouds are judged by evenly spread squares of this edge [m] with about so many points.
-    """
-
-    building_margin: float = Field(ge=1)
-    building_most: float = Field(gt=0)
-    method: Method
-    referees: tuple[Method, ...] = Field(min_length=3)
-    candidates: dict[Method, tuple[Group, ...]]
-    thin: float = Field(ge=1)
-    cell: float = Field(gt=0)
-    sample: int = Field(gt=0)
-    square: float = Field(gt=0)
-
-    @model_validator(mode="after")
-    def _groups_fit(self) -> Self:
-        for method, groups in self.candidates.items():
-            for group in groups:
-                if len({len(v) for v in group.values()}) != 1 or not all(group.values()):
-                    raise ValueError(
-                        f"candidates of {method}: parameters that change together need as many values each"
-                    )
-        return self
-
-    def updates(self, method: Method) -> list[dict[str, float]]:
-        """Every combination of the groups of a filter, the first values first; none where it has no candidates."""
-        groups = self.candidates.get(method, ())
-        steps = [[dict(zip(g, v, strict=True)) for v in zip(*g.values(), strict=True)] for g in groups]
-        return [{k: v for part in some for k, v in part.items()} for some in itertools.product(*steps)] if steps else []
 
 
 def adapted(

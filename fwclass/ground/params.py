@@ -9,11 +9,8 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from fwclass.ground.methods import Method
 from fwclass.stage import Params
-
-Method = Literal["slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf", "consensus"]
-"""Ground filters by the names of the command line."""
-
 
 MAX_HALO = 1000.0
 """What a filter may read around a block [m]: ten times what the widest halls need, and still tens of millions of

@@ -6,40 +6,11 @@ import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Self
 
-from pydantic import Field, model_validator
+from fwclass.ground.tuning_params import GroundSearchParams, Values
 
-from fwclass.stage import Params
-
-Values = tuple[float, ...]
 Setting = tuple[float, ...]
 """One value for every parameter, in the order of the ranges."""
-
-
-class GroundSearchParams(Params):
-    """What is tried to find a filter's best parameters.
-
-    Attributes
-    ----------
-    leading : so many parameters, the first of each filter's ranges, are tried together on a coarse grid.
-    coarse : values of each of them on that grid.
-    rounds : then all parameters are improved one after another, at most so many times.
-    ranges : values tried, rising, by filter and parameter; the parameters of most effect come first.
-    """
-
-    leading: int = Field(ge=1, le=4)
-    coarse: int = Field(ge=2)
-    rounds: int = Field(ge=1)
-    ranges: dict[str, dict[str, Values]]
-
-    @model_validator(mode="after")
-    def _rising(self) -> Self:
-        for method, own in self.ranges.items():
-            for name, values in own.items():
-                if not values or any(b <= a for a, b in itertools.pairwise(values)):
-                    raise ValueError(f"{method}.{name} must list rising values")
-        return self
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from fwclass.ground.filters import Flags, ground_points
 from fwclass.ground.params import GroundParams
-from fwclass.ground.terrain.terrain import TerrainParams, terrain
+from fwclass.ground.terrain.params import HEIGHTS, TerrainParams
+from fwclass.ground.terrain.terrain import terrain
 from fwclass.schema import Table, require
 from fwclass.stage import Stage
 
@@ -46,6 +47,6 @@ TERRAIN = Stage(
     function=terrain,
     params=TerrainParams,
     reads=("x", "y", "z", "ground", "noise"),
-    writes=("height_above_ground",),
+    writes=HEIGHTS,
     halo=lambda params: float(params.block_halo),
 )

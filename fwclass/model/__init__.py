@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from fwclass.classes import ClassDef, class_index, code_index
 from fwclass.model.base import FORMAT, LEAF, Model
 from fwclass.model.boosted import Boosted, scores_of
-from fwclass.model.classes import ClassDef, class_index, code_index, sample_matrix
 from fwclass.model.forest import Forest, Tree, assemble
 from fwclass.model.machines import KernelMachine, LinearMachine, Machine, Preparation
+from fwclass.model.matrix import sample_matrix
 
 __all__ = [
     "FORMAT",

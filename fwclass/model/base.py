@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.classes import ClassDef
 from fwclass.errors import InputError
-from fwclass.model.classes import ClassDef
 
 LEAF = 65535
 """Value of `feature` in a leaf; no model has so many features."""

@@ -16,6 +16,7 @@ from fwclass.publish.ground_section import ground
 from fwclass.publish.sampling_section import sampling
 from fwclass.publish.sections import (
     accuracy,
+    classifier,
     distribution,
     number,
     percent,
@@ -142,9 +143,9 @@ def _summary(report: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], co
         first += f", in {number(counts['tiles'])} tile{'s' * (counts['tiles'] != 1)}"
     training = report.get("training")
     second = ""
-    if training and training.get("trees"):
+    if training and (named := classifier(training)):
         samples = sum(int(n) for n in (training.get("samples") or {}).values())
-        second = f" The random forest of {number(training['trees'])} trees learned from {number(samples)} samples"
+        second = f" The {named} learned from {number(samples)} samples"
         second += " and was assessed where it did not learn." if report.get("accuracy") else "."
     return f"{first}.{second}"
 
@@ -156,7 +157,7 @@ def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[s
         ("overall accuracy", percent(made.get("overall_accuracy")), " %"),
         ("kappa", f"{made['kappa']:.3f}" if made.get("kappa") is not None else "", ""),
         ("mean IoU", percent(made.get("mean_iou")), " %"),
-        ("pulses", quantity(counts.get("pulses")), ""),
+        ("pulses", quantity(counts.get("pulses") or None), ""),
         ("echoes", quantity(counts.get("echoes_in_tiles")), ""),
         ("tiles", quantity(counts.get("tiles")), ""),
         ("time", seconds(report.get("seconds")), ""),

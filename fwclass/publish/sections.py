@@ -29,6 +29,10 @@ TITLES = {
     "echo_number": "echo number", "number_of_echoes": "number of echoes",
     "backscatter": "backscatter coefficient γ",
 }  # fmt: skip
+CLASSIFIERS = {
+    "forest": "random forest", "linear-svm": "linear SVM", "rbf-svm": "RBF SVM",
+    "sklearn-forest": "random forest of scikit-learn", "boosting": "gradient boosting",
+}  # fmt: skip
 PERCENTILES = ("p5", "p25", "p50", "p75", "p95")
 PER_CLASS = ("producers_accuracy", "users_accuracy", "iou")
 LEAST_ANGLE = 0.001
@@ -176,13 +180,20 @@ def distribution(made: Mapping[str, Any] | None, classes: Sequence[Mapping[str, 
     return out or None
 
 
+def classifier(made: Mapping[str, Any]) -> str:
+    """What learned, in words; "" where the report does not say."""
+    if made.get("trees"):
+        return f"random forest of {number(made['trees'])} trees"
+    return CLASSIFIERS.get(str(made.get("method")), "")
+
+
 def training(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Samples per class, the number of trees, the features in words."""
+    """What learned, from how many samples per class, the features in words."""
     if not made:
         return None
     features = [_title(str(f)) for f in made.get("features") or ()]
     return {
-        "samples": dict(made.get("samples") or {}), "trees": made.get("trees"), "features": features,
+        "classifier": classifier(made), "samples": dict(made.get("samples") or {}), "features": features,
         "out_of_bag": percent(made.get("out_of_bag")), "notes": [str(n) for n in made.get("notes") or ()],
     }  # fmt: skip
 

@@ -8,6 +8,9 @@ from pydantic import Field, field_validator, model_validator
 
 from fwclass.stage import Params
 
+RADIOMETRIC = ("range", "incidence", "cross_section", "backscatter", "reflectance", "radiometry_flags")
+"""Columns that the radiometry gives to echoes."""
+
 
 class TargetParams(Params):
     """A surface of known reflectance.

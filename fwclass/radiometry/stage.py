@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fwclass.radiometry.calibration import Calibration, calibrate
 from fwclass.radiometry.formulas import backscatter, beam_area, cross_section, reflectance
 from fwclass.radiometry.overlap import READS, Overlap, incidence_cosine, overlap
-from fwclass.radiometry.params import OverlapParams, RadiometryParams, TargetParams
+from fwclass.radiometry.params import RADIOMETRIC, OverlapParams, RadiometryParams, TargetParams
 from fwclass.radiometry.ranges import check_pointing, pointing_error, ranges
 from fwclass.schema import Table, require
 from fwclass.stage import Chunk, Stage
@@ -20,8 +20,6 @@ __all__ = [
 
 ONE_OF_SEVERAL, NO_RANGE, NO_NORMAL, CLIPPED, SATURATED, UNCALIBRATED = 1, 2, 4, 8, 16, 32
 """Values of `radiometry_flags`."""
-
-WRITES = ("range", "incidence", "cross_section", "backscatter", "reflectance", "radiometry_flags")
 
 
 def radiometry(chunk: Chunk, trajectory: Table | None, calibration: Calibration, params: RadiometryParams) -> Table:
@@ -94,5 +92,5 @@ RADIOMETRY = Stage(
     function=radiometry,
     params=RadiometryParams,
     reads=READS,
-    writes=WRITES,
+    writes=RADIOMETRIC,
 )

@@ -81,10 +81,11 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     """
     began = time.perf_counter()
     _check_settings(job.settings)
+    source = _checked_source(job)
     model = load_model(job.model)
     check_output(job.source, job.output, job.overwrite)
     check_computed(model, conf.section("features", job.settings), job.model)
-    codes = legal_codes(job, model)
+    codes = legal_codes(job, model, source)
     asked = Asked.of(n for n in model.features if is_feature(n))
     found = _echoes(job, model, asked, tell)
     made, without, medians = _classified(found.table, model, asked, job.settings, tell)
@@ -114,19 +115,36 @@ def _check_settings(settings: tuple[str, ...]) -> None:
             )  # fmt: skip
 
 
-def legal_codes(job: ClassifyJob, model: Model) -> NDArray[np.uint8]:
-    """What every class code is written as; `ConfigError` where the file's points cannot hold one."""
-    source = open_source(job.source) if job.source.is_file() else None
-    if not isinstance(source, LasSource) or job.output.suffix.lower() not in LAS:
+def _checked_source(job: ClassifyJob) -> LasSource:
+    if not job.source.is_file():
+        raise InputError("no such file", where=job.source, expected="a LAS or LAZ file", do="check the path")
+    source = open_source(job.source)
+    if not isinstance(source, LasSource):
         raise ConfigError(
-            "a LAS or LAZ file is classified into another", where=f"{job.source}, {job.output}",
-            expected="an existing file of points, and a name that ends in .las or .laz", do="convert the file first",
+            "only LAS and LAZ files are classified", where=job.source, expected="a LAS or LAZ file",
+            do="convert the file first",
         )  # fmt: skip
+    if job.output.suffix.lower() not in LAS:
+        raise ConfigError(
+            "classified points are written as LAS or LAZ", where=job.output,
+            expected="a name that ends in .las or .laz", got=job.output.suffix or "no suffix",
+            do="name the output with one of these endings",
+        )  # fmt: skip
+    return source
+
+
+def legal_codes(job: ClassifyJob, model: Model, source: LasSource) -> NDArray[np.uint8]:
+    """What every class code is written as; `ConfigError` where the file's points cannot hold one."""
     table = np.arange(256, dtype=np.uint8)
     if source.point_format <= 5:
         for one in model.classes:
             table[one.code] = one.code if one.legacy_code is None else one.legacy_code
     for code, other in (job.legacy or {}).items():
+        if code not in model.codes:
+            raise ConfigError(
+                f"the model has no class of code {code}", where=f"--legacy-code {code}={other}",
+                expected=", ".join(f"{c.code} ({c.name})" for c in model.classes), got=code, do="check the code",
+            )  # fmt: skip
         table[code] = other
     _check_merged(table, model)
     beyond = [c for c in model.classes if table[c.code] > LEGACY_MAX]

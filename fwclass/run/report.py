@@ -135,7 +135,8 @@ def _training(road: Road, names: tuple[str, ...]) -> dict[str, Any] | None:
     card = receipt.meta["card"]
     samples = {c["name"]: n for c, n in zip(card["classes"], card["samples"], strict=True)}
     return {
-        "samples": samples, "trees": receipt.meta["trees"], "features": list(names),
+        "method": card.get("method", "forest"), "samples": samples, "trees": receipt.meta["trees"],
+        "features": list(names),
         "out_of_bag": card.get("out_of_bag", {}).get("accuracy"), "notes": card.get("notes", []),
         "importance": card.get("importance"),
     }  # fmt: skip

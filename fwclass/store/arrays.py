@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
-from zarr.codecs import BloscCodec
 
 CHUNK = 1 << 18
 """Values of a chunk of a flat array; a shard holds the whole array of a part."""
@@ -27,6 +25,9 @@ def _layout(array: NDArray) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[str, Any] | None = None) -> None:
     """Write named arrays as one Zarr group at `path`."""
+    import zarr
+    from zarr.codecs import BloscCodec
+
     group = zarr.open_group(str(path), mode="w", zarr_format=3, attributes=dict(attributes or {}))
     codec = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
     for name, array in arrays.items():
@@ -36,6 +37,8 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[
 
 def read_arrays(path: Path, names: Iterable[str] | None = None) -> tuple[dict[str, NDArray], dict[str, Any]]:
     """The named arrays (all) of the group at `path`, and its attributes."""
+    import zarr
+
     group = zarr.open_group(str(path), mode="r", zarr_format=3)
     wanted = list(names) if names is not None else sorted(group.array_keys())
     return {n: np.asarray(group[n][...]) for n in wanted}, dict(group.attrs)

@@ -6,21 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from fwclass.errors import InputError
 from fwclass.grid import TileGrid, millimetres
 from fwclass.schema import Table, canonical_key
-from fwclass.stage import Params, Stage
+from fwclass.stage import Stage
+from fwclass.tile.params import TileParams
 
 MORTON_CELL = 2_000
 """Edge of the cells of the spatial sort [mm]; only the order of rows in a tile depends on it."""
-
-
-class TileParams(Params):
-    """`size`: edge of a tile [m], at least 5. It never changes a result, only what one part holds."""
-
-    size: float = Field(ge=5.0)
 
 
 @dataclass(frozen=True)

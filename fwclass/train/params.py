@@ -22,7 +22,7 @@ class TrainParams(Params):
     features_per_split : `log2` is int(lb M + 1) (Fan 2013, eq. 4), `sqrt` int(√M), `all` M, or the number itself.
     bagging, replacement : share of the sample that a tree draws, with replacement or without.
     class_weights : `none`, `balanced` (rows / (classes × rows of the class)), or a weight per class name; a class
-        without one weighs 1.
+        without one weighs 1, the others 0.001 to 1000.
     importance_repeats : permutations of a feature and tree that the importance is measured by; 0 leaves it out.
     """
 
@@ -38,7 +38,7 @@ class TrainParams(Params):
     min_samples_split: int = Field(ge=2)
     bagging: float = Field(gt=0, le=1)
     replacement: bool
-    class_weights: Literal["none", "balanced"] | dict[str, Annotated[float, Field(gt=0)]]
+    class_weights: Literal["none", "balanced"] | dict[str, Annotated[float, Field(ge=0.001, le=1000)]]
     importance_repeats: int = Field(ge=0, le=1000)
 
     @model_validator(mode="after")

@@ -27,8 +27,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import ground_points
+from fwclass.ground.methods import Method
 from fwclass.ground.methods.csf import csf
-from fwclass.ground.params import CsfParams, GroundParams, Method
+from fwclass.ground.params import CsfParams, GroundParams
 
 try:
     import CSF

@@ -23,7 +23,8 @@ from fwclass.ground.raster.fill import filled
 from fwclass.ground.raster.lattice import lowest, window_over
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.ground.terrain.facets import facet_heights, facets_of
-from fwclass.ground.terrain.terrain import TerrainParams, terrain
+from fwclass.ground.terrain.params import TerrainParams
+from fwclass.ground.terrain.terrain import terrain
 from fwclass.ground.terrain.thinning import thinned
 from fwclass.ground.tin.tin import tin_of
 

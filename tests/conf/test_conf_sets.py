@@ -62,12 +62,15 @@ def test_class_weights_are_of_the_survey_s_classes():
     [
         ("planarity_k501", "at most 500 nearest echoes"), ("planarity_k0", "size must be positive"),
         ("planarty_k20", "did you mean 'planarity_k20'"), ("amplitud", "did you mean 'amplitude'"),
+        ("backscatter", "needs the range"),
+        ("count_R100", "did you mean 'count_r100'"),
+        ("omnivarianc", "did you mean 'omnivariance_r100'"),
     ],
 )  # fmt: skip
 def test_a_survey_s_features_have_a_size_that_can_be_had(name, says):
     from fwclass.run.plan.layout import check_features
 
-    config = conf.load("demo")
+    config = conf.load("demo", ("survey.trajectory.files=[]", "radiometry.platform_altitude=null"))
     check_features(config, ("planarity_k500", "planarity_opt", "zc"), "here")
     with pytest.raises(ConfigError, match=says):
         check_features(config, ("zc", name), "here")
@@ -77,3 +80,8 @@ def test_an_unknown_set_names_who_asked_and_the_nearest():
     with pytest.raises(ConfigError, match=r"survey\.features[\s\S]*xiong2018"):
         conf.load("demo", ("survey.features=xiong2017",))
     assert conf.load("demo", ("survey.features=xiong2018",)).features_asked[0] == "height_above_ground"
+
+
+def test_a_feature_listed_twice_is_refused_wherever_it_stands():
+    with pytest.raises(ConfigError, match=r"listed twice[\s\S]*survey\.features[\s\S]*planarity_k20"):
+        conf.load("demo", ("survey.features=[planarity_k20, zc, planarity_k20]",))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import struct
-import subprocess
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -15,6 +13,7 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
+from commandline import fwclass
 from lasmaker import METRES_PER_NS, Descriptor, digitise, gaussian, write_las
 from numpy.typing import NDArray
 
@@ -292,14 +291,9 @@ def pulses_of(path: Path) -> NDArray[np.int64]:
     return np.rint(np.asarray(laspy.read(path).gps_time) - 1000.0).astype(np.int64)
 
 
-def command(*words: object) -> subprocess.CompletedProcess[str]:
-    line = [sys.executable, "-c", "from fwclass.cli import main; main()", *map(str, words)]
-    return subprocess.run(line, capture_output=True, text=True, timeout=120)
-
-
 def test_a_file_with_everything_wrong_is_decomposed(tmp_path: Path) -> None:
     source, names = mixed(tmp_path / "bad.las")
-    result = command("decompose", source, tmp_path / "o.laz")
+    result = fwclass("decompose", source, tmp_path / "o.laz")
     assert result.returncode == 0, result.stderr
     assert "Traceback" not in result.stderr and not result.stdout
     assert "invalid sample spacing: 1" in result.stderr, "what could not be used is said and counted"
@@ -329,7 +323,7 @@ def test_a_gain_that_is_no_number_does_not_change_raw_samples(tmp_path: Path) ->
 
 def test_a_gain_that_is_no_number_is_told(tmp_path: Path) -> None:
     source = survey(tmp_path / "nan.las", [good()], [1], {1: Odd(gain=np.nan)})
-    result = command("info", source)
+    result = fwclass("info", source)
     assert result.returncode == 0 and "gain" in result.stdout
 
 

@@ -9,11 +9,11 @@ from scipy.stats import spearmanr
 
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse
-from fwclass.decompose.stage import ECHO_COLUMNS, LINK_COLUMNS, decompose
+from fwclass.decompose.stage import LINK_COLUMNS, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span
 from fwclass.schema import Table, canonical_key
-from fwclass.waveforms import Waveforms
+from fwclass.waveforms import ECHO_COLUMNS, Waveforms
 
 
 def spans(path, base, **read):

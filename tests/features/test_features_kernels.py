@@ -277,6 +277,23 @@ def test_no_bit_depends_on_order_halo_or_the_other_radii():
             np.testing.assert_array_equal(alone[f"{base}_{scale.suffix}"], one[f"{base}_{scale.suffix}"])
 
 
+@pytest.mark.parametrize("cloud", CLOUDS, ids=lambda f: f.__name__)
+def test_no_bit_depends_on_the_way_sums_are_taken(cloud):
+    """A radius whose neighbours nothing needs again is summed straight from the candidates, others are not."""
+    places = cloud(np.random.default_rng(29), 300)
+    table = cloud_of(np.concatenate([places + np.array([0.0, 9.0 * k, 0.0]) for k in range(3)]))
+    twice = {"plane_range"} | {f"height_above_p{p:02d}" for p in PERCENTILES}
+    others = spheres(chunk_of(table), ASKED, PARAMS)
+    once = {scale: tuple(b for b in names if b not in twice) for scale, names in ASKED.items()}
+    assert all(len(once[scale]) < len(ASKED[scale]) for scale in ASKED)
+    for asked in (once, *({scale: names} for scale, names in once.items())):
+        got = spheres(chunk_of(table), asked, PARAMS)
+        for scale in asked:
+            for base in asked[scale]:
+                name = f"{base}_{scale.suffix}"
+                np.testing.assert_array_equal(got[name], others[name], err_msg=name)
+
+
 def test_no_core_rows_give_empty_columns():
     table = cloud_of(random_cloud(np.random.default_rng(3), 20))
     for chunk in (chunk_of(table, np.empty(0, np.int64)), chunk_of(table.take(np.empty(0, np.int64)))):

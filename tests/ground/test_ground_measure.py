@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fwclass import conf
-from fwclass.ground.auto import PRINCIPLES, GroundAutoParams, _kappa, adapted, building_size
+from fwclass.ground.auto import PRINCIPLES, _kappa, adapted, building_size
 from fwclass.ground.filters import ground_points
 from fwclass.ground.measure import measure, table
+from fwclass.ground.tuning_params import GroundAutoParams
 
 DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data"
 ORIGIN = (512_345.678, 5_403_210.123)

@@ -18,7 +18,8 @@ from fwclass.ground.terrain import terrain as terrain_module
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.ground.terrain.dsm import disk, without_pepper
 from fwclass.ground.terrain.facets import facet_heights, facet_raster, facets_of
-from fwclass.ground.terrain.terrain import BEYOND, INTERPOLATED, MEASURED, TerrainParams, terrain
+from fwclass.ground.terrain.params import TerrainParams
+from fwclass.ground.terrain.terrain import BEYOND, INTERPOLATED, MEASURED, terrain
 from fwclass.ground.terrain.thinning import thinned
 from fwclass.ground.tin.tin import tin_of
 

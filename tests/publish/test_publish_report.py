@@ -173,6 +173,13 @@ def test_notes_on_training_are_told(tmp_path: Path) -> None:
     assert "Out-of-bag accuracy 93.1 %" in said and "few samples of building" in said
 
 
+def test_a_classifier_that_is_no_forest_has_its_name(tmp_path: Path) -> None:
+    report = full()
+    report["training"] |= {"trees": None, "method": "rbf-svm"}
+    said = rendered(report, tmp_path)[1].text
+    assert "Classifier: RBF SVM." in said and "The RBF SVM learned from 900" in said and "forest" not in said
+
+
 def test_unclassified_echoes_get_a_column(tmp_path: Path) -> None:
     report = full()
     report["accuracy"]["unclassified"] = [7, 0]

@@ -10,7 +10,8 @@ import yaml
 
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError
-from fwclass.ground.search import GroundSearchParams, curves, most_runs, search, thinned
+from fwclass.ground.search import curves, most_runs, search, thinned
+from fwclass.ground.tuning_params import GroundSearchParams
 from fwclass.read.cloud import read_point_cloud
 from fwclass.run.ground.labels import halves, labels_of, matrix_of
 from fwclass.run.ground.params import ground_params

@@ -1,18 +1,16 @@
 """The surveys of real data that come with fwclass, by the command line; skipped where the data is absent."""
 
 import json
-import subprocess
-import sys
 
 import laspy
 import numpy as np
 import pytest
+from commandline import fwclass
 
 
 def run(name, directory, out, *settings):
     words = ["run", name, "--out", out, "--workers", "0", "--set", f"survey.directory={directory}", *settings]
-    command = [sys.executable, "-c", "from fwclass.cli import main; main()", *map(str, words)]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=500)
+    result = fwclass(*words)
     assert result.returncode == 0, result.stderr
     return json.loads((out / "report.json").read_text())
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commandline import Ended, fwclass
 from lasmaker import METRES_PER_NS, Descriptor, digitise, gaussian, write_las
 
 from fwclass.errors import ConfigError, InputError
@@ -110,10 +109,8 @@ def test_refusals(survey: Path, tmp_path: Path) -> None:
 
 
 def test_the_command(survey: Path, tmp_path: Path) -> None:
-    line = [sys.executable, "-c", "from fwclass.cli import main; main()", "info"]
-
-    def run(*words: object) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([*line, *map(str, words)], capture_output=True, text=True, timeout=300, cwd=tmp_path)
+    def run(*words: object) -> Ended:
+        return fwclass("info", *words, cwd=tmp_path)
 
     told = run("--waveforms", survey, "--json", "--pulse", f"3,{EMPTY}")
     assert told.returncode == 0, told.stderr

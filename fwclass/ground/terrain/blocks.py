@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.grid import Box, Tile, TileGrid, Window, millimetres, whole_millimetres
 from fwclass.ground.raster.lattice import window_over
-from fwclass.ground.terrain.terrain import BEYOND, Terrain, TerrainParams, terrain
+from fwclass.ground.terrain.params import TerrainParams
+from fwclass.ground.terrain.terrain import BEYOND, Terrain, terrain
 from fwclass.units import QUANTUM
 
 

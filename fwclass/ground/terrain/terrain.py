@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 from scipy import ndimage
 
 from fwclass.grid import Window
@@ -18,9 +16,9 @@ from fwclass.ground.raster.lattice import cells_of
 from fwclass.ground.terrain.dsm import highest, without_pepper
 from fwclass.ground.terrain.facets import facet_heights, facet_raster, facets_of
 from fwclass.ground.terrain.nearest import nearest_height
+from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.thinning import thinned
 from fwclass.ground.tin.tin import tin_of
-from fwclass.stage import Params
 
 MEASURED, INTERPOLATED, BEYOND = 0, 1, 2
 """Values of the raster `support`."""
@@ -30,48 +28,6 @@ PYRAMID = 64
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """x, y, z [m]."""
-
-
-class TerrainParams(Params):
-    """Parameters of the rasters and heights.
-
-    Attributes
-    ----------
-    cell : edge of a raster cell [m].
-    thin : ground points are averaged by cells of this edge before the TIN is made [m].
-    max_gap : distance from a cell with a ground point up to which there is terrain [m].
-    dsm_gap : width of the widest gap between cells with an echo that the surface model bridges [m].
-    height : height above ground by ``tin``, ``nearest`` ground point or bilinear ``raster``.
-    block, block_halo : edge of a block of the fixed global grid, and what is read around it [m].
-    """
-
-    cell: float = Field(gt=0)
-    thin: float = Field(gt=0)
-    max_gap: float = Field(ge=0)
-    dsm_gap: float = Field(ge=0)
-    height: Literal["tin", "nearest", "raster"]
-    block: float = Field(gt=0)
-    block_halo: float = Field(ge=0)
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        for name in ("block", "block_halo"):
-            cells = getattr(self, name) / self.cell
-            if not math.isclose(cells, round(cells), abs_tol=1e-9):
-                raise ValueError(f"{name} must be a whole number of cells of {self.cell} m")
-        for name in ("max_gap", "dsm_gap"):
-            if getattr(self, name) > self.block_halo:
-                raise ValueError(f"{name} must not exceed block_halo: gaps are seen inside a block and its halo")
-        return self
-
-    @property
-    def largest_circle(self) -> float:
-        """Radius of the largest circumcircle of a triangle of the TIN [m].
-
-        A triangle with a larger circle has its middle further than `max_gap` from any ground point, or reaches
-        so far that another block, with other points in its halo, might not see the same triangle.
-        """
-        return min(self.max_gap, self.block_halo / 2.0)
 
 
 @dataclass(frozen=True)

@@ -197,7 +197,7 @@ def _thesis(facts: Mapping[str, Any]) -> dict[str, Any] | None:
         rows.append(
             {
                 "seed": seed, "with": ours(thesis["with"][k]), "without": ours(thesis["without"][k]),
-                "gain": difference(one), "blocks": one["blocks"],
+                "gain": difference(one), "blocks": one["blocks"], "caution": one.get("caution"),
             }
         )  # fmt: skip
     names = thesis["with"][0]["classes"]

@@ -45,8 +45,11 @@ def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) ->
 def _claims(facts: Mapping[str, Any]) -> dict[str, Any]:
     rows = [{**c, "badge": VERDICTS[c["verdict"]]} for c in facts["claims"]]
     count = {v: sum(r["verdict"] == v for r in rows) for v in VERDICTS}
-    words = {"holds": "hold", "does not hold": "do not hold", "not comparable": "cannot be compared"}
-    told = ", ".join(f"{n} {v if n == 1 and v != 'not comparable' else words[v]}" for v, n in count.items() if n)
+    words = {"holds": "hold", "does not hold": "do not hold", "undecided": "are undecided",
+             "not comparable": "cannot be compared"}  # fmt: skip
+    told = ", ".join(
+        f"{n} {v if n == 1 and v in ('holds', 'does not hold') else words[v]}" for v, n in count.items() if n
+    )
     return {"rows": rows, "told": told}
 
 

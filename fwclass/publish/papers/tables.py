@@ -8,7 +8,7 @@ from typing import Any
 from fwclass.publish.sections import accuracy as matrix_of
 from fwclass.publish.sections import number, percent
 
-VERDICTS = {"holds": "badge", "does not hold": "badge bad", "not comparable": "badge open"}
+VERDICTS = {"holds": "badge", "does not hold": "badge bad", "undecided": "badge open", "not comparable": "badge open"}
 """Style of every verdict."""
 
 MINUS = "\u2212"

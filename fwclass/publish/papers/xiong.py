@@ -107,6 +107,7 @@ def _difference(key: str, one: Mapping[str, Any], facts: Mapping[str, Any]) -> d
         "second": printed[second]["title"],
         **difference(one),
         "blocks": one["blocks"],
+        "caution": one.get("caution"),
         "paper": f"{printed[first]['overall'] - printed[second]['overall']:+.1f}",
     }
 

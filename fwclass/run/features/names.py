@@ -7,15 +7,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from fwclass.columns import FEATURES
-from fwclass.conf.sets import feature_set
-from fwclass.decompose.stage import DECOMPOSE
+from fwclass.conf.sets import feature_set, listed_once
 from fwclass.errors import ConfigError
-from fwclass.features.params import Asked, check_scale, is_feature, meant
-from fwclass.ground.stage import TERRAIN
-from fwclass.radiometry.stage import RADIOMETRY
-from fwclass.run.plan.layout import NO_FEATURE
+from fwclass.features.params import NO_FEATURE, Asked, check_scale, is_feature, meant
+from fwclass.ground.terrain.params import HEIGHTS
+from fwclass.radiometry.params import RADIOMETRIC
+from fwclass.waveforms import ECHO_COLUMNS
 
-MEASURED = tuple(n for n in (*DECOMPOSE.writes, *TERRAIN.writes, *RADIOMETRY.writes) if n not in NO_FEATURE)
+MEASURED = tuple(n for n in (*ECHO_COLUMNS, *HEIGHTS, *RADIOMETRIC) if n not in NO_FEATURE)
 """Columns of echoes that a set may name besides features of a neighbourhood."""
 
 ENDS = {"r": "r100", "c": "c100", "k": "k20", "g": "g100", "o": "opt"}
@@ -70,7 +69,7 @@ def wanted(named: str | None, listed: str | None) -> Wanted:
     if named is not None and listed is not None:
         raise ConfigError("features are named twice", where="--set and --features", do="leave one of them out")
     if listed is not None:
-        found = Wanted("--features", tuple(dict.fromkeys(n.strip() for n in listed.split(",") if n.strip())))
+        found = Wanted("--features", listed_once([n.strip() for n in listed.split(",") if n.strip()], "--features"))
     else:
         asked = named if named is not None else DEFAULT
         found = Wanted(asked, feature_set(asked).features)

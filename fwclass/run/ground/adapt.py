@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
-from fwclass.ground.auto import GroundAutoParams, adapted
+from fwclass.ground.auto import adapted
 from fwclass.ground.params import GroundParams
+from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud
 from fwclass.run.ground.file import Adapt
 from fwclass.run.ground.steps import Tell, quiet

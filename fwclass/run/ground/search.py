@@ -18,7 +18,8 @@ from fwclass.assess.confusion import figures
 from fwclass.errors import ConfigError
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.params import GroundParams, section_of
-from fwclass.ground.search import GroundSearchParams, Setting, Values, curves, most_runs, search
+from fwclass.ground.search import Setting, curves, most_runs, search
+from fwclass.ground.tuning_params import GroundSearchParams, Values
 from fwclass.publish.files import whole
 from fwclass.publish.searchplot import draw_curves
 from fwclass.read.cloud import PointCloud, read_point_cloud

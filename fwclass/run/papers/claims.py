@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-HOLDS, FAILS, OPEN = "holds", "does not hold", "not comparable"
+HOLDS, FAILS, UNSURE, OPEN = "holds", "does not hold", "undecided", "not comparable"
 
 Verdict = tuple[str, str, str]
-"""(our figure, `HOLDS`, `FAILS` or `OPEN`, why)."""
+"""(our figure, one of `HOLDS`, `FAILS`, `UNSURE`, `OPEN`, why)."""
 
 
 def judged(
@@ -24,6 +24,13 @@ def judged(
 
 def verdict(holds: bool) -> str:
     return HOLDS if holds else FAILS
+
+
+def of_gain(one: Mapping[str, Any], claimed: float) -> str:
+    """Verdict on a gain whose interval is known; undecided where that holds both nought and the paper's own figure."""
+    if one["low"] > 0:
+        return HOLDS
+    return UNSURE if one["low"] <= 0 <= one["high"] and one["low"] <= claimed <= one["high"] else FAILS
 
 
 def percent(value: float, digits: int = 1) -> str:

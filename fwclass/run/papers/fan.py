@@ -14,6 +14,7 @@ from fwclass.run.papers.begin import base_of
 from fwclass.run.papers.claims import judged
 from fwclass.run.papers.fan_claims import CLAIMS
 from fwclass.run.papers.variants import Variant, all_classes, changed
+from fwclass.run.papers.work import cautioned
 from fwclass.run.part import Name
 from fwclass.store.receipts import Receipt
 
@@ -138,7 +139,7 @@ def _pairs(config: Config, found: Sequence[Variant]) -> list[tuple[str, str]]:
 
 
 def _difference(made: Made, pair: tuple[str, str]) -> dict[str, Any]:
-    return dict(made["paper-difference", "-".join(pair)].meta)
+    return cautioned(made["paper-difference", "-".join(pair)].meta)
 
 
 def _thesis(config: Config, tables: Mapping[str, Any]) -> dict[str, Any] | None:

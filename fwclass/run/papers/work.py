@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.intervals import FIGURES, difference, intervals, scores
+from fwclass.assess.intervals import FIGURES, caution, difference, intervals, scores
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
@@ -146,6 +146,11 @@ def by_block(test: Mapping[str, NDArray], found: NDArray[np.int64], known: int, 
     blocks, place = np.unique(square, axis=0, return_inverse=True)
     cell = (place.reshape(-1) * known + test["y"][scored].astype(np.int64)) * known + found[scored]
     return np.bincount(cell, minlength=len(blocks) * known * known).reshape(len(blocks), known, known)
+
+
+def cautioned(made: Mapping[str, Any]) -> dict[str, Any]:
+    """What `compared` found, with what is to be said where it rests on few blocks (``caution``, or None)."""
+    return {**made, "caution": caution(made["blocks"])}
 
 
 def compared(name: str, other: str, known: int, edge: float, desk: Desk, directory: Path) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from fwclass.conf import Config
 from fwclass.run.papers.begin import base_of
 from fwclass.run.papers.claims import judged
 from fwclass.run.papers.variants import Variant, changed
+from fwclass.run.papers.work import cautioned
 from fwclass.run.papers.xiong_claims import CLAIMS
 from fwclass.run.part import Name
 from fwclass.run.plan.layout import Layout
@@ -74,7 +75,7 @@ def facts(
         "selection": dict(selection), "thinning": dict(thinning),
         "strategies": {v.name: _strategy(made, v, names) for v in found},
         "differences": {
-            f"{a.name}/{b.name}": dict(made["paper-difference", f"{a.name}-{b.name}"].meta)
+            f"{a.name}/{b.name}": cautioned(made["paper-difference", f"{a.name}-{b.name}"].meta)
             for a, b in comparisons(found)
         },
         "importance": importances(made["paper-importance", "all"].meta, printed["groups"]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from fwclass.run.papers.claims import FAILS, HOLDS, OPEN, Verdict, percent, points, spanned, verdict
+from fwclass.run.papers.claims import OPEN, Verdict, of_gain, percent, points, spanned, verdict
 
 Facts = Mapping[str, Any]
 NEAR = 0.01
@@ -47,7 +47,8 @@ def _gain(pair: str, up: bool = True) -> Callable[[Facts], Verdict]:
         why = f"{spanned(found)}" + ("" if sure else ": no difference beyond chance")
         if not up:
             return text, verdict(abs(one["value"]) < NEAR), why
-        return text, HOLDS if one["low"] > 0 else FAILS, why
+        printed = facts["printed"]["strategies"]
+        return text, of_gain(one, (printed[first]["overall"] - printed[second]["overall"]) / 100), why
 
     return claim
 

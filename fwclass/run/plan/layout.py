@@ -13,15 +13,12 @@ from fwclass.columns import FEATURES
 from fwclass.conf import Config
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.errors import ConfigError, InputError, nearest
-from fwclass.features.params import NORMAL, Asked, check_scale, is_feature, meant
+from fwclass.features.params import NO_FEATURE, NORMAL, Asked, check_scale, is_feature, meant
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Name
 from fwclass.store.receipts import Receipt
-
-NO_FEATURE = ("strip", "pulse", "source_class", "origin", "gps_time", "x", "y", "z")
-"""Columns that no forest may decide by: they name an echo, its place, or the class that it came with."""
 
 MAX_REACH = 100.0
 """m, no feature reaches further: the neighbourhoods of a point, not of a quarter."""
@@ -164,6 +161,12 @@ def check_features(config: Config, names: Iterable[str], where: object) -> None:
     known = {n: s for n, s in providers(config).items() if n not in NO_FEATURE and s not in ("label", "classify")}
     for name in names:
         check_scale(name, where)
+        if name in RADIOMETRY.writes and name not in known and name not in NO_FEATURE:
+            raise ConfigError(
+                f"{name!r} needs the range to the sensor, which nothing tells", where=where,
+                expected="survey.trajectory.files or radiometry.platform_altitude", got="neither",
+                do="set one of them, or leave the feature out",
+            )  # fmt: skip
         if name not in known and not is_feature(name):
             bases = {c.name: "" for c in FEATURES}
             raise ConfigError(

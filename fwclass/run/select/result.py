@@ -126,16 +126,16 @@ def _row(step: Mapping[str, Any], made: Mapping[str, Any], on_front: bool) -> st
 
 
 def _advice(made: Mapping[str, Any]) -> list[str]:
-    best, cheap = made["best"], made["cheapest"]
+    cheap, chosen = made["cheapest"], made["chosen"]
     found = [f"{made['pick']}: {', '.join(made['chosen'])}"]
     for name, one in made["cost"]["scales"].items():
         alone, saved = f"alone {one['alone']:.2f} us", f"without it {one['saved']:.2f} us less"
         found.append(f"  {name}: {len(one['features'])} features, {alone}, {saved}")
-    if cheap["features"] != best["features"] and made["pick"] != "cheapest":
-        fewer, saved = len(best["features"]) - len(cheap["features"]), best["microseconds"] - cheap["microseconds"]
+    if list(cheap["features"]) != list(chosen):
+        saved = max(made["cost"]["set"] - cheap["microseconds"], 0.0)
         found.append(
-            f"as good within one standard error, {fewer} features and {max(saved, 0.0):.2f} us per echo less "
-            f"(--pick cheapest): {', '.join(cheap['features'])}"
+            f"as good within one standard error as the best: {len(cheap['features'])} features, {saved:.2f} us per "
+            f"echo less (--pick cheapest): {', '.join(cheap['features'])}"
         )
     return found
 

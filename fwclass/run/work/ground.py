@@ -14,7 +14,8 @@ from fwclass.errors import StoreError
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.params import GroundParams
 from fwclass.ground.stage import GROUND_FILTER, filtered
-from fwclass.ground.terrain.terrain import TerrainParams, terrain
+from fwclass.ground.terrain.params import TerrainParams
+from fwclass.ground.terrain.terrain import terrain
 from fwclass.run.desk import TABLE, Desk
 from fwclass.run.work.tiles import mosaic, write_rasters
 from fwclass.schema import Table, column

@@ -1,8 +1,8 @@
-"""The classes of a survey, and the sample matrix that every model decides by."""
+"""The classes of a survey, and which of them a code means."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
-from fwclass.schema import Table, require
 
 
 @dataclass(frozen=True)
@@ -82,17 +81,3 @@ def _claim(table: NDArray[np.int16], code: int, index: int, classes: Sequence[Cl
             do="give every code to one class",
         )
     table[code] = index
-
-
-def sample_matrix(features: Table, names: Iterable[str], where: object = "features") -> NDArray[np.float32]:
-    """Columns `names` of `features` as float32 (rows, names), in C order; infinite values become NaN.
-
-    `InputError` naming the first column that is missing.
-    """
-    names = tuple(names)
-    require(features, names, where)
-    out = np.empty((features.rows, len(names)), np.float32)
-    for k, name in enumerate(names):
-        out[:, k] = features[name]
-    out[np.isinf(out)] = np.nan
-    return out

@@ -1,0 +1,82 @@
+"""How parameters of the ground filters are found: adapted to a cloud without labels, or searched on labelled points."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from fwclass.ground.methods import Method
+from fwclass.stage import Params
+
+Values = tuple[float, ...]
+Group = dict[str, Values]
+"""Parameters that change together, ``part.name`` for those of a combined filter's part: as many values of each."""
+
+
+class GroundAutoParams(Params):
+    """How parameters are adapted.
+
+    Attributes
+    ----------
+    building_margin, building_most : the largest building is so many times the widest that was found, at most [m].
+    method : the filter where none is asked for.
+    referees : filters that others are compared with: the first two of another principle.
+    candidates : by filter, groups of parameters that change together; every combination of the groups is tried. A
+        filter without candidates keeps its parameters.
+    thin : clouds with at least so many times as many points as cells of `cell` are thinned to the lowest of each,
+    cell : whose edge this is [m].
+    sample, square : larger clouds are judged by evenly spread squares of this edge [m] with about so many points.
+    """
+
+    building_margin: float = Field(ge=1)
+    building_most: float = Field(gt=0)
+    method: Method
+    referees: tuple[Method, ...] = Field(min_length=3)
+    candidates: dict[Method, tuple[Group, ...]]
+    thin: float = Field(ge=1)
+    cell: float = Field(gt=0)
+    sample: int = Field(gt=0)
+    square: float = Field(gt=0)
+
+    @model_validator(mode="after")
+    def _groups_fit(self) -> Self:
+        for method, groups in self.candidates.items():
+            for group in groups:
+                if len({len(v) for v in group.values()}) != 1 or not all(group.values()):
+                    raise ValueError(
+                        f"candidates of {method}: parameters that change together need as many values each"
+                    )
+        return self
+
+    def updates(self, method: Method) -> list[dict[str, float]]:
+        """Every combination of the groups of a filter, the first values first; none where it has no candidates."""
+        groups = self.candidates.get(method, ())
+        steps = [[dict(zip(g, v, strict=True)) for v in zip(*g.values(), strict=True)] for g in groups]
+        return [{k: v for part in some for k, v in part.items()} for some in itertools.product(*steps)] if steps else []
+
+
+class GroundSearchParams(Params):
+    """What is tried to find a filter's best parameters.
+
+    Attributes
+    ----------
+    leading : so many parameters, the first of each filter's ranges, are tried together on a coarse grid.
+    coarse : values of each of them on that grid.
+    rounds : then all parameters are improved one after another, at most so many times.
+    ranges : values tried, rising, by filter and parameter; the parameters of most effect come first.
+    """
+
+    leading: int = Field(ge=1, le=4)
+    coarse: int = Field(ge=2)
+    rounds: int = Field(ge=1)
+    ranges: dict[str, dict[str, Values]]
+
+    @model_validator(mode="after")
+    def _rising(self) -> Self:
+        for method, own in self.ranges.items():
+            for name, values in own.items():
+                if not values or any(b <= a for a, b in itertools.pairwise(values)):
+                    raise ValueError(f"{method}.{name} must list rising values")
+        return self

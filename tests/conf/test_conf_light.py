@@ -1,0 +1,31 @@
+"""A configuration is read, and a workflow is named, without what the work needs: commands start at once."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from workflows import WORKFLOWS
+
+HEAVY = {"numba", "scipy", "matplotlib", "pyproj", "rasterio", "pyogrio", "laspy", "pyarrow", "zarr", "dask"}
+
+
+@pytest.mark.parametrize(
+    "statement",
+    ["import fwclass.conf", "from workflows import WORKFLOWS; 'classification' in WORKFLOWS", "import fwclass.cli"],
+)
+def test_nothing_heavy_is_loaded(statement: str) -> None:
+    line = [sys.executable, "-c", f"import sys; {statement}; print(*sys.modules)"]
+    loaded = subprocess.run(line, capture_output=True, text=True, check=True, timeout=60).stdout.split()
+    assert "sys" in loaded and not HEAVY & set(loaded)
+
+
+def test_every_workflow_is_a_function_of_its_name() -> None:
+    assert len(WORKFLOWS) == len(list(WORKFLOWS)) >= 3
+    for name in WORKFLOWS:
+        assert WORKFLOWS[name].__name__ == name and WORKFLOWS[name].__module__ == f"workflows.{name}"
+    assert "nonsense" not in WORKFLOWS
+    with pytest.raises(KeyError):
+        WORKFLOWS["nonsense"]
