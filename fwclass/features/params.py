@@ -38,8 +38,8 @@ _READS = {
     **dict.fromkeys(("amplitude_mean", "amplitude_std"), ("amplitude",)),
     **dict.fromkeys(("width_mean", "width_std"), ("width",)),
     **dict.fromkeys(("intensity_mean", "intensity_std"), ("intensity",)),
-    "pulse_intensity_variance": ("strip", "pulse", "intensity"),
-    "pulse_amplitude_variance": ("strip", "pulse", "amplitude"),
+    "pulse_intensity_variance": ("strip", "pulse", "gps_time", *_NUMBERS, "intensity"),
+    "pulse_amplitude_variance": ("strip", "pulse", "gps_time", *_NUMBERS, "amplitude"),
 }
 """What a feature reads besides the echoes' places."""
 

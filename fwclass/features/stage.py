@@ -68,5 +68,5 @@ def named(made: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
     return {f"{base}_{scale.suffix}": values for base, values in made.items()}
 
 
-FEATURES = Stage(name="features", version=4, kind="tile", function=features, params=FeaturesParams, writes=NORMAL)
+FEATURES = Stage(name="features", version=5, kind="tile", function=features, params=FeaturesParams, writes=NORMAL)
 """It reads and writes what a list of names asks for: `Asked.reads`, `Asked.reach`."""
