@@ -24,7 +24,8 @@ def main() -> None:
         sys.exit(fault.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo(
-            "interrupted; nothing half-written is left (`fwclass run` goes on from here when it is run again)", err=True
+            "interrupted; nothing half-written is left, and in a run directory the same command goes on from here",
+            err=True,
         )
         sys.exit(INTERRUPTED)
     except FwclassError as fault:

@@ -43,6 +43,7 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         "stages": [_stage(road, name, tally) for name, tally in road.tallies.items()],
         "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
         "accuracy": _accuracy(road, config),
+        "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(road, names),
         "sampling": sampling(config, *(_made(road, s) for s in ("census", "taken", "label", "polygons"))),
         "distribution": _distribution(road),
@@ -261,7 +262,10 @@ def summary(report: Mapping[str, Any], root: Path) -> str:
             f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"
         )
     rows += [f"fault       {name}: {n:,}" for name, n in report["input"]["faults"].items()]
-    accuracy = report["accuracy"]
+    accuracy, model = report["accuracy"], report.get("model") or {}
+    if model.get("path"):
+        count = len(model["features"])
+        rows.append(f"classifier  {model['path']}, by its own {count} features; survey.features is not looked at")
     if accuracy:
         kappa = accuracy["kappa"]
         rows.append(

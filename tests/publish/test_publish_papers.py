@@ -14,6 +14,7 @@ from fwclass.errors import ConfigError
 from fwclass.publish.papers import plots, tables
 from fwclass.publish.papers.page import _claims
 from fwclass.run.papers import fan_claims, xiong_claims
+from fwclass.run.papers.claims import of_gain
 from fwclass.run.papers.xiong import importances, radii
 
 CLASSES = [{"name": "ground", "code": 2}, {"name": "building", "code": 6}, {"name": "vegetation", "code": 5}]
@@ -110,8 +111,23 @@ def test_a_gain_holds_only_beyond_chance(low: float | None, high: float | None, 
         "candidates": ["a", "b"],
         "differences": {"rf_selected/rf": _pair(0.01, low, high)},
         "strategies": {k: {"overall_accuracy": 0.9} for k in ("rf_selected", "rf")},
+        "printed": {"strategies": {"rf_selected": {"overall": 98.0}, "rf": {"overall": 94.0}}},
     }
     assert xiong_claims.CLAIMS["selection_helps"](facts)[1] == verdict
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [
+        (0.001, 0.005, "holds"),
+        (-0.01, 0.03, "undecided"),
+        (-0.01, 0.01, "does not hold"),
+        (-0.03, -0.01, "does not hold"),
+        (-0.03, 0.0, "does not hold"),
+    ],
+)
+def test_a_gain_is_undecided_where_nought_and_the_papers_figure_are_both_possible(low, high, verdict) -> None:
+    assert of_gain({"low": low, "high": high}, 0.014) == verdict
 
 
 def test_a_selection_that_keeps_all_features_tells_nothing() -> None:

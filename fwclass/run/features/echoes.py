@@ -114,6 +114,8 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     table = Table.concat(tables)
     told = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
     told += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
+    if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():
+        told.append("every intensity is 0: features of amplitude and intensity say nothing")
     empty = [n for n in table if n not in PLACE and table[n].dtype.kind == "f" and np.isnan(table[n]).all()]
     return FileEchoes(table.select(n for n in table if n not in empty), crs, tuple(told), Table.concat(links))
 

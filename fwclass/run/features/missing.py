@@ -15,6 +15,7 @@ SHORT = 12
 
 _WHY = {
     "width": "no echo widths (no waveforms, nor the extra byte `Pulse width`)",
+    "gps_time": "no times that tell which returns are of one pulse",
     "height_above_ground": "no ground (class 2, or --method)",
     **dict.fromkeys(("echo_number", "number_of_echoes"), "no echo numbers (a text has none)"),
     **dict.fromkeys(
