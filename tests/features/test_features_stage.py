@@ -38,8 +38,10 @@ def cloud(side=40.0, per_m2=3.0, seed=1):
     x, y = x[pulse] + 1.3 * (number - 1), y[pulse]  # oblique beams
     z = 290.0 + np.where(rng.random(n) < 0.6, 0.05 * (x - 500_000.0), rng.uniform(0, 12, n))
     amplitude = np.where(rng.random(n) < 0.1, np.nan, rng.uniform(5, 200, n))
+    discrete = pulse % 2 == 1  # strip 1 has no waveforms: every return is told as a pulse of its own
     return Table({
-        "strip": np.zeros(n), "pulse": pulse, "echo_number": number, "number_of_echoes": of[pulse],
+        "strip": discrete.astype(int), "pulse": np.where(discrete, pulses + np.arange(n), pulse),
+        "gps_time": pulse * 1e-5, "echo_number": number, "number_of_echoes": of[pulse],
         "x": x.round(3), "y": y, "z": z.round(3), "amplitude": amplitude, "width": rng.uniform(3, 7, n),
         "intensity": rng.integers(0, 65536, n),
     })  # fmt: skip
