@@ -53,8 +53,7 @@ def from_tiles(
     if tiles is not None:
         tasks = ancestors(tasks, _wanted(layout, tiles))
     road.do(tasks)
-    if tiles is None and not road.failures:
-        road.retire()
+    road.finish(whole=tiles is None)
     return write_report(config, road, survey, layout, names)
 
 

@@ -6,11 +6,11 @@ import sys
 
 import click
 
-from fwclass.cli import export, features, files, ground, model, select, survey
+from fwclass.cli import export, features, files, ground, model, plan, select, status, survey
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
 
-__all__ = ["cli", "export", "features", "files", "ground", "main", "model", "select", "survey"]
+__all__ = ["cli", "export", "features", "files", "ground", "main", "model", "plan", "select", "status", "survey"]
 
 
 def main() -> None:

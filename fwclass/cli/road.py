@@ -36,10 +36,14 @@ def open_road(root: Path, workers: int, scheduler: str | None, memory: float) ->
             yield road
 
 
-def tell_failures(failures: list[Any]) -> None:
+def tell_failures(failures: list[Any], request: Any = None) -> None:
+    """The parts that failed, and, with the run's `request`, the command that makes each alone."""
     click.echo(f"{len(failures)} parts failed; everything else is done and kept:", err=True)
     for outcome in failures:
         first = outcome.message.splitlines()[0] if outcome.message else ""
         click.echo(f"  {outcome.stage}/{outcome.part}: {first}", err=True)
+        alone = request.replay((outcome.stage, outcome.part)) if request is not None else ""
+        if alone:
+            click.echo(f"    alone: {alone}", err=True)
     again = shlex.join(["fwclass", *sys.argv[1:]])
     click.echo(f"mend the cause and run the same again; only the missing parts are made: {again}", err=True)

@@ -9,32 +9,35 @@ import click
 
 from fwclass.cli.base import PATH, SCHEDULER, SET, WORKERS, cli
 from fwclass.cli.road import open_road, tell_failures
-from fwclass.errors import FAILED, PARTIAL, ConfigError, nearest
+from fwclass.cli.status import TILES, WORKFLOW, alone, chosen, out_directory, requested
+from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
 
 
 def _run(
     conf: Path, out: Path | None, settings: tuple[str, ...], tiles: frozenset[str] | None, workflow: str,
-    scheduler: str | None, workers: int | None,
+    scheduler: str | None, workers: int | None, fail_fast: bool = False,
 ) -> None:  # fmt: skip
-    from fwclass import conf as configuration
     from workflows import WORKFLOWS
 
-    if workflow not in WORKFLOWS:
-        raise ConfigError("no such workflow", where="--workflow", got=workflow, do=nearest(workflow, WORKFLOWS))
-    config = configuration.load(conf, settings)
-    if out is not None and str(out) in ("", "."):
-        raise ConfigError("--out is empty", where="--out", do="name a directory for this run alone")
-    root = out if out is not None else Path("runs") / config.survey.name
+    config, request = requested(conf, out, settings, workflow, tiles)
+    root = out_directory(out, config)
     count = config.run.workers if workers is None else workers
     from fwclass.assess.stage import judge
     from fwclass.run.report import summary
 
     with open_road(root, count, scheduler, config.run.worker_memory_gib) as road:
-        report = WORKFLOWS[workflow](config, road, tiles)
+        request.keep()
+        road.fail_fast = fail_fast
+        try:
+            report = WORKFLOWS[workflow](config, road, tiles)
+        except FwclassError:
+            if road.failures:
+                tell_failures(road.failures, request)
+            raise
         failures = road.failures
     click.echo(summary(report, root), err=True)
     if failures:
-        tell_failures(failures)
+        tell_failures(failures, request)
         sys.exit(PARTIAL)
     if report["accuracy"]:
         judge(report["accuracy"], config.assess)
@@ -44,17 +47,29 @@ def _run(
 @click.argument("conf", type=PATH)
 @click.option("--out", type=PATH, help="Run directory (default: runs/<survey>).")
 @SET
-@click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
-@click.option("--workflow", default="classification", show_default=True, help="Which workflow.")
+@TILES
+@WORKFLOW
 @SCHEDULER
 @WORKERS
+@click.option(
+    "--keep-going/--fail-fast", default=True, show_default=True,
+    help="After a part has failed: make all that does not need it, or stop at once.",
+)  # fmt: skip
+@click.option("--only", metavar="STAGE/PART", help="Make this one part alone, in the plain loop.")
 def run(
     conf: Path, out: Path | None, settings: tuple[str, ...], tiles: str | None, workflow: str, scheduler: str | None,
-    workers: int | None,
+    workers: int | None, keep_going: bool, only: str | None,
 ) -> None:  # fmt: skip
     """Run a survey from its files to classified tiles; what is already done is skipped."""
-    wanted = frozenset(t.strip() for t in tiles.split(",")) if tiles else None
-    _run(conf, out, settings, wanted, workflow, scheduler, workers)
+    if only is None:
+        _run(conf, out, settings, chosen(tiles), workflow, scheduler, workers, not keep_going)
+        return
+    if tiles or scheduler or workers:
+        raise ConfigError(
+            "--only makes one part, in this process", where="--only",
+            do="leave --tiles, --scheduler and --workers out",
+        )  # fmt: skip
+    alone(conf, out, settings, workflow, only)
 
 
 @cli.command()

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from fwclass.assess.params import AssessParams
 from fwclass.classes import ClassDef
 from fwclass.classify.params import ClassifyParams
+from fwclass.conf.planning import PlanSection
 from fwclass.conf.sets import feature_set, listed_once
 from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.features.params import FeaturesParams
@@ -153,6 +154,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "survey": SurveySection,
     "areas": AreasSection,
     "run": RunSection,
+    "plan": PlanSection,
     "simulate": SimulateParams,
     "read": ReadParams,
     "pulse": PulseParams,
@@ -185,6 +187,7 @@ class Config:
     survey: SurveySection
     areas: AreasSection
     run: RunSection
+    plan: PlanSection
     simulate: SimulateParams | None
     read: ReadParams
     pulse: PulseParams

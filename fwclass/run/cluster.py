@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import importlib.util
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from types import TracebackType
 
 import dask
-from distributed import Client, LocalCluster, WorkerPlugin, as_completed
+from distributed import Client, Future, LocalCluster, WorkerPlugin, as_completed
 
 from fwclass.errors import FwclassError
 from fwclass.run.part import Name, Outcome, Task, execute
@@ -65,10 +65,10 @@ class Cluster:
         if self._cluster is not None:
             self._cluster.close()
 
-    def run(self, root: Path, tasks: Sequence[Task]) -> Iterator[Outcome]:
+    def run(self, root: Path, tasks: Sequence[Task]) -> Generator[Outcome]:
         """Outcomes as parts end, in any order; edges are exactly the tasks' needs."""
         self._batch += 1
-        futures: dict[Name, object] = {}
+        futures: dict[Name, Future] = {}
         names: dict[str, Name] = {}
         for number, task in enumerate(tasks):
             upstream = [futures[n] for n in task.needs if n in futures]
@@ -78,10 +78,16 @@ class Cluster:
             )  # fmt: skip
             futures[task.name] = future
             names[future.key] = task.name
-        for future in as_completed(list(futures.values())):
-            stage, part = names[future.key]
-            if future.status == "finished":
-                yield future.result()
-            else:
-                fault = future.exception() if future.status == "error" else future.status
-                yield Outcome(stage, part, "failed", message=f"the worker was lost: {type(fault).__name__}: {fault}")
+        try:
+            for future in as_completed(list(futures.values())):
+                stage, part = names[future.key]
+                if future.status == "finished":
+                    yield future.result()
+                else:
+                    fault = future.exception() if future.status == "error" else future.status
+                    yield Outcome(
+                        stage, part, "failed", message=f"the worker was lost: {type(fault).__name__}: {fault}"
+                    )
+        except GeneratorExit:  # stopped at a failure: what has not begun is not begun any more
+            self._client.cancel([f for f in futures.values() if not f.done()])
+            raise

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 
 from fwclass.run.part import Name, Outcome, Task, execute
@@ -13,7 +13,7 @@ class Loop:
 
     address = ""
 
-    def run(self, root: Path, tasks: Sequence[Task]) -> Iterator[Outcome]:
+    def run(self, root: Path, tasks: Sequence[Task]) -> Generator[Outcome]:
         """Outcomes in order; a task comes after every task that it needs."""
         outcomes: dict[Name, Outcome] = {}
         for task in tasks:

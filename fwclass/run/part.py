@@ -76,12 +76,16 @@ def input_digests(task: Task, store: Store) -> dict[str, str] | None:
     return digests
 
 
+def key_now(task: Task, store: Store) -> str | None:
+    """The key that the part has from the inputs as they are now, None while a part that it needs is not done."""
+    inputs = input_digests(task, store)
+    return None if inputs is None else key_of(task.stage, task.version, task.params, inputs)
+
+
 def already_done(task: Task, store: Store) -> bool:
     """The part is there, made from the inputs as they are now."""
-    inputs = input_digests(task, store)
-    if inputs is None:
-        return False
-    return store.done(task.stage, task.part, key_of(task.stage, task.version, task.params, inputs)) is not None
+    key = key_now(task, store)
+    return key is not None and store.done(task.stage, task.part, key) is not None
 
 
 def execute(root: Path, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome:
@@ -100,8 +104,9 @@ def execute(root: Path, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome
             return Outcome(*task.name, "skipped")
         desk = Desk(store)
         receipt = store.commit(
-            task.stage, task.part, key, inputs, task.place, lambda directory: task.work(desk, directory)
-        )
+            task.stage, task.part, key, inputs, task.place, lambda directory: task.work(desk, directory),
+            task.version, task.params,
+        )  # fmt: skip
     except FwclassError as fault:
         return Outcome(*task.name, "failed", message=str(fault))
     except OSError as fault:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from fwclass.errors import FwclassError, InputError
-from fwclass.run.part import Name, Outcome, Task, already_done
+from fwclass.errors import FwclassError, InputError, PartialError
+from fwclass.run.part import Name, Outcome, Task, already_done, key_now
 from fwclass.run.progress import Display
+from fwclass.store.failures import Failure
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
 
@@ -20,7 +22,7 @@ class Executor(Protocol):
 
     address: str
 
-    def run(self, root: Path, tasks: Sequence[Task]) -> Iterator[Outcome]: ...
+    def run(self, root: Path, tasks: Sequence[Task]) -> Generator[Outcome]: ...
 
 
 @dataclass
@@ -37,7 +39,10 @@ class Tally:
 
 @dataclass
 class Road:
-    """Walks batches of tasks; each batch may need parts of earlier ones."""
+    """Walks batches of tasks; each batch may need parts of earlier ones.
+
+    With `fail_fast` the first part that fails ends the walk by a `PartialError`.
+    """
 
     root: Path
     executor: Executor
@@ -45,6 +50,7 @@ class Road:
     outcomes: dict[Name, Outcome] = field(default_factory=dict)
     tallies: dict[str, Tally] = field(default_factory=dict)
     began: float = field(default_factory=time.perf_counter)
+    fail_fast: bool = False
 
     @property
     def store(self) -> Store:
@@ -60,8 +66,12 @@ class Road:
         for task in tasks:
             self.tallies.setdefault(task.stage, Tally(began=now))
         pending = self._skip_what_is_done(tasks)
-        for outcome in self.executor.run(self.root, pending):
-            self._take(outcome)
+        by_name = {task.name: task for task in pending}
+        with closing(self.executor.run(self.root, pending)) as ended:
+            for outcome in ended:
+                self._take(outcome)
+                if outcome.status == "failed":
+                    self._failed(by_name[outcome.stage, outcome.part], outcome)
         receipts = {}
         for task in tasks:
             if self.outcomes[task.name].ok:
@@ -94,6 +104,21 @@ class Road:
         tally.failed += outcome.status in ("failed", "blocked")
         tally.ended = time.perf_counter()
         self.display.ended(outcome)
+
+    def _failed(self, task: Task, outcome: Outcome) -> None:
+        """Keep what the part said for `fwclass status`, and stop here if that was asked for."""
+        key = key_now(task, self.store) or ""
+        self.store.failures.record(Failure(task.stage, task.part, key, outcome.message))
+        if self.fail_fast:
+            raise PartialError(
+                "stopped at the first part that failed", where=f"{task.stage}/{task.part} in {self.root}",
+                do="mend the cause and run the same again; what is done is kept (--keep-going makes all other parts)",
+            )  # fmt: skip
+
+    def finish(self, whole: bool) -> None:
+        """All parts of the plan have been walked; a `whole` one without failures forgets parts of earlier plans."""
+        if whole and not self.failures:
+            self.retire()
 
     def retire(self) -> None:
         """Remove parts of earlier runs that this run's plan does not have, with what they delivered."""

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import exponnorm
 
 from fwclass.kernel import kernel
 from fwclass.simulate.echoes import cluster, peak, sort_hits
@@ -69,6 +68,8 @@ def pulse_shape(width: float, skew: float, ringing: float, delay: float) -> tupl
     sigma = width / FWHM_PER_SIGMA
     if skew == 0.0 and ringing == 0.0:
         return np.empty(0), 0.0, sigma
+    from scipy.stats import exponnorm  # its import takes most of a second, and is not needed to plan
+
     time = SHAPE_STEP * np.arange(-round(6.0 * sigma / SHAPE_STEP), round((6.0 * sigma + 15.0 * skew) / SHAPE_STEP))
     lobe = exponnorm.pdf(time, skew / sigma, scale=sigma) if skew > 0.0 else np.exp(-0.5 * (time / sigma) ** 2)
     lobe /= lobe.max()

@@ -78,14 +78,15 @@ def read_json(path: Path) -> Any:
 
 
 @contextmanager
-def staged(parent: Path) -> Iterator[Path]:
-    """A fresh directory to write into; what is still there at the end is removed."""
-    directory = parent / uuid.uuid4().hex
+def staged(parent: Path, *below: str) -> Iterator[Path]:
+    """A fresh directory to write into, ``parent/<unique>/*below``; what is still there at the end is removed."""
+    own = parent / uuid.uuid4().hex
+    directory = own.joinpath(*below)
     directory.mkdir(parents=True)
     try:
         yield directory
     finally:
-        shutil.rmtree(directory, ignore_errors=True)
+        shutil.rmtree(own, ignore_errors=True)
 
 
 def move_into_place(source: Path, target: Path) -> None:

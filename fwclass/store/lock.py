@@ -6,9 +6,11 @@ import fcntl
 import json
 import os
 import socket
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from fwclass.errors import StoreError
 
@@ -22,16 +24,14 @@ def writer(root: Path) -> Iterator[None]:
     path = root / "store" / "lock"
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+") as stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        if not _taken(stream.fileno()):
             stream.seek(0)
             raise StoreError(
                 "another run is writing to this directory",
                 where=root,
                 got=stream.read(200) or "unknown holder",
                 do="wait for it to end, or choose another --out",
-            ) from None
+            )
         stream.seek(0)
         stream.truncate()
         stream.write(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}))
@@ -41,3 +41,45 @@ def writer(root: Path) -> Iterator[None]:
         finally:
             stream.seek(0)
             stream.truncate()
+
+
+def holder(root: Path) -> Mapping[str, Any] | None:
+    """Host and pid of the run that is writing to `root`, None where there is none; nothing is written.
+
+    On a file system without locks between hosts, what the file says is believed.
+    """
+    path = root / "store" / "lock"
+    try:
+        with path.open() as stream:
+            text = stream.read(200)
+            if not text:
+                return None
+            found = json.loads(text)
+            if not isinstance(found, dict):
+                return None
+            if found.get("host") == socket.gethostname() and not _locked(stream.fileno()):
+                return None  # it was killed and left its name
+            return found
+    except (FileNotFoundError, json.JSONDecodeError):
+        return None
+
+
+def _taken(handle: int) -> bool:
+    """Take the lock; tried for a tenth of a second, because `_locked` holds it for an instant."""
+    for _ in range(5):
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+        except OSError:
+            time.sleep(0.02)
+    return False
+
+
+def _locked(handle: int) -> bool:
+    """Another process holds the lock."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    fcntl.flock(handle, fcntl.LOCK_UN)
+    return False

@@ -26,6 +26,8 @@ class Receipt:
     place : "store" or "run": below which directory the outputs lie.
     meta : plain data that later parts or the report need (rows, counts, faults).
     seconds, peak_mib : cost of making it.
+    version : of the stage's code; None in receipts of before it was recorded.
+    params : digest of the parameters, which lie in ``store/params/<digest>.json``; empty in receipts of before that.
     """
 
     stage: str
@@ -38,6 +40,8 @@ class Receipt:
     meta: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
     peak_mib: float = 0.0
+    version: int | None = None
+    params: str = ""
     format: int = FORMAT
 
     def to_json(self) -> dict[str, Any]:

@@ -6,6 +6,7 @@ Parts that deliver to the user write below the run directory itself and keep onl
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import time
@@ -18,6 +19,7 @@ import psutil
 
 from fwclass.errors import StoreError
 from fwclass.store.atomic import (
+    digest_of,
     file_digest,
     files_below,
     move_into_place,
@@ -26,6 +28,7 @@ from fwclass.store.atomic import (
     sync,
     write_json,
 )
+from fwclass.store.failures import Failures
 from fwclass.store.receipts import Receipt, digest_of_outputs
 
 MIB = 1 << 20
@@ -33,13 +36,18 @@ MIB = 1 << 20
 
 @dataclass(frozen=True)
 class Store:
-    """Paths, receipts and commits below one run directory `root`."""
+    """Paths, receipts and commits below one run directory `root`; with `read_only` nothing is written there."""
 
     root: Path
+    read_only: bool = False
 
     @property
     def directory(self) -> Path:
         return self.root / "store"
+
+    @property
+    def failures(self) -> Failures:
+        return Failures(self.directory / "failures")
 
     def _part(self, stage: str, part: str) -> Path:
         return self.directory / stage / part
@@ -90,15 +98,18 @@ class Store:
         inputs: Mapping[str, str],
         place: str,
         work: Callable[[Path], Mapping[str, Any]],
+        version: int | None = None,
+        params: Any = None,
     ) -> Receipt:
         """Do `work` in a staged directory, flush, rename, write the receipt, collect what it replaces.
 
         `work` gets the directory and returns the part's meta. With ``place="run"`` the files go to the same relative
-        paths below the run directory, one rename each.
+        paths below the run directory, one rename each. `version` and `params` are what `key` was made of; they are kept
+        so that it can be told later why a part is stale.
         """
         began = time.perf_counter()
         old = self.receipt(stage, part)
-        with staged(self.directory / "staging") as directory:
+        with staged(self.directory / "staging", stage, part) as directory:
             meta = dict(work(directory))
             outputs = {}
             for path in files_below(directory):
@@ -113,11 +124,30 @@ class Store:
         receipt = Receipt(
             stage=stage, part=part, key=key, inputs=dict(inputs), outputs=outputs, place=place, meta=meta,
             digest=digest_of_outputs(outputs, meta), seconds=round(time.perf_counter() - began, 4),
-            peak_mib=round(_peak_mib(), 1),
+            peak_mib=round(_peak_mib(), 1), version=version, params=self._keep_params(params),
         )  # fmt: skip
         write_json(self._part(stage, part) / "receipt.json", receipt.to_json())
+        self.failures.clear(stage, part)
         self._collect(receipt, old)
         return receipt
+
+    def _keep_params(self, params: Any) -> str:
+        """Keep parameters once for all parts that have them; their digest, empty for None."""
+        if params is None:
+            return ""
+        digest = digest_of(params)
+        path = self._params(digest)
+        if not path.exists():
+            write_json(path, params)
+        return digest
+
+    def _params(self, digest: str) -> Path:
+        return self.directory / "params" / f"{digest}.json"
+
+    def params(self, receipt: Receipt) -> Any:
+        """The parameters that a part was made with, as plain data; None where they were not recorded."""
+        path = self._params(receipt.params)
+        return read_json(path) if receipt.params and path.exists() else None
 
     def _collect(self, receipt: Receipt, old: Receipt | None) -> None:
         """Remove what no receipt names any more."""
@@ -141,7 +171,20 @@ class Store:
                     (self.root / name).unlink(missing_ok=True)
             shutil.rmtree(self._part(stage, receipt.part), ignore_errors=True)
             gone.append(receipt.part)
+        self.failures.forget_others(stage, keep)
         return gone
+
+    def under_way(self) -> dict[tuple[str, str], float]:
+        """When each part (stage, part) that has a staged directory was begun [s since the epoch].
+
+        A killed worker leaves its directory until the run ends: a part may stand here that has failed since.
+        """
+        found: dict[tuple[str, str], float] = {}
+        for path in (self.directory / "staging").glob("*/*/*"):
+            with contextlib.suppress(FileNotFoundError):  # it has ended meanwhile
+                name = (path.parent.name, path.name)
+                found[name] = max(path.parent.stat().st_mtime, found.get(name, 0.0))
+        return found
 
     def clear_staging(self) -> None:
         """Remove what an interrupted writer left behind (only the holder of the lock calls this)."""

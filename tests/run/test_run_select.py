@@ -118,7 +118,7 @@ def test_what_cannot_be_chosen_is_said(survey, root, tmp_path):
         _chosen(survey, root, "forward", names=("zc", "zc"))
     with pytest.raises(ConfigError, match="no candidate"):
         _chosen(survey, root, "forward", order=("zc", "amplitude_db"))
-    with pytest.raises(ConfigError, match="not a feature"):
+    with pytest.raises(ConfigError, match="needs the range"):
         _chosen(survey, root, "forward", "survey.trajectory.files=[]", names=("zc", "backscatter"))
     with pytest.raises(InputError, match="too few blocks"):
         _chosen(survey, root, "forward", "select.block=200", "select.gap=0")

@@ -1,0 +1,79 @@
+"""`fwclass plan`: what a survey will take, before anything runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, WORKERS, cli
+from fwclass.cli.road import open_road
+
+
+@cli.command()
+@click.argument("conf", type=PATH)
+@click.option("--out", type=PATH, help="Run directory (default: runs/<survey>); the plan goes to its plan/.")
+@click.option(
+    "--dry-run", "count", type=click.IntRange(1), metavar="N",
+    help="Really run the N fullest tiles, in a scratch directory, and reckon with what they took.",
+)  # fmt: skip
+@SET
+@WORKERS
+@OVERWRITE
+@JSON
+def plan(
+    conf: Path, out: Path | None, count: int | None, settings: tuple[str, ...], workers: int | None, overwrite: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Tell what a survey will take, from the headers of its files: tiles, memory, disk and time.
+
+    Nothing is run but the tiles of --dry-run. Polygons of the tiles, a picture and the numbers go to plan/ in the run
+    directory. What cannot fit is refused, with the numbers (exit code 2).
+    """
+    from fwclass import conf as configuration
+    from fwclass.run.planning.headers import survey_facts
+    from fwclass.run.planning.limits import refuse, room_at
+    from fwclass.run.planning.output import check_free, deliver
+    from fwclass.run.planning.text import describe
+    from fwclass.run.planning.whole import as_json as plain
+    from fwclass.run.planning.whole import planned
+
+    config = configuration.load(conf, settings)
+    root = out if out is not None else Path("runs") / config.survey.name
+    check_free(root, overwrite)
+    number = config.run.workers if workers is None else workers
+    made = planned(config, survey_facts(config, root), number, room_at(root))
+    if count is not None:
+        made = _dry_run(made, count, root)
+    paths = deliver(made, root)
+    told = "\n".join(f"written     {p}" for p in paths)
+    click.echo(f"{describe(made)}\n\n{told}", err=as_json)
+    if as_json:
+        click.echo(json.dumps(plain(made, paths), indent=1))
+    refuse(list(made.limits), config.path)
+
+
+def _dry_run(made: Any, count: int, root: Path) -> Any:
+    """The plan again, by what the fullest tiles took."""
+    from fwclass.errors import FwclassError
+    from fwclass.run.planning.trial import trial_of
+    from fwclass.run.planning.whole import planned
+    from fwclass.store.atomic import staged
+    from workflows.trial import trial
+
+    asked = trial_of(made, count, root)
+    memory = made.config.run.worker_memory_gib
+    with staged(root / "plan") as scratch:
+        with open_road(scratch, made.workers, None, memory) as road:
+            keys = trial(asked, road, count, made.halo)
+            failures, store = road.failures, road.store
+        if failures:
+            first = failures[0]
+            raise FwclassError(
+                f"the dry run failed in {len(failures)} parts, first {first.stage}/{first.part}",
+                got=first.message.splitlines()[0] if first.message else "", do="mend the cause; the run would fail too",
+            )  # fmt: skip
+        click.echo(f"dry run     tiles {', '.join(keys)} from {asked.files:,} files", err=True)
+        return planned(made.config, made.facts, made.workers, made.room, store)

@@ -1,0 +1,117 @@
+"""How a run stands, and one part of it alone."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fwclass.cli.base import JSON, PATH, SET, cli
+from fwclass.cli.road import open_road, tell_failures
+from fwclass.errors import PARTIAL, ConfigError, nearest
+
+TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
+WORKFLOW = click.option("--workflow", default="classification", show_default=True, help="Which workflow.")
+
+
+def chosen(tiles: str | None) -> frozenset[str] | None:
+    """The keys of ``--tiles``, None for all."""
+    return frozenset(t.strip() for t in tiles.split(",")) if tiles else None
+
+
+def out_directory(out: Path | None, config: Any) -> Path:
+    """The run directory that ``--out`` names, or the survey's own."""
+    if out is not None and str(out) in ("", "."):
+        raise ConfigError("--out is empty", where="--out", do="name a directory for this run alone")
+    return out if out is not None else Path("runs") / config.survey.name
+
+
+def requested(
+    conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | None
+) -> tuple[Any, Any]:
+    """The configuration, and the `Request` that the words of the command make."""
+    from fwclass import conf as configuration
+    from fwclass.run.request import Request
+    from workflows import WORKFLOWS
+
+    if workflow not in WORKFLOWS:
+        raise ConfigError("no such workflow", where="--workflow", got=workflow, do=nearest(workflow, WORKFLOWS))
+    config = configuration.load(conf, settings)
+    return config, Request.of(conf, out_directory(out, config), settings, workflow, tiles)
+
+
+def _looked(config: Any, request: Any) -> Any:
+    """The parts of the run, looked at; `ConfigError` for a workflow that finds its parts as it goes."""
+    from fwclass.run.request import PLANNED
+    from fwclass.run.status.look import look_at
+    from workflows import WORKFLOWS
+
+    if request.workflow not in PLANNED:
+        raise ConfigError(
+            f"the parts of --workflow {request.workflow} are not known before it runs: it chooses them as it goes",
+            where="--workflow", expected=", ".join(PLANNED), got=request.workflow,
+            do=f"run it again, which makes only what is missing: {request.command()}",
+        )  # fmt: skip
+    return look_at(Path(request.root), lambda road: WORKFLOWS[request.workflow](config, road, request.wanted))
+
+
+def alone(conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str, only: str) -> None:
+    """Make the part `only` (stage/part) in the plain loop, and nothing else."""
+    from fwclass.run.status.replay import task_alone
+
+    config, request = requested(conf, out, settings, workflow, None)
+    with open_road(Path(request.root), 0, None, config.run.worker_memory_gib) as road:
+        task = task_alone(_looked(config, request), only, request)
+        road.do([task])
+        outcome = road.outcomes[task.name]
+    if not outcome.ok:
+        tell_failures([outcome], request)
+        sys.exit(PARTIAL)
+    told = "was done already" if outcome.status == "skipped" else f"is made, in {outcome.seconds:.2f} s"
+    click.echo(f"{only} {told}", err=True)
+
+
+@cli.command()
+@click.argument("conf_or_run", metavar="CONF|RUN", type=PATH)
+@click.option("--out", type=PATH, help="With CONF: the run directory (default: runs/<survey>).")
+@SET
+@TILES
+@WORKFLOW
+@click.option("--parts", "every", is_flag=True, help="List every part, done or not.")
+@JSON
+def status(
+    conf_or_run: Path, out: Path | None, settings: tuple[str, ...], tiles: str | None, workflow: str, every: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
+    """Tell which parts of a run are done, stale (and why), missing, running or failed; nothing is made.
+
+    A run directory is looked at as its last `fwclass run` was asked for; a configuration with the words given here.
+    Exit code 0 if all is done, 3 if not.
+    """
+    from fwclass import conf as configuration
+    from fwclass.run.request import Request
+
+    if conf_or_run.is_dir():
+        if out is not None or settings or tiles or workflow != "classification":
+            raise ConfigError(
+                "a run directory is looked at as its run was asked for", where=conf_or_run,
+                do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
+            )  # fmt: skip
+        request = Request.kept(conf_or_run)
+        config = configuration.load(request.conf, request.settings)
+    else:
+        config, request = requested(conf_or_run, out, settings, workflow, chosen(tiles))
+    from fwclass.run.status.told import as_data, as_text
+    from fwclass.store.lock import holder
+
+    writer = holder(Path(request.root))
+    looked = _looked(config, request)
+    if as_json:
+        click.echo(json.dumps(as_data(looked, request, writer, every), indent=1))
+    else:
+        click.echo(as_text(looked, request, writer, every))
+    if not looked.all_done:
+        sys.exit(PARTIAL)

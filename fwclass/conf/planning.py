@@ -1,0 +1,67 @@
+"""The section `plan`: what a survey costs, in numbers that `fwclass plan` multiplies by what the headers say."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from fwclass.stage import Params
+
+Unit = Literal["point", "pulse", "echo", "reference", "cell", "tree_row"]
+"""What a stage's cost is counted in: a point of a file, a pulse, an echo, a point of the reference, a cell of the
+delivered rasters, or a row of the training sample times the trees that it grows."""
+
+
+class StageCost(Params):
+    """The cost of a stage; numbers stand in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    unit : what it is counted in.
+    part : time of a part that holds nothing [ms].
+    each : processor time of a unit more [µs].
+    stored : written for a unit, besides waveforms [bytes].
+    waves : share of the waveforms' bytes that is written again.
+    held : memory for a unit that the part reads, its halo's too [bytes].
+    """
+
+    unit: Unit
+    part: float = Field(ge=0)
+    each: float = Field(ge=0)
+    stored: float = Field(ge=0)
+    waves: float = Field(ge=0)
+    held: float = Field(ge=0)
+
+
+class PlanSection(Params):
+    """How `fwclass plan` reckons; numbers stand in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    sample_points : of one file that are read, to see how dense it is where it was flown.
+    returns_per_pulse : where nothing could be read.
+    echoes_per_return : that a decomposition finds.
+    wave_bytes : waveforms of a pulse that is not simulated yet [bytes].
+    crowding : echoes of the fullest tile or block over those that evenly spread files give it.
+    base_mib : memory of a worker that holds nothing [MiB].
+    worker_share : of run.worker_memory_gib that may be planned with.
+    disk_share : of the free disk that may be planned with.
+    compile_seconds : once in every worker, the first time on a machine [s].
+    sizes : tile sizes that are compared [m].
+    tiles_per_worker : fewer leave workers idle.
+    stages : cost of every stage by name.
+    """
+
+    sample_points: int = Field(ge=1000)
+    returns_per_pulse: float = Field(ge=1)
+    echoes_per_return: float = Field(gt=0)
+    wave_bytes: float = Field(ge=0)
+    crowding: float = Field(ge=1)
+    base_mib: float = Field(ge=0)
+    worker_share: float = Field(gt=0, le=1)
+    disk_share: float = Field(gt=0, le=1)
+    compile_seconds: float = Field(ge=0)
+    sizes: tuple[float, ...] = Field(min_length=1)
+    tiles_per_worker: int = Field(ge=1)
+    stages: dict[str, StageCost]

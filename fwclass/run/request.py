@@ -1,0 +1,84 @@
+"""What a run was asked for: kept in the run directory, so that it can be looked at and parts of it replayed."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from fwclass.errors import StoreError
+from fwclass.store.atomic import read_json, write_json
+
+PLANNED = ("classification", "fan2013")
+"""Workflows whose parts are known before anything runs; of `fan2013` those that it shares with `classification`."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """The words of ``fwclass run`` that decide which parts there are, and from what.
+
+    `conf`: absolute path or shipped name; `root`: the run directory; `tiles`: None for all.
+    """
+
+    conf: str
+    root: str
+    settings: tuple[str, ...] = ()
+    workflow: str = "classification"
+    tiles: tuple[str, ...] | None = None
+
+    @classmethod
+    def of(
+        cls, conf: Path, root: Path, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | None
+    ) -> Request:
+        """As typed; paths are made absolute, so that the command holds wherever it is given."""
+        named = str(conf.resolve()) if conf.is_file() else str(conf)
+        return cls(named, str(root.resolve()), settings, workflow, None if tiles is None else tuple(sorted(tiles)))
+
+    @property
+    def wanted(self) -> frozenset[str] | None:
+        return None if self.tiles is None else frozenset(self.tiles)
+
+    def command(self, only: tuple[str, str] | None = None) -> str:
+        """The command that does this again, or that replays the one part `only` (stage, part)."""
+        words = ["fwclass", "run", self.conf, "--out", self.root]
+        for setting in self.settings:
+            words += ["--set", setting]
+        if self.workflow != "classification":
+            words += ["--workflow", self.workflow]
+        if only is not None:
+            words += ["--only", "/".join(only)]
+        elif self.tiles is not None:
+            words += ["--tiles", ",".join(self.tiles)]
+        return shlex.join(words)
+
+    def replay(self, name: tuple[str, str]) -> str:
+        """The command that makes the part `name` alone, empty where the workflow's parts are not known beforehand."""
+        return self.command(name) if self.workflow in PLANNED else ""
+
+    def keep(self) -> None:
+        """Write it into the run directory (the holder of the lock calls this)."""
+        write_json(_path(Path(self.root)), {n: v for n, v in asdict(self).items() if n != "root"})
+
+    @classmethod
+    def kept(cls, root: Path) -> Request:
+        """What the last run in `root` was asked for; `StoreError` where nothing tells."""
+        path = _path(root)
+        if not path.exists():
+            raise StoreError(
+                "nothing tells which configuration this run is of", where=root,
+                expected=f"{path.relative_to(root)}, which every run writes",
+                do=f"name the configuration: fwclass status CONF --out {shlex.quote(str(root))}",
+            )  # fmt: skip
+        try:
+            found = read_json(path)
+            tiles = found["tiles"]
+            return cls(
+                str(found["conf"]), str(root.resolve()), tuple(found["settings"]), str(found["workflow"]),
+                None if tiles is None else tuple(tiles),
+            )  # fmt: skip
+        except (KeyError, TypeError) as fault:
+            raise StoreError("not the words of a run", where=path, got=fault, do="remove the file") from fault
+
+
+def _path(root: Path) -> Path:
+    return root / "store" / "run.json"

@@ -1,0 +1,1 @@
+"""How each part of a run stands, and why: read from receipts, failures and the plan; nothing is computed."""

@@ -1,0 +1,152 @@
+"""A walk along the road that makes nothing: which parts a run would have, and how each of them stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from fwclass.errors import ConfigError, FwclassError
+from fwclass.run.local import Loop
+from fwclass.run.part import Name, Outcome, Task, input_digests
+from fwclass.run.progress import Display
+from fwclass.run.road import Road
+from fwclass.run.status.why import Reason, reasons, same, waiting
+from fwclass.store.failures import Failure
+from fwclass.store.lock import holder
+from fwclass.store.receipts import Receipt, key_of
+from fwclass.store.run_store import Store
+
+Standing = Literal["done", "stale", "missing", "running", "failed"]
+STANDINGS: tuple[Standing, ...] = ("done", "stale", "missing", "running", "failed")
+
+
+@dataclass(frozen=True)
+class State:
+    """How one part stands: `reasons` say why it is not done, `message` what it said when it failed."""
+
+    stage: str
+    part: str
+    standing: Standing
+    reasons: tuple[Reason, ...] = ()
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class SeenStore(Store):
+    """A store that is only read, every receipt once."""
+
+    _seen: dict[Name, Receipt | None] = field(default_factory=dict, compare=False)
+
+    def receipt(self, stage: str, part: str) -> Receipt | None:
+        name = (stage, part)
+        if name not in self._seen:
+            self._seen[name] = super().receipt(stage, part)
+        return self._seen[name]
+
+
+class Silent(Display):
+    """No progress: nothing is done."""
+
+    def say(self, text: str) -> None:
+        pass
+
+    def expect(self, tasks: Iterable[Task]) -> None:
+        pass
+
+    def ended(self, outcome: Outcome) -> None:
+        pass
+
+
+class PlanKnown(Exception):
+    """The workflow has named all its parts."""
+
+
+class Look(Road):
+    """Takes every part's receipt, stale or not, for what a run will have made: so the parts that follow are known."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root, Loop(), Silent())
+        self.states: dict[Name, State] = {}
+        self.tasks: dict[Name, Task] = {}
+        self._waits: dict[Name, str] = {}  # what is not done, with its standing
+        self._store = SeenStore(root, read_only=True)
+        busy = holder(root) is not None
+        self._failures: dict[Name, tuple[Failure, float]] = self._store.failures.all()
+        self._begun: dict[Name, float] = self._store.under_way() if busy else {}
+
+    @property
+    def store(self) -> Store:
+        return self._store
+
+    def do(self, tasks: Sequence[Task]) -> dict[Name, Receipt]:
+        receipts = {}
+        for task in tasks:
+            self.tasks[task.name] = task
+            self.states[task.name] = state = self._state(task)
+            if state.standing == "done":
+                self._waits.pop(task.name, None)
+            else:
+                self._waits[task.name] = state.standing
+            receipt = self.store.receipt(*task.name)
+            if receipt is not None:
+                receipts[task.name] = receipt
+            self.outcomes[task.name] = Outcome(*task.name, "skipped" if receipt else "blocked")
+        return receipts
+
+    def finish(self, whole: bool) -> None:
+        raise PlanKnown
+
+    def _state(self, task: Task) -> State:
+        late = {n: self._waits[n] for n in task.needs if n in self._waits}
+        inputs = None if late else input_digests(task, self.store)
+        key = "" if inputs is None else key_of(task.stage, task.version, task.params, inputs)
+        if key and self.store.done(task.stage, task.part, key):
+            return State(*task.name, "done")
+        failure, failed_at = self._failures.get(task.name, (None, 0.0))
+        if self._begun.get(task.name, 0.0) > failed_at:
+            return State(*task.name, "running")
+        if failure is not None and failure.key == key:
+            return State(*task.name, "failed", message=failure.message)
+        receipt = self.store.receipt(*task.name)
+        before = [] if failure is None else [same("it failed before, from other inputs or parameters")]
+        if receipt is None:
+            return State(*task.name, "missing", tuple(waiting(late) + before))
+        return State(*task.name, "stale", tuple(reasons(task, receipt, self.store, self._waits) + before))
+
+
+@dataclass(frozen=True)
+class Looked:
+    """What was seen: parts in the plan's order; why the plan is not known further, None where all of it is."""
+
+    root: Path
+    states: dict[Name, State]
+    tasks: dict[Name, Task]
+    ends: str | None
+
+    @property
+    def all_done(self) -> bool:
+        return self.ends is None and all(s.standing == "done" for s in self.states.values())
+
+
+def look_at(root: Path, workflow: Callable[[Road], object]) -> Looked:
+    """Walk `workflow` over the run directory `root` without making anything.
+
+    Faults of the configuration and of the input come out as they would from a run; where parts are missing that tell
+    which others there will be, the plan ends there.
+    """
+    look = Look(root)
+    ends = None
+    try:
+        workflow(look)
+    except PlanKnown:
+        pass
+    except ConfigError:
+        raise
+    except FwclassError as fault:
+        if all(s.standing == "done" for s in look.states.values()):
+            raise
+        missing = [n for n in look.states if look.store.receipt(*n) is None]
+        ends = f"{'/'.join(missing[0])} is missing" if missing else fault.what
+    return Looked(root, look.states, look.tasks, ends)

@@ -1,0 +1,151 @@
+"""Why a part has to be made again: what its receipt says it was made from, beside what it would be made from now."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from fwclass.run.part import Name, Task
+from fwclass.store.receipts import Receipt
+from fwclass.store.run_store import Store
+
+SHOWN = 48
+"""Characters of a parameter's value that are shown."""
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One reason in words; `kind` is the same for parts that have it alike (no part is named in it)."""
+
+    text: str
+    kind: str
+
+
+def same(text: str) -> Reason:
+    return Reason(text, text)
+
+
+def reasons(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str]) -> list[Reason]:
+    """Why `receipt` does not do for `task`; `waits` are parts that are not done now, with their status."""
+    found = _of_version(task, receipt)
+    found += _of_params(task, receipt, store)
+    found += _of_files(task, receipt)
+    found += _of_parts(task, receipt, store, waits)
+    if not found:
+        found = _of_outputs(receipt, store)
+    if not found and receipt.version is None:
+        found = [same("made by an earlier version of fwclass, whose receipts do not tell parameters")]
+    return found or [same("its key is another one")]
+
+
+def waiting(waits: Mapping[Name, str]) -> list[Reason]:
+    """One reason for every (stage, status) among parts that are needed and not done."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for (stage, part), status in sorted(waits.items()):
+        groups.setdefault((stage, status), []).append(part)
+    return [_about(stage, parts, f"needs {{}}, {status}") for (stage, status), parts in groups.items()]
+
+
+def _about(stage: str, parts: list[str], text: str) -> Reason:
+    """`text` with the first part's name put in, and how many more there are."""
+    more = f" and {len(parts) - 1} more of {stage}" if len(parts) > 1 else ""
+    return Reason(text.format(f"{stage}/{parts[0]}{more}"), text.format(stage))
+
+
+def _of_version(task: Task, receipt: Receipt) -> list[Reason]:
+    if receipt.version is None or receipt.version == task.version:
+        return []
+    return [same(f"the code of {task.stage} changed: version {receipt.version} to {task.version}")]
+
+
+def _of_params(task: Task, receipt: Receipt, store: Store) -> list[Reason]:
+    if receipt.version is None:
+        return []
+    then = store.params(receipt)
+    if then is None:
+        return [] if task.params is None else [same("its parameters are not recorded any more")]
+    now = json.loads(json.dumps(task.params))  # tuples and keys as they become in a file
+    return [same(f"parameter {text}") for text in differences(then, now)]
+
+
+def differences(then: Any, now: Any, name: str = "") -> list[str]:
+    """Where two pieces of plain data, as read from JSON, differ, in words: ``cell: 0.5 to 1.0``."""
+    if isinstance(then, Mapping) and isinstance(now, Mapping):
+        found = []
+        for key in sorted({*then, *now}):
+            inner = f"{name}.{key}" if name else str(key)
+            if key not in now:
+                found.append(f"{inner}: {_shown(then[key])} is gone")
+            elif key not in then:
+                found.append(f"{inner}: {_shown(now[key])} is new")
+            else:
+                found += differences(then[key], now[key], inner)
+        return found
+    if isinstance(then, list) and isinstance(now, list):
+        return _of_lists(then, now, name)
+    return [] if then == now else [f"{name}: {_shown(then)} to {_shown(now)}"]
+
+
+def _of_lists(then: list[Any], now: list[Any], name: str) -> list[str]:
+    if then == now:
+        return []
+    if len(then) == len(now) and all(isinstance(v, Mapping) for v in (*then, *now)):
+        pairs = enumerate(zip(then, now, strict=True))
+        return [text for k, (a, b) in pairs for text in differences(a, b, f"{name}[{k}]")]
+    gone, new = ([v for v in a if v not in b] for a, b in ((then, now), (now, then)))
+    words = [f"without {', '.join(map(_shown, gone))}"] if gone else []
+    words += [f"with {', '.join(map(_shown, new))}"] if new else []
+    return [f"{name}: now {' and '.join(words)}" if words else f"{name}: in another order"]
+
+
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text if len(text) <= SHOWN else text[: SHOWN - 1] + "…"
+
+
+def _of_files(task: Task, receipt: Receipt) -> list[Reason]:
+    """Files read from outside; their names, unlike those of parts, have no slash."""
+    then = {n: d for n, d in receipt.inputs.items() if "/" not in n}
+    now = dict(task.external)
+    found = [same(f"input {n} changed") for n in now if n in then and then[n] != now[n]]
+    found += [same(f"input {n} is new") for n in now if n not in then]
+    return found + [same(f"input {n} is no longer read") for n in then if n not in now]
+
+
+def _of_parts(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str]) -> list[Reason]:
+    then = {n: d for n, d in receipt.inputs.items() if "/" in n}
+    anew: dict[str, list[str]] = {}
+    new: dict[str, list[str]] = {}
+    gone: dict[str, list[str]] = {}
+    late = {n: waits[n] for n in task.needs if n in waits}
+    for stage, part in task.needs:
+        made = store.receipt(stage, part)
+        if f"{stage}/{part}" not in then:
+            new.setdefault(stage, []).append(part)
+        elif (stage, part) not in waits and made is not None and made.digest != then[f"{stage}/{part}"]:
+            anew.setdefault(stage, []).append(part)
+    for name in sorted(then.keys() - {"/".join(n) for n in task.needs}):
+        stage, part = name.split("/", 1)
+        if (stage, part) in waits:  # it will be read again when it is there
+            late[stage, part] = waits[stage, part]
+        else:
+            gone.setdefault(stage, []).append(part)
+    found = waiting(late)
+    for groups, text in ((anew, "{} was made anew"), (new, "{} is read now"), (gone, "{} is no longer read")):
+        found += [_about(stage, parts, text) for stage, parts in groups.items()]
+    return found
+
+
+def _of_outputs(receipt: Receipt, store: Store) -> list[Reason]:
+    found = []
+    for name, facts in receipt.outputs.items():
+        path = store.base(receipt) / name
+        if not path.is_file():
+            found.append(Reason(f"its file {name} is gone", "a file of it is gone"))
+        elif path.stat().st_size != facts["bytes"]:
+            size = path.stat().st_size
+            text = f"its file {name} has {size} bytes, not {facts['bytes']}"
+            found.append(Reason(text, "a file of it has another size"))
+    return found

@@ -1,0 +1,51 @@
+"""A plan of 10 000 km² by headers alone, in a process of its own: ``planning_scale.py DIR`` prints what it took."""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from pathlib import Path
+
+from pyproj import CRS
+
+from fwclass import conf
+from fwclass.grid import Box
+from fwclass.run.planning.headers import SourceFacts, SurveyFacts
+from fwclass.run.planning.limits import Room
+from fwclass.run.planning.output import deliver
+from fwclass.run.planning.whole import planned
+
+STRIPS, PIECES, EDGE = 250, 40, 100_000.0
+"""Flight lines 400 m apart that overlap by half, in files of 2.5 km."""
+
+
+def headers() -> tuple[SourceFacts, ...]:
+    wide, long = EDGE / STRIPS, EDGE / PIECES
+    return tuple(
+        SourceFacts(
+            Path(f"{s:03d}_{p:02d}.las"), 10_000_000, 0, True, 800_000_000,
+            Box(4e5 + (s - 0.25) * wide, 5.3e6 + p * long, 4e5 + (s + 1.25) * wide, 5.3e6 + (p + 1) * long),
+        )
+        for s in range(STRIPS)
+        for p in range(PIECES)
+    )  # fmt: skip
+
+
+def main(directory: Path) -> None:
+    began = time.perf_counter()
+    config = conf.load("city-1200m", ("tile.size=316", "areas.train=[[450000, 5350000, 450100, 5350100]]"))
+    facts = SurveyFacts(headers(), 0, CRS.from_epsg(25832).to_wkt(), None)
+    plan = planned(config, facts, 64, Room(64 * 16_000.0, 1e15))
+    paths = deliver(plan, directory)
+    told = {
+        "seconds": time.perf_counter() - began, "tiles": plan.tiles.number, "points": float(plan.counts.points.sum()),
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "fits": plan.fits,
+        "bytes": [p.stat().st_size for p in paths],
+    }  # fmt: skip
+    sys.stdout.write(json.dumps(told))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,240 @@
+"""A plan is held against what it plans: laws of spreading, a real run's receipts, and a survey of 10 000 km²."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyogrio
+import pytest
+from runmaker import SETTINGS
+
+from fwclass import conf
+from fwclass.errors import ConfigError, InputError
+from fwclass.grid import Box
+from fwclass.read.source import las_of, open_source
+from fwclass.run.planning.amounts import amounts
+from fwclass.run.planning.estimate import choices, estimated, proposed
+from fwclass.run.planning.headers import facts_of, sampled, survey_facts
+from fwclass.run.planning.limits import Room, limits, refuse, room_at
+from fwclass.run.planning.measured import WHOLE, measured
+from fwclass.run.planning.output import deliver
+from fwclass.run.planning.spread import Spread
+from fwclass.run.planning.whole import planned
+from fwclass.store.run_store import Store
+
+ROOM = Room(16_000.0, 1e12)
+SCALE = Path(__file__).with_name("planning_scale.py")
+
+
+def pieces(seed: int) -> list[tuple[Box, float]]:
+    rng = np.random.default_rng(seed)
+    made = []
+    for _ in range(20):
+        x, y = rng.uniform(-300, 300, 2)
+        made.append((Box(x, y, x + rng.uniform(0.001, 200), y + rng.uniform(1, 200)), float(rng.integers(1, 1000))))
+    return made
+
+
+@pytest.mark.parametrize("size", [7.0, 50.0, 333.0])
+def test_no_echo_is_lost_or_made_whatever_the_tiles(size: float) -> None:
+    spread = Spread.of(pieces(1), size)
+    assert spread.counts.sum() == pytest.approx(sum(n for _, n in pieces(1)))
+    assert spread.number == (spread.counts >= 0.5).sum() > 0
+
+
+def test_echoes_lie_in_the_tiles_where_uniform_points_would() -> None:
+    made = pieces(2)
+    spread, rng = Spread.of(made, 40.0), np.random.default_rng(0)
+    counted = np.zeros_like(spread.counts)
+    for box, number in made:
+        x, y = rng.uniform(box.xmin, box.xmax, 20_000), rng.uniform(box.ymin, box.ymax, 20_000)
+        i, j = (np.floor(x / 40) - spread.col).astype(int), (np.floor(y / 40) - spread.row).astype(int)
+        np.add.at(counted, (i, j), number / 20_000)
+    assert np.abs(counted - spread.counts).max() < 0.05 * spread.counts.max()
+
+
+@pytest.mark.parametrize("halo", [0.0, 3.0, 10.0, 14.0, 35.0])
+def test_a_halo_of_even_ground_is_its_area(halo: float) -> None:
+    spread = Spread.of([(Box(-100, -100, 100, 100), 40_000.0)], 10.0)
+    inside = spread.grown(halo)[8:12, 8:12]
+    assert inside == pytest.approx(np.full((4, 4), (10 + 2 * halo) ** 2))
+    corner = min(halo, 100)
+    assert spread.grown(halo)[0, 0] == pytest.approx((10 + corner) ** 2)
+
+
+def test_the_heaviest_tile_comes_first() -> None:
+    spread = Spread.of([(Box(0, 0, 10, 10), 5.0), (Box(20, -10, 30, 0), 9.0), (Box(50, 50, 60, 60), 0.2)], 10.0)
+    assert [t.key for t in spread.heaviest(5)] == ["2_-1", "0_0"]
+
+
+def test_stray_points_do_not_take_all_memory() -> None:
+    with pytest.raises(ConfigError, match="too many tiles"):
+        Spread.of([(Box(0, 0, 1e7, 1e7), 5.0)], 1.0)
+
+
+def cloud(path: Path, xyz: np.ndarray, returns: int = 1) -> Path:
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.header.scales, las.header.offsets = [0.001] * 3, [0.0] * 3
+    las.x, las.y, las.z = xyz.T
+    las.number_of_returns = np.full(len(xyz), returns)
+    las.return_number = np.arange(len(xyz)) % returns + 1
+    las.write(path)
+    return path
+
+
+def test_a_sample_sees_that_a_strip_does_not_fill_its_bounds(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    along, across = np.sort(rng.uniform(0, 1000, 60_000)), rng.uniform(-50, 50, 60_000)
+    slant = np.c_[(along + across) * 0.7071, (along - across) * 0.7071, np.zeros(60_000)]
+    told = sampled(las_of(open_source(cloud(tmp_path / "slant.las", slant, 3))), 20_000)
+    assert told.points == 20_000 and told.returns_per_pulse == pytest.approx(3.0)
+    assert told.density == pytest.approx(0.6, rel=0.15)  # 60 000 points on 1000 m x 100 m
+    assert told.crowding == pytest.approx(0.6 / told.even, rel=0.15) and told.crowding > 4
+
+
+def test_points_in_no_order_tell_nothing_of_density(tmp_path: Path) -> None:
+    xyz = np.random.default_rng(0).uniform(0, 100, (50_000, 3))
+    assert sampled(las_of(open_source(cloud(tmp_path / "a.las", xyz))), 5_000).crowding == 1.0
+
+
+def test_a_header_without_bounds_is_told(tmp_path: Path) -> None:
+    source = open_source(cloud(tmp_path / "a.las", np.random.default_rng(0).uniform(0, 10, (50, 3))))
+    broken = replace(source, bounds=(np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf))
+    with pytest.raises(InputError, match="does not say where"):
+        facts_of(broken)
+
+
+@pytest.fixture(scope="module")
+def walked(survey: Path, finished: tuple[Path, dict]):
+    """The small survey's plan by the receipts of its whole run, the run's store and its report."""
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}"))
+    root, report = finished
+    return planned(config, survey_facts(config, root), 0, room_at(root), Store(root)), Store(root), report
+
+
+def test_what_the_headers_tell_is_what_the_run_finds(walked) -> None:
+    plan, _, report = walked
+    counts = report["counts"]
+    assert plan.counts.points.sum() == counts["returns"]
+    assert plan.counts.pulses.sum() == pytest.approx(counts["pulses"], rel=0.03)
+    assert plan.counts.echoes.sum() == pytest.approx(counts["echoes_decomposed"], rel=0.1)
+    assert plan.tiles.number == pytest.approx(counts["tiles"], abs=2)
+    assert {s.name for s in plan.made.stages} <= {s["name"] for s in report["stages"]} | {"pulse", "index"}
+
+
+def test_every_stage_of_a_run_is_planned(walked) -> None:
+    plan, _, report = walked
+    small = {"training", "sample", "taken", "trajectory", "calibrate", "importance", "simulate"}
+    assert {s["name"] for s in report["stages"]} - small == {s.name for s in plan.made.stages}
+    assert plan.made.unknown == ()
+
+
+def test_parts_are_as_many_as_the_run_had(walked) -> None:
+    plan, _, report = walked
+    parts = {s["name"]: s["parts"] for s in report["stages"]}
+    for stage in plan.made.stages:
+        assert stage.amount.parts == pytest.approx(parts[stage.name], rel=0.5, abs=5), stage.name
+
+
+def test_measured_costs_give_the_measured_time_and_disk_back(walked) -> None:
+    plan, store, _ = walked
+    told = {s.name: s for s in plan.made.stages}
+    assert set(plan.measured.stages) >= {"tile", "features", "classify", "publish-tile", "terrain"}
+    ran = [s.memory_mib for s in plan.made.stages if s.name in plan.measured.stages and s.name not in WHOLE]
+    assert max(ran) == pytest.approx(plan.measured.peak_mib) and plan.measured.peak_mib > 100
+    for name in ("tile", "radiometry", "publish-tile"):
+        receipts = list(store.receipts(name))
+        typical = np.median([r.seconds for r in receipts]) * len(receipts)
+        assert 0.4 * typical < told[name].seconds < 2.5 * typical, name
+    written = sum(o["bytes"] for r in store.receipts("publish-tile") for o in r.outputs.values())
+    assert told["publish-tile"].bytes == pytest.approx(written, rel=0.2)
+
+
+def test_a_stage_that_took_twice_as_long_costs_twice_as_much(walked) -> None:
+    plan, store, _ = walked
+    config = plan.config
+    base = {n: c.model_copy(update={"part": 0.0}) for n, c in config.plan.stages.items()}
+    made = amounts(config, plan.facts, config.tile.size)
+    once = measured(store, base, made)
+
+    class Slow(Store):
+        def receipts(self, stage):
+            return (replace(r, seconds=2 * r.seconds) for r in super().receipts(stage))
+
+    twice = measured(Slow(store.root), base, made)
+    assert twice.seconds == pytest.approx(2 * once.seconds)
+    for name in once.stages:
+        assert twice.costs[name].each == pytest.approx(2 * once.costs[name].each, abs=0.002)
+
+
+def test_larger_tiles_take_more_memory_and_have_fewer_parts(walked) -> None:
+    plan, _, _ = walked
+    by_size = {c.size: c for c in plan.choices}
+    assert by_size[50.0].tiles > by_size[100.0].tiles >= by_size[1000.0].tiles >= 1
+    features = [
+        next(s.memory_mib for s in estimated(plan.config, plan.facts, size, 2, plan.config.plan.stages).stages
+             if s.name == "features")
+        for size in (20.0, 50.0, 100.0)
+    ]  # fmt: skip
+    assert features == sorted(features) and features[0] < features[-1]
+
+
+def test_a_size_that_does_not_fit_is_not_proposed(walked) -> None:
+    plan, _, _ = walked
+    costs = {n: c.model_copy(update={"held": 5e4 * (n == "features")}) for n, c in plan.config.plan.stages.items()}
+    wide = choices(plan.config, plan.facts, 1, costs, 1e9)
+    memory = {c.size: c.memory_mib for c in wide}
+    tight = choices(plan.config, plan.facts, 1, costs, (memory[50.0] + memory[100.0]) / 2)
+    best = proposed(plan.config, tight)
+    assert best is not None and best.size == 50.0 and not next(c for c in tight if c.size == 100.0).fits
+    assert proposed(plan.config, choices(plan.config, plan.facts, 1, costs, 1.0)) is None
+
+
+@pytest.mark.parametrize(
+    ("room", "setting", "workers", "told"),
+    [
+        (ROOM, "run.worker_memory_gib=0.5", 2, "memory of a worker"),
+        (Room(1000.0, 1e12), "run.workers=2", 2, "memory of this machine"),
+        (Room(16_000.0, 1e6), "run.workers=2", 2, "disk"),
+        (ROOM, "terrain.cell=0.001", 2, "cells of the delivered rasters"),
+    ],
+)
+def test_what_cannot_fit_is_refused_with_the_numbers(walked, survey, room, setting, workers, told) -> None:
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", setting))
+    plan = planned(config, walked[0].facts, workers, room)
+    with pytest.raises(ConfigError, match="does not fit") as fault:
+        refuse(list(plan.limits), config.path)
+    assert told in fault.value.got and "needed" in fault.value.got and fault.value.exit_code == 2
+    refuse(limits(walked[0].config, walked[0].made, 0, ROOM, None), "")
+
+
+def test_polygons_are_the_tiles_and_their_halos(walked, tmp_path: Path) -> None:
+    plan, _, _ = walked
+    gpkg, png, numbers = deliver(plan, tmp_path)
+    assert sorted(name for name, _ in pyogrio.list_layers(gpkg)) == ["blocks", "halos", "tiles"]
+    tiles, halos = pyogrio.read_dataframe(gpkg, layer="tiles"), pyogrio.read_dataframe(gpkg, layer="halos")
+    assert len(tiles) == len(halos) == plan.tiles.number and tiles.crs.to_epsg() == 25832
+    first = plan.tiles.heaviest(1)[0]
+    at = tiles.index[tiles["tile"] == first.key][0]
+    assert (
+        tiles.geometry[at].bounds == first.box.bounds and halos.geometry[at].bounds == first.box.grown(plan.halo).bounds
+    )
+    assert tiles["echoes"].sum() == pytest.approx(plan.counts.echoes.sum(), rel=0.01)
+    assert (tiles["echoes_with_halo"] >= tiles["echoes"]).all()
+    assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert json.loads(numbers.read_text())["tiles"]["number"] == len(tiles)
+
+
+def test_ten_thousand_square_kilometres_are_planned_in_a_minute(tmp_path: Path) -> None:
+    line = [sys.executable, SCALE, tmp_path]
+    ended = subprocess.run(line, capture_output=True, text=True, timeout=180)
+    assert ended.returncode == 0, ended.stderr
+    told = json.loads(ended.stdout)
+    assert told["tiles"] >= 1e5 and told["points"] >= 1e11
+    assert told["seconds"] < 60 and told["peak_mib"] < 2048

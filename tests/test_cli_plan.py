@@ -1,0 +1,103 @@
+"""`fwclass plan` as a user meets it: what it prints and writes, what it refuses, and that nothing runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from commandline import fwclass
+
+HEAD = "survey      t: 1 files"
+
+
+@pytest.fixture
+def conf(tmp_path: Path) -> Path:
+    """A survey of one file: a field of 60 m x 60 m with a house on it."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, 60, (2, 12_000))
+    house = (np.abs(x - 30) < 8) & (np.abs(y - 30) < 8)
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.header.scales, las.header.offsets = [0.001] * 3, [0.0] * 3
+    las.x, las.y, las.z = x, y, 100 + 6.0 * house + rng.normal(0, 0.02, x.size)
+    las.classification = np.where(house, 6, 2)
+    las.return_number = las.number_of_returns = np.ones(x.size, np.uint8)
+    las.write(tmp_path / "a.las")
+    path = tmp_path / "c.yaml"
+    path.write_text(
+        f"survey: {{name: t, directory: {tmp_path}, sources: [a.las], reference: {{kind: source}}, crs: 'EPSG:25832',\n"
+        "  features: [height_above_ground, height_range_r100],\n"
+        "  classes: [{name: a, code: 2, codes: [2]}, {name: b, code: 6, codes: [6]}]}\n"
+        "areas: {train: [[0, 0, 35, 60]], gap: 1.0}\ntile: {size: 20.0}\ntrain: {trees: 5}\n"
+    )
+    return path
+
+
+def test_a_plan_is_told_and_written_and_nothing_runs(conf: Path, tmp_path: Path) -> None:
+    ended = fwclass("plan", conf, "--out", tmp_path / "r")
+    assert ended.returncode == 0, ended.stderr
+    for text in (HEAD, "12,000 points", "9 of 20 m", "proposed", "publish-tile", "fits", "sampled"):
+        assert text in ended.stdout
+    assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["plan"]
+    assert sorted(p.name for p in (tmp_path / "r" / "plan").iterdir()) == ["plan.json", "plan.png", "tiles.gpkg"]
+
+
+def test_json_goes_to_standard_output_alone(conf: Path, tmp_path: Path) -> None:
+    ended = fwclass("plan", conf, "--out", tmp_path / "r", "--json")
+    told = json.loads(ended.stdout)
+    assert HEAD in ended.stderr and told["fits"] and told["points"] == told["pulses"] == told["echoes"] == 12_000
+    assert told["tiles"]["number"] == 9 and told["tiles"]["halo"] >= 1.0
+    assert told["seconds"] > 0 and told["disk_bytes"] > 0 and told["free_bytes"] > 0
+    assert {s["source"] for s in told["stages"]} == {"conf"} and told["dry_run"] is None
+    assert json.loads((tmp_path / "r" / "plan" / "plan.json").read_text()) == told
+
+
+def test_a_plan_is_not_overwritten_unasked(conf: Path, tmp_path: Path) -> None:
+    args = ("plan", conf, "--out", tmp_path / "r")
+    assert fwclass(*args).returncode == 0
+    again = fwclass(*args)
+    assert again.returncode == 2 and "there is a plan already" in again.stderr
+    assert fwclass(*args, "--overwrite").returncode == 0
+
+
+def test_too_little_memory_is_refused_with_the_numbers(conf: Path, tmp_path: Path) -> None:
+    args = ("--out", tmp_path / "r", "--workers", 2, "--set", "run.worker_memory_gib=0.25", "--json")
+    ended = fwclass("plan", conf, *args)
+    assert ended.returncode == 2
+    assert "does not fit" in ended.stderr and "MiB needed, 205 MiB allowed" in ended.stderr
+    told = json.loads(ended.stdout)
+    assert not told["fits"] and told["proposed"] is None and not all(limit["fits"] for limit in told["limits"])
+
+
+def test_wrong_words_are_told(conf: Path, tmp_path: Path) -> None:
+    assert fwclass("plan").returncode == 2
+    gone = fwclass("plan", conf, "--set", "survey.sources=[b.las]", "--out", tmp_path / "r")
+    assert gone.returncode == 1 and "no file matches" in gone.stderr and not (tmp_path / "r").exists()
+    unknown = fwclass("plan", conf, "--set", "plan.stages.tile.eech=3")
+    assert unknown.returncode == 2 and "unknown key plan.stages.tile.eech" in unknown.stderr
+
+
+def test_a_survey_still_to_be_simulated_is_planned_but_not_tried(tmp_path: Path) -> None:
+    ended = fwclass("plan", "demo", "--out", tmp_path / "r", "--json")
+    assert ended.returncode == 0, ended.stderr
+    told = json.loads(ended.stdout)
+    assert told["simulated"] and told["files"] == 4 and told["tiles"]["number"] == 9
+    assert told["pulses"] == pytest.approx(3.3 * 300**2, rel=0.01) and told["stages"][0]["name"] == "simulate"
+    tried = fwclass("plan", "demo", "--out", tmp_path / "s", "--dry-run", 1)
+    assert tried.returncode == 2 and "fwclass simulate" in tried.stderr
+
+
+@pytest.mark.slow
+def test_a_dry_run_measures_and_leaves_nothing_behind(conf: Path, tmp_path: Path) -> None:
+    ended = fwclass("plan", conf, "--out", tmp_path / "r", "--dry-run", 2, "--workers", 0, "--json")
+    assert ended.returncode == 0, ended.stderr
+    told = json.loads(ended.stdout)
+    real = {s["name"] for s in told["stages"] if s["source"] == "dry run"}
+    assert real >= {"tile", "features", "classify", "publish-tile"} and "publish-rasters" not in real
+    assert told["dry_run"]["parts"] > 10 and told["dry_run"]["peak_mib"] > 50
+    keys = next(line for line in ended.stderr.splitlines() if line.startswith("dry run     tiles")).split()[3:5]
+    assert len({k.strip(",") for k in keys}) == 2
+    assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["plan"]
+    assert sorted(p.name for p in (tmp_path / "r" / "plan").iterdir()) == ["plan.json", "plan.png", "tiles.gpkg"]

@@ -1,0 +1,149 @@
+"""`fwclass status`, `run --only` and `--fail-fast` as a user meets them."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from commandline import fwclass
+
+CONFIG = """
+survey:
+  name: small
+  directory: .
+  sources: [a.las]
+  reference: {kind: source}
+  crs: none
+  features: [zc, height_range_c100]
+  classes: [{name: a, code: 2, codes: [2]}, {name: b, code: 6, codes: [6]}]
+areas: {train: [[0, 0, 5, 10]], gap: 0.5}
+tile: {size: 5.0}
+train: {trees: 5}
+"""
+RUN = ("--workers", 0)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """A directory with a survey of four tiles, run into `r`."""
+    root = tmp_path_factory.mktemp("status")
+    r = np.random.default_rng(0)
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.header.scales = [0.001] * 3
+    las.x, las.y, las.z = r.uniform(0, 10, (3, 400))
+    las.classification = r.choice([2, 6], 400)
+    las.write(root / "a.las")
+    (root / "c.yaml").write_text(CONFIG)
+    ended = fwclass("run", root / "c.yaml", "--out", root / "r", *RUN)
+    assert ended.returncode == 0, ended.stderr
+    return root
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    shutil.copytree(whole, tmp_path / "s")
+    request = tmp_path / "s" / "r" / "store" / "run.json"
+    request.write_text(request.read_text().replace(str(whole), str(tmp_path / "s")))
+    return tmp_path / "s"
+
+
+def data(*words):
+    ended = fwclass("status", *words, "--json")
+    found = json.loads(ended.stdout)
+    assert ended.returncode == (0 if found["done"] else 3), ended.stderr
+    return found
+
+
+def test_a_whole_run_is_done_by_configuration_and_by_directory(copy):
+    for words in ((copy / "r",), (copy / "c.yaml", "--out", copy / "r")):
+        ended = fwclass("status", *words)
+        assert ended.returncode == 0, ended.stdout
+        assert "parts are done" in ended.stdout and "publish-tile" in ended.stdout
+    assert data(copy / "r")["parts"] == []
+    every = fwclass("status", copy / "r", "--parts", "--json")
+    assert {p["status"] for p in json.loads(every.stdout)["parts"]} == {"done"}
+
+
+def test_a_changed_setting_is_told(copy):
+    ended = fwclass("status", copy / "c.yaml", "--out", copy / "r", "--set", "train.trees=6")
+    assert ended.returncode == 3
+    assert "parameter trees: 5 to 6" in ended.stdout and "needs train, stale" in ended.stdout
+    assert "--set train.trees=6" in ended.stdout
+    (copy / "c.yaml").write_text(CONFIG.replace("trees: 5", "trees: 7"))
+    found = data(copy / "r")
+    assert any("parameter trees: 5 to 7" in why for p in found["parts"] for why in p["why"])
+
+
+def test_a_failed_part_is_told_replayed_alone_and_done(copy):
+    """A file stands where a part's directory is to be: that part fails, and only what needs it is not made."""
+    tile = sorted(p.name for p in (copy / "r" / "store" / "features").iterdir())[0]
+    place = copy / "r" / "store" / "features" / tile
+    shutil.rmtree(place)
+    place.write_text("in the way")
+    words = ("run", copy / "c.yaml", "--out", copy / "r", *RUN)
+    ended = fwclass(*words, "--set", "publish.class_cell=1.0")
+    assert ended.returncode == 3
+    [line] = [x for x in ended.stderr.splitlines() if x.strip().startswith("alone: ")]
+    replay = shlex.split(line.split("alone: ")[1])
+    assert replay[-2:] == ["--only", f"features/{tile}"]
+    found = data(copy / "r")
+    failed = [p for p in found["parts"] if p["status"] == "failed"]
+    assert [(p["stage"], p["part"]) for p in failed] == [("features", tile)]
+    assert (
+        "one of its directories is a file" in failed[0]["message"] or "file where a directory" in failed[0]["message"]
+    )
+    assert shlex.split(failed[0]["replay"]) == replay
+    again = fwclass(*replay[1:])
+    assert again.returncode == 3 and "alone: " in again.stderr
+    place.unlink()
+    again = fwclass(*replay[1:])
+    assert again.returncode == 0 and "is made, in" in again.stderr, again.stderr
+    found = data(copy / "r")
+    assert not any(p["stage"] == "features" for p in found["parts"])
+    assert fwclass(*words, "--set", "publish.class_cell=1.0").returncode == 0
+    assert data(copy / "r")["done"]
+
+
+def test_only_makes_one_part(copy):
+    kept = copy / "r" / "store"
+    for stage in ("height", "features"):
+        shutil.rmtree(kept / stage)
+    tile = sorted(p.name for p in (kept / "tile").iterdir())[0]
+    words = ("run", copy / "c.yaml", "--out", copy / "r")
+    early = fwclass(*words, "--only", f"classify/{tile}")
+    assert early.returncode == 1 and "cannot be made alone" in early.stderr
+    assert fwclass(*words, "--only", f"height/{tile}").returncode == 0
+    assert [p.name for p in (kept / "height").iterdir()] == [tile] and not (kept / "features").exists()
+    assert "was done already" in fwclass(*words, "--only", f"height/{tile}").stderr
+    assert fwclass(*words, "--only", "hight/1").returncode == 2
+    assert fwclass(*words, "--only", f"height/{tile}", "--workers", 2).returncode == 2
+
+
+def test_fail_fast_and_keep_going(copy):
+    places = [copy / "r" / "store" / "label" / p.name for p in sorted((copy / "r" / "store" / "label").iterdir())]
+    for place in places[:2]:
+        shutil.rmtree(place)
+        place.write_text("in the way")
+    words = ("run", copy / "c.yaml", "--out", copy / "r", *RUN)
+    fast = fwclass(*words, "--fail-fast")
+    assert fast.returncode == 3 and "1 parts failed" in fast.stderr and "stopped at the first" in fast.stderr
+    on = fwclass(*words, "--keep-going")
+    assert on.returncode == 3 and "2 parts failed" in on.stderr and on.stderr.count("alone: ") == 2
+
+
+def test_what_cannot_be_told(copy, tmp_path):
+    (tmp_path / "empty").mkdir()
+    ended = fwclass("status", tmp_path / "empty")
+    assert ended.returncode == 1 and "nothing tells which configuration" in ended.stderr
+    assert fwclass("status", copy / "r", "--set", "train.trees=6").returncode == 2
+    assert fwclass("status", "nowhere.yaml").returncode == 2
+    ended = fwclass("status", copy / "c.yaml", "--out", copy / "r", "--workflow", "xiong2018")
+    assert ended.returncode == 2 and "as it goes" in ended.stderr
+    ended = fwclass("status", copy / "c.yaml", "--out", tmp_path / "none")
+    assert ended.returncode == 3 and "index/000 is missing" in ended.stdout
+    assert not (tmp_path / "none").exists()
