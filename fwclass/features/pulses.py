@@ -72,13 +72,13 @@ def _alone(
 @kernel
 def _joined(x, y, number, values, first, limit):  # type: ignore[no-untyped-def]
     """As `_variances`, of groups in order of x; NaN where an echo number occurs twice within reach."""
-    out = np.empty(len(x), np.float32)
+    out, held = np.empty(len(x), np.float32), np.zeros(4, np.uint64)
     for p in range(len(first) - 1):
         low = first[p]
         for i in range(first[p], first[p + 1]):
             while x[i] - x[low] > limit:
                 low += 1
-            held = np.zeros(4, np.uint64)
+            held[:] = 0
             n, total, squares, twice = 0, 0.0, 0.0, False
             j = low
             while j < first[p + 1] and x[j] - x[i] <= limit and not twice:
