@@ -28,16 +28,19 @@ def walk(survey: Path, root: Path, *settings: str, executor=None, tiles=None):
     root.mkdir(parents=True, exist_ok=True)
     with writer(root), Display() as display, executor or contextlib.nullcontext(Loop()) as running:
         road = Road(root, running, display)
-        return road, WORKFLOWS["classification"](config, road, tiles)
+        report = WORKFLOWS["classification"](config, road, tiles)
+        road.publish(config.run.keep_generations)
+        return road, report
 
 
 def delivered(root: Path) -> dict[str, str]:
     """Digest of every delivered file but the report, which tells times."""
     found = {}
     for kind in ("laz", "parquet", "rasters", "model"):
-        for path in sorted((root / kind).rglob("*")):
+        base = (root / kind).resolve().parent
+        for path in sorted((base / kind).rglob("*")):
             if path.is_file():
-                found[path.relative_to(root).as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
+                found[path.relative_to(base).as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
 
 

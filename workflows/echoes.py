@@ -10,7 +10,7 @@ from fwclass.run.part import Task
 from fwclass.run.plan import ground, sources
 from fwclass.run.plan import tiles as of_tiles
 from fwclass.run.plan.layout import Layout, Survey
-from fwclass.run.plan.radiometry import radiometry_tasks
+from fwclass.run.plan.radiometry import Flown, flown_by, radiometry_tasks, trajectory_tasks
 from fwclass.run.plan.thin import thin_tasks
 from fwclass.run.reference import check_polygons
 from fwclass.run.road import Road, require_all, stop_if_nothing
@@ -21,12 +21,13 @@ from fwclass.run.survey import check_widths, gather
 class Tiled:
     """A survey whose echoes lie in tiles.
 
-    `where`: which chunks, and which tiles, every strip's echoes came from.
+    `where`: which chunks, and which tiles, every strip's echoes came from; `flown`: when each trajectory was.
     """
 
     survey: Survey
     layout: Layout
     where: tuple[Mapping[int, tuple[str, ...]], Mapping[int, tuple[str, ...]]]
+    flown: Flown
 
 
 def until_tiles(config: Config, road: Road, names: tuple[str, ...]) -> Tiled:
@@ -41,14 +42,15 @@ def until_tiles(config: Config, road: Road, names: tuple[str, ...]) -> Tiled:
     stop_if_nothing(road, {name: receipt for name, receipt in tiled.items() if name[0] == "tile"})
     layout = Layout.of(config, {**tiled, **polygons})
     check_polygons(config, polygons.values(), layout.box)
-    return Tiled(survey, layout, sources.where(chunks, splits))
+    flights = trajectory_tasks(layout, survey)
+    return Tiled(survey, layout, sources.where(chunks, splits), flown_by(flights, road.do(flights)))
 
 
 def until_labels(tiled: Tiled, names: tuple[str, ...]) -> list[Task]:
     """Ground, heights, those of `names` that are features of a neighbourhood, radiometry; labels where there are."""
     layout = tiled.layout
     tasks = ground.ground_tasks(layout) + thin_tasks(layout) + of_tiles.feature_tasks(layout, names)
-    tasks += radiometry_tasks(layout, tiled.survey)
+    tasks += radiometry_tasks(layout, tiled.flown)
     if layout.config.survey.reference.kind != "none":
         tasks += of_tiles.label_tasks(layout)
     return tasks

@@ -23,19 +23,27 @@ def _run(
     root = out_directory(out, config)
     count = config.run.workers if workers is None else workers
     from fwclass.assess.stage import judge
-    from fwclass.run.report import summary
+    from fwclass.run.report import REPORT, summary
 
     with open_road(root, count, scheduler, config.run.worker_memory_gib) as road:
+        road.store.generations.check_links()
         request.keep()
         road.fail_fast = fail_fast
         try:
             report = WORKFLOWS[workflow](config, road, tiles)
         except FwclassError:
+            if (road.pending / REPORT).exists():  # what came after the delivery has failed
+                road.publish(config.run.keep_generations)
             if road.failures:
                 tell_failures(road.failures, request)
             raise
+        made = road.publish(config.run.keep_generations)
         failures = road.failures
-    click.echo(summary(report, root), err=True)
+        shown = road.store.generations.current()
+    aside = shown is not None and shown.number != made.number
+    click.echo(summary(report, made.path if aside else root), err=True)
+    if aside and shown is not None:
+        click.echo(f"generation  {made.name} is not whole and lies aside; {root} still shows {shown.name}", err=True)
     if failures:
         tell_failures(failures, request)
         sys.exit(PARTIAL)

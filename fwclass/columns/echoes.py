@@ -6,7 +6,7 @@ from fwclass.columns.record import NAN, Column
 
 ECHOES = (
     # who an echo is; (strip, pulse, echo_number) is unique and the canonical order
-    Column("strip", "u2", "", "index of the source file in the survey's sorted list"),
+    Column("strip", "u2", "", "number of the source file, which follows from its name; report.json lists them"),
     Column("pulse", "u4", "", "index of the pulse in its strip, in order of first appearance in the file"),
     Column("echo_number", "u1", "", "place of the echo in its pulse, 1 is nearest to the sensor", low=1),
     Column("number_of_echoes", "u1", "", "echoes of the pulse", low=1),

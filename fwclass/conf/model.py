@@ -121,11 +121,12 @@ class RunSection(Section):
     """Where it runs; never changes a result.
 
     `seam_check_echoes`: a survey of at most so many echoes is filtered once more as one block, to tell in the report
-    what the seams between blocks changed; 0 leaves the check out.
+    what the seams between blocks changed; 0 leaves the check out. `keep_generations`: whole deliveries that stay.
     """
 
     workers: int = Field(ge=0)
     worker_memory_gib: float = Field(gt=0)
+    keep_generations: int = Field(ge=1)
     seam_check_echoes: int = Field(ge=0)
 
 

@@ -35,7 +35,7 @@ def deliver(source: Path, target: Path, overwrite: bool) -> None:
     beside = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     old = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     try:
-        shutil.copytree(source, beside)
+        shutil.copytree(source, beside, copy_function=shutil.copyfile)  # a run's own is read-only
         for path in files_below(beside):
             sync(path)
         load_model(beside)

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from fwclass.errors import FwclassError, system_error
 from fwclass.run.desk import Desk
+from fwclass.store.cells import Within, digest_within
 from fwclass.store.receipts import key_of
 from fwclass.store.run_store import Store
 
@@ -28,8 +29,11 @@ class Task:
     params : plain data that enters the key.
     work : picklable; ``work(desk, directory)`` writes files into `directory` and returns the part's meta.
     needs : parts read; their digests enter the key.
+    within : what is read of those of them that have digests of pieces (`store.cells`): the rows in a box, the piece of
+        a name; None for all.
     external : digests of files read from outside, by name; they enter the key.
-    place : "store", or "run" for what is delivered to the user.
+    place : "store"; "deliver" for what the user gets, in a generation, at the paths that it has in the part; "run" for
+        files of the run directory itself.
     """
 
     stage: str
@@ -39,7 +43,8 @@ class Task:
     work: Callable[[Desk, Path], Mapping[str, Any]]
     needs: tuple[Name, ...] = ()
     external: tuple[tuple[str, str], ...] = ()
-    place: Literal["store", "run"] = "store"
+    place: Literal["store", "deliver", "run"] = "store"
+    within: Within = None
 
     @property
     def name(self) -> Name:
@@ -66,13 +71,18 @@ class Outcome:
 
 
 def input_digests(task: Task, store: Store) -> dict[str, str] | None:
-    """Digests of all that `task` reads, or None while a part that it needs is not done."""
+    """Digests of all that `task` reads, or None while a part that it needs is not done.
+
+    A part of which nothing lies where the task reads does not count.
+    """
     digests = dict(task.external)
     for stage, part in task.needs:
         receipt = store.receipt(stage, part)
         if receipt is None:
             return None
-        digests[f"{stage}/{part}"] = receipt.digest
+        read = digest_within(receipt, task.within)
+        if read is not None:
+            digests[f"{stage}/{part}"] = read
     return digests
 
 

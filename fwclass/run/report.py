@@ -21,7 +21,10 @@ from fwclass.run.sampling import sampling
 from fwclass.run.work.sources import pulse_of
 from fwclass.run.work.tiles import mosaic
 from fwclass.store.atomic import read_json, write_json
+from fwclass.store.generations import link
 from fwclass.store.receipts import Receipt
+
+REPORT, PAGE = "report.json", "report.html"
 
 MAP_CELLS = 4_000_000
 """A map is drawn only up to this many cells; a larger survey has the rasters."""
@@ -30,7 +33,8 @@ MAP_CELLS = 4_000_000
 def write_report(config: Config, road: Road, survey: Survey, layout: Layout, names: tuple[str, ...]) -> dict[str, Any]:
     """Gather the figures from receipts, write `report.json` and `report.html`, return the dict.
 
-    Where this run made nothing new, the report of the run that did is left as it is.
+    Both are written beside, to be published with the rest. Where this run made nothing new, the report of the run that
+    did is left as it is.
     """
     standing = _standing(config, road)
     if standing is not None:
@@ -55,19 +59,23 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         "config": _plain(config.raw),
         "seconds": round(max((t.ended for t in road.tallies.values()), default=0.0) - road.began, 3),
     }
-    write_json(road.root / "report.json", report)
-    render_report(report, _figures(config, road, layout, report), road.root / "report.html")
+    write_json(road.pending / REPORT, report)
+    render_report(report, _figures(config, road, layout, report), road.pending / PAGE)
     return report
 
 
 def _standing(config: Config, road: Road) -> dict[str, Any] | None:
-    """The report that is there, if it still tells everything."""
-    path = road.root / "report.json"
+    """The report that is there, if it still tells everything; it goes into the next generation too."""
+    path = road.root / REPORT
     made = any(o.status != "skipped" for o in road.outcomes.values())
-    if made or not path.exists() or not (road.root / "report.html").exists():
+    if made or not path.exists() or not (road.root / PAGE).exists():
         return None
     found = read_json(path)
-    return dict(found) if found.get("config") == _plain(config.raw) and not found.get("failed") else None
+    if found.get("config") != _plain(config.raw) or found.get("failed"):
+        return None
+    for name in (REPORT, PAGE):
+        link(road.root / name, road.pending / name)
+    return dict(found)
 
 
 def _made(road: Road, stage: str) -> list[Receipt]:
@@ -83,9 +91,9 @@ def _input(road: Road, survey: Survey) -> dict[str, Any]:
     indexed = {r.part: r.meta for r in _made(road, "index")}
     files = []
     for strip in survey.strips:
-        meta = indexed.get(f"{strip.number:03d}", {})
+        meta = indexed.get(f"{strip.number:05d}", {})
         facts = {n: meta.get(n) for n in ("points", "pulses", "point_format")}
-        files.append({"path": strip.path.name, **facts})
+        files.append({"path": strip.path.name, "strip": strip.number, **facts})
     return {"files": files, "faults": dict(sorted(faults.items()))}
 
 
@@ -167,9 +175,9 @@ def _waveforms(road: Road, survey: Survey) -> dict[str, Any] | None:
     made: dict[str, Any] | None = next((r.meta["calibration"] for r in _made(road, "calibrate")), None)
     balanced = {s["strip"]: s["gain"] for s in (made or {}).get("strips", ()) if s["error"] is not None}
     strips = [
-        {"name": s.path.stem, **pulses[f"{s.number:03d}"], "gain": balanced.get(s.number)}
+        {"name": s.path.stem, **pulses[f"{s.number:05d}"], "gain": balanced.get(s.number)}
         for s in survey.strips
-        if f"{s.number:03d}" in pulses
+        if f"{s.number:05d}" in pulses
     ]
     if not strips:
         return None
@@ -251,7 +259,7 @@ def _plain(value: Any) -> Any:
 
 
 def summary(report: Mapping[str, Any], root: Path) -> str:
-    """The last words of a run, for the terminal."""
+    """The last words of a run, for the terminal; what it delivered lies below `root`."""
     counts = report["counts"]
     made, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
     balance = "all of them in tiles" if made == kept else f"{kept:,} of them in the tiles of this run"

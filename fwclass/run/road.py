@@ -13,6 +13,7 @@ from fwclass.errors import FwclassError, InputError, PartialError
 from fwclass.run.part import Name, Outcome, Task, already_done, key_now
 from fwclass.run.progress import Display
 from fwclass.store.failures import Failure
+from fwclass.store.generations import Generation
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
 
@@ -51,6 +52,8 @@ class Road:
     tallies: dict[str, Tally] = field(default_factory=dict)
     began: float = field(default_factory=time.perf_counter)
     fail_fast: bool = False
+    whole: bool = False
+    delivered: set[str] = field(default_factory=set)
 
     @property
     def store(self) -> Store:
@@ -65,6 +68,8 @@ class Road:
         now = time.perf_counter()
         for task in tasks:
             self.tallies.setdefault(task.stage, Tally(began=now))
+            if task.place == "deliver":
+                self.delivered.add(task.stage)
         pending = self._skip_what_is_done(tasks)
         by_name = {task.name: task for task in pending}
         with closing(self.executor.run(self.root, pending)) as ended:
@@ -117,8 +122,25 @@ class Road:
 
     def finish(self, whole: bool) -> None:
         """All parts of the plan have been walked; a `whole` one without failures forgets parts of earlier plans."""
-        if whole and not self.failures:
+        self.whole = whole and not self.failures
+        if self.whole:
             self.retire()
+
+    @property
+    def pending(self) -> Path:
+        """Where reports are written, to appear together with all else that is delivered."""
+        return self.store.generations.pending
+
+    def publish(self, keep: int) -> Generation:
+        """Deliver what this run made or found valid, as one generation; of earlier whole ones the last `keep` stay."""
+        files: dict[str, tuple[Path, str]] = {}
+        for stage, part in self.outcomes:
+            if stage in self.delivered and self.made(stage, part):
+                receipt = self.store.receipt(stage, part)
+                if receipt is not None:
+                    base = self.store.base(receipt)
+                    files |= {name: (base / name, str(facts["digest"])) for name, facts in receipt.outputs.items()}
+        return self.store.generations.publish(files, self.whole, keep)
 
     def retire(self) -> None:
         """Remove parts of earlier runs that this run's plan does not have, with what they delivered."""

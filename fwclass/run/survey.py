@@ -23,6 +23,7 @@ from fwclass.run.desk import Desk
 from fwclass.run.files import box_text, found_files, joint_bounds
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Strip, Survey
+from fwclass.run.plan.numbering import numbers
 from fwclass.run.reference import reference_clouds, reference_polygons
 from fwclass.run.road import Road
 from fwclass.run.work.sources import CLOUD_ROWS, Digests, max_of, min_of
@@ -111,12 +112,14 @@ def gather(config: Config, road: Road) -> Survey:
             do="check the delivery; there is nothing to classify",
         )
     crs = common_crs(config, {s.path: s.crs for s in full}, road)
-    strips = tuple(Strip(number, s.path, digests.of(_files_of(s)), s.point_format) for number, s in enumerate(opened))
+    numbered = numbers(s.path.stem for s in opened)
+    strips = tuple(Strip(numbered[s.path.stem], s.path, digests.of(_files_of(s)), s.point_format) for s in opened)
     _different(strips)
     box = joint_bounds([_true_bounds(s) for s in full])
     _check_areas(config, box)
     standard = all(s.standard_gps_time for s in opened)
     flown = found_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path)
+    _distinct(flown)
     trajectory = tuple((p, digests.of([p])) for p in flown)
     given = given_crs(config.survey.reference.crs, "survey.reference.crs")
     polygons = reference_polygons(config, directory, digests, crs, given)
@@ -133,9 +136,9 @@ def _distinct(paths: list[Path]) -> None:
     twice = sorted({s for s in stems if stems.count(s) > 1})
     if twice:
         raise InputError(
-            "two source files have the same name",
+            "two files of the survey have the same name",
             where=", ".join(str(p) for p in paths if p.stem == twice[0]),
-            do="rename one: strips are delivered under their source's name",
+            do="rename one: strips are delivered under their source's name, trajectories are told apart by theirs",
         )
 
 

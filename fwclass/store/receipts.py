@@ -23,7 +23,8 @@ class Receipt:
     inputs : digest of everything that was read, by name.
     outputs : bytes and digest of every file written, by path relative to `place`.
     digest : digest of all outputs and of `meta`: what enters the keys of the parts that read this one.
-    place : "store" or "run": below which directory the outputs lie.
+    place : "store"; "deliver" for files of the store that a generation links to; "run" for files below the run
+        directory.
     meta : plain data that later parts or the report need (rows, counts, faults).
     seconds, peak_mib : cost of making it.
     version : of the stage's code; None in receipts of before it was recorded.

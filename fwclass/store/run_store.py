@@ -1,7 +1,8 @@
 """The store of one run directory: where parts lie, which are done, how they are read.
 
 ``<run>/store/<stage>/<part>/receipt.json`` and beside it one directory, named by the part's key, with the part's files.
-Parts that deliver to the user write below the run directory itself and keep only their receipt here. See FORMAT.md.
+Parts that are delivered lie there too, read-only, and get a second name in a generation (`generations`). Only a
+simulated survey is written below the run directory itself and keeps nothing but its receipt here. See FORMAT.md.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from fwclass.store.atomic import (
     write_json,
 )
 from fwclass.store.failures import Failures
+from fwclass.store.generations import Generations
 from fwclass.store.receipts import Receipt, digest_of_outputs
 
 MIB = 1 << 20
@@ -48,6 +50,10 @@ class Store:
     @property
     def failures(self) -> Failures:
         return Failures(self.directory / "failures")
+
+    @property
+    def generations(self) -> Generations:
+        return Generations(self.root)
 
     def _part(self, stage: str, part: str) -> Path:
         return self.directory / stage / part
@@ -103,8 +109,9 @@ class Store:
     ) -> Receipt:
         """Do `work` in a staged directory, flush, rename, write the receipt, collect what it replaces.
 
-        `work` gets the directory and returns the part's meta. With ``place="run"`` the files go to the same relative
-        paths below the run directory, one rename each. `version` and `params` are what `key` was made of; they are kept
+        `work` gets the directory and returns the part's meta. With ``place="deliver"`` the files are made read-only, as
+        they are to be linked into a generation; with ``place="run"`` they go to the same relative paths below the run
+        directory, one rename each. `version` and `params` are what `key` was made of; they are kept
         so that it can be told later why a part is stale.
         """
         began = time.perf_counter()
@@ -113,6 +120,8 @@ class Store:
             meta = dict(work(directory))
             outputs = {}
             for path in files_below(directory):
+                if place == "deliver":
+                    path.chmod(0o444)
                 sync(path)
                 name = path.relative_to(directory).as_posix()
                 outputs[name] = {"bytes": path.stat().st_size, "digest": file_digest(path)}
@@ -189,6 +198,7 @@ class Store:
     def clear_staging(self) -> None:
         """Remove what an interrupted writer left behind (only the holder of the lock calls this)."""
         shutil.rmtree(self.directory / "staging", ignore_errors=True)
+        self.generations.clear_pending()
 
 
 def _peak_mib() -> float:

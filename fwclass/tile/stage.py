@@ -93,5 +93,5 @@ def assemble_points(fragments: list[Table]) -> Table:
 
 
 SPLIT = Stage("split", 1, "scatter", split, TileParams)
-TILE = Stage("tile", 1, "scatter", assemble, TileParams)
+TILE = Stage("tile", 2, "scatter", assemble, TileParams)
 REFERENCE = Stage("reference", 1, "scatter", assemble_points, TileParams)

@@ -38,7 +38,8 @@ def run(survey: str, root: Path, workers: int, *settings: str) -> dict:
 
 def linked(source: Path, target: Path) -> Path:
     """A copy of a run that shares its files; parts are replaced, never changed in place."""
-    shutil.copytree(source, target, copy_function=os.link, ignore=shutil.ignore_patterns("lock", "staging"))
+    ignored = shutil.ignore_patterns("lock", "staging")
+    shutil.copytree(source, target, symlinks=True, copy_function=os.link, ignore=ignored)
     return target
 
 

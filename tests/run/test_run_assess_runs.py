@@ -35,7 +35,7 @@ def test_the_gain_is_that_of_the_reports(survey, finished, tmp_path):
     roots, reports = [], []
     for trees in (11, 2):
         root = tmp_path / str(trees)
-        shutil.copytree(finished[0], root)
+        shutil.copytree(finished[0], root, symlinks=True)
         walk(survey, root, f"train.trees={trees}", "assess.block=5")
         roots.append(root)
         reports.append(json.loads((root / "report.json").read_text())["accuracy"])

@@ -26,7 +26,7 @@ def statuses(road):
 @pytest.fixture
 def copy(finished, tmp_path):
     root = tmp_path / "copy"
-    shutil.copytree(finished[0], root)
+    shutil.copytree(finished[0], root, symlinks=True)
     return root
 
 

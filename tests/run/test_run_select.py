@@ -44,7 +44,7 @@ def _chosen(survey: Path, root: Path, method: str, *settings: str, executor=None
 def root(finished, tmp_path_factory) -> Path:
     """A run directory of its own, in which echoes and features are there."""
     place = tmp_path_factory.mktemp("select") / "run"
-    shutil.copytree(finished[0], place)
+    shutil.copytree(finished[0], place, symlinks=True)
     return place
 
 
@@ -161,7 +161,7 @@ def _classes(root: Path) -> dict[int, tuple[int, bool]]:
 
 @pytest.mark.slow
 def test_a_thinned_run_is_the_same_for_any_tiles(survey, finished, tmp_path):
-    shutil.copytree(finished[0], tmp_path / "a")
+    shutil.copytree(finished[0], tmp_path / "a", symlinks=True)
     road, report = walk(survey, tmp_path / "a", "thin.rate=0.2")
     assert not road.failures, road.failures
     other, _ = walk(survey, tmp_path / "b", "thin.rate=0.2", "tile.size=35")

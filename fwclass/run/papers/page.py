@@ -21,10 +21,10 @@ from fwclass.store.atomic import write_json
 def deliver(
     config: Config, road: Road, layout: Layout, report: Mapping[str, Any], facts: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Write ``<paper>.json`` and ``<paper>.html`` into the run directory; the report's dict, with them as outputs."""
+    """Write ``<paper>.json`` and ``<paper>.html`` beside the report; the report's dict, with them as outputs."""
     name = str(facts["paper"])
-    write_json(road.root / f"{name}.json", dict(facts))
-    render_paper(facts, class_picture(config, road, layout, report), road.root / f"{name}.html")
+    write_json(road.pending / f"{name}.json", dict(facts))
+    render_paper(facts, class_picture(config, road, layout, report), road.pending / f"{name}.html")
     made = {f"{name}.html": [f"{name}.html"]}
     return {**report, "outputs": {**report["outputs"], **made}}
 

@@ -71,7 +71,7 @@ def training_tasks(layout: Layout) -> list[Task]:
         Task(
             "train", "model", TRAIN.version, params,
             partial(forest.trained, tuple(batches), names, config.train, config.classes, params["computed"]),
-            needs=(("training", "all"), *(("trees", b) for b in batches), *weighed), place="run",
+            needs=(("training", "all"), *(("trees", b) for b in batches), *weighed), place="deliver",
         )
     )  # fmt: skip
     return made
@@ -85,7 +85,7 @@ def _other_task(config: Config, names: tuple[str, ...], params: dict[str, Any]) 
         "computed": computed(names, config.features, config.ground.method),
     }
     work = partial(others.fitted, names, config.train, config.compare, config.classes, params["computed"])
-    return Task("train", "model", VERSION, params, work, needs=(("training", "all"),), place="run")
+    return Task("train", "model", VERSION, params, work, needs=(("training", "all"),), place="deliver")
 
 
 def classify_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, str] | None) -> list[Task]:

@@ -26,12 +26,13 @@ def _filter_tasks(layout: Layout) -> list[Task]:
     config, made = layout.config, []
     halo = GROUND_FILTER.halo(config.ground)
     for block in layout.blocks(config.ground.block):
-        present = layout.around(block.box.grown(halo), layout.keys)
+        within = block.box.grown(halo)
+        present = layout.around(within, layout.keys)
         made.append(
             Task(
                 GROUND_FILTER.name, block.key, GROUND_FILTER.version, plain(config.ground),
                 partial(ground.filtered_block, block, config.tile.size, present, config.ground),
-                needs=tuple(("tile", k) for k in present),
+                needs=tuple(("tile", k) for k in present), within=within,
             )
         )  # fmt: skip
     return made
@@ -42,13 +43,13 @@ def _terrain_tasks(layout: Layout) -> list[Task]:
     halo = TERRAIN.halo(config.terrain)
     columns = layout.columns(TERRAIN.reads)
     for block in layout.blocks(config.terrain.block, margin=1):
-        window = Window.covering(block.box, config.terrain.cell)
-        present = layout.around(window.box.grown(halo), layout.keys)
+        within = Window.covering(block.box, config.terrain.cell).box.grown(halo)
+        present = layout.around(within, layout.keys)
         made.append(
             Task(
                 TERRAIN.name, block.key, TERRAIN.version, plain(config.terrain),
                 partial(ground.terrain_block, block, config.tile.size, columns, present, config.terrain),
-                needs=needs_of(columns, present),
+                needs=needs_of(columns, present), within=within,
             )
         )  # fmt: skip
     return made
@@ -64,7 +65,7 @@ def _column_tasks(layout: Layout, stage: str, source: str, columns: tuple[str, .
             Task(
                 stage, tile.key, 1, {"columns": list(columns), "block": block},
                 partial(ground.gathered_columns, tile, mine, source, columns),
-                needs=(("tile", tile.key), *((source, b.key) for b in mine)),
+                needs=(("tile", tile.key), *((source, b.key) for b in mine)), within=tile.key,
             )
         )  # fmt: skip
     return made

@@ -29,7 +29,7 @@ FileDigests = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class Strip:
-    """A source file with its place in the survey's sorted list."""
+    """A source file with its number in the survey, which follows from its name (`numbering`)."""
 
     number: int
     path: Path
@@ -51,7 +51,7 @@ class PolygonFile:
 class Survey:
     """Files that can be used, checked.
 
-    `strips` in the order that numbers them; `reference` is (file, digests, points); `crs` is WKT or None;
+    `strips` by name; `reference` is (file, digests, points); `crs` is WKT or None;
     `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests); `polygons` are the
     reference's files of polygons.
     """
@@ -69,7 +69,8 @@ class Layout:
     """What phase three stands on: the tiles there are, where and when their echoes lie, and the reference tiles.
 
     `occupied` has for every size of block [m] those that own an echo; `times` is (first, last) GPS time [s], NaN
-    without any; `lowest` the least z [m]; `polygons` are parts of the reference that are no tiles.
+    without any; `passes` the same of every tile, for each strip that has times there; `lowest` the least z [m];
+    `polygons` are parts of the reference that are no tiles.
     """
 
     config: Config
@@ -78,6 +79,7 @@ class Layout:
     clouds: frozenset[str]
     box: Box
     times: tuple[float, float]
+    passes: Mapping[str, tuple[tuple[float, float], ...]]
     lowest: float
     echoes: int
     polygons: tuple[str, ...] = ()
@@ -96,7 +98,8 @@ class Layout:
             )
         sizes = {float(s) for r in mine.values() for s in r.meta["blocks"]}
         occupied = {s: frozenset(b for r in mine.values() for b in r.meta["blocks"][str(s)]) for s in sizes}
-        times = [r.meta["times"] for r in mine.values() if r.meta["times"]]
+        passes = {key: tuple((a, b) for _, a, b in r.meta["times"]) for key, r in mine.items()}
+        times = [one for some in passes.values() for one in some]
         low = [min(r.meta["bounds"][k] for r in mine.values()) for k in range(2)]
         high = [max(r.meta["bounds"][k] for r in mine.values()) for k in range(3, 5)]
         return cls(
@@ -106,6 +109,7 @@ class Layout:
             frozenset(part for stage, part in done if stage == "reference"),
             Box(low[0], low[1], high[0] + 0.001, high[1] + 0.001),
             (min((t[0] for t in times), default=math.nan), max((t[1] for t in times), default=math.nan)),
+            passes,
             min(r.meta["bounds"][2] for r in mine.values()),
             sum(r.meta["rows"] for r in mine.values()),
             tuple(sorted(part for stage, part in done if stage == "polygons")),

@@ -40,7 +40,7 @@ def output_tasks(
         Task(
             "publish-tile", t.key, 1, {**params, "columns": list(wanted), "standard_time": survey.standard_time},
             partial(outputs.delivered_tile, t, columns, survey.crs, survey.standard_time, config.publish),
-            needs=needs_of(columns, (t.key,)), place="run",
+            needs=needs_of(columns, (t.key,)), place="deliver",
         )
         for t in layout.tiles
     ]  # fmt: skip
@@ -64,7 +64,7 @@ def output_tasks(
             partial(
                 outputs.delivered_rasters, layout.box, cell, keys, keys, codes, survey.crs, config.publish
             ),
-            needs=(*((TERRAIN.name, k) for k in keys), *(("class-block", k) for k in keys)), place="run",
+            needs=(*((TERRAIN.name, k) for k in keys), *(("class-block", k) for k in keys)), place="deliver",
         )
     )  # fmt: skip
     return made
@@ -86,7 +86,7 @@ def _strip_tasks(
                 "publish-strip", strip.path.stem, 1, params,
                 partial(outputs.delivered_strip, strip.path, strip.number, mine, here, codes, config.publish),
                 needs=(*(("decompose", c) for c in mine), *needs_of({"a": "classify"}, here)),
-                external=strip.digests, place="run",
+                external=strip.digests, place="deliver",
             )
         )  # fmt: skip
     return made

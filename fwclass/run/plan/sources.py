@@ -13,6 +13,7 @@ from fwclass.read.spans import Span
 from fwclass.read.stage import READ
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import FileDigests, Strip, Survey, plain
+from fwclass.run.plan.numbering import numbers
 from fwclass.run.work import reference, sources
 from fwclass.store.receipts import Receipt
 from fwclass.tile.stage import REFERENCE, SPLIT, TILE
@@ -28,7 +29,7 @@ def _spans(receipt: Receipt) -> list[Span]:
 def index_tasks(config: Config, strips: Iterable[Strip]) -> list[Task]:
     return [
         Task(
-            "index", f"{s.number:03d}", INDEX_VERSION, plain(config.read),
+            "index", f"{s.number:05d}", INDEX_VERSION, plain(config.read),
             partial(sources.index, s.path, config.read), external=s.digests,
         )
         for s in strips
@@ -36,7 +37,7 @@ def index_tasks(config: Config, strips: Iterable[Strip]) -> list[Task]:
 
 
 def chunk_name(strip: int, span: int) -> str:
-    return f"{strip:03d}-{span:05d}"
+    return f"{strip:05d}-{span:05d}"
 
 
 def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, Receipt]) -> list[Task]:
@@ -44,7 +45,7 @@ def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, 
     grid = TileGrid(config.tile.size)
     made = []
     for strip in strips:
-        index = indexed["index", f"{strip.number:03d}"]
+        index = indexed["index", f"{strip.number:05d}"]
         spans = _spans(index)
         for k, span in enumerate(spans):
             rows = [span.first_point, span.last_point, span.first_pulse, span.n_pulses, list(span.shared)]
@@ -61,7 +62,7 @@ def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, 
                 Task(
                     "decompose", part, DECOMPOSE.version, {**plain(config.decompose), "strip": strip.number},
                     partial(sources.decomposed, part, strip.number, config.decompose),
-                    needs=(("read", part), ("pulse", f"{strip.number:03d}")),
+                    needs=(("read", part), ("pulse", f"{strip.number:05d}")),
                 ),
                 Task(
                     "split", part, SPLIT.version, plain(config.tile),
@@ -74,7 +75,7 @@ def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, 
 def _pulse_task(config: Config, strip: Strip, pulses: int, spans: int) -> Task:
     parts = tuple(chunk_name(strip.number, k) for k in range(spans))
     return Task(
-        "pulse", f"{strip.number:03d}", PULSE.version,
+        "pulse", f"{strip.number:05d}", PULSE.version,
         {**plain(config.pulse), "strip": strip.number},
         partial(sources.measured_pulse, strip.number, pulses, parts, config.pulse),
         needs=tuple(("read", p) for p in parts),
@@ -84,13 +85,14 @@ def _pulse_task(config: Config, strip: Strip, pulses: int, spans: int) -> Task:
 def cloud_tasks(config: Config, files: Iterable[tuple[Path, FileDigests, int]]) -> list[Task]:
     """Splits of the reference files, `CLOUD_ROWS` points at a time."""
     grid = TileGrid(config.tile.size)
-    made = []
-    for number, (path, digests, points) in enumerate(files):
+    made, listed = [], list(files)
+    numbered = numbers(path.name for path, _, _ in listed)
+    for path, digests, points in listed:
         for k, first in enumerate(range(0, points, sources.CLOUD_ROWS)):
             last = min(points, first + sources.CLOUD_ROWS)
             params = {**plain(config.tile), "rows": [first, last]}
             work = partial(sources.scattered_cloud, path, first, last, grid)
-            part = chunk_name(number, k)
+            part = chunk_name(numbered[path.name], k)
             made.append(Task("reference-split", part, SPLIT.version, params, work, external=digests))
     return made
 
@@ -128,6 +130,7 @@ def tile_tasks(config: Config, splits: Mapping[Name, Receipt]) -> list[Task]:
             Task(
                 "tile", key, TILE.version, {**plain(config.tile), "blocks": list(blocks)},
                 partial(sources.tiled, key, tuple(pairs), blocks), needs=tuple(("split", p) for p, _ in pairs),
+                within=key,
             )
         )  # fmt: skip
     for key, pairs in sorted(_fragments(splits, "reference-split").items()):
@@ -135,6 +138,7 @@ def tile_tasks(config: Config, splits: Mapping[Name, Receipt]) -> list[Task]:
             Task(
                 "reference", key, REFERENCE.version, plain(config.tile),
                 partial(sources.tiled_cloud, tuple(pairs)), needs=tuple(("reference-split", p) for p, _ in pairs),
+                within=key,
             )
         )  # fmt: skip
     return made

@@ -31,10 +31,11 @@ def thin_tasks(layout: Layout) -> list[Task]:
     halo = THIN.halo(config.thin)
     columns = dict.fromkeys(THIN.reads, "tile")
     for tile in layout.tiles:
-        present = layout.around(tile.box.grown(halo), layout.keys)
+        within = tile.box.grown(halo)
+        present = layout.around(within, layout.keys)
         work = partial(thin.thinned, tile, halo, present, config.thin)
         needs = needs_of(columns, present)
-        made.append(Task(THIN.name, tile.key, THIN.version, plain(config.thin), work, needs=needs))
+        made.append(Task(THIN.name, tile.key, THIN.version, plain(config.thin), work, needs=needs, within=within))
     return made
 
 

@@ -17,17 +17,19 @@ def label_tasks(layout: Layout) -> list[Task]:
     config, made = layout.config, []
     for tile in layout.tiles:
         needs: tuple[Name, ...] = (("tile", tile.key),)
+        within = tile.box
         if config.survey.reference.kind == "source":
             work = partial(tiles.labelled_by_source, tile, config.label)
         elif config.survey.reference.kind == "polygons":
             work = partial(reference.labelled_by_polygons, tile, layout.polygons)
             needs += tuple(("polygons", p) for p in layout.polygons)
         else:
-            clouds = layout.around(tile.box.grown(LABEL.halo(config.label)), layout.clouds)
+            within = tile.box.grown(LABEL.halo(config.label))
+            clouds = layout.around(within, layout.clouds)
             work = partial(tiles.labelled_by_cloud, tile, clouds, config.label)
             needs += tuple(("reference", c) for c in clouds)
         params = {**plain(config.label), "kind": config.survey.reference.kind}
-        made.append(Task("label", tile.key, LABEL.version, params, work, needs=needs))
+        made.append(Task("label", tile.key, LABEL.version, params, work, needs=needs, within=within))
     return made
 
 
@@ -39,12 +41,14 @@ def feature_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
     columns = layout.columns(asked.reads)
     params = {**config.features.model_dump(mode="json", exclude={"also"}), "names": list(asked.names)}
     for tile in layout.tiles:
-        present = layout.around(tile.box.grown(halo), layout.keys)
+        within = tile.box.grown(halo)
+        present = layout.around(within, layout.keys)
         made.append(
             Task(
                 "features", tile.key, FEATURES.version, params,
                 partial(tiles.featured, tile, halo, columns, present, asked.names, config.features, thins(config)),
                 needs=(*needs_of(columns, present), *((s, tile.key) for s in thin_columns(config).values())),
+                within=within,
             )
         )  # fmt: skip
     return made

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fwclass.run.part import Name, Task
+from fwclass.store.cells import digest_within
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
 
@@ -120,13 +121,18 @@ def _of_parts(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, s
     new: dict[str, list[str]] = {}
     gone: dict[str, list[str]] = {}
     late = {n: waits[n] for n in task.needs if n in waits}
+    read = set()
     for stage, part in task.needs:
         made = store.receipt(stage, part)
+        now = digest_within(made, task.within) if made is not None else None
+        if made is not None and now is None:
+            continue  # nothing of it is read
+        read.add(f"{stage}/{part}")
         if f"{stage}/{part}" not in then:
             new.setdefault(stage, []).append(part)
-        elif (stage, part) not in waits and made is not None and made.digest != then[f"{stage}/{part}"]:
+        elif (stage, part) not in waits and now is not None and now != then[f"{stage}/{part}"]:
             anew.setdefault(stage, []).append(part)
-    for name in sorted(then.keys() - {"/".join(n) for n in task.needs}):
+    for name in sorted(then.keys() - read):
         stage, part = name.split("/", 1)
         if (stage, part) in waits:  # it will be read again when it is there
             late[stage, part] = waits[stage, part]

@@ -19,6 +19,7 @@ from fwclass.ground.terrain.terrain import terrain
 from fwclass.run.desk import TABLE, Desk
 from fwclass.run.work.tiles import mosaic, write_rasters
 from fwclass.schema import Table, column
+from fwclass.store.cells import CELLS, by_name, by_place
 from fwclass.store.tables import write_table
 
 WITHIN = 0.01
@@ -39,6 +40,12 @@ class Surroundings:
     table: Table
     own: NDArray[np.bool_]
     pieces: tuple[tuple[str, int], ...]
+
+    def told(self, made: Table) -> dict[str, Any]:
+        """For the receipt of a block that `made` this of its own echoes: whose they are, a digest for every tile."""
+        offsets = np.cumsum([0, *(rows for _, rows in self.pieces)])
+        cells = by_name(made, (key for key, _ in self.pieces), offsets.tolist())
+        return {"pieces": [list(p) for p in self.pieces], CELLS: cells}
 
 
 def surroundings(
@@ -72,7 +79,7 @@ def filtered_block(
     table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
     write_table(directory / TABLE, table)
     return {
-        "pieces": [list(p) for p in around.pieces],
+        **around.told(table),
         "ground": int(table["ground"].sum()),
         "noise": int(table["noise"].sum()),
         "rows": table.rows,
@@ -89,9 +96,10 @@ def terrain_block(
     t = around.table
     made = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], around.own, core, params)
     write_rasters(directory, {"dtm": made.dtm, "dsm": made.dsm, "support": made.support}, core)
-    write_table(directory / TABLE, Table({"height_above_ground": made.height}))
+    heights = Table({"height_above_ground": made.height})
+    write_table(directory / TABLE, heights)
     return {
-        "pieces": [list(p) for p in around.pieces],
+        **around.told(heights),
         "measured": int((made.support == 0).sum()),
         "beyond": int((made.support == 2).sum()),
         "without_terrain": int(np.isnan(made.height).sum()),
@@ -119,8 +127,9 @@ def gathered_columns(
             first += rows
     if found != places.rows:
         raise StoreError("echoes of a tile lie in no block", where=f"{source} of {tile.key}", got=places.rows - found)
-    write_table(directory / TABLE, Table(out))
-    return {"rows": places.rows}
+    table = Table(out)
+    write_table(directory / TABLE, table)
+    return {"rows": places.rows, CELLS: by_place(table, places["x"], places["y"])}
 
 
 def measured_seams(

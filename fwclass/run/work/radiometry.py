@@ -36,39 +36,50 @@ FIXES = 8192
 
 
 def flown(
-    files: tuple[Path, ...], crs: str | None, undulation: float, times: tuple[float, float], probes: tuple[str, ...],
-    params: RadiometryParams, desk: Desk, directory: Path,
-) -> dict[str, Any]:  # fmt: skip
-    """The trajectory of all files, on the survey's time scale, sorted by time; refused where the beams of the tiles
-    `probes` do not come from it."""
-    read = (thinned(read_trajectory(f, crs, undulation), SPACING) for f in files)
-    parts = [in_survey_time(one, *times, where=f) for one, f in zip(read, files, strict=True)]
-    table = Table.concat(parts)
-    _, first = np.unique(table["gps_time"], return_index=True)
-    table = table.take(first)
-    echoes = Table.concat([desk.table("tile", key, _POINTING) for key in probes])
-    check_pointing(pointing_error(echoes, table, params), ", ".join(f.name for f in files))
+    file: Path, crs: str | None, undulation: float, times: tuple[float, float], desk: Desk, directory: Path
+) -> dict[str, Any]:
+    """A file's trajectory on the time scale of a survey of `times`, sorted by time."""
+    table = in_survey_time(thinned(read_trajectory(file, crs, undulation), SPACING), *times, where=file)
     write_table(directory / TABLE, table, FIXES)
-    return {"fixes": table.rows, "begins": table["gps_time"][::FIXES].tolist()}
+    at = table["gps_time"]
+    return {"fixes": table.rows, "begins": at[::FIXES].tolist(), "ends": float(at[-1])}
 
 
-def _trajectory(desk: Desk, times: Any) -> Table:
-    """The fixes around `times`: the row groups between the earliest and the latest, and one on either side."""
-    begins = np.array(desk.meta("trajectory", "all")["begins"])
-    known = times[np.isfinite(times)]
-    at = np.unique(np.searchsorted(begins, known, side="right") - 1) if len(known) else np.empty(0, np.int64)
+def pointing(
+    flights: tuple[str, ...], probes: tuple[str, ...], params: RadiometryParams, desk: Desk, directory: Path
+) -> dict[str, Any]:
+    """Refuses a trajectory that the beams of the tiles `probes` do not come from."""
+    echoes = Table.concat([desk.table("tile", key, _POINTING) for key in probes])
+    trajectory = _trajectory(desk, flights, echoes["gps_time"])
+    check_pointing(pointing_error(echoes, trajectory, params), ", ".join(flights))
+    return {}
+
+
+def _trajectory(desk: Desk, flights: tuple[str, ...], times: Any) -> Table:
+    """The fixes of `flights` around `times`: the row groups that hold them, and one on either side.
+
+    Where two files have the same time, the first one's.
+    """
+    table = Table.concat([_around(desk, flight, times[np.isfinite(times)]) for flight in flights])
+    _, first = np.unique(table["gps_time"], return_index=True)
+    return table.take(first)
+
+
+def _around(desk: Desk, flight: str, times: Any) -> Table:
+    begins = np.array(desk.meta("trajectory", flight)["begins"])
+    at = np.unique(np.searchsorted(begins, times, side="right") - 1) if len(times) else np.empty(0, np.int64)
     wanted = {int(g) + d for g in at for d in (-1, 0, 1)}
-    groups = sorted(g for g in wanted if 0 <= g < len(begins))
-    return desk.groups("trajectory", "all", groups)
+    return desk.groups("trajectory", flight, sorted(g for g in wanted if 0 <= g < len(begins)))
 
 
 def compared(
-    tile: Tile, halo: float, columns: Mapping[str, str], present: tuple[str, ...], flown: bool,
+    tile: Tile, halo: float, columns: Mapping[str, str], present: tuple[str, ...], flights: tuple[str, ...],
     params: RadiometryParams, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """What a tile says about the gains of its strips."""
     chunk = desk.chunk(tile, halo, columns, present)
-    found = overlap(chunk, _trajectory(desk, chunk.table["gps_time"]) if flown else None, params)
+    trajectory = _trajectory(desk, flights, chunk.table["gps_time"]) if flights else None
+    found = overlap(chunk, trajectory, params)
     write_arrays(directory / COUNTS, found.arrays())
     return {}
 
@@ -82,11 +93,12 @@ def calibrated(tiles: tuple[str, ...], params: RadiometryParams, desk: Desk, dir
 
 
 def measured(
-    tile: Tile, columns: Mapping[str, str], flown: bool, params: RadiometryParams, desk: Desk, directory: Path
-) -> dict[str, Any]:
+    tile: Tile, columns: Mapping[str, str], flights: tuple[str, ...], params: RadiometryParams, desk: Desk,
+    directory: Path,
+) -> dict[str, Any]:  # fmt: skip
     """Radiometric columns of a tile's echoes."""
     chunk: Chunk = desk.chunk(tile, 0.0, columns, (tile.key,))
-    trajectory = _trajectory(desk, chunk.table["gps_time"]) if flown else None
+    trajectory = _trajectory(desk, flights, chunk.table["gps_time"]) if flights else None
     calibration = Calibration.from_json(read_json(desk.store.path("calibrate", "all", CALIBRATION)))
     table = radiometry(chunk, trajectory, calibration, params)
     write_table(directory / TABLE, table)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
@@ -21,6 +20,7 @@ from fwclass.run.desk import TABLE, Desk
 from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import file_digest, read_json, write_json
+from fwclass.store.cells import CELLS, by_name, by_place
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, write_groups, write_table
 from fwclass.tile.stage import assemble, assemble_points, split
@@ -123,7 +123,7 @@ def measured_pulse(
 
 def pulse_of(strip: int, desk: Desk) -> SystemPulse:
     """The system's pulse of a strip, as `measured_pulse` stored it."""
-    return SystemPulse.from_json(read_json(desk.store.path("pulse", f"{strip:03d}", PULSE)))
+    return SystemPulse.from_json(read_json(desk.store.path("pulse", f"{strip:05d}", PULSE)))
 
 
 def decomposed(part: str, strip: int, params: DecomposeParams, desk: Desk, directory: Path) -> dict[str, Any]:
@@ -161,6 +161,7 @@ def _write_split(table: Table, grid: TileGrid, directory: Path) -> dict[str, Any
     return {
         "tiles": {k: [i, n] for i, (k, n) in enumerate(zip(result.keys, rows, strict=True))},
         "rows": sum(rows),
+        CELLS: by_name(result.table, result.keys, result.offsets),
     }
 
 
@@ -175,7 +176,8 @@ def tiled(
         "blocks": {str(size): _occupied(table, size) for size in blocks},
         "bounds": [float(f(table[n])) for f in (min_of, max_of) for n in "xyz"],
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
-        "times": _span_of(table["gps_time"]),
+        "times": _passes(table),
+        CELLS: by_place(table, table["x"], table["y"]),
     }
 
 
@@ -184,10 +186,15 @@ def _occupied(table: Table, size: float) -> list[str]:
     return sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))})
 
 
-def _span_of(times: NDArray[np.float64]) -> list[float] | None:
-    """First and last of the known times."""
-    known = times[np.isfinite(times)]
-    return [float(known.min()), float(known.max())] if len(known) else None
+def _passes(table: Table) -> list[list[float]]:
+    """(strip, first, last) of the known times of every strip that has some."""
+    times, strips = table["gps_time"], table["strip"]
+    known = np.isfinite(times)
+    found = []
+    for strip in np.unique(strips[known]).tolist():
+        own = times[known & (strips == strip)]
+        found.append([int(strip), float(own.min()), float(own.max())])
+    return found
 
 
 def min_of(values: Any) -> float:
@@ -202,7 +209,7 @@ def tiled_cloud(fragments: tuple[tuple[str, int], ...], desk: Desk, directory: P
     """A tile's reference points."""
     table = assemble_points([desk.fragment("reference-split", part, group) for part, group in fragments])
     write_table(directory / TABLE, table)
-    return {"rows": table.rows}
+    return {"rows": table.rows, CELLS: by_place(table, table["x"], table["y"])}
 
 
 def link_table(desk: Desk, part: str) -> Table:

@@ -18,6 +18,7 @@ from fwclass.run.work.thin import features_of_some
 from fwclass.schema import Table
 from fwclass.stage import Chunk
 from fwclass.store.arrays import write_arrays
+from fwclass.store.cells import CELLS, by_place
 from fwclass.store.tables import write_table
 
 RASTERS = "rasters.zarr"
@@ -75,7 +76,8 @@ def featured(
     else:
         made = features(chunk, names, params)
     write_table(directory / TABLE, made)
-    return {}
+    core = chunk.core
+    return {CELLS: by_place(made, chunk.table["x"][core], chunk.table["y"][core])}
 
 
 def labelled_by_source(tile: Tile, params: LabelParams, desk: Desk, directory: Path) -> dict[str, Any]:
