@@ -15,23 +15,25 @@ from fwclass.run.plan import forest, ground, outputs
 from fwclass.run.plan.layout import Layout, check_features
 from fwclass.run.plan.sampling import sampling_tasks
 from fwclass.run.report import write_report
+from fwclass.run.restrict import Area
 from fwclass.run.road import Road, ancestors
 from fwclass.store.models import load_model
 from workflows.echoes import Tiled, until_labels, until_tiles
 
 
-def classification(config: Config, road: Road, tiles: frozenset[str] | None = None) -> dict[str, Any]:
+def classification(config: Config, road: Road, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
     """Run all stages on `road` and write the report; return the report's dict.
 
-    `tiles`: deliver only these tiles; what they need (their neighbours' echoes, the training areas) is made too, so
-    that they come out as in a whole run.
+    `tiles`: deliver only these tiles, or those in an area; what they need (their neighbours' echoes, the training
+    areas) is made too, so that they come out as in a whole run.
     """
     model = given_model(config)
     names = load_model(model[0]).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features")
     check_features(config, config.features.also, f"{config.path}: features.also")
     tiled = until_tiles(config, road, names)
-    return from_tiles(config, road, tiled, names, until_labels(tiled, (*names, *config.features.also)), model, tiles)
+    keys = tiles.tiles(tiled.layout, tiled.survey.crs) if isinstance(tiles, Area) else tiles
+    return from_tiles(config, road, tiled, names, until_labels(tiled, (*names, *config.features.also)), model, keys)
 
 
 def from_tiles(

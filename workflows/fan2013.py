@@ -12,6 +12,7 @@ from fwclass.run.papers.begin import beside, features_like, require_whole
 from fwclass.run.papers.page import deliver
 from fwclass.run.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
 from fwclass.run.plan.layout import check_features
+from fwclass.run.restrict import Area
 from fwclass.run.road import Road, require_all
 from workflows.classification import from_tiles
 from workflows.echoes import until_labels, until_tiles
@@ -20,7 +21,7 @@ from workflows.selection import selection
 NAME = "fan2013"
 
 
-def fan2013(config: Config, road: Road, tiles: frozenset[str] | None = None) -> dict[str, Any]:
+def fan2013(config: Config, road: Road, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
     """Run all stages, then the paper's tables on training and test areas; return the run's report.
 
     `tiles` cannot be chosen: the figures are those of the whole survey.

@@ -12,6 +12,7 @@ from fwclass.run.papers.begin import beside, require_whole
 from fwclass.run.papers.page import deliver
 from fwclass.run.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
 from fwclass.run.plan.layout import check_features
+from fwclass.run.restrict import Area
 from fwclass.run.road import Road, require_all
 from workflows.classification import from_tiles
 from workflows.echoes import until_labels, until_tiles
@@ -20,7 +21,7 @@ from workflows.selection import selection
 NAME = "xiong2018"
 
 
-def xiong2018(config: Config, road: Road, tiles: frozenset[str] | None = None) -> dict[str, Any]:
+def xiong2018(config: Config, road: Road, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
     """Select among the survey's features, run all stages with the best set, then the paper's tables; return the report.
 
     `tiles` cannot be chosen: the figures are those of the whole survey.

@@ -14,12 +14,17 @@ from fwclass.cli.road import open_road, tell_failures
 from fwclass.errors import PARTIAL, ConfigError, nearest
 
 TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
+AOI = click.option("--aoi", type=PATH, metavar="FILE", help="Only tiles that the polygons of FILE share area with.")
 WORKFLOW = click.option("--workflow", default="classification", show_default=True, help="Which workflow.")
 
 
-def chosen(tiles: str | None) -> frozenset[str] | None:
-    """The keys of ``--tiles``, None for all."""
-    return frozenset(t.strip() for t in tiles.split(",")) if tiles else None
+def chosen(tiles: str | None, aoi: Path | None) -> frozenset[str] | Path | None:
+    """The keys of ``--tiles`` or the file of ``--aoi``, None for all."""
+    if tiles and aoi:
+        raise ConfigError("tiles are chosen twice", where="--tiles, --aoi", do="leave one of them out")
+    if aoi is not None and not aoi.is_file():
+        raise ConfigError("there is no such file", where="--aoi", expected="a file of polygons", got=aoi)
+    return aoi or (frozenset(t.strip() for t in tiles.split(",")) if tiles else None)
 
 
 def out_directory(out: Path | None, config: Any) -> Path:
@@ -30,7 +35,7 @@ def out_directory(out: Path | None, config: Any) -> Path:
 
 
 def requested(
-    conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | None
+    conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | Path | None
 ) -> tuple[Any, Any]:
     """The configuration, and the `Request` that the words of the command make."""
     from fwclass import conf as configuration
@@ -79,12 +84,13 @@ def alone(conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str
 @click.option("--out", type=PATH, help="With CONF: the run directory (default: runs/<survey>).")
 @SET
 @TILES
+@AOI
 @WORKFLOW
 @click.option("--parts", "every", is_flag=True, help="List every part, done or not.")
 @JSON
 def status(
-    conf_or_run: Path, out: Path | None, settings: tuple[str, ...], tiles: str | None, workflow: str, every: bool,
-    as_json: bool,
+    conf_or_run: Path, out: Path | None, settings: tuple[str, ...], tiles: str | None, aoi: Path | None,
+    workflow: str, every: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Tell which parts of a run are done, stale (and why), missing, running or failed; nothing is made.
 
@@ -95,7 +101,7 @@ def status(
     from fwclass.run.request import Request
 
     if conf_or_run.is_dir():
-        if out is not None or settings or tiles or workflow != "classification":
+        if out is not None or settings or tiles or aoi or workflow != "classification":
             raise ConfigError(
                 "a run directory is looked at as its run was asked for", where=conf_or_run,
                 do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
@@ -103,7 +109,7 @@ def status(
         request = Request.kept(conf_or_run)
         config = configuration.load(request.conf, request.settings)
     else:
-        config, request = requested(conf_or_run, out, settings, workflow, chosen(tiles))
+        config, request = requested(conf_or_run, out, settings, workflow, chosen(tiles, aoi))
     from fwclass.run.status.told import as_data, as_text
     from fwclass.store.lock import holder
 

@@ -9,12 +9,12 @@ import click
 
 from fwclass.cli.base import PATH, SCHEDULER, SET, WORKERS, cli
 from fwclass.cli.road import open_road, tell_failures
-from fwclass.cli.status import TILES, WORKFLOW, alone, chosen, out_directory, requested
+from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, out_directory, requested
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
 
 
 def _run(
-    conf: Path, out: Path | None, settings: tuple[str, ...], tiles: frozenset[str] | None, workflow: str,
+    conf: Path, out: Path | None, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str,
     scheduler: str | None, workers: int | None, fail_fast: bool = False,
 ) -> None:  # fmt: skip
     from workflows import WORKFLOWS
@@ -30,7 +30,7 @@ def _run(
         request.keep()
         road.fail_fast = fail_fast
         try:
-            report = WORKFLOWS[workflow](config, road, tiles)
+            report = WORKFLOWS[workflow](config, road, request.wanted)
         except FwclassError:
             if (road.pending / REPORT).exists():  # what came after the delivery has failed
                 road.publish(config.run.keep_generations)
@@ -56,6 +56,7 @@ def _run(
 @click.option("--out", type=PATH, help="Run directory (default: runs/<survey>).")
 @SET
 @TILES
+@AOI
 @WORKFLOW
 @SCHEDULER
 @WORKERS
@@ -65,17 +66,17 @@ def _run(
 )  # fmt: skip
 @click.option("--only", metavar="STAGE/PART", help="Make this one part alone, in the plain loop.")
 def run(
-    conf: Path, out: Path | None, settings: tuple[str, ...], tiles: str | None, workflow: str, scheduler: str | None,
-    workers: int | None, keep_going: bool, only: str | None,
+    conf: Path, out: Path | None, settings: tuple[str, ...], tiles: str | None, aoi: Path | None, workflow: str,
+    scheduler: str | None, workers: int | None, keep_going: bool, only: str | None,
 ) -> None:  # fmt: skip
     """Run a survey from its files to classified tiles; what is already done is skipped."""
     if only is None:
-        _run(conf, out, settings, chosen(tiles), workflow, scheduler, workers, not keep_going)
+        _run(conf, out, settings, chosen(tiles, aoi), workflow, scheduler, workers, not keep_going)
         return
-    if tiles or scheduler or workers:
+    if tiles or aoi or scheduler or workers:
         raise ConfigError(
             "--only makes one part, in this process", where="--only",
-            do="leave --tiles, --scheduler and --workers out",
+            do="leave --tiles, --aoi, --scheduler and --workers out",
         )  # fmt: skip
     alone(conf, out, settings, workflow, only)
 

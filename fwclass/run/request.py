@@ -5,9 +5,13 @@ from __future__ import annotations
 import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fwclass.errors import StoreError
 from fwclass.store.atomic import read_json, write_json
+
+if TYPE_CHECKING:
+    from fwclass.run.restrict import Area
 
 PLANNED = ("classification", "fan2013")
 """Workflows whose parts are known before anything runs; of `fan2013` those that it shares with `classification`."""
@@ -17,7 +21,7 @@ PLANNED = ("classification", "fan2013")
 class Request:
     """The words of ``fwclass run`` that decide which parts there are, and from what.
 
-    `conf`: absolute path or shipped name; `root`: the run directory; `tiles`: None for all.
+    `conf`: absolute path or shipped name; `root`: the run directory; `tiles`: None for all; `aoi`: a file of polygons.
     """
 
     conf: str
@@ -25,17 +29,26 @@ class Request:
     settings: tuple[str, ...] = ()
     workflow: str = "classification"
     tiles: tuple[str, ...] | None = None
+    aoi: str | None = None
 
     @classmethod
     def of(
-        cls, conf: Path, root: Path, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | None
-    ) -> Request:
+        cls, conf: Path, root: Path, settings: tuple[str, ...], workflow: str,
+        tiles: frozenset[str] | Path | None,
+    ) -> Request:  # fmt: skip
         """As typed; paths are made absolute, so that the command holds wherever it is given."""
         named = str(conf.resolve()) if conf.is_file() else str(conf)
-        return cls(named, str(root.resolve()), settings, workflow, None if tiles is None else tuple(sorted(tiles)))
+        aoi = str(tiles.resolve()) if isinstance(tiles, Path) else None
+        keys = tuple(sorted(tiles)) if isinstance(tiles, frozenset) else None
+        return cls(named, str(root.resolve()), settings, workflow, keys, aoi)
 
     @property
-    def wanted(self) -> frozenset[str] | None:
+    def wanted(self) -> frozenset[str] | Area | None:
+        """What the run is restricted to, None for nothing."""
+        if self.aoi is not None:
+            from fwclass.run.restrict import Area
+
+            return Area(Path(self.aoi))
         return None if self.tiles is None else frozenset(self.tiles)
 
     def command(self, only: tuple[str, str] | None = None) -> str:
@@ -49,6 +62,8 @@ class Request:
             words += ["--only", "/".join(only)]
         elif self.tiles is not None:
             words += ["--tiles", ",".join(self.tiles)]
+        elif self.aoi is not None:
+            words += ["--aoi", self.aoi]
         return shlex.join(words)
 
     def replay(self, name: tuple[str, str]) -> str:
@@ -74,7 +89,7 @@ class Request:
             tiles = found["tiles"]
             return cls(
                 str(found["conf"]), str(root.resolve()), tuple(found["settings"]), str(found["workflow"]),
-                None if tiles is None else tuple(tiles),
+                None if tiles is None else tuple(tiles), found["aoi"],
             )  # fmt: skip
         except (KeyError, TypeError) as fault:
             raise StoreError("not the words of a run", where=path, got=fault, do="remove the file") from fault

@@ -11,7 +11,7 @@ from fwclass.run.road import Road
 from fwclass.schema import split_name
 
 
-def require_whole(config: Config, tiles: frozenset[str] | None, workflow: str) -> None:
+def require_whole(config: Config, tiles: object | None, workflow: str) -> None:
     """`ConfigError` where the figures of a paper cannot be made."""
     if tiles is not None:
         raise ConfigError(

@@ -50,7 +50,7 @@ def _counts(states: Mapping[Name, State]) -> dict[str, dict[str, int]]:
 def others(looked: Looked, request: Request) -> dict[str, int]:
     """How many parts by stage the store holds that the plan does not name; none are counted for chosen tiles."""
     directory = Store(looked.root).directory
-    if request.tiles is not None or not directory.is_dir():
+    if request.wanted is not None or not directory.is_dir():
         return {}
     found: Counter[str] = Counter()
     for stage in sorted(p for p in directory.iterdir() if p.is_dir() and p.name not in NO_STAGES):
