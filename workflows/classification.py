@@ -17,6 +17,7 @@ from fwclass.run.plan.sampling import sampling_tasks
 from fwclass.run.report import write_report
 from fwclass.run.restrict import Area
 from fwclass.run.road import Road, ancestors
+from fwclass.run.tasks import Tasks
 from fwclass.store.models import load_model
 from workflows.echoes import Tiled, until_labels, until_tiles
 
@@ -46,14 +47,14 @@ def from_tiles(
     """
     survey, layout = tiled.survey, replace(tiled.layout, config=config)
     labelled = config.survey.reference.kind != "none"
-    tasks = [*labelling]
-    tasks += [] if model else forest.training_tasks(layout) + sampling_tasks(layout)
+    tasks = Tasks.held(labelling)
+    tasks += [] if model else Tasks.held(forest.training_tasks(layout)) + sampling_tasks(layout)
     tasks += forest.classify_tasks(layout, names, model)
     tasks += forest.assess_tasks(layout, names) if labelled else []
     tasks += outputs.output_tasks(layout, names, survey, *tiled.where)
     tasks += ground.seam_tasks(layout)
     if tiles is not None:
-        tasks = ancestors(tasks, _wanted(layout, tiles))
+        tasks = Tasks.held(ancestors(tasks, _wanted(layout, tiles)))
     road.do(tasks)
     road.finish(whole=tiles is None)
     return write_report(config, road, survey, layout, names)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fwclass.conf import Config
-from fwclass.run.part import Task
 from fwclass.run.plan import ground, sources
 from fwclass.run.plan import tiles as of_tiles
 from fwclass.run.plan.layout import Layout, Survey
@@ -15,6 +14,7 @@ from fwclass.run.plan.thin import thin_tasks
 from fwclass.run.reference import check_polygons
 from fwclass.run.road import Road, require_all, stop_if_nothing
 from fwclass.run.survey import check_widths, gather
+from fwclass.run.tasks import Tasks
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def until_tiles(config: Config, road: Road, names: tuple[str, ...]) -> Tiled:
     return Tiled(survey, layout, sources.where(chunks, splits), flown_by(flights, road.do(flights)))
 
 
-def until_labels(tiled: Tiled, names: tuple[str, ...]) -> list[Task]:
+def until_labels(tiled: Tiled, names: tuple[str, ...]) -> Tasks:
     """Ground, heights, those of `names` that are features of a neighbourhood, radiometry; labels where there are."""
     layout = tiled.layout
     tasks = ground.ground_tasks(layout) + thin_tasks(layout) + of_tiles.feature_tasks(layout, names)

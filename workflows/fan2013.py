@@ -42,7 +42,7 @@ def fan2013(config: Config, road: Road, tiles: frozenset[str] | Area | None = No
         "best": selection(every, aside, names, "forward"),
     }
     variants = fan.variants(config, names, printed)
-    made = require_all(road, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants))
+    made = dict(require_all(road, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants)))
     made |= require_all(road, comparison_tasks(config, fan.comparisons(config, variants)))
     made |= require_all(road, time_tasks(config, names, fan.timed(variants)))
     facts = fan.facts(config, printed, report, curves, variants, made)

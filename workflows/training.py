@@ -12,6 +12,7 @@ from fwclass.run.part import Task
 from fwclass.run.plan import forest
 from fwclass.run.plan.layout import Layout, check_features
 from fwclass.run.road import Road, ancestors, require_all
+from fwclass.run.tasks import Tasks
 from workflows.echoes import Tiled, until_labels, until_tiles
 
 
@@ -52,7 +53,7 @@ def comparison(config: Config, road: Road, methods: tuple[str, ...]) -> dict[str
     return compared(config, road.store, layout, methods, road.display.say)
 
 
-def _begun(config: Config, road: Road) -> tuple[Tiled, list[Task]]:
+def _begun(config: Config, road: Road) -> tuple[Tiled, Tasks]:
     names = config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
     check_features(config, config.features.also, f"{config.path}: features.also")

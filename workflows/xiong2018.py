@@ -43,7 +43,7 @@ def xiong2018(config: Config, road: Road, tiles: frozenset[str] | Area | None = 
         return report
     variants = xiong.variants(config, names, chosen)
     forest = next(v for v in variants if v.name == xiong.ALL)
-    made = require_all(road, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants))
+    made = dict(require_all(road, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants)))
     made |= require_all(road, importance_tasks(config, names, forest))
     made |= require_all(road, comparison_tasks(config, xiong.comparisons(variants)))
     thinned = xiong.thinned(config, aside, tiled.layout, chosen)

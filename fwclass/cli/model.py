@@ -78,8 +78,7 @@ def _train(config: Any, root: Path, target: Path, asked: dict[str, Any]) -> None
     from workflows.training import training
 
     check_target(target, asked["overwrite"])
-    memory = config.run.worker_memory_gib
-    with open_road(root, _count(config, asked), asked["scheduler"], memory) as road:
+    with open_road(root, _count(config, asked), asked["scheduler"], config.run) as road:
         made = training(config, road, asked["assess"])
         deliver(road.store.path("train", "model", "model"), target, asked["overwrite"])
     click.echo(f"{describe(made)}\nmodel       {target}", err=True)
@@ -91,8 +90,7 @@ def _compare(config: Any, root: Path, methods: tuple[str, ...], asked: dict[str,
     from fwclass.run.compare import describe
     from workflows.training import comparison
 
-    memory = config.run.worker_memory_gib
-    with open_road(root, _count(config, asked), asked["scheduler"], memory) as road:
+    with open_road(root, _count(config, asked), asked["scheduler"], config.run) as road:
         made = comparison(config, road, methods)
     click.echo(describe(made), err=asked["as_json"])
     if asked["as_json"]:

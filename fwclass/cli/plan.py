@@ -64,9 +64,8 @@ def _dry_run(made: Any, count: int, root: Path) -> Any:
     from workflows.trial import trial
 
     asked = trial_of(made, count, root)
-    memory = made.config.run.worker_memory_gib
     with staged(root / "plan") as scratch:
-        with open_road(scratch, made.workers, None, memory) as road:
+        with open_road(scratch, made.workers, None, made.config.run) as road:
             keys = trial(asked, road, count, made.halo)
             failures, store = road.failures, road.store
         if failures:

@@ -13,8 +13,8 @@ import click
 
 
 @contextmanager
-def open_road(root: Path, workers: int, scheduler: str | None, memory: float) -> Iterator[Any]:
-    """A run directory locked for writing, with its executor."""
+def open_road(root: Path, workers: int, scheduler: str | None, limits: Any) -> Iterator[Any]:
+    """A run directory locked for writing, with its executor; `limits` is section `run` of the configuration."""
     from fwclass.run.local import Loop
     from fwclass.run.progress import Display
     from fwclass.run.road import Road
@@ -29,7 +29,7 @@ def open_road(root: Path, workers: int, scheduler: str | None, memory: float) ->
             return
         from fwclass.run.cluster import Cluster
 
-        with Cluster(scheduler, workers, memory) as cluster:
+        with Cluster(scheduler, workers, limits.worker_memory_gib, limits.window) as cluster:
             display.say(f"dask         {cluster.address}")
             road = Road(root, cluster, display)
             road.store.clear_staging()

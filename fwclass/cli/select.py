@@ -68,7 +68,7 @@ def select(
         )  # fmt: skip
     path = output.check_target(target, root, method, overwrite)
     count = config.run.workers if workers is None else workers
-    with open_road(root, count, scheduler, config.run.worker_memory_gib) as road:
+    with open_road(root, count, scheduler, config.run) as road:
         if method == "thinning":
             made = thinning(config, road, names)
         else:

@@ -68,7 +68,7 @@ def alone(conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str
     from fwclass.run.status.replay import task_alone
 
     config, request = requested(conf, out, settings, workflow, None)
-    with open_road(Path(request.root), 0, None, config.run.worker_memory_gib) as road:
+    with open_road(Path(request.root), 0, None, config.run) as road:
         task = task_alone(_looked(config, request), only, request)
         road.do([task])
         outcome = road.outcomes[task.name]

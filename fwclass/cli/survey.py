@@ -25,7 +25,7 @@ def _run(
     from fwclass.assess.stage import judge
     from fwclass.run.report import REPORT, summary
 
-    with open_road(root, count, scheduler, config.run.worker_memory_gib) as road:
+    with open_road(root, count, scheduler, config.run) as road:
         road.store.generations.check_links()
         request.keep()
         road.fail_fast = fail_fast
@@ -107,7 +107,7 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | No
             do="name a configuration without survey.directory",
         )
     count = config.run.workers if workers is None else workers
-    with open_road(out, count, None, config.run.worker_memory_gib) as road:
+    with open_road(out, count, None, config.run) as road:
         receipts = road.do(simulate_tasks(config.simulate, "."))
         failures = road.failures
     pulses = sum(int(r.meta.get("pulses", 0)) for r in receipts.values())

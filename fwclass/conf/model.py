@@ -122,10 +122,12 @@ class RunSection(Section):
 
     `seam_check_echoes`: a survey of at most so many echoes is filtered once more as one block, to tell in the report
     what the seams between blocks changed; 0 leaves the check out. `keep_generations`: whole deliveries that stay.
+    `window`: parts that the scheduler knows at a time.
     """
 
     workers: int = Field(ge=0)
     worker_memory_gib: float = Field(gt=0)
+    window: int = Field(ge=1)
     keep_generations: int = Field(ge=1)
     seam_check_echoes: int = Field(ge=0)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import signal
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable
 from pathlib import Path
 from types import TracebackType
 
@@ -29,9 +29,12 @@ class Unheeding(WorkerPlugin):  # type: ignore[misc]
 
 
 class Cluster:
-    """Executor on a Dask scheduler: at `address`, or on `workers` processes of one thread each on this machine."""
+    """Executor on a Dask scheduler: at `address`, or on `workers` processes of one thread each on this machine.
 
-    def __init__(self, address: str | None, workers: int, worker_memory_gib: float) -> None:
+    It is given at most `window` parts at a time.
+    """
+
+    def __init__(self, address: str | None, workers: int, worker_memory_gib: float, window: int) -> None:
         dask.config.set({"distributed.scheduler.allowed-failures": 3, "distributed.admin.tick.limit": "30s"})
         self._cluster: LocalCluster | None = None
         try:
@@ -53,7 +56,7 @@ class Cluster:
         self.address = self._client.scheduler.address
         if importlib.util.find_spec("bokeh"):  # without it the scheduler serves no page
             self.address = str(self._client.dashboard_link)
-        self._batch = 0
+        self._window, self._count = window, 0
 
     def __enter__(self) -> Cluster:
         return self
@@ -65,29 +68,43 @@ class Cluster:
         if self._cluster is not None:
             self._cluster.close()
 
-    def run(self, root: Path, tasks: Sequence[Task]) -> Generator[Outcome]:
-        """Outcomes as parts end, in any order; edges are exactly the tasks' needs."""
-        self._batch += 1
-        futures: dict[Name, Future] = {}
+    def run(self, root: Path, tasks: Iterable[Task]) -> Generator[Outcome]:
+        """Outcomes as parts end, in any order; edges are exactly the tasks' needs.
+
+        The scheduler knows at most `window` parts: the next is taken when one has ended.
+        """
         names: dict[str, Name] = {}
-        for number, task in enumerate(tasks):
-            upstream = [futures[n] for n in task.needs if n in futures]
-            future = self._client.submit(
-                execute, root, task, upstream, key=f"{task.stage}-{task.part}-{self._batch}", pure=False,
-                priority=-number, retries=0,
-            )  # fmt: skip
-            futures[task.name] = future
-            names[future.key] = task.name
+        futures: dict[Name, Future] = {}
+        ended = as_completed()
+
+        def next_one() -> Outcome:
+            future = next(ended)
+            name = names.pop(future.key)
+            del futures[name]
+            return _outcome(name, future)
+
         try:
-            for future in as_completed(list(futures.values())):
-                stage, part = names[future.key]
-                if future.status == "finished":
-                    yield future.result()
-                else:
-                    fault = future.exception() if future.status == "error" else future.status
-                    yield Outcome(
-                        stage, part, "failed", message=f"the worker was lost: {type(fault).__name__}: {fault}"
-                    )
+            for task in tasks:
+                upstream = [futures[n] for n in task.needs if n in futures]
+                self._count += 1
+                future = self._client.submit(
+                    execute, root, task, upstream, key=f"{task.stage}-{task.part}-{self._count}", pure=False,
+                    priority=-self._count, retries=0,
+                )  # fmt: skip
+                futures[task.name], names[future.key] = future, task.name
+                ended.add(future)
+                if len(futures) >= self._window:
+                    yield next_one()
+            while futures:
+                yield next_one()
         except GeneratorExit:  # stopped at a failure: what has not begun is not begun any more
             self._client.cancel([f for f in futures.values() if not f.done()])
             raise
+
+
+def _outcome(name: Name, future: Future) -> Outcome:
+    if future.status == "finished":
+        outcome: Outcome = future.result()
+        return outcome
+    fault = future.exception() if future.status == "error" else future.status
+    return Outcome(*name, "failed", message=f"the worker was lost: {type(fault).__name__}: {fault}")

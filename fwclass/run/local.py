@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable
 from pathlib import Path
 
-from fwclass.run.part import Name, Outcome, Task, execute
+from fwclass.run.part import Outcome, Task, execute
 
 
 class Loop:
@@ -13,10 +13,7 @@ class Loop:
 
     address = ""
 
-    def run(self, root: Path, tasks: Sequence[Task]) -> Generator[Outcome]:
+    def run(self, root: Path, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes in order; a task comes after every task that it needs."""
-        outcomes: dict[Name, Outcome] = {}
         for task in tasks:
-            upstream = [outcomes[n] for n in task.needs if n in outcomes]
-            outcomes[task.name] = execute(root, task, upstream)
-            yield outcomes[task.name]
+            yield execute(root, task)

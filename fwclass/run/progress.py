@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from fwclass.run.part import Outcome, Task
+from fwclass.run.part import Outcome
 
 
 class Display:
@@ -40,10 +40,11 @@ class Display:
     def say(self, text: str) -> None:
         self.console.print(text, markup=False)
 
-    def expect(self, tasks: Iterable[Task]) -> None:
-        for task in tasks:
-            self._left[task.stage] = self._left.get(task.stage, 0) + 1
-            self._counts.setdefault(task.stage, {})
+    def expect(self, stages: Mapping[str, int]) -> None:
+        """So many more parts of each stage are to come."""
+        for stage, more in stages.items():
+            self._left[stage] = self._left.get(stage, 0) + more
+            self._counts.setdefault(stage, {})
         if self._live:
             for stage, n in self._left.items():
                 if stage not in self._rows and n:

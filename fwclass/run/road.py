@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 from fwclass.errors import FwclassError, InputError, PartialError
 from fwclass.run.part import Name, Outcome, Task, already_done, key_now
 from fwclass.run.progress import Display
+from fwclass.run.tasks import Tasks
 from fwclass.store.failures import Failure
 from fwclass.store.generations import Generation
 from fwclass.store.receipts import Receipt
-from fwclass.store.run_store import Store
+from fwclass.store.run_store import SeenStore, Store
 
 
 class Executor(Protocol):
@@ -23,7 +24,28 @@ class Executor(Protocol):
 
     address: str
 
-    def run(self, root: Path, tasks: Sequence[Task]) -> Generator[Outcome]: ...
+    def run(self, root: Path, tasks: Iterable[Task]) -> Generator[Outcome]:
+        """Outcomes as parts end; a task is taken from `tasks` when there is room for it."""
+        ...
+
+
+class Done(Mapping[Name, Receipt]):
+    """Receipts of parts that are done, each read when it is asked for: a large survey's do not fit into memory."""
+
+    def __init__(self, store: Store, names: Iterable[Name]) -> None:
+        self._store, self._names = store, dict.fromkeys(names)
+
+    def __getitem__(self, name: Name) -> Receipt:
+        receipt = self._store.receipt(*name) if name in self._names else None
+        if receipt is None:
+            raise KeyError(name)
+        return receipt
+
+    def __iter__(self) -> Iterator[Name]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 @dataclass
@@ -42,7 +64,8 @@ class Tally:
 class Road:
     """Walks batches of tasks; each batch may need parts of earlier ones.
 
-    With `fail_fast` the first part that fails ends the walk by a `PartialError`.
+    With `fail_fast` the first part that fails ends the walk by a `PartialError`. `store` remembers receipts; two roads
+    over one run share it (`seen`).
     """
 
     root: Path
@@ -54,51 +77,48 @@ class Road:
     fail_fast: bool = False
     whole: bool = False
     delivered: set[str] = field(default_factory=set)
+    seen: InitVar[SeenStore | None] = None
 
-    @property
-    def store(self) -> Store:
-        return Store(self.root)
+    def __post_init__(self, seen: SeenStore | None) -> None:
+        self.store = seen or SeenStore(self.root)
+        self._under_way: dict[Name, Task] = {}
 
-    def do(self, tasks: Sequence[Task]) -> dict[Name, Receipt]:
+    def do(self, tasks: Sequence[Task]) -> Mapping[Name, Receipt]:
         """Make all parts of `tasks` (each after those it needs); return the receipts of those that are done.
 
-        Parts whose key holds are skipped here, without a worker. Failures are kept in `outcomes`.
+        Parts whose key holds are skipped here, without a worker. Failures are kept in `outcomes`. Of lazy `tasks` no
+        more are held than the executor has in hand.
         """
-        self.display.expect(tasks)
+        plan = Tasks.held(tasks)
+        self.display.expect(plan.stages)
         now = time.perf_counter()
-        for task in tasks:
-            self.tallies.setdefault(task.stage, Tally(began=now))
-            if task.place == "deliver":
-                self.delivered.add(task.stage)
-        pending = self._skip_what_is_done(tasks)
-        by_name = {task.name: task for task in pending}
-        with closing(self.executor.run(self.root, pending)) as ended:
+        for stage in plan.stages:
+            self.tallies.setdefault(stage, Tally(began=now))
+        names: list[Name] = []
+        with closing(self.executor.run(self.root, self._pending(plan, names))) as ended:
             for outcome in ended:
+                name = (outcome.stage, outcome.part)
+                task = self._under_way.pop(name)
+                self.store.forget(name)
                 self._take(outcome)
                 if outcome.status == "failed":
-                    self._failed(by_name[outcome.stage, outcome.part], outcome)
-        receipts = {}
-        for task in tasks:
-            if self.outcomes[task.name].ok:
-                receipt = self.store.receipt(*task.name)
-                if receipt is not None:
-                    receipts[task.name] = receipt
-        return receipts
+                    self._failed(task, outcome)
+        return Done(self.store, (n for n in names if self.outcomes[n].ok))
 
-    def _skip_what_is_done(self, tasks: Sequence[Task]) -> list[Task]:
-        pending: list[Task] = []
-        waiting: set[Name] = set()
+    def _pending(self, tasks: Iterable[Task], names: list[Name]) -> Iterator[Task]:
+        """Those of `tasks` that have to be made; `names` gets all of them."""
         for task in tasks:
+            names.append(task.name)
+            if task.place == "deliver":
+                self.delivered.add(task.stage)
             bad = [self.outcomes[n] for n in task.needs if n in self.outcomes and not self.outcomes[n].ok]
             if bad:
                 self._take(Outcome(*task.name, "blocked", message=f"{bad[0].stage}/{bad[0].part} {bad[0].status}"))
-                waiting.add(task.name)
-            elif waiting.isdisjoint(task.needs) and already_done(task, self.store):
+            elif self._under_way.keys().isdisjoint(task.needs) and already_done(task, self.store):
                 self._take(Outcome(*task.name, "skipped"))
             else:
-                pending.append(task)
-                waiting.add(task.name)
-        return [t for t in pending if t.name not in self.outcomes]
+                self._under_way[task.name] = task
+                yield task
 
     def _take(self, outcome: Outcome) -> None:
         self.outcomes[(outcome.stage, outcome.part)] = outcome
@@ -159,7 +179,7 @@ class Road:
         return outcome is not None and outcome.ok
 
 
-def require_all(road: Road, tasks: Sequence[Task]) -> dict[Name, Receipt]:
+def require_all(road: Road, tasks: Sequence[Task]) -> Mapping[Name, Receipt]:
     """As `Road.do` for parts without which nothing can follow: the first failure ends the run."""
     done = road.do(tasks)
     for task in tasks:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.grid import Box, TileGrid, millimetres
+from fwclass.grid import Box, Window, millimetres
 from fwclass.schema import Table
 from fwclass.store.atomic import digest_of
 from fwclass.store.receipts import Receipt
@@ -18,7 +18,14 @@ CELL = 8.0
 """Edge of the squares of the global grid that have a digest of their own [m]: a halo is known to the next 8 m."""
 
 CELLS = "cells"
-"""Where a receipt's meta keeps them: ``{"size": m or 0, "digests": {name: 16 hex digits}}``."""
+"""Where a receipt's meta keeps them.
+
+By place: ``{"size": m, "first": [column, row], "rows": n, "digests": text}`` with 16 characters for every square of a
+rectangle, column by column, dots where nothing lies. By name: ``{"names": {name: 16 hex digits}}``.
+"""
+
+_WIDTH = 16
+_NOTHING = "." * _WIDTH
 
 Within = Box | str | None
 """What a part reads of others: the rows in a box, the piece of a name, or everything."""
@@ -33,15 +40,20 @@ def by_place(table: Table, x: NDArray[np.float64], y: NDArray[np.float64]) -> di
     new = np.flatnonzero(np.concatenate([[True], (a[1:] != a[:-1]) | (b[1:] != b[:-1])])) if len(a) else order
     ends = np.append(new[1:], len(a))
     arranged = table.take(order)
-    digests = {f"{a[i]}_{b[i]}": _digest(arranged, i, j) for i, j in zip(new, ends, strict=True)}
-    return {"size": CELL, "digests": digests}
+    digests = {(int(a[i]), int(b[i])): _digest(arranged, i, j) for i, j in zip(new, ends, strict=True)}
+    if not digests:
+        return {"size": CELL, "first": [0, 0], "rows": 0, "digests": ""}
+    columns, rows = ([place[k] for place in digests] for k in range(2))
+    squares = ((c, r) for c in range(min(columns), max(columns) + 1) for r in range(min(rows), max(rows) + 1))
+    text = "".join(digests.get(square, _NOTHING) for square in squares)
+    return {"size": CELL, "first": [min(columns), min(rows)], "rows": max(rows) + 1 - min(rows), "digests": text}
 
 
 def by_name(table: Table, names: Iterable[str], offsets: Iterable[int]) -> dict[str, Any]:
     """For a receipt's meta: a digest of every named run of rows ``offsets[k]:offsets[k + 1]``."""
     bounds = [int(o) for o in offsets]
     runs = zip(names, bounds[:-1], bounds[1:], strict=True)
-    return {"size": 0, "digests": {name: _digest(table, i, j) for name, i, j in runs}}
+    return {"names": {name: _digest(table, i, j) for name, i, j in runs}}
 
 
 def _digest(table: Table, first: int, last: int) -> str:
@@ -56,11 +68,26 @@ def _digest(table: Table, first: int, last: int) -> str:
 def digest_within(receipt: Receipt, within: Within) -> str | None:
     """Digest of what is read of a part; None where that is nothing."""
     cells: Mapping[str, Any] | None = receipt.meta.get(CELLS)
-    if within is None or cells is None or (cells["size"] > 0) != isinstance(within, Box):
+    if within is None or cells is None:
         return receipt.digest
-    digests: Mapping[str, str] = cells["digests"]
     if isinstance(within, str):
-        return digests.get(within)
-    squares = {t.key for t in TileGrid(float(cells["size"])).touching(within)}
-    read = {name: digest for name, digest in digests.items() if name in squares}
+        names: Mapping[str, str] | None = cells.get("names")
+        return receipt.digest if names is None else names.get(within)
+    if "size" not in cells:
+        return receipt.digest
+    read = _inside(cells, within)
     return digest_of(read) if read else None
+
+
+def _inside(cells: Mapping[str, Any], box: Box) -> list[list[Any]]:
+    """Column, row and digest of every square that something lies in and that shares area with `box`."""
+    (column, row), rows, text = cells["first"], int(cells["rows"]), str(cells["digests"])
+    columns = len(text) // (_WIDTH * rows) if rows else 0
+    whole = Window.covering(box, float(cells["size"]))
+    found = []
+    for c in range(max(whole.col, column), min(whole.col + whole.ncols, column + columns)):
+        for r in range(max(whole.row, row), min(whole.row + whole.nrows, row + rows)):
+            at = _WIDTH * ((c - column) * rows + r - row)
+            if text[at] != ".":
+                found.append([c, r, text[at : at + _WIDTH]])
+    return found

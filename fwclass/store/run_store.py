@@ -12,7 +12,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -171,15 +171,14 @@ class Store:
     def forget_others(self, stage: str, parts: Iterable[str]) -> list[str]:
         """Remove parts of `stage` that the plan no longer has, with what they delivered; return their names."""
         keep = set(parts)
-        gone = []
-        for receipt in list(self.receipts(stage)):
-            if receipt.part in keep:
-                continue
-            if receipt.place == "run":
+        directory = self.directory / stage
+        gone = sorted(p.name for p in directory.iterdir() if p.name not in keep) if directory.is_dir() else []
+        for part in gone:
+            receipt = self.receipt(stage, part)
+            if receipt is not None and receipt.place == "run":
                 for name in receipt.outputs:
                     (self.root / name).unlink(missing_ok=True)
-            shutil.rmtree(self._part(stage, receipt.part), ignore_errors=True)
-            gone.append(receipt.part)
+            shutil.rmtree(self._part(stage, part), ignore_errors=True)
         self.failures.forget_others(stage, keep)
         return gone
 
@@ -199,6 +198,29 @@ class Store:
         """Remove what an interrupted writer left behind (only the holder of the lock calls this)."""
         shutil.rmtree(self.directory / "staging", ignore_errors=True)
         self.generations.clear_pending()
+
+
+REMEMBERED = 20_000
+"""Receipts that `SeenStore` keeps; one of a tile of 100 m has some 5 KB."""
+
+
+@dataclass(frozen=True)
+class SeenStore(Store):
+    """A store whose receipts are read once, for who alone knows when they change and says so (`forget`)."""
+
+    _seen: dict[tuple[str, str], Receipt | None] = field(default_factory=dict, compare=False)
+
+    def receipt(self, stage: str, part: str) -> Receipt | None:
+        name = (stage, part)
+        if name not in self._seen:
+            if len(self._seen) >= REMEMBERED:
+                self._seen.pop(next(iter(self._seen)))
+            self._seen[name] = super().receipt(stage, part)
+        return self._seen[name]
+
+    def forget(self, name: tuple[str, str]) -> None:
+        """The part was made, by whomever."""
+        self._seen.pop(name, None)
 
 
 def _peak_mib() -> float:

@@ -27,7 +27,7 @@ def slow(desk, directory):
 if __name__ == "__main__":
     root = Path(sys.argv[1])
     try:
-        with Cluster(None, 2, 1.0) as cluster:
+        with Cluster(None, 2, 1.0, 1000) as cluster:
             list(cluster.run(root, [Task("slow", "all", 1, {}, partial(slow))]))
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

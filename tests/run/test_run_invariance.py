@@ -40,7 +40,7 @@ def test_tiles_and_chunks_change_no_number_of_any_echo(setting, survey, finished
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_workers_give_the_same_bytes_as_the_loop(workers, survey, finished, tmp_path):
-    road, _ = walk(survey, tmp_path, executor=Cluster(None, workers, 4.0))
+    road, _ = walk(survey, tmp_path, executor=Cluster(None, workers, 4.0, 1000))
     assert not road.failures
     assert delivered(tmp_path) == delivered(finished[0])
 
@@ -48,7 +48,7 @@ def test_workers_give_the_same_bytes_as_the_loop(workers, survey, finished, tmp_
 @pytest.mark.slow
 def test_a_scheduler_by_address_gives_the_same_bytes(survey, finished, tmp_path):
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster:
-        road, _ = walk(survey, tmp_path, executor=Cluster(cluster.scheduler_address, 0, 4.0))
+        road, _ = walk(survey, tmp_path, executor=Cluster(cluster.scheduler_address, 0, 4.0, 1000))
     assert not road.failures
     assert delivered(tmp_path) == delivered(finished[0])
 

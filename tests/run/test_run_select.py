@@ -104,7 +104,7 @@ def test_backward_and_fscore_agree_on_what_is_best_alone(survey, root):
 @pytest.mark.slow
 def test_two_workers_give_the_same_bytes(survey, root, forwards, tmp_path):
     shutil.rmtree(root / "store" / "select-trial")
-    with Cluster(None, 2, 2.0) as cluster:
+    with Cluster(None, 2, 2.0, 1000) as cluster:
         made = _chosen(survey, root, "forward", executor=cluster)
     output.write(made, tmp_path / "two.yaml")
     output.write(forwards, tmp_path / "one.yaml")

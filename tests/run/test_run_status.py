@@ -204,7 +204,7 @@ def test_fail_fast_begins_nothing_more_on_a_cluster(tmp_path):
         raise RuntimeError("no oil")
 
     tasks = [Task("one", "a", 1, {}, fails), *(Task("one", f"b{k}", 1, {}, slow) for k in range(12))]
-    with Cluster(None, 1, 1.0) as cluster:
+    with Cluster(None, 1, 1.0, 1000) as cluster:
         road = Road(tmp_path, cluster, Display(), fail_fast=True)
         with pytest.raises(PartialError):
             road.do(tasks)

@@ -8,10 +8,12 @@ from typing import Any
 
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
+from fwclass.grid import Tile
 from fwclass.run.model_fit import computed
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Layout, needs_of, plain, plain_classes, providers
 from fwclass.run.plan.thin import follow_tasks, thin_columns, thins
+from fwclass.run.tasks import Tasks
 from fwclass.run.work import forest, others
 from fwclass.store.atomic import digest_of, file_digest, files_below
 from fwclass.train.others.stage import VERSION
@@ -88,22 +90,22 @@ def _other_task(config: Config, names: tuple[str, ...], params: dict[str, Any]) 
     return Task("train", "model", VERSION, params, work, needs=(("training", "all"),), place="deliver")
 
 
-def classify_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, str] | None) -> list[Task]:
+def classify_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, str] | None) -> Tasks:
     if thins(layout.config):
         return follow_tasks(layout, names, model)
     columns, shares = layout.columns(names), layout.config.classify.probabilities
-    made = []
-    for tile in layout.tiles:
-        trained: tuple[Name, ...] = () if model else (("train", "model"),)
-        made.append(
-            Task(
-                "classify", tile.key, CLASSIFY.version, {"features": list(names), "probabilities": shares},
-                partial(forest.classified, tile, columns, names, model, shares),
-                needs=(*needs_of(columns, (tile.key,)), *trained),
-                external=(("model", model[1]),) if model else (),
-            )
+    params = {"features": list(names), "probabilities": shares}
+    trained: tuple[Name, ...] = () if model else (("train", "model"),)
+
+    def made(tile: Tile) -> Task:
+        return Task(
+            "classify", tile.key, CLASSIFY.version, params,
+            partial(forest.classified, tile, columns, names, model, shares),
+            needs=(*needs_of(columns, (tile.key,)), *trained),
+            external=(("model", model[1]),) if model else (),
         )  # fmt: skip
-    return made
+
+    return Tasks.of("classify", layout.tiles, made)
 
 
 FAN_2013 = ("echo_number", "amplitude", "backscatter", "width")
@@ -117,7 +119,7 @@ def described(layout: Layout, names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*names, *layout.config.features.also, *(n for n in FAN_2013 if n in known))))
 
 
-def assess_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
+def assess_tasks(layout: Layout, names: tuple[str, ...]) -> Tasks:
     config = layout.config
     names = described(layout, names)
     columns = layout.columns(names)
@@ -128,22 +130,21 @@ def assess_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
         "features": list(names),
         "block": config.assess.block,
     }
-    made = []
-    for tile in layout.tiles:
+
+    def judged(tile: Tile) -> Task:
         work = partial(
             forest.judged, tile, columns, names, train, test, config.areas.gap, config.assess.block, config.classes
         )
         needs = needs_of({**columns, "a": "label", "b": "classify", "c": "ground"}, (tile.key,))
-        made.append(Task("confusion", tile.key, 3, params, work, needs=needs))
+        return Task("confusion", tile.key, 3, params, work, needs=needs)
+
     keys = tuple(t.key for t in layout.tiles)
-    made.append(
-        Task(
-            "assess", "all", 3, {**params, "quantiles": list(config.assess.quantiles)},
-            partial(forest.assessed, keys, names, config.classes, config.assess.quantiles),
-            needs=tuple(("confusion", k) for k in keys),
-        )
+    whole = Task(
+        "assess", "all", 3, {**params, "quantiles": list(config.assess.quantiles)},
+        partial(forest.assessed, keys, names, config.classes, config.assess.quantiles),
+        needs=tuple(("confusion", k) for k in keys),
     )  # fmt: skip
-    return made
+    return Tasks.of("confusion", layout.tiles, judged) + Tasks.held([whole])
 
 
 def digest_of_model(path: Path) -> str:

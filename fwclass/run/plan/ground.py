@@ -8,12 +8,13 @@ from fwclass.grid import Tile, TileGrid, Window
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN
 from fwclass.run.part import Task
 from fwclass.run.plan.layout import Layout, needs_of, plain
+from fwclass.run.tasks import Tasks
 from fwclass.run.work import ground
 
 SEAMS_VERSION = 1
 
 
-def ground_tasks(layout: Layout) -> list[Task]:
+def ground_tasks(layout: Layout) -> Tasks:
     """From tiles of echoes to ground flags, terrain rasters and heights above ground."""
     made = _filter_tasks(layout)
     made += _column_tasks(layout, "ground", GROUND_FILTER.name, GROUND_FILTER.writes, layout.config.ground.block)
@@ -22,53 +23,52 @@ def ground_tasks(layout: Layout) -> list[Task]:
     return made
 
 
-def _filter_tasks(layout: Layout) -> list[Task]:
-    config, made = layout.config, []
-    halo = GROUND_FILTER.halo(config.ground)
-    for block in layout.blocks(config.ground.block):
+def _filter_tasks(layout: Layout) -> Tasks:
+    config, here = layout.config, layout.keys
+    halo, params = GROUND_FILTER.halo(config.ground), plain(config.ground)
+
+    def made(block: Tile) -> Task:
         within = block.box.grown(halo)
-        present = layout.around(within, layout.keys)
-        made.append(
-            Task(
-                GROUND_FILTER.name, block.key, GROUND_FILTER.version, plain(config.ground),
-                partial(ground.filtered_block, block, config.tile.size, present, config.ground),
-                needs=tuple(("tile", k) for k in present), within=within,
-            )
+        present = layout.around(within, here)
+        return Task(
+            GROUND_FILTER.name, block.key, GROUND_FILTER.version, params,
+            partial(ground.filtered_block, block, config.tile.size, present, config.ground),
+            needs=tuple(("tile", k) for k in present), within=within,
         )  # fmt: skip
-    return made
+
+    return Tasks.of(GROUND_FILTER.name, layout.blocks(config.ground.block), made)
 
 
-def _terrain_tasks(layout: Layout) -> list[Task]:
-    config, made = layout.config, []
-    halo = TERRAIN.halo(config.terrain)
+def _terrain_tasks(layout: Layout) -> Tasks:
+    config, here = layout.config, layout.keys
+    halo, params = TERRAIN.halo(config.terrain), plain(config.terrain)
     columns = layout.columns(TERRAIN.reads)
-    for block in layout.blocks(config.terrain.block, margin=1):
+
+    def made(block: Tile) -> Task:
         within = Window.covering(block.box, config.terrain.cell).box.grown(halo)
-        present = layout.around(within, layout.keys)
-        made.append(
-            Task(
-                TERRAIN.name, block.key, TERRAIN.version, plain(config.terrain),
-                partial(ground.terrain_block, block, config.tile.size, columns, present, config.terrain),
-                needs=needs_of(columns, present), within=within,
-            )
+        present = layout.around(within, here)
+        return Task(
+            TERRAIN.name, block.key, TERRAIN.version, params,
+            partial(ground.terrain_block, block, config.tile.size, columns, present, config.terrain),
+            needs=needs_of(columns, present), within=within,
         )  # fmt: skip
-    return made
+
+    return Tasks.of(TERRAIN.name, layout.blocks(config.terrain.block, margin=1), made)
 
 
-def _column_tasks(layout: Layout, stage: str, source: str, columns: tuple[str, ...], block: float) -> list[Task]:
+def _column_tasks(layout: Layout, stage: str, source: str, columns: tuple[str, ...], block: float) -> Tasks:
     """What blocks wrote about echoes, put into the rows of their tiles."""
     there = {b.key for b in layout.blocks(block)}
-    made = []
-    for tile in layout.tiles:
+    params = {"columns": list(columns), "block": block}
+
+    def made(tile: Tile) -> Task:
         mine = tuple(b for b in TileGrid(block).touching(tile.box) if b.key in there)
-        made.append(
-            Task(
-                stage, tile.key, 1, {"columns": list(columns), "block": block},
-                partial(ground.gathered_columns, tile, mine, source, columns),
-                needs=(("tile", tile.key), *((source, b.key) for b in mine)), within=tile.key,
-            )
+        return Task(
+            stage, tile.key, 1, params, partial(ground.gathered_columns, tile, mine, source, columns),
+            needs=(("tile", tile.key), *((source, b.key) for b in mine)), within=tile.key,
         )  # fmt: skip
-    return made
+
+    return Tasks.of(stage, layout.tiles, made)
 
 
 def seam_tasks(layout: Layout) -> list[Task]:

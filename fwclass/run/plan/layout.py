@@ -87,7 +87,7 @@ class Layout:
     @classmethod
     def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
         grid = TileGrid(config.tile.size)
-        mine = {part: r for (stage, part), r in done.items() if stage == "tile"}
+        mine = [part for stage, part in done if stage == "tile"]
         if not mine:
             raise InputError(
                 "there is no echo to classify",
@@ -96,22 +96,28 @@ class Layout:
                 got="no tile with an echo",
                 do="look at the files with `fwclass info`, and at the failed parts above",
             )
-        sizes = {float(s) for r in mine.values() for s in r.meta["blocks"]}
-        occupied = {s: frozenset(b for r in mine.values() for b in r.meta["blocks"][str(s)]) for s in sizes}
-        passes = {key: tuple((a, b) for _, a, b in r.meta["times"]) for key, r in mine.items()}
+        occupied: dict[float, set[str]] = {}
+        passes, bounds, rows = {}, [], 0
+        for key in mine:  # one receipt at a time: a large survey has many
+            meta = done["tile", key].meta
+            for size, blocks in meta["blocks"].items():
+                occupied.setdefault(float(size), set()).update(blocks)
+            passes[key] = tuple((a, b) for _, a, b in meta["times"])
+            bounds.append(meta["bounds"])
+            rows += meta["rows"]
         times = [one for some in passes.values() for one in some]
-        low = [min(r.meta["bounds"][k] for r in mine.values()) for k in range(2)]
-        high = [max(r.meta["bounds"][k] for r in mine.values()) for k in range(3, 5)]
+        low = [min(b[k] for b in bounds) for k in range(3)]
+        high = [max(b[k] for b in bounds) for k in range(3, 5)]
         return cls(
             config,
             tuple(sorted(grid.tile(k) for k in mine)),
-            occupied,
+            {size: frozenset(blocks) for size, blocks in occupied.items()},
             frozenset(part for stage, part in done if stage == "reference"),
             Box(low[0], low[1], high[0] + 0.001, high[1] + 0.001),
             (min((t[0] for t in times), default=math.nan), max((t[1] for t in times), default=math.nan)),
             passes,
-            min(r.meta["bounds"][2] for r in mine.values()),
-            sum(r.meta["rows"] for r in mine.values()),
+            low[2],
+            rows,
             tuple(sorted(part for stage, part in done if stage == "polygons")),
         )
 

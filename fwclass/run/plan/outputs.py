@@ -8,12 +8,13 @@ from typing import Any
 
 from fwclass.classify.stage import probability_columns
 from fwclass.conf import Config
-from fwclass.grid import Window
+from fwclass.grid import Tile, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Task
 from fwclass.run.plan.ground import terrain_blocks
 from fwclass.run.plan.layout import Layout, Strip, Survey, has_range, needs_of, plain, plain_classes
+from fwclass.run.tasks import Tasks
 from fwclass.run.work import outputs
 
 DELIVERED = (
@@ -28,7 +29,7 @@ DELIVERED = (
 def output_tasks(
     layout: Layout, names: tuple[str, ...], survey: Survey,
     chunks: Mapping[int, tuple[str, ...]], in_strip: Mapping[int, tuple[str, ...]],
-) -> list[Task]:  # fmt: skip
+) -> Tasks:  # fmt: skip
     """Tiles (LAZ, GeoParquet), strips (LAZ), class blocks and rasters."""
     config = layout.config
     params = {**plain(config.publish), "crs": survey.crs, "classes": plain_classes(config)}
@@ -36,38 +37,35 @@ def output_tasks(
     shares = probability_columns(c.code for c in config.classes) if config.classify.probabilities else ()
     wanted = tuple(dict.fromkeys((*DELIVERED, *shares, *measured, *names, *config.features.also)))
     columns = layout.columns(wanted)
-    made = [
-        Task(
-            "publish-tile", t.key, 1, {**params, "columns": list(wanted), "standard_time": survey.standard_time},
-            partial(outputs.delivered_tile, t, columns, survey.crs, survey.standard_time, config.publish),
-            needs=needs_of(columns, (t.key,)), place="deliver",
-        )
-        for t in layout.tiles
-    ]  # fmt: skip
-    made += _strip_tasks(config, params, survey.strips, chunks, in_strip)
-    owned = terrain_blocks(layout)
-    for block in owned:
-        cells = Window.covering(block.box, config.publish.class_cell).box
-        present = layout.around(cells, layout.keys)
-        made.append(
-            Task(
-                "class-block", block.key, 1, params,
-                partial(outputs.class_block, block, config.tile.size, present, config.publish),
-                needs=needs_of({"a": "classify"}, present),
-            )
+    of_tile = {**params, "columns": list(wanted), "standard_time": survey.standard_time}
+
+    def delivered(tile: Tile) -> Task:
+        return Task(
+            "publish-tile", tile.key, 1, of_tile,
+            partial(outputs.delivered_tile, tile, columns, survey.crs, survey.standard_time, config.publish),
+            needs=needs_of(columns, (tile.key,)), place="deliver",
         )  # fmt: skip
+
+    def classes(block: Tile) -> Task:
+        present = layout.around(Window.covering(block.box, config.publish.class_cell).box, here)
+        return Task(
+            "class-block", block.key, 1, params,
+            partial(outputs.class_block, block, config.tile.size, present, config.publish),
+            needs=needs_of({"a": "classify"}, present),
+        )  # fmt: skip
+
+    owned, here = terrain_blocks(layout), layout.keys
+    made = Tasks.of("publish-tile", layout.tiles, delivered)
+    made += _strip_tasks(config, params, survey.strips, chunks, in_strip)
+    made += Tasks.of("class-block", owned, classes)
     keys, cell = tuple(b.key for b in owned), config.terrain.cell
     codes = {c.code: c.name for c in config.survey.classes}
-    made.append(
-        Task(
-            "publish-rasters", "all", 2, {**params, "box": list(layout.box.bounds), "cell": cell},
-            partial(
-                outputs.delivered_rasters, layout.box, cell, keys, keys, codes, survey.crs, config.publish
-            ),
-            needs=(*((TERRAIN.name, k) for k in keys), *(("class-block", k) for k in keys)), place="deliver",
-        )
+    rasters = Task(
+        "publish-rasters", "all", 2, {**params, "box": list(layout.box.bounds), "cell": cell},
+        partial(outputs.delivered_rasters, layout.box, cell, keys, keys, codes, survey.crs, config.publish),
+        needs=(*((TERRAIN.name, k) for k in keys), *(("class-block", k) for k in keys)), place="deliver",
     )  # fmt: skip
-    return made
+    return made + Tasks.held([rasters])
 
 
 def _strip_tasks(

@@ -7,9 +7,11 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from fwclass.errors import ConfigError
+from fwclass.grid import Tile
 from fwclass.radiometry.stage import CALIBRATE, OVERLAP, RADIOMETRY
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Layout, Survey, has_range, needs_of, plain
+from fwclass.run.tasks import Tasks
 from fwclass.run.work import radiometry
 from fwclass.store.receipts import Receipt
 
@@ -23,50 +25,48 @@ PROBES = 5
 """Tiles, about, whose beams are held against the trajectory before any range is taken from it."""
 
 
-def radiometry_tasks(layout: Layout, flown: Flown) -> list[Task]:
+def radiometry_tasks(layout: Layout, flown: Flown) -> Tasks:
     """All parts of radiometry; none where nothing tells how far the sensor was.
 
     A tile reads the trajectories that were flown while a strip passed it, so another one leaves it alone.
     """
     config = layout.config
     if not has_range(config):
-        return []
+        return Tasks()
     _check_altitude(layout)
-    made = _pointing_tasks(layout, flown)
-    checked: tuple[Name, ...] = tuple(t.name for t in made)
+    probed = _pointing_tasks(layout, flown)
+    checked: tuple[Name, ...] = tuple(t.name for t in probed)
     columns = layout.columns(RADIOMETRY.reads)
     compared = config.radiometry.balance or config.radiometry.target is not None
     params = plain(config.radiometry)
-    if compared:
-        halo = OVERLAP.halo(config.radiometry)
-        for tile in layout.tiles:
-            within = tile.box.grown(halo)
-            present = layout.around(within, layout.keys)
-            flights = _flights(layout, flown, present)
-            made.append(
-                Task(
-                    "overlap", tile.key, OVERLAP.version, params,
-                    partial(radiometry.compared, tile, halo, columns, present, flights, config.radiometry),
-                    needs=(*needs_of(columns, present), *_needed(flights), *checked), within=within,
-                )
-            )  # fmt: skip
-    keys = tuple(t.key for t in layout.tiles) if compared else ()
-    made.append(
-        Task(
-            "calibrate", "all", CALIBRATE.version, params, partial(radiometry.calibrated, keys, config.radiometry),
-            needs=tuple(("overlap", k) for k in keys),
-        )
-    )  # fmt: skip
-    for tile in layout.tiles:
-        flights = _flights(layout, flown, (tile.key,))
-        made.append(
-            Task(
-                "radiometry", tile.key, RADIOMETRY.version, params,
-                partial(radiometry.measured, tile, columns, flights, config.radiometry),
-                needs=(*needs_of(columns, (tile.key,)), ("calibrate", "all"), *_needed(flights), *checked),
-            )
+    halo, here = OVERLAP.halo(config.radiometry), layout.keys
+
+    def overlapping(tile: Tile) -> Task:
+        within = tile.box.grown(halo)
+        present = layout.around(within, here)
+        flights = _flights(layout, flown, present)
+        return Task(
+            "overlap", tile.key, OVERLAP.version, params,
+            partial(radiometry.compared, tile, halo, columns, present, flights, config.radiometry),
+            needs=(*needs_of(columns, present), *_needed(flights), *checked), within=within,
         )  # fmt: skip
-    return made
+
+    keys = tuple(t.key for t in layout.tiles) if compared else ()
+    calibration = Task(
+        "calibrate", "all", CALIBRATE.version, params, partial(radiometry.calibrated, keys, config.radiometry),
+        needs=tuple(("overlap", k) for k in keys),
+    )  # fmt: skip
+
+    def measured(tile: Tile) -> Task:
+        flights = _flights(layout, flown, (tile.key,))
+        return Task(
+            "radiometry", tile.key, RADIOMETRY.version, params,
+            partial(radiometry.measured, tile, columns, flights, config.radiometry),
+            needs=(*needs_of(columns, (tile.key,)), ("calibrate", "all"), *_needed(flights), *checked),
+        )  # fmt: skip
+
+    before = Tasks.held(probed) + Tasks.of("overlap", layout.tiles if compared else (), overlapping)
+    return before + Tasks.held([calibration]) + Tasks.of("radiometry", layout.tiles, measured)
 
 
 def _check_altitude(layout: Layout) -> None:

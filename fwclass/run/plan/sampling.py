@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from functools import partial
 
+from fwclass.grid import Tile
 from fwclass.run.part import Task
 from fwclass.run.plan.layout import Layout, plain_classes
+from fwclass.run.tasks import Tasks
 from fwclass.run.work import sampling
 
 
-def sampling_tasks(layout: Layout) -> list[Task]:
+def sampling_tasks(layout: Layout) -> Tasks:
     """census of every tile, and taken of the tiles in training areas."""
-    config, made = layout.config, []
+    config = layout.config
     train, test = config.areas.boxes("train"), config.areas.boxes("test")
     params = {"areas": config.areas.model_dump(mode="json"), "classes": plain_classes(config)}
-    for tile in layout.tiles:
-        needs = (("tile", tile.key), ("label", tile.key))
+
+    def census(tile: Tile) -> Task:
         work = partial(sampling.counted, tile, train, test, config.areas.gap, config.classes)
-        made.append(Task("census", tile.key, 1, params, work, needs=needs))
-        if any(tile.box.touches(b) for b in train):
-            drawn = partial(sampling.drawn, tile, train, config.classes)
-            made.append(Task("taken", tile.key, 1, params, drawn, needs=(*needs, ("training", "all"))))
-    return made
+        return Task("census", tile.key, 1, params, work, needs=(("tile", tile.key), ("label", tile.key)))
+
+    def taken(tile: Tile) -> Task:
+        needs = (("tile", tile.key), ("label", tile.key), ("training", "all"))
+        return Task("taken", tile.key, 1, params, partial(sampling.drawn, tile, train, config.classes), needs=needs)
+
+    training = [t for t in layout.tiles if any(t.box.touches(b) for b in train)]
+    return Tasks.of("census", layout.tiles, census) + Tasks.of("taken", training, taken)

@@ -14,7 +14,9 @@ from fwclass.read.stage import READ
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import FileDigests, Strip, Survey, plain
 from fwclass.run.plan.numbering import numbers
-from fwclass.run.work import reference, sources
+from fwclass.run.tasks import Tasks
+from fwclass.run.work import reference as of_reference
+from fwclass.run.work import sources
 from fwclass.store.receipts import Receipt
 from fwclass.tile.stage import REFERENCE, SPLIT, TILE
 
@@ -40,36 +42,45 @@ def chunk_name(strip: int, span: int) -> str:
     return f"{strip:05d}-{span:05d}"
 
 
-def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, Receipt]) -> list[Task]:
+def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, Receipt]) -> Tasks:
     """read, decompose and split of every span of every strip, and every strip's system pulse."""
-    grid = TileGrid(config.tile.size)
-    made = []
+    made = Tasks()
     for strip in strips:
         index = indexed["index", f"{strip.number:05d}"]
-        spans = _spans(index)
-        for k, span in enumerate(spans):
-            rows = [span.first_point, span.last_point, span.first_pulse, span.n_pulses, list(span.shared)]
-            made.append(
-                Task(
-                    "read", chunk_name(strip.number, k), READ.version, {**plain(config.read), "span": rows},
-                    partial(sources.read, strip.path, span, config.read), external=strip.digests,
-                )
-            )  # fmt: skip
-        made.append(_pulse_task(config, strip, int(index.meta["pulses"]), len(spans)))
-        for k in range(len(spans)):
-            part = chunk_name(strip.number, k)
-            made += [
-                Task(
-                    "decompose", part, DECOMPOSE.version, {**plain(config.decompose), "strip": strip.number},
-                    partial(sources.decomposed, part, strip.number, config.decompose),
-                    needs=(("read", part), ("pulse", f"{strip.number:05d}")),
-                ),
-                Task(
-                    "split", part, SPLIT.version, plain(config.tile),
-                    partial(sources.scattered, part, grid), needs=(("decompose", part),),
-                ),
-            ]  # fmt: skip
+        made += _strip_tasks(config, strip, _spans(index), int(index.meta["pulses"]))
     return made
+
+
+def _strip_tasks(config: Config, strip: Strip, spans: list[Span], pulses: int) -> Tasks:
+    grid, reading, sizes = TileGrid(config.tile.size), plain(config.read), plain(config.tile)
+    decomposing = {**plain(config.decompose), "strip": strip.number}
+
+    def read(k: int) -> Task:
+        span = spans[k]
+        rows = [span.first_point, span.last_point, span.first_pulse, span.n_pulses, list(span.shared)]
+        return Task(
+            "read", chunk_name(strip.number, k), READ.version, {**reading, "span": rows},
+            partial(sources.read, strip.path, span, config.read), external=strip.digests,
+        )  # fmt: skip
+
+    def decompose(k: int) -> Task:
+        part = chunk_name(strip.number, k)
+        return Task(
+            "decompose", part, DECOMPOSE.version, decomposing,
+            partial(sources.decomposed, part, strip.number, config.decompose),
+            needs=(("read", part), ("pulse", f"{strip.number:05d}")),
+        )  # fmt: skip
+
+    def split(k: int) -> Task:
+        part = chunk_name(strip.number, k)
+        work = partial(sources.scattered, part, grid)
+        return Task("split", part, SPLIT.version, sizes, work, needs=(("decompose", part),))
+
+    each = range(len(spans))
+    pulse = Tasks.held([_pulse_task(config, strip, pulses, len(spans))])
+    return (
+        Tasks.of("read", each, read) + pulse + Tasks.of("decompose", each, decompose) + Tasks.of("split", each, split)
+    )
 
 
 def _pulse_task(config: Config, strip: Strip, pulses: int, spans: int) -> Task:
@@ -82,19 +93,23 @@ def _pulse_task(config: Config, strip: Strip, pulses: int, spans: int) -> Task:
     )  # fmt: skip
 
 
-def cloud_tasks(config: Config, files: Iterable[tuple[Path, FileDigests, int]]) -> list[Task]:
+def cloud_tasks(config: Config, files: Iterable[tuple[Path, FileDigests, int]]) -> Tasks:
     """Splits of the reference files, `CLOUD_ROWS` points at a time."""
-    grid = TileGrid(config.tile.size)
-    made, listed = [], list(files)
+    grid, sizes, listed = TileGrid(config.tile.size), plain(config.tile), list(files)
     numbered = numbers(path.name for path, _, _ in listed)
-    for path, digests, points in listed:
-        for k, first in enumerate(range(0, points, sources.CLOUD_ROWS)):
-            last = min(points, first + sources.CLOUD_ROWS)
-            params = {**plain(config.tile), "rows": [first, last]}
-            work = partial(sources.scattered_cloud, path, first, last, grid)
-            part = chunk_name(numbered[path.name], k)
-            made.append(Task("reference-split", part, SPLIT.version, params, work, external=digests))
-    return made
+    pieces = [
+        (path, digests, k, first, min(points, first + sources.CLOUD_ROWS))
+        for path, digests, points in listed
+        for k, first in enumerate(range(0, points, sources.CLOUD_ROWS))
+    ]
+
+    def made(piece: tuple[Path, FileDigests, int, int, int]) -> Task:
+        path, digests, k, first, last = piece
+        work = partial(sources.scattered_cloud, path, first, last, grid)
+        part = chunk_name(numbered[path.name], k)
+        return Task("reference-split", part, SPLIT.version, {**sizes, "rows": [first, last]}, work, external=digests)
+
+    return Tasks.of("reference-split", pieces, made)
 
 
 def polygon_tasks(config: Config, survey: Survey) -> list[Task]:
@@ -105,7 +120,7 @@ def polygon_tasks(config: Config, survey: Survey) -> list[Task]:
         "classes": [[c.name, c.code, list(c.codes)] for c in config.classes],
     }  # fmt: skip
     for number, file in enumerate(survey.polygons):
-        work = partial(reference.polygons_read, file, asked.field or "", asked.values, config.classes, survey.crs)
+        work = partial(of_reference.polygons_read, file, asked.field or "", asked.values, config.classes, survey.crs)
         own = {**params, "layer": file.layer, "from": file.crs}
         made.append(Task("polygons", f"{number:03d}", 1, own, work, external=file.digests))
     return made
@@ -114,34 +129,36 @@ def polygon_tasks(config: Config, survey: Survey) -> list[Task]:
 def _fragments(splits: Mapping[Name, Receipt], stage: str) -> dict[str, list[tuple[str, int]]]:
     """For every tile the (chunk, row group) pairs that hold its rows, in chunk order."""
     found: dict[str, list[tuple[str, int]]] = {}
-    for (name, part), receipt in sorted(splits.items()):
-        if name == stage:
-            for key, (group, _) in receipt.meta["tiles"].items():
-                found.setdefault(key, []).append((part, group))
+    for name in sorted(splits):
+        if name[0] == stage:
+            for key, (group, _) in splits[name].meta["tiles"].items():
+                found.setdefault(key, []).append((name[1], group))
     return found
 
 
-def tile_tasks(config: Config, splits: Mapping[Name, Receipt]) -> list[Task]:
+def tile_tasks(config: Config, splits: Mapping[Name, Receipt]) -> Tasks:
     """Tiles of echoes and of reference points."""
-    made = []
+    sizes = plain(config.tile)
     blocks = tuple(sorted({float(config.ground.block), float(config.terrain.block)}))
-    for key, pairs in sorted(_fragments(splits, "split").items()):
-        made.append(
-            Task(
-                "tile", key, TILE.version, {**plain(config.tile), "blocks": list(blocks)},
-                partial(sources.tiled, key, tuple(pairs), blocks), needs=tuple(("split", p) for p, _ in pairs),
-                within=key,
-            )
+    of_echoes, of_points = _fragments(splits, "split"), _fragments(splits, "reference-split")
+
+    def tile(key: str) -> Task:
+        pairs = of_echoes[key]
+        return Task(
+            "tile", key, TILE.version, {**sizes, "blocks": list(blocks)},
+            partial(sources.tiled, key, tuple(pairs), blocks), needs=tuple(("split", p) for p, _ in pairs),
+            within=key,
         )  # fmt: skip
-    for key, pairs in sorted(_fragments(splits, "reference-split").items()):
-        made.append(
-            Task(
-                "reference", key, REFERENCE.version, plain(config.tile),
-                partial(sources.tiled_cloud, tuple(pairs)), needs=tuple(("reference-split", p) for p, _ in pairs),
-                within=key,
-            )
+
+    def reference(key: str) -> Task:
+        pairs = of_points[key]
+        return Task(
+            "reference", key, REFERENCE.version, sizes,
+            partial(sources.tiled_cloud, tuple(pairs)), needs=tuple(("reference-split", p) for p, _ in pairs),
+            within=key,
         )  # fmt: skip
-    return made
+
+    return Tasks.of("tile", sorted(of_echoes), tile) + Tasks.of("reference", sorted(of_points), reference)
 
 
 def where(
@@ -154,6 +171,5 @@ def where(
         if task.stage == "split":
             strip = int(task.part.split("-")[0])
             parts.setdefault(strip, []).append(task.part)
-            receipt = splits.get(task.name)
-            held.setdefault(strip, set()).update(receipt.meta["tiles"] if receipt else ())
+            held.setdefault(strip, set()).update(splits[task.name].meta["tiles"] if task.name in splits else ())
     return {s: tuple(p) for s, p in parts.items()}, {s: tuple(sorted(t)) for s, t in held.items()}

@@ -7,8 +7,10 @@ from pathlib import Path
 
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
+from fwclass.grid import Tile
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Layout, needs_of, plain
+from fwclass.run.tasks import Tasks
 from fwclass.run.work import thin
 from fwclass.thin.sample import THIN
 
@@ -23,36 +25,38 @@ def thin_columns(config: Config) -> dict[str, str]:
     return {"sampled": THIN.name} if thins(config) else {}
 
 
-def thin_tasks(layout: Layout) -> list[Task]:
+def thin_tasks(layout: Layout) -> Tasks:
     """Which echoes of every tile are sampled; none where all are."""
-    config, made = layout.config, []
+    config, here = layout.config, layout.keys
     if not thins(config):
-        return []
-    halo = THIN.halo(config.thin)
+        return Tasks()
+    halo, params = THIN.halo(config.thin), plain(config.thin)
     columns = dict.fromkeys(THIN.reads, "tile")
-    for tile in layout.tiles:
+
+    def made(tile: Tile) -> Task:
         within = tile.box.grown(halo)
-        present = layout.around(within, layout.keys)
+        present = layout.around(within, here)
         work = partial(thin.thinned, tile, halo, present, config.thin)
         needs = needs_of(columns, present)
-        made.append(Task(THIN.name, tile.key, THIN.version, plain(config.thin), work, needs=needs, within=within))
-    return made
+        return Task(THIN.name, tile.key, THIN.version, params, work, needs=needs, within=within)
+
+    return Tasks.of(THIN.name, layout.tiles, made)
 
 
-def follow_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, str] | None) -> list[Task]:
+def follow_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, str] | None) -> Tasks:
     """classify, of a thinned run."""
-    config, made = layout.config, []
+    config, here = layout.config, layout.keys
     columns, shares = layout.columns(names), config.classify.probabilities
     trained: tuple[Name, ...] = () if model else (("train", "model"),)
     params = {"features": list(names), "probabilities": shares, "reach": config.thin.reach, "thin": THIN.version}
-    for tile in layout.tiles:
-        present = layout.around(tile.box.grown(config.thin.reach), layout.keys)
-        made.append(
-            Task(
-                "classify", tile.key, CLASSIFY.version, params,
-                partial(thin.classified, tile, columns, present, model, shares, config.thin.reach),
-                needs=(*needs_of({**columns, **thin_columns(config)}, present), *trained),
-                external=(("model", model[1]),) if model else (),
-            )
+
+    def made(tile: Tile) -> Task:
+        present = layout.around(tile.box.grown(config.thin.reach), here)
+        return Task(
+            "classify", tile.key, CLASSIFY.version, params,
+            partial(thin.classified, tile, columns, present, model, shares, config.thin.reach),
+            needs=(*needs_of({**columns, **thin_columns(config)}, present), *trained),
+            external=(("model", model[1]),) if model else (),
         )  # fmt: skip
-    return made
+
+    return Tasks.of("classify", layout.tiles, made)

@@ -6,16 +6,20 @@ from functools import partial
 
 from fwclass.features.params import Asked, is_feature
 from fwclass.features.stage import FEATURES
+from fwclass.grid import Tile
 from fwclass.label.stage import LABEL
 from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Layout, needs_of, plain
 from fwclass.run.plan.thin import thin_columns, thins
+from fwclass.run.tasks import Tasks
 from fwclass.run.work import reference, tiles
 
 
-def label_tasks(layout: Layout) -> list[Task]:
-    config, made = layout.config, []
-    for tile in layout.tiles:
+def label_tasks(layout: Layout) -> Tasks:
+    config = layout.config
+    params = {**plain(config.label), "kind": config.survey.reference.kind}
+
+    def made(tile: Tile) -> Task:
         needs: tuple[Name, ...] = (("tile", tile.key),)
         within = tile.box
         if config.survey.reference.kind == "source":
@@ -28,27 +32,28 @@ def label_tasks(layout: Layout) -> list[Task]:
             clouds = layout.around(within, layout.clouds)
             work = partial(tiles.labelled_by_cloud, tile, clouds, config.label)
             needs += tuple(("reference", c) for c in clouds)
-        params = {**plain(config.label), "kind": config.survey.reference.kind}
-        made.append(Task("label", tile.key, LABEL.version, params, work, needs=needs, within=within))
-    return made
+        return Task("label", tile.key, LABEL.version, params, work, needs=needs, within=within)
+
+    return Tasks.of("label", layout.tiles, made)
 
 
-def feature_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
+def feature_tasks(layout: Layout, names: tuple[str, ...]) -> Tasks:
     """Those of `names` that are features of a neighbourhood."""
-    config, made = layout.config, []
+    config = layout.config
     asked = Asked.of(sorted(n for n in names if is_feature(n)))  # who asks in another order gets the same part
     halo = asked.reach(config.features)
     columns = layout.columns(asked.reads)
     params = {**config.features.model_dump(mode="json", exclude={"also"}), "names": list(asked.names)}
-    for tile in layout.tiles:
+    here = layout.keys
+
+    def made(tile: Tile) -> Task:
         within = tile.box.grown(halo)
-        present = layout.around(within, layout.keys)
-        made.append(
-            Task(
-                "features", tile.key, FEATURES.version, params,
-                partial(tiles.featured, tile, halo, columns, present, asked.names, config.features, thins(config)),
-                needs=(*needs_of(columns, present), *((s, tile.key) for s in thin_columns(config).values())),
-                within=within,
-            )
+        present = layout.around(within, here)
+        return Task(
+            "features", tile.key, FEATURES.version, params,
+            partial(tiles.featured, tile, halo, columns, present, asked.names, config.features, thins(config)),
+            needs=(*needs_of(columns, present), *((s, tile.key) for s in thin_columns(config).values())),
+            within=within,
         )  # fmt: skip
-    return made
+
+    return Tasks.of("features", layout.tiles, made)

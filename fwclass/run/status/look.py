@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -11,12 +11,12 @@ from fwclass.errors import ConfigError, FwclassError
 from fwclass.run.local import Loop
 from fwclass.run.part import Name, Outcome, Task, input_digests
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
+from fwclass.run.road import Done, Road
 from fwclass.run.status.why import Reason, reasons, same, waiting
 from fwclass.store.failures import Failure
 from fwclass.store.lock import holder
 from fwclass.store.receipts import Receipt, key_of
-from fwclass.store.run_store import Store
+from fwclass.store.run_store import SeenStore
 
 Standing = Literal["done", "stale", "missing", "running", "failed"]
 STANDINGS: tuple[Standing, ...] = ("done", "stale", "missing", "running", "failed")
@@ -33,26 +33,13 @@ class State:
     message: str = ""
 
 
-@dataclass(frozen=True)
-class SeenStore(Store):
-    """A store that is only read, every receipt once."""
-
-    _seen: dict[Name, Receipt | None] = field(default_factory=dict, compare=False)
-
-    def receipt(self, stage: str, part: str) -> Receipt | None:
-        name = (stage, part)
-        if name not in self._seen:
-            self._seen[name] = super().receipt(stage, part)
-        return self._seen[name]
-
-
 class Silent(Display):
     """No progress: nothing is done."""
 
     def say(self, text: str) -> None:
         pass
 
-    def expect(self, tasks: Iterable[Task]) -> None:
+    def expect(self, stages: Mapping[str, int]) -> None:
         pass
 
     def ended(self, outcome: Outcome) -> None:
@@ -67,21 +54,16 @@ class Look(Road):
     """Takes every part's receipt, stale or not, for what a run will have made: so the parts that follow are known."""
 
     def __init__(self, root: Path) -> None:
-        super().__init__(root, Loop(), Silent())
+        super().__init__(root, Loop(), Silent(), seen=SeenStore(root, read_only=True))
         self.states: dict[Name, State] = {}
         self.tasks: dict[Name, Task] = {}
         self._waits: dict[Name, str] = {}  # what is not done, with its standing
-        self._store = SeenStore(root, read_only=True)
         busy = holder(root) is not None
-        self._failures: dict[Name, tuple[Failure, float]] = self._store.failures.all()
-        self._begun: dict[Name, float] = self._store.under_way() if busy else {}
+        self._failures: dict[Name, tuple[Failure, float]] = self.store.failures.all()
+        self._begun: dict[Name, float] = self.store.under_way() if busy else {}
 
-    @property
-    def store(self) -> Store:
-        return self._store
-
-    def do(self, tasks: Sequence[Task]) -> dict[Name, Receipt]:
-        receipts = {}
+    def do(self, tasks: Sequence[Task]) -> Mapping[Name, Receipt]:
+        receipts = []
         for task in tasks:
             self.tasks[task.name] = task
             self.states[task.name] = state = self._state(task)
@@ -91,9 +73,9 @@ class Look(Road):
                 self._waits[task.name] = state.standing
             receipt = self.store.receipt(*task.name)
             if receipt is not None:
-                receipts[task.name] = receipt
+                receipts.append(task.name)
             self.outcomes[task.name] = Outcome(*task.name, "skipped" if receipt else "blocked")
-        return receipts
+        return Done(self.store, receipts)
 
     def finish(self, whole: bool) -> None:
         raise PlanKnown

@@ -1,0 +1,78 @@
+"""Tasks that are made when they are asked for: a plan of millions of parts need not be held."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar, overload
+
+from fwclass.run.part import Task
+
+Key = TypeVar("Key")
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """One task for each of `keys`; `stages` counts them."""
+
+    keys: Sequence[Any]
+    make: Callable[[Any], Task]
+    stages: Counter[str]
+
+
+class Tasks(Sequence[Task]):
+    """Tasks in order; each may need only earlier ones. Going through them again makes them again."""
+
+    def __init__(self, batches: Iterable[_Batch] = ()) -> None:
+        self._batches = tuple(batches)
+        self._length = sum(len(b.keys) for b in self._batches)
+
+    @classmethod
+    def of(cls, stage: str, keys: Sequence[Key], make: Callable[[Key], Task]) -> Tasks:
+        """A task of `stage` for each of `keys`."""
+        return cls([_Batch(keys, make, Counter({stage: len(keys)}))])
+
+    @classmethod
+    def held(cls, tasks: Iterable[Task]) -> Tasks:
+        """Tasks that are there already."""
+        if isinstance(tasks, Tasks):
+            return tasks
+        some = tuple(tasks)
+        return cls([_Batch(some, _itself, Counter(t.stage for t in some))] if some else ())
+
+    @property
+    def stages(self) -> Counter[str]:
+        """How many tasks every stage has, in the order of the plan."""
+        total: Counter[str] = Counter()
+        for batch in self._batches:
+            total.update(batch.stages)
+        return total
+
+    def __add__(self, others: Iterable[Task]) -> Tasks:
+        return Tasks((*self._batches, *Tasks.held(others)._batches))
+
+    def __len__(self) -> int:
+        return self._length
+
+    def __iter__(self) -> Iterator[Task]:
+        for batch in self._batches:
+            yield from map(batch.make, batch.keys)
+
+    @overload
+    def __getitem__(self, at: int) -> Task: ...
+    @overload
+    def __getitem__(self, at: slice) -> Tasks: ...
+    def __getitem__(self, at: int | slice) -> Task | Tasks:
+        if isinstance(at, slice):
+            return Tasks.held([self[k] for k in range(*at.indices(len(self)))])
+        place = at + len(self) if at < 0 else at
+        for batch in self._batches:
+            if 0 <= place < len(batch.keys):
+                return batch.make(batch.keys[place])
+            place -= len(batch.keys)
+        raise IndexError(at)
+
+
+def _itself(task: Task) -> Task:
+    return task
