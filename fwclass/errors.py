@@ -6,6 +6,8 @@ import difflib
 import errno
 from collections.abc import Iterable
 
+from fwclass.redact import redacted
+
 DONE, FAILED, USAGE, PARTIAL, QUALITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 
@@ -18,6 +20,8 @@ class FwclassError(Exception):
     where : file, tile, part or configuration key.
     expected, got : the two values that disagree, as text.
     do : what to do next.
+
+    Addresses in all of them are cut to scheme and host: the rest may be a secret.
     """
 
     exit_code = FAILED
@@ -31,8 +35,8 @@ class FwclassError(Exception):
         got: object = "",
         do: str = "",
     ) -> None:
-        self.what, self.where, self.do = what, str(where), do
-        self.expected, self.got = str(expected), str(got)
+        self.what, self.where, self.do = redacted(what), redacted(str(where)), redacted(do)
+        self.expected, self.got = redacted(str(expected)), redacted(str(got))
         super().__init__(self.message())
 
     def message(self) -> str:
@@ -68,6 +72,10 @@ class ConfigError(FwclassError):
 
 class StoreError(FwclassError):
     """The store is damaged, locked, or belongs to something else."""
+
+
+class LockedError(StoreError):
+    """Another process is at work on the same directory."""
 
 
 class PartialError(FwclassError):

@@ -1,4 +1,4 @@
-"""Tiles, blocks and rasters of one global grid with a fixed origin.
+"""Tiles, blocks and rasters of one global grid with a fixed origin; the check of seams alone shifts it.
 
 Everything is decided in whole millimetres, so that a point on an edge has exactly one owner whatever the
 size of the coordinates. Tiles and cells are half-open: [min, max).
@@ -56,6 +56,16 @@ class Box:
     def grown(self, by: float) -> Box:
         return Box(self.xmin - by, self.ymin - by, self.xmax + by, self.ymax + by)
 
+    def moved(self, dx: float, dy: float) -> Box:
+        return Box(self.xmin + dx, self.ymin + dy, self.xmax + dx, self.ymax + dy)
+
+    def common(self, other: Box) -> Box | None:
+        """The area that both have, or None."""
+        if not self.touches(other):
+            return None
+        low = max(self.xmin, other.xmin), max(self.ymin, other.ymin)
+        return Box(*low, min(self.xmax, other.xmax), min(self.ymax, other.ymax))
+
     def contains(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
         mx, my = millimetres(x), millimetres(y)
         low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in self.bounds)
@@ -71,11 +81,15 @@ class Box:
 
 @dataclass(frozen=True, order=True)
 class Tile:
-    """One square of a `TileGrid`; `key` is its name in the store, for example ``12_34``."""
+    """One square of a `TileGrid`; `key` is its name in the store, for example ``12_34``.
+
+    `origin` [m] is (0, 0) for all that is stored; only `fwclass seams` cuts a survey another way.
+    """
 
     ix: int
     iy: int
     size: float
+    origin: tuple[float, float] = (0.0, 0.0)
 
     @property
     def key(self) -> str:
@@ -83,15 +97,16 @@ class Tile:
 
     @property
     def box(self) -> Box:
-        s = self.size
-        return Box(self.ix * s, self.iy * s, (self.ix + 1) * s, (self.iy + 1) * s)
+        s, (x, y) = self.size, self.origin
+        return Box(self.ix * s + x, self.iy * s + y, (self.ix + 1) * s + x, (self.iy + 1) * s + y)
 
 
 @dataclass(frozen=True)
 class TileGrid:
-    """Squares of edge `size` [m] that tile the plane from the origin (0, 0) of the survey's CRS."""
+    """Squares of edge `size` [m] that tile the plane from `origin` [m] in the survey's CRS, whole millimetres."""
 
     size: float
+    origin: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         whole_millimetres(self.size, "tile size")
@@ -99,21 +114,23 @@ class TileGrid:
     def indices(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Column and row of the owner tile of every point."""
         mm = whole_millimetres(self.size, "tile size")
-        return millimetres(x) // mm, millimetres(y) // mm
+        ox, oy = (round(v / QUANTUM) for v in self.origin)
+        return (millimetres(x) - ox) // mm, (millimetres(y) - oy) // mm
 
     def tile(self, key: str) -> Tile:
         found = _KEY.match(key)
         if found is None:
             raise ConfigError("not a tile key", where="tiles", expected="column_row, for example 12_34", got=key)
-        return Tile(int(found[1]), int(found[2]), self.size)
+        return Tile(int(found[1]), int(found[2]), self.size, self.origin)
 
     def touching(self, box: Box) -> Iterator[Tile]:
         """Every tile that shares area with `box`, by column, then row."""
         mm = whole_millimetres(self.size, "tile size")
-        low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in box.bounds)
+        ox, oy = self.origin
+        low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in box.moved(-ox, -oy).bounds)
         for ix in range(low_x // mm, (high_x - 1) // mm + 1):
             for iy in range(low_y // mm, (high_y - 1) // mm + 1):
-                yield Tile(ix, iy, self.size)
+                yield Tile(ix, iy, self.size, self.origin)
 
 
 @dataclass(frozen=True)

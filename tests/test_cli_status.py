@@ -145,5 +145,5 @@ def test_what_cannot_be_told(copy, tmp_path):
     ended = fwclass("status", copy / "c.yaml", "--out", copy / "r", "--workflow", "xiong2018")
     assert ended.returncode == 2 and "as it goes" in ended.stderr
     ended = fwclass("status", copy / "c.yaml", "--out", tmp_path / "none")
-    assert ended.returncode == 3 and "index/00001 is missing" in ended.stdout
+    assert ended.returncode == 3 and "index/13507 is missing" in ended.stdout
     assert not (tmp_path / "none").exists()

@@ -84,3 +84,27 @@ def test_a_window_outside_or_of_another_cell_does_not_lie_within():
     for inner in (Window(1.0, -1, 0, 2, 2), Window(1.0, 5, 0, 2, 2), Window(2.0, 0, 0, 2, 2)):
         with pytest.raises(ValueError, match="does not lie inside"):
             inner.within(outer)
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (50.0, 50.0), (-12.345, 730.001), (99.999, 0.001)])
+def test_a_grid_may_have_another_origin(origin):
+    """As the grid of origin 0 over points moved back: owners, boxes and what a box touches."""
+    r = np.random.default_rng(7)
+    x, y = np.round(512_000 + r.uniform(-300, 300, 500), 3), np.round(5_403_000 + r.uniform(-300, 300, 500), 3)
+    grid = TileGrid(100.0, origin)
+    ix, iy = grid.indices(x, y)
+    back = TileGrid(100.0).indices(x - origin[0], y - origin[1])
+    assert (ix == back[0]).all() and (iy == back[1]).all()
+    for k in range(0, 500, 25):
+        tile = grid.tile(f"{ix[k]}_{iy[k]}")
+        assert tile.origin == origin and tile.box.contains(x[k : k + 1], y[k : k + 1]).all()
+        assert [t.key for t in grid.touching(Box(x[k], y[k], x[k] + 0.001, y[k] + 0.001))] == [tile.key]
+        assert {t.key for t in grid.touching(tile.box)} == {tile.key}
+        assert len(list(grid.touching(tile.box.grown(0.001)))) == 9
+
+
+def test_boxes_move_and_meet():
+    box = Box(0.0, 0.0, 10.0, 5.0)
+    assert box.moved(2.0, -1.0) == Box(2.0, -1.0, 12.0, 4.0)
+    assert box.common(Box(5.0, 4.0, 20.0, 20.0)) == Box(5.0, 4.0, 10.0, 5.0)
+    assert box.common(Box(10.0, 0.0, 11.0, 5.0)) is None

@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 import click
 
-from fwclass.cli import export, features, files, ground, model, plan, select, status, survey
+from fwclass.cli import export, features, files, ground, model, plan, schedule, seams, select, status, survey
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
+from fwclass.redact import redacted
 
-__all__ = ["cli", "export", "features", "files", "ground", "main", "model", "plan", "select", "status", "survey"]
+__all__ = [
+    "cli",
+    "export",
+    "features",
+    "files",
+    "ground",
+    "main",
+    "model",
+    "plan",
+    "schedule",
+    "seams",
+    "select",
+    "status",
+    "survey",
+]
 
 
 def main() -> None:
@@ -20,7 +36,9 @@ def main() -> None:
     except click.exceptions.Exit as end:
         sys.exit(end.exit_code)
     except click.ClickException as fault:
-        fault.show()
+        told = io.StringIO()
+        fault.show(told)
+        click.echo(redacted(told.getvalue()), err=True, nl=False)
         sys.exit(fault.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo(

@@ -2,19 +2,56 @@
 
 from __future__ import annotations
 
+import importlib.util
 import shlex
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import click
 
+from fwclass.errors import ConfigError
+from fwclass.redact import redacted_words
+
+NO_PAGE = "  (for its page: pip install 'fwclass[dashboard]')"
+
+TOLD = 100
+"""Failed parts that are listed at the end."""
+
+
+def report_path(report: str | None, root: Path, workers: int, scheduler: str | None) -> Path | None:
+    """Where Dask's performance report goes (None without ``--report``; empty: into the run directory); `ConfigError`
+    where there will be none."""
+    if report is None:
+        return None
+    path = Path(report) if report else root / "performance.html"
+    if path.suffix != ".html":
+        raise ConfigError(
+            "the performance report is a page", where="--report", expected="a name that ends in .html", got=report,
+            do="name one, or give --report last for performance.html in the run directory",
+        )  # fmt: skip
+    if report and path.exists():
+        raise ConfigError("there is such a file already", where=f"--report {path}", do="name another, or remove it")
+    if scheduler is None and workers == 0:
+        raise ConfigError(
+            "the plain loop has no performance report: Dask writes it", where="--report",
+            do="give --workers 1 or more, or --scheduler",
+        )  # fmt: skip
+    if importlib.util.find_spec("bokeh") is None:
+        raise ConfigError(
+            "the performance report needs bokeh", where="--report", do="pip install 'fwclass[dashboard]'"
+        )  # fmt: skip
+    return path
+
 
 @contextmanager
-def open_road(root: Path, workers: int, scheduler: str | None, limits: Any) -> Iterator[Any]:
-    """A run directory locked for writing, with its executor; `limits` is section `run` of the configuration."""
+def open_road(
+    root: Path, workers: int, scheduler: str | None, limits: Any, report: Path | None = None
+) -> Iterator[Any]:
+    """A run directory locked for writing, with its executor; `limits` is section `run` of the configuration, `report`
+    where Dask's performance report goes."""
     from fwclass.run.local import Loop
     from fwclass.run.progress import Display
     from fwclass.run.road import Road
@@ -30,20 +67,26 @@ def open_road(root: Path, workers: int, scheduler: str | None, limits: Any) -> I
         from fwclass.run.cluster import Cluster
 
         with Cluster(scheduler, workers, limits.worker_memory_gib, limits.window) as cluster:
-            display.say(f"dask         {cluster.address}")
+            display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
+            display.workers = cluster.workers
             road = Road(root, cluster, display)
             road.store.clear_staging()
-            yield road
+            with cluster.reported(report, display.say) if report is not None else nullcontext():
+                yield road
 
 
 def tell_failures(failures: list[Any], request: Any = None) -> None:
     """The parts that failed, and, with the run's `request`, the command that makes each alone."""
     click.echo(f"{len(failures)} parts failed; everything else is done and kept:", err=True)
-    for outcome in failures:
-        first = outcome.message.splitlines()[0] if outcome.message else ""
+    from fwclass.run.logs import printable
+
+    for outcome in failures[:TOLD]:
+        first = printable(outcome.message.splitlines()[0]) if outcome.message else ""
         click.echo(f"  {outcome.stage}/{outcome.part}: {first}", err=True)
         alone = request.replay((outcome.stage, outcome.part)) if request is not None else ""
         if alone:
             click.echo(f"    alone: {alone}", err=True)
-    again = shlex.join(["fwclass", *sys.argv[1:]])
+    if len(failures) > TOLD:
+        click.echo(f"  and {len(failures) - TOLD} more; `fwclass status` lists all", err=True)
+    again = shlex.join(["fwclass", *redacted_words(sys.argv[1:])])
     click.echo(f"mend the cause and run the same again; only the missing parts are made: {again}", err=True)

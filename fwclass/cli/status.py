@@ -68,13 +68,16 @@ def alone(conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str
     from fwclass.run.status.replay import task_alone
 
     config, request = requested(conf, out, settings, workflow, None)
-    with open_road(Path(request.root), 0, None, config.run) as road:
+    from fwclass.run.history import recorded
+
+    with recorded(request, only) as entry, open_road(Path(request.root), 0, None, config.run) as road:
+        entry.begin(road)
         task = task_alone(_looked(config, request), only, request)
         road.do([task])
         outcome = road.outcomes[task.name]
-    if not outcome.ok:
-        tell_failures([outcome], request)
-        sys.exit(PARTIAL)
+        if not outcome.ok:
+            tell_failures([outcome], request)
+            sys.exit(PARTIAL)
     told = "was done already" if outcome.status == "skipped" else f"is made, in {outcome.seconds:.2f} s"
     click.echo(f"{only} {told}", err=True)
 
@@ -110,14 +113,18 @@ def status(
         config = configuration.load(request.conf, request.settings)
     else:
         config, request = requested(conf_or_run, out, settings, workflow, chosen(tiles, aoi))
+    from fwclass.run.schedule.state import standing
     from fwclass.run.status.told import as_data, as_text
     from fwclass.store.lock import holder
 
-    writer = holder(Path(request.root))
+    writer, scheduled = holder(Path(request.root)), standing(Path(request.root))
     looked = _looked(config, request)
     if as_json:
-        click.echo(json.dumps(as_data(looked, request, writer, every), indent=1))
+        click.echo(json.dumps({**as_data(looked, request, writer, every), "schedule": scheduled}, indent=1))
     else:
+        if scheduled is not None:
+            when = f"next {scheduled['next']}" if scheduled.get("next") else "waits for files"
+            click.echo(f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}")
         click.echo(as_text(looked, request, writer, every))
     if not looked.all_done:
         sys.exit(PARTIAL)

@@ -3,47 +3,71 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
 from fwclass.cli.base import PATH, SCHEDULER, SET, WORKERS, cli
-from fwclass.cli.road import open_road, tell_failures
+from fwclass.cli.road import open_road, report_path, tell_failures
 from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, out_directory, requested
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
 
 
+@dataclass(frozen=True)
+class How:
+    """What `fwclass run` is told besides what to make: where it runs, and `page` for Dask's performance report."""
+
+    scheduler: str | None
+    workers: int | None
+    fail_fast: bool = False
+    page: str | None = None
+
+
 def _run(
     conf: Path, out: Path | None, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str,
-    scheduler: str | None, workers: int | None, fail_fast: bool = False,
+    how: How,
 ) -> None:  # fmt: skip
-    from workflows import WORKFLOWS
-
     config, request = requested(conf, out, settings, workflow, tiles)
     root = out_directory(out, config)
-    count = config.run.workers if workers is None else workers
+    from fwclass.run.history import recorded
+
+    with recorded(request) as entry:
+        _walk(config, request, root, how, entry)
+
+
+def _walk(config: Any, request: Any, root: Path, how: How, entry: Any) -> None:
+    from workflows import WORKFLOWS
+
+    count = config.run.workers if how.workers is None else how.workers
+    performance = report_path(how.page, root, count, how.scheduler)
     from fwclass.assess.stage import judge
     from fwclass.run.report import REPORT, summary
 
-    with open_road(root, count, scheduler, config.run) as road:
+    with open_road(root, count, how.scheduler, config.run, performance) as road:
         road.store.generations.check_links()
         request.keep()
-        road.fail_fast = fail_fast
+        road.fail_fast = how.fail_fast
+        entry.begin(road)
         try:
-            report = WORKFLOWS[workflow](config, road, request.wanted)
+            report = WORKFLOWS[request.workflow](config, road, request.wanted)
         except FwclassError:
             if (road.pending / REPORT).exists():  # what came after the delivery has failed
-                road.publish(config.run.keep_generations)
+                entry.generation = road.publish(config.run.keep_generations).number
             if road.failures:
                 tell_failures(road.failures, request)
             raise
         made = road.publish(config.run.keep_generations)
+        entry.generation = made.number
         failures = road.failures
         shown = road.store.generations.current()
     aside = shown is not None and shown.number != made.number
     click.echo(summary(report, made.path if aside else root), err=True)
     if aside and shown is not None:
         click.echo(f"generation  {made.name} is not whole and lies aside; {root} still shows {shown.name}", err=True)
+    if performance is not None:
+        click.echo(f"dask report {performance}", err=True)
     if failures:
         tell_failures(failures, request)
         sys.exit(PARTIAL)
@@ -65,18 +89,23 @@ def _run(
     help="After a part has failed: make all that does not need it, or stop at once.",
 )  # fmt: skip
 @click.option("--only", metavar="STAGE/PART", help="Make this one part alone, in the plain loop.")
+@click.option(
+    "--report", metavar="[FILE.html]", is_flag=False, flag_value="",
+    help="Write Dask's performance report (default: performance.html in the run directory); needs bokeh.",
+)  # fmt: skip
 def run(
     conf: Path, out: Path | None, settings: tuple[str, ...], tiles: str | None, aoi: Path | None, workflow: str,
     scheduler: str | None, workers: int | None, keep_going: bool, only: str | None,
+    report: str | None,
 ) -> None:  # fmt: skip
     """Run a survey from its files to classified tiles; what is already done is skipped."""
     if only is None:
-        _run(conf, out, settings, chosen(tiles, aoi), workflow, scheduler, workers, not keep_going)
+        _run(conf, out, settings, chosen(tiles, aoi), workflow, How(scheduler, workers, not keep_going, report))
         return
-    if tiles or aoi or scheduler or workers:
+    if tiles or aoi or scheduler or workers or report is not None:
         raise ConfigError(
             "--only makes one part, in this process", where="--only",
-            do="leave --tiles, --aoi, --scheduler and --workers out",
+            do="leave --tiles, --aoi, --scheduler, --workers and --report out",
         )  # fmt: skip
     alone(conf, out, settings, workflow, only)
 
@@ -86,7 +115,7 @@ def run(
 @WORKERS
 def demo(out: Path, workers: int | None) -> None:
     """Simulate a small survey, run everything, print where to look."""
-    _run(Path("demo"), out, (), None, "classification", None, workers)
+    _run(Path("demo"), out, (), None, "classification", How(None, workers))
 
 
 @cli.command()

@@ -14,7 +14,9 @@ from pydantic import BaseModel, ValidationError
 
 from fwclass.conf.files import conf_directory, find, merged, read, setting
 from fwclass.conf.model import PARAMS, Config
+from fwclass.conf.schedule import SECRET
 from fwclass.errors import ConfigError, nearest
+from fwclass.redact import redacted_setting
 
 __all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "preset", "presets", "section"]
 
@@ -29,7 +31,7 @@ def load(name: str | Path, settings: tuple[str, ...] = ()) -> Config:
     for text in settings:
         change = merged(change, setting(text))
     raw = _laid(change)
-    return build(path, raw, f"{path} with --set {' --set '.join(settings)}" if settings else str(path))
+    return build(path, raw, _origin(path, settings))
 
 
 def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any] | None = None) -> Any:
@@ -42,8 +44,12 @@ def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any]
     for text in settings:
         changes = merged(changes, setting(text))
     raw = _laid(merged(changes, dict(change or {})))
-    where = f"{path} with --set {' --set '.join(settings)}" if settings else path
-    return _build(name, raw.get(name), where)
+    return _build(name, raw.get(name), _origin(path, settings))
+
+
+def _origin(path: Path, settings: tuple[str, ...]) -> str:
+    """Where a configuration comes from, for messages."""
+    return " --set ".join([f"{path} with" if settings else str(path), *map(redacted_setting, settings)])
 
 
 def _laid(change: dict[str, Any]) -> dict[str, Any]:
@@ -81,7 +87,8 @@ def build(path: Path, raw: dict[str, Any], where: str = "") -> Config:
     values = {n: _build(n, raw.get(n), where) for n in PARAMS if n != "simulate"}
     simulated = values["survey"].directory is None
     simulate = _build("simulate", raw.get("simulate"), where) if simulated else None
-    config = Config(path=path, raw=raw, simulate=simulate, **values)
+    told = {name: value for name, value in raw.items() if name != "schedule"}  # it may hold secrets
+    config = Config(path=path, raw=told, simulate=simulate, **values)
     _check(config)
     return config
 
@@ -122,7 +129,9 @@ def _explain(name: str, model: type[BaseModel], error: Any) -> str:
         return f"{key} is missing"
     if error["type"] == "value_error" and isinstance(error["input"], Mapping):
         return f"{key}: {error['msg'].removeprefix('Value error, ')}"  # several keys that do not fit one another
-    wanted = _WANTED.get(error["type"].split("_")[0], error["msg"])
+    wanted = _WANTED.get(error["type"].split("_")[0], error["msg"].removeprefix("Value error, "))
+    if name == "schedule" and error["loc"] and error["loc"][0] in SECRET:
+        return f"{key}: {wanted}"
     return f"{key}: {wanted} (got {str(error['input'])[:80]!r})"
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from fwclass.errors import ConfigError, nearest
+from fwclass.redact import redacted_setting
 
 _SIZE_LIMIT = 1 << 20
 
@@ -61,7 +62,7 @@ def read(path: Path) -> dict[str, Any]:
             raise ConfigError("a configuration this large is not one", where=path, got=f"{path.stat().st_size} bytes")
         value = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)  # noqa: S506 - a SafeLoader
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as fault:
-        told = " ".join(str(fault).split()).replace('"<unicode string>"', path.name)
+        told = _told(fault, path.name)
         tabs = "indent with spaces: YAML knows no tabs" if "\\t" in told else "mend the YAML at the place named"
         raise ConfigError("a configuration cannot be read", where=path, got=told, do=tabs) from fault
     if value is None:
@@ -69,6 +70,15 @@ def read(path: Path) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ConfigError("a configuration is a mapping of sections", where=path, got=type(value).__name__)
     return value
+
+
+def _told(fault: Exception, name: str) -> str:
+    """What is wrong and where; the lines themselves, which the fault's own text quotes, may hold a secret."""
+    if not isinstance(fault, yaml.MarkedYAMLError):
+        return " ".join(str(fault).split()).replace('"<unicode string>"', name)
+    mark = fault.problem_mark or fault.context_mark
+    place = f" in {name}, line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+    return ", ".join(text for text in (fault.context, fault.problem) if text) + place
 
 
 def merged(base: Any, change: Any) -> Any:
@@ -84,12 +94,18 @@ def setting(text: str) -> dict[str, Any]:
     names = path.strip().split(".")
     if not equals or len(names) < 2 or not all(names):
         raise ConfigError(
-            "--set wants section.key=value", where="--set", expected="for example ground.slope=0.2", got=text
+            "--set wants section.key=value",
+            where="--set",
+            expected="for example ground.slope=0.2",
+            got=redacted_setting(text),
         )
     try:
         result: Any = yaml.safe_load(value)
     except yaml.YAMLError as fault:
-        raise ConfigError("the value of --set cannot be read", where=f"--set {text}", got=fault) from fault
+        told = _told(fault, "the value")
+        raise ConfigError(
+            "the value of --set cannot be read", where=f"--set {redacted_setting(text)}", got=told
+        ) from fault
     for name in reversed(names):
         result = {name: result}
     return dict(result)

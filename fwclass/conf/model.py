@@ -13,6 +13,7 @@ from fwclass.assess.params import AssessParams
 from fwclass.classes import ClassDef
 from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
+from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sets import feature_set, listed_once
 from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.features.params import FeaturesParams
@@ -132,6 +133,25 @@ class RunSection(Section):
     seam_check_echoes: int = Field(ge=0)
 
 
+class SeamsSection(Section):
+    """What `fwclass seams` computes once more; numbers stand in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    width : echoes as near as this to a border of tiles or of blocks [m].
+    share : of the borders' length, and of the blocks.
+    seed : draws them.
+    tile : edge of the other tiles that blocks are read from, over that of the run's; not 1.
+    listed : so many echoes of each stage that differ are listed.
+    """
+
+    width: float = Field(gt=0)
+    share: float = Field(gt=0, le=1)
+    seed: int = Field(ge=0)
+    tile: float = Field(ge=0.1, lt=1)
+    listed: int = Field(ge=0)
+
+
 class PapersSection(Section):
     """How the papers' workflows judge their variants; numbers stand in `conf/base.yaml`.
 
@@ -158,6 +178,8 @@ PARAMS: dict[str, type[BaseModel]] = {
     "areas": AreasSection,
     "run": RunSection,
     "plan": PlanSection,
+    "seams": SeamsSection,
+    "schedule": ScheduleSection,
     "simulate": SimulateParams,
     "read": ReadParams,
     "pulse": PulseParams,
@@ -183,7 +205,10 @@ PARAMS: dict[str, type[BaseModel]] = {
 
 @dataclass(frozen=True)
 class Config:
-    """A whole, checked configuration and the file it came from."""
+    """A whole, checked configuration and the file it came from.
+
+    `raw`: as it was written, for reports; without the section `schedule`, which changes no result and may hold secrets.
+    """
 
     path: Path
     raw: Mapping[str, Any]
@@ -191,6 +216,8 @@ class Config:
     areas: AreasSection
     run: RunSection
     plan: PlanSection
+    seams: SeamsSection
+    schedule: ScheduleSection
     simulate: SimulateParams | None
     read: ReadParams
     pulse: PulseParams

@@ -7,16 +7,24 @@ Data never travels through the scheduler: a task's function reads from and write
 from __future__ import annotations
 
 import importlib.util
+import re
 import signal
-from collections.abc import Generator, Iterable
+import uuid
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
 import dask
-from distributed import Client, Future, LocalCluster, WorkerPlugin, as_completed
+from distributed import Client, Future, LocalCluster, WorkerPlugin, as_completed, performance_report
 
 from fwclass.errors import FwclassError
+from fwclass.run.logs import attempted
 from fwclass.run.part import Name, Outcome, Task, execute
+from fwclass.store.atomic import write_text
+
+_OUTSIDE = re.compile(r'<link rel="shortcut icon" href="https?://[^">]*"[^>]*>')
+"""Of a performance report: its icon, which would be fetched."""
 
 
 class Unheeding(WorkerPlugin):  # type: ignore[misc]
@@ -53,10 +61,34 @@ class Cluster:
                 got=fault,
                 do="start one with `dask scheduler`, or leave --scheduler out for a local cluster",
             ) from fault
-        self.address = self._client.scheduler.address
-        if importlib.util.find_spec("bokeh"):  # without it the scheduler serves no page
-            self.address = str(self._client.dashboard_link)
+        self.address, self.dashboard = self._client.scheduler.address, self._page()
+        self.workers = len(self._client.ncores())
         self._window, self._count = window, 0
+
+    def _page(self) -> str | None:
+        """Address of the scheduler's dashboard; None where it serves none, for want of bokeh."""
+        try:
+            return str(self._client.dashboard_link) if importlib.util.find_spec("bokeh") else None
+        except KeyError:
+            return None
+
+    @contextmanager
+    def reported(self, path: Path, say: Callable[[str], None]) -> Iterator[None]:
+        """Write Dask's performance report of what is done meanwhile to `path`: a page that opens without a network."""
+        beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        recording = performance_report(filename=str(beside), mode="inline")
+        recording.__enter__()
+        try:
+            yield
+        finally:
+            try:
+                recording.__exit__(None, None, None)
+                write_text(path, _OUTSIDE.sub("", beside.read_text(encoding="utf-8")))
+            except Exception as fault:  # the scheduler writes the page, and may be gone
+                say(f"no performance report: {type(fault).__name__}: {fault}")
+            finally:
+                beside.unlink(missing_ok=True)
 
     def __enter__(self) -> Cluster:
         return self
@@ -81,7 +113,7 @@ class Cluster:
             future = next(ended)
             name = names.pop(future.key)
             del futures[name]
-            return _outcome(name, future)
+            return _outcome(root, name, future)
 
         try:
             for task in tasks:
@@ -102,9 +134,11 @@ class Cluster:
             raise
 
 
-def _outcome(name: Name, future: Future) -> Outcome:
+def _outcome(root: Path, name: Name, future: Future) -> Outcome:
     if future.status == "finished":
         outcome: Outcome = future.result()
         return outcome
     fault = future.exception() if future.status == "error" else future.status
-    return Outcome(*name, "failed", message=f"the worker was lost: {type(fault).__name__}: {fault}")
+    message = f"the worker was lost: {type(fault).__name__}: {fault}"
+    attempted(root, *name, {"status": "failed", "message": message})
+    return Outcome(*name, "failed", message=message)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,8 +12,9 @@ from typing import Any, Literal
 
 from fwclass.errors import FwclassError, system_error
 from fwclass.run.desk import Desk
+from fwclass.run.logs import Value, attempted, log_path
 from fwclass.store.cells import Within, digest_within
-from fwclass.store.receipts import key_of
+from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_store import Store
 
 Name = tuple[str, str]
@@ -103,8 +105,10 @@ def execute(root: Path, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome
     broken = [u for u in upstream if not u.ok]
     if broken:
         return Outcome(*task.name, "blocked", message=f"{broken[0].stage}/{broken[0].part} {broken[0].status}")
-    _single_thread()
+    single_thread()
     store = Store(root)
+    key = ""
+    began = time.perf_counter()
     try:
         inputs = input_digests(task, store)
         if inputs is None:
@@ -117,28 +121,42 @@ def execute(root: Path, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome
             task.stage, task.part, key, inputs, task.place, lambda directory: task.work(desk, directory),
             task.version, task.params,
         )  # fmt: skip
-    except FwclassError as fault:
-        return Outcome(*task.name, "failed", message=str(fault))
-    except OSError as fault:
-        return Outcome(*task.name, "failed", message=str(system_error(fault, root)))
     except Exception as fault:
-        _log_traceback(root, task, fault)
-        message = f"{type(fault).__name__}: {fault}"
-        return Outcome(*task.name, "failed", message=f"{message}\n  traceback: {_log_path(root, task)}")
-    return Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
+        outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_told(root, task, fault))
+        trace = "" if isinstance(fault, (FwclassError, OSError)) else "".join(traceback.format_exception(fault))
+        attempted(root, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
+        return outcome
+    outcome = Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
+    attempted(root, *task.name, _attempt(outcome, key) | _made(receipt))
+    return outcome
 
 
-def _log_path(root: Path, task: Task) -> Path:
-    return root / "logs" / f"{task.stage}-{task.part}.log"
+def _told(root: Path, task: Task, fault: Exception) -> str:
+    """A fault in words for the user; one of the program has its traceback in the part's log."""
+    if isinstance(fault, FwclassError):
+        return str(fault)
+    if isinstance(fault, OSError):
+        return str(system_error(fault, root))
+    return f"{type(fault).__name__}: {fault}\n  traceback: {log_path(root, *task.name)}"
 
 
-def _log_traceback(root: Path, task: Task, fault: Exception) -> None:
-    path = _log_path(root, task)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(traceback.format_exception(fault)), encoding="utf-8")
+def _attempt(outcome: Outcome, key: str) -> dict[str, Value]:
+    """What a log tells of any attempt."""
+    found: dict[str, Value] = {"key": key, "status": outcome.status, "seconds": round(outcome.seconds, 3)}
+    return found | ({"message": outcome.message} if outcome.message else {})
 
 
-def _single_thread() -> None:
+def _made(receipt: Receipt) -> dict[str, Value]:
+    """What a log tells of a part that was made."""
+    faults = receipt.meta.get("faults") or {}
+    return {
+        "peak_mib": receipt.peak_mib, "rows": receipt.meta.get("rows"),
+        "bytes": sum(int(o["bytes"]) for o in receipt.outputs.values()),
+        "faults": ",".join(f"{n}:{count}" for n, count in faults.items()) or None,
+    }  # fmt: skip
+
+
+def single_thread() -> None:
     """No thread pools inside a part: parts are what runs in parallel."""
     import numcodecs.blosc
     import pyarrow as pa

@@ -36,7 +36,11 @@ class Request:
         cls, conf: Path, root: Path, settings: tuple[str, ...], workflow: str,
         tiles: frozenset[str] | Path | None,
     ) -> Request:  # fmt: skip
-        """As typed; paths are made absolute, so that the command holds wherever it is given."""
+        """As typed; paths are made absolute, so that the command holds wherever it is given.
+
+        Settings of the section `schedule` are left out: no part depends on them, and they may hold secrets.
+        """
+        settings = tuple(s for s in settings if not s.strip().startswith("schedule."))
         named = str(conf.resolve()) if conf.is_file() else str(conf)
         aoi = str(tiles.resolve()) if isinstance(tiles, Path) else None
         keys = tuple(sorted(tiles)) if isinstance(tiles, frozenset) else None
@@ -53,7 +57,11 @@ class Request:
 
     def command(self, only: tuple[str, str] | None = None) -> str:
         """The command that does this again, or that replays the one part `only` (stage, part)."""
-        words = ["fwclass", "run", self.conf, "--out", self.root]
+        return shlex.join(["fwclass", *self.words(only)])
+
+    def words(self, only: tuple[str, str] | None = None) -> list[str]:
+        """`command` as words, without the program."""
+        words = ["run", self.conf, "--out", self.root]
         for setting in self.settings:
             words += ["--set", setting]
         if self.workflow != "classification":
@@ -64,7 +72,7 @@ class Request:
             words += ["--tiles", ",".join(self.tiles)]
         elif self.aoi is not None:
             words += ["--aoi", self.aoi]
-        return shlex.join(words)
+        return words
 
     def replay(self, name: tuple[str, str]) -> str:
         """The command that makes the part `name` alone, empty where the workflow's parts are not known beforehand."""
@@ -82,7 +90,8 @@ class Request:
             raise StoreError(
                 "nothing tells which configuration this run is of", where=root,
                 expected=f"{path.relative_to(root)}, which every run writes",
-                do=f"name the configuration: fwclass status CONF --out {shlex.quote(str(root))}",
+                do=f"run it once more (what is done is kept), or, for its status, name the configuration: "
+                f"fwclass status CONF --out {shlex.quote(str(root))}",
             )  # fmt: skip
         try:
             found = read_json(path)

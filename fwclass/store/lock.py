@@ -9,29 +9,41 @@ import socket
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import StoreError
+from fwclass.errors import LockedError
+
+
+@dataclass(frozen=True)
+class Lock:
+    """A lock of a run directory: the name of its file, and what a second one that asks for it is told."""
+
+    name: str
+    taken: str
+    do: str
+
+
+WRITER = Lock("lock", "another run is writing to this directory", "wait for it to end, or choose another --out")
+SCHEDULE = Lock(
+    "schedule.lock", "another schedule is at work on this run directory",
+    "stop that one first (schedule.json in the run directory tells its state), or choose another --out",
+)  # fmt: skip
 
 
 @contextmanager
-def writer(root: Path) -> Iterator[None]:
-    """Hold the run directory `root`; a second writer gets a `StoreError` naming the first one's host and pid.
+def writer(root: Path, lock: Lock = WRITER) -> Iterator[None]:
+    """Hold the run directory `root`; a second writer gets a `LockedError` naming the first one's host and pid.
 
     The lock is the kernel's (`flock`) and goes with the process that held it, so none is left behind by a crash.
     """
-    path = root / "store" / "lock"
+    path = root / "store" / lock.name
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+") as stream:
         if not _taken(stream.fileno()):
             stream.seek(0)
-            raise StoreError(
-                "another run is writing to this directory",
-                where=root,
-                got=stream.read(200) or "unknown holder",
-                do="wait for it to end, or choose another --out",
-            )
+            raise LockedError(lock.taken, where=root, got=stream.read(200) or "unknown holder", do=lock.do)
         stream.seek(0)
         stream.truncate()
         stream.write(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}))
@@ -43,12 +55,12 @@ def writer(root: Path) -> Iterator[None]:
             stream.truncate()
 
 
-def holder(root: Path) -> Mapping[str, Any] | None:
+def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
     """Host and pid of the run that is writing to `root`, None where there is none; nothing is written.
 
     On a file system without locks between hosts, what the file says is believed.
     """
-    path = root / "store" / "lock"
+    path = root / "store" / lock.name
     try:
         with path.open() as stream:
             text = stream.read(200)

@@ -112,7 +112,7 @@ def test_a_part_that_fails_stops_only_what_needs_it(tmp_path):
         ("two", "b"): "blocked",
     }
     assert "disk on fire" in road.failures[0].message
-    assert "disk on fire" in (tmp_path / "logs" / "one-b.log").read_text()
+    assert "disk on fire" in (tmp_path / "logs" / "one" / "b.log").read_text()
 
 
 def test_a_failure_is_told_once(tmp_path, capsys):

@@ -1,0 +1,76 @@
+"""`fwclass schedule` runs a survey again and again; `fwclass history` tells what was run."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fwclass.cli.base import JSON, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.status import WORKFLOW, requested
+from fwclass.errors import ConfigError
+
+
+@cli.command()
+@click.argument("conf", type=PATH)
+@click.option("--out", type=PATH, help="Run directory (default: runs/<survey>).")
+@click.option("--every", metavar="TIME", help="Interval between the beginnings of runs: 90s, 15m, 1h30m, 1d.")
+@click.option("--cron", metavar='"M H D M W"', help="Five fields as of crontab(5), in schedule.timezone.")
+@click.option("--inbox", type=PATH, help="Move complete files from this directory into the survey, and run.")
+@click.option("--once", is_flag=True, help="End after one run, with its exit code.")
+@SET
+@WORKFLOW
+@SCHEDULER
+@WORKERS
+def schedule(
+    conf: Path, out: Path | None, every: str | None, cron: str | None, inbox: Path | None, once: bool,
+    settings: tuple[str, ...], workflow: str, scheduler: str | None, workers: int | None,
+) -> None:  # fmt: skip
+    """Run a survey on an interval, by a cron expression, or when files are delivered, until told to stop.
+
+    Each run is what `fwclass run` does, in a process of its own, and has a line in `fwclass history`. The section
+    `schedule` of the configuration has the same and more: webhook, command, how files are known to be complete. How it
+    stands is in schedule.json in the run directory. Exit code 0 when ended by SIGTERM, 130 by Ctrl-C; with --once that
+    of the run.
+    """
+    from fwclass.run.schedule.loop import Schedule
+
+    config, request = requested(conf, out, (*settings, *_asked(every, cron, inbox)), workflow, None)
+    words: list[str] = []
+    if scheduler is not None:
+        words += ["--scheduler", scheduler]
+    if workers is not None:
+        words += ["--workers", str(workers)]
+    sys.exit(Schedule(config, request, tuple(words), once, lambda text: click.echo(text, err=True)).keep())
+
+
+def _asked(every: str | None, cron: str | None, inbox: Path | None) -> list[str]:
+    """The options as settings, checked like those of the configuration that they replace."""
+    if every is not None and cron is not None:
+        raise ConfigError("--every and --cron exclude one another", where="--every, --cron", do="give one of them")
+    found: dict[str, Any] = {}
+    if every is not None:
+        found |= {"every": every, "cron": None}
+    if cron is not None:
+        found |= {"cron": cron, "every": None}
+    if inbox is not None:
+        found["inbox"] = str(inbox.resolve())
+    return [f"schedule.{name}={json.dumps(value)}" for name, value in found.items()]
+
+
+@cli.command()
+@click.argument("run", type=PATH)
+@click.option("--last", "count", type=click.IntRange(1), metavar="N", help="Only the last N runs.")
+@JSON
+def history(run: Path, count: int | None, as_json: bool) -> None:
+    """Tell what was run in the run directory RUN: when, why, how it ended, and how many parts were made."""
+    from fwclass.run.history import past_runs, table
+
+    if not run.is_dir():
+        raise ConfigError("no such run directory", where=run, do="name a directory that `fwclass run` has made")
+    runs = past_runs(run)
+    runs = runs[-count:] if count is not None else runs
+    click.echo(json.dumps(runs, indent=1) if as_json else table(runs))

@@ -1,0 +1,61 @@
+"""`fwclass seams`: whether the borders of tiles show in a run's results."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import click
+
+from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, cli
+from fwclass.errors import ConfigError
+
+
+@cli.command()
+@click.argument("run", type=PATH)
+@click.option("--share", type=click.FloatRange(0, 1, min_open=True), help="Of the borders (default: seams.share).")
+@click.option("--length", type=click.FloatRange(0, min_open=True), help="Metres of borders instead of a share.")
+@click.option("--shift", metavar="DX,DY", help="Of the grid, metres (default: half a tile).")
+@click.option("--gpkg", type=PATH, help="Write what was computed, and what differs, as polygons and points.")
+@SET
+@OVERWRITE
+@JSON
+def seams(
+    run: Path, share: float | None, length: float | None, shift: str | None, gpkg: Path | None,
+    settings: tuple[str, ...], overwrite: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Compute strips along tile borders of a finished run once more under a shifted grid, and compare.
+
+    The run is only read. Exit code 0 if no value differs, 4 if one does.
+    """
+    from fwclass import conf as configuration
+    from fwclass.run.progress import Display
+    from fwclass.run.request import PLANNED, Request
+    from fwclass.run.shifted.places import shift_of
+    from fwclass.run.shifted.polygons import check_free, write_gpkg
+    from fwclass.run.shifted.told import as_data, as_text
+    from workflows.seams import Asked
+    from workflows.seams import seams as measured
+
+    if share is not None and length is not None:
+        raise ConfigError("--share and --length both say how much", where="--share, --length", do="give one of them")
+    if gpkg is not None:
+        check_free(gpkg, overwrite)
+    request = Request.kept(run)
+    if request.workflow not in PLANNED:
+        raise ConfigError(f"the parts of --workflow {request.workflow} are not known", where=run)
+    config = configuration.load(request.conf, (*request.settings, *settings))
+    asked = Asked(
+        shift_of(shift, config.tile.size), config.seams.share if share is None else share, length, request.wanted
+    )
+    began = time.perf_counter()
+    with Display() as display:
+        found = measured(config, Path(request.root), asked, display)
+    took = time.perf_counter() - began
+    click.echo(as_text(found, took), err=as_json)
+    if as_json:
+        click.echo(json.dumps(as_data(found, took), indent=1))
+    if gpkg is not None:
+        write_gpkg(found, gpkg, found.crs)
+    found.judge()

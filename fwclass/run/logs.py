@@ -1,0 +1,81 @@
+"""What every attempt at a part took and said: ``logs/<stage>/<part>.log``, one `key=value` line an attempt.
+
+Logs explain and decide nothing: a part is done by its receipt alone. A log that cannot be written is left.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import socket
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+LIMIT = 64 * 1024
+"""Bytes of a log; beyond them its older half is dropped."""
+
+LONGEST = 16 * 1024
+"""Characters of a value; the rest of a longer one is left out."""
+
+Value = str | int | float | None
+_BARE = re.compile(r"[\w./:@%+,()\[\]-]+", re.ASCII)
+
+
+def log_path(root: Path, stage: str, part: str) -> Path:
+    return root / "logs" / stage / f"{part}.log"
+
+
+def attempted(root: Path, stage: str, part: str, fields: Mapping[str, Value]) -> None:
+    """Append one attempt at a part to its log: when (UTC), stage, part, host, pid, and `fields`.
+
+    The one place that knows where logs go; it is called where the work was done, on a worker.
+    """
+    when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    who: dict[str, Value] = {"stage": stage, "part": part, "host": socket.gethostname(), "pid": os.getpid()}
+    text = line({"when": when, **who, **fields})
+    path = log_path(root, stage, part)
+    with contextlib.suppress(OSError):
+        try:
+            _append(path, text)
+        except FileNotFoundError:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _append(path, text)
+
+
+def _append(path: Path, text: str) -> None:
+    with path.open("ab") as stream:
+        stream.write(text.encode())
+        size = stream.tell()
+    if size > LIMIT:
+        kept = path.read_bytes()[-LIMIT // 2 :]
+        beside = path.with_name(f".{path.name}.{os.getpid()}")
+        beside.write_bytes(kept[kept.find(b"\n") + 1 :] or text.encode())
+        beside.replace(path)
+
+
+def line(fields: Mapping[str, Value]) -> str:
+    """One line of `key=value`, as logfmt has it; None is left out."""
+    return " ".join(f"{key}={_value(v)}" for key, v in fields.items() if v is not None) + "\n"
+
+
+def _value(value: Value) -> str:
+    """Bare where nothing in it could be misread, else in double quotes with escapes as in JSON."""
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    if _BARE.fullmatch(text):
+        return text
+    text = text if len(text) <= LONGEST else text[: LONGEST // 2] + " […] " + text[-LONGEST // 2 :]
+    return '"' + printable(text.replace("\\", "\\\\").replace('"', '\\"')) + '"'
+
+
+def printable(text: str, keep: str = "") -> str:
+    """`text` without what moves a terminal or breaks a line: such characters, but those in `keep`, as escapes."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else _escape(c) for c in text)
+
+
+def _escape(c: str) -> str:
+    known = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
+    return known.get(c) or (f"\\u{ord(c):04x}" if ord(c) < 0x10000 else f"\\U{ord(c):08x}")

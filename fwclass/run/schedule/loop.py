@@ -1,0 +1,200 @@
+"""`fwclass schedule`: wait, run, tell, and wait again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.errors import DONE, FAILED, INTERRUPTED, ConfigError
+from fwclass.run.history import REFUSED, Entry, past_runs, utc, word_of
+from fwclass.run.request import Request
+from fwclass.run.schedule import notify, state
+from fwclass.run.schedule.child import Child
+from fwclass.run.schedule.inbox import Delivery
+from fwclass.run.schedule.intake import Intake
+from fwclass.run.schedule.rules import inbox_of, rules, ticks_of
+from fwclass.run.schedule.signals import Signals
+from fwclass.run.schedule.state import State
+from fwclass.run.schedule.ticks import Cron, Now, Ticks, now
+from fwclass.store import history
+from fwclass.store.lock import SCHEDULE, holder, writer
+
+
+@dataclass(frozen=True)
+class Order:
+    """A run that is due: why, and what is delivered before it begins."""
+
+    trigger: str
+    deliveries: tuple[Delivery, ...] = ()
+    tick: str | None = None
+
+
+@dataclass
+class Schedule:
+    """A survey that is run again and again in one run directory.
+
+    `words`: more of ``fwclass run``, where it runs (--workers, --scheduler). `say`: a line for the user.
+    """
+
+    config: Config
+    request: Request
+    words: tuple[str, ...]
+    once: bool
+    say: Callable[[str], None]
+    signals: Signals = field(default_factory=Signals)
+    _ticks: Ticks | None = None
+    _intake: Intake | None = None
+
+    @property
+    def root(self) -> Path:
+        return Path(self.request.root)
+
+    def keep(self) -> int:
+        """Until told to stop, or for one run; the exit code.
+
+        Raises
+        ------
+        ConfigError
+            Nothing says when to run, or the inbox cannot be one.
+        LockedError
+            Another schedule is at work on the run directory.
+        """
+        inbox = inbox_of(self.config)
+        if inbox is None and self.config.schedule.every is None and self.config.schedule.cron is None:
+            raise ConfigError(
+                "nothing says when to run", where=f"{self.config.path}: schedule",
+                expected="every, cron or inbox", do="for example: fwclass schedule CONF --every 1h",
+            )  # fmt: skip
+        with writer(self.root, SCHEDULE), self.signals:
+            self._state = State(self.root, rules(self.config), self.config.schedule.heartbeat, self._say)
+            self._state.resume()
+            self._intake = None if inbox is None else Intake(inbox, self.root, self._state, self._say)
+            self._ticks = ticks_of(self.config, self._state.last_tick, now())
+            try:
+                return self._go()
+            finally:
+                self._state.state, self._state.next, self._state.run = state.STOPPED, None, None
+                self._state.write(now(), always=True)
+
+    def _go(self) -> int:
+        self._say(f"pid {os.getpid()} runs: {self.request.command()}")
+        self._say("when: " + ", ".join(f"{k} {v}" for k, v in rules(self.config).items() if v is not None))
+        while self.signals.first is None:
+            moment = now()
+            order = self._due(moment)
+            code = None if order is None else self._carry_out(order)
+            if code is None:  # nothing was run
+                self._state.write(moment)
+                self.signals.wait(self._pause(moment))
+            elif self.once and self.signals.first is None:
+                return code
+        self._say(f"told to stop by {self.signals.first.name}")
+        return INTERRUPTED if self.once or self.signals.first is signal.SIGINT else DONE
+
+    def _pause(self, moment: Now) -> float:
+        """Until the next look, or the tick if that comes sooner."""
+        look = self.config.schedule.look
+        return look if self._ticks is None else min(look, self._ticks.wait(moment))
+
+    def _deliveries(self, moment: Now) -> tuple[Delivery, ...]:
+        return () if self._intake is None else self._intake.deliveries(moment)
+
+    def _due(self, moment: Now) -> Order | None:
+        """The run that is due now. A tick is taken by it, whatever comes of the run."""
+        deliveries = self._deliveries(moment)
+        if self._ticks is not None:
+            self._ticks = self._ticks.seen(moment)
+            wait = self._ticks.wait(moment)
+            self._state.next = _steadied(self._state.next, moment.wall + wait)
+            if wait <= 0.0:
+                self._ticks = self._ticks.taken(moment)
+                self._state.next = _steadied(None, moment.wall + self._ticks.wait(moment))
+                if isinstance(self._ticks, Cron):
+                    self._state.last_tick = self._ticks.last
+                return Order(self._ticks.trigger, deliveries, utc(moment.wall + wait))
+        if deliveries or (self._state.owed and holder(self.root) is None):
+            return Order("inbox", deliveries)
+        return None
+
+    def _carry_out(self, order: Order) -> int | None:
+        """Deliver, run, tell; the run's exit code, None where nothing was run."""
+        files = [] if self._intake is None else self._intake.deliver(order.deliveries)
+        if order.trigger == "inbox" and (not self._state.owed or holder(self.root) is not None):
+            return None
+        named = {str(f["name"]) for f in files}
+        files += [{"name": name} for name in self._state.owed if name not in named]
+        why = {"trigger": order.trigger} | ({"tick": order.tick} if order.tick else {})
+        record = self._run(why | ({"files": files} if files else {}))
+        if not self._still_owed(record):
+            self._state.owed = []
+        self._say(f"run ended: {record['word']}, {record.get('seconds', 0):g} s")
+        self._state.last = record
+        self._tell_ended(record)
+        if record["word"] == word_of(INTERRUPTED):
+            return INTERRUPTED
+        return int(record["exit_code"]) if record["exit_code"] >= 0 else FAILED
+
+    def _still_owed(self, record: Mapping[str, Any]) -> bool:
+        """Files were not run: another run held the directory, or this one was ended with the schedule."""
+        ended = record["exit_code"] < 0 or record["exit_code"] == INTERRUPTED
+        return record["word"] == REFUSED or (self.signals.first is not None and ended)
+
+    def _run(self, why: Mapping[str, Any]) -> dict[str, Any]:
+        """A run as a process of its own, and its record, written for it where it could not do so itself."""
+        params = self.config.schedule
+        order = {"id": uuid.uuid4().hex, "why": why}
+        began, clock = time.time(), time.monotonic()
+        self._say(f"a run begins ({why['trigger']})")
+        try:
+            child = Child((*self.request.words(), *self.words), order, params.webhook_token_env)
+        except OSError as fault:  # no memory, too many processes: the next tick tries again
+            self._say(f"the run could not be started: {fault.strerror or fault}")
+            code = FAILED
+        else:
+            self._state.state, self._state.runs = state.RUNNING, self._state.runs + 1
+            self._state.run = {"pid": child.pid, "began": utc(began), "why": dict(why)}
+            code = child.wait(self.signals, params.stop_grace, params.look, self._beat)
+            self._state.state, self._state.run = state.WAITING, None
+        record = next((r for r in reversed(past_runs(self.root)) if r.get("id") == order["id"]), None)
+        if record is None or "exit_code" not in record:
+            if self.signals.first is not None and code > 0:  # it was stopped before it knew how to end
+                code = INTERRUPTED
+            entry = Entry(self.root, self.request, id=str(order["id"]), why=why, began=began, clock=clock)
+            entry.end(code, word_of(code), "the run could not tell its end itself")
+            record = entry.last
+        return {**record, "run": str(self.root), "survey": self.config.survey.name}
+
+    def _beat(self) -> None:
+        """While something is under way: what arrives is looked at, and the status written."""
+        moment = now()
+        self._deliveries(moment)
+        self._state.write(moment)
+
+    def _tell_ended(self, record: Mapping[str, Any]) -> None:
+        """Webhook and command; how they went is told, and added to the run's history."""
+        told = notify.tell_within(self.config.schedule, record, self.signals, self._beat)
+        if not told:
+            return
+        for kind, facts in told.items():
+            if not facts["ok"]:
+                self._say(f"{kind} {facts['to']}: {facts['fault']} ({facts['tries']} tries)")
+        self._state.last = {**record, "told": told}
+        try:
+            history.append(self.root, {"record": "told", "id": record.get("id"), "told": told})
+        except OSError as fault:
+            self._say(f"the history cannot be written: {fault.strerror or fault}")
+
+    def _say(self, text: str) -> None:
+        self.say(f"{utc(time.time())} schedule: {text}")
+
+
+def _steadied(before: float | None, moment: float) -> float:
+    """A time that is told: one that moves by less than a second and a half has not moved."""
+    return before if before is not None and abs(before - moment) < 1.5 else round(moment)

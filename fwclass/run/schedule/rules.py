@@ -1,0 +1,41 @@
+"""What a configuration says of a schedule: its ticks, its inbox, and both in words."""
+
+from __future__ import annotations
+
+from typing import Any
+from zoneinfo import ZoneInfo
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError
+from fwclass.run.schedule.inbox import Inbox
+from fwclass.run.schedule.places import places_of
+from fwclass.run.schedule.ticks import Cron, Interval, Now, Ticks
+
+
+def inbox_of(config: Config) -> Inbox | None:
+    """The inbox that `config` names; `ConfigError` where it is no directory or cannot be one."""
+    params = config.schedule
+    if params.inbox is None:
+        return None
+    directory = (config.path.parent / params.inbox).resolve()
+    if not directory.is_dir():
+        raise ConfigError("the inbox is no directory", where="schedule.inbox", got=directory, do="make it first")
+    return Inbox(directory, places_of(config, directory), params)
+
+
+def ticks_of(config: Config, last: float | None, moment: Now) -> Ticks | None:
+    """When to run by the clock. `last`: the last tick of cron that an earlier schedule gave its run."""
+    params = config.schedule
+    if params.every is not None:
+        return Interval(params.every, moment.steady)
+    if params.cron is None:
+        return None
+    known = last if last is not None and last <= moment.wall + params.clock_back else None
+    return Cron(params.cron, ZoneInfo(params.timezone), params.clock_back, moment.wall, known)
+
+
+def rules(config: Config) -> dict[str, Any]:
+    """When it runs, in words for the status file and the log."""
+    p = config.schedule
+    inbox = None if p.inbox is None else str((config.path.parent / p.inbox).resolve())
+    return {"every": p.every, "cron": p.cron, "timezone": p.timezone if p.cron else None, "inbox": inbox}

@@ -1,0 +1,65 @@
+"""What must hold of a run before, and after, it is compared with: finished, and nobody writing to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from fwclass.errors import StoreError
+from fwclass.grid import Tile, TileGrid
+from fwclass.run.plan.layout import Layout
+from fwclass.run.status.look import Look
+from fwclass.store.lock import holder
+from fwclass.store.run_store import Store
+
+
+def check_idle(root: Path) -> None:
+    """`StoreError` while a run writes to `root`; its lock is not taken."""
+    if not (root / "store").is_dir():
+        raise StoreError("this is no run directory", where=root, expected="a directory with `store`", do="name a run")
+    writer = holder(root)
+    if writer is not None:
+        raise StoreError(
+            "a run is writing to this directory", where=root, got=f"pid {writer.get('pid')} on {writer.get('host')}",
+            do="wait for it to end",
+        )  # fmt: skip
+
+
+def check_done(look: Look, tiles: Iterable[str], stages: Sequence[str]) -> None:
+    """`StoreError` if a stage of one of `tiles` is not done from the inputs and parameters as they are now."""
+    here = [(s, t) for t in sorted(tiles) for s in stages if (s, t) in look.states]
+    late = [n for n in here if look.states[n].standing != "done"]
+    if late or not here:
+        told = ", ".join(f"{'/'.join(n)} {look.states[n].standing}" for n in late[:3])
+        raise StoreError(
+            "the run is not finished: nothing can be compared with what it would make now", where=look.root,
+            got=told + (f" and {len(late) - 3} more" if len(late) > 3 else ""),
+            do="finish it first; `fwclass status` tells what is missing or stale, and why",
+        )  # fmt: skip
+
+
+def whole_blocks(stage: str, blocks: list[Tile], layout: Layout, look: Look, halo: float) -> list[Tile]:
+    """Blocks that are done, as are flags and heights of all tiles that they are made from: all blocks of a whole run,
+    those in the middle of one that was restricted to some tiles. `stage` empty: only the tiles count."""
+    found, keys, grid = [], layout.keys, TileGrid(layout.config.tile.size)
+    for block in blocks:
+        near = [t.key for t in grid.touching(block.box.grown(halo)) if t.key in keys]
+        names = [(s, t) for t in near for s in ("ground", "height")] + ([(stage, block.key)] if stage else [])
+        if near and all(look.states[n].standing == "done" for n in names):
+            found.append(block)
+    return found
+
+
+def check_unchanged(look: Look, tiles: Iterable[str], stages: Sequence[str]) -> None:
+    """`StoreError` if a part that was compared with has been made anew meanwhile."""
+    check_idle(look.root)
+    now = Store(look.root, read_only=True)
+    for part in sorted(tiles):
+        for stage in stages:
+            before = look.store.receipt(stage, part)
+            if before is not None and now.receipt(stage, part) != before:
+                raise StoreError(
+                    "the run was changed while it was compared",
+                    where=f"{stage}/{part} in {look.root}",
+                    do="run it again",
+                )

@@ -1,0 +1,132 @@
+"""The history of a run directory: whole lines, torn ones, two writers, killed runs, and its bounds."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import socket
+
+import pytest
+
+from fwclass.errors import InputError, LockedError, QualityError
+from fwclass.run.history import Entry, past_runs, recorded, table, word_of
+from fwclass.run.request import Request
+from fwclass.store import history
+from fwclass.store.lock import writer
+
+
+def request(root, *settings):
+    return Request("c.yaml", str(root), settings)
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "word"),
+    [
+        (SystemExit(3), 3, "partial"),
+        (SystemExit("text"), 1, "failed"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (LockedError("x"), 1, "refused"),
+        (InputError("no file"), 1, "failed"),
+        (QualityError("low"), 4, "quality"),
+        (RuntimeError("https://h/SECRET"), 1, "failed"),
+        (OSError(28, "No space left on device", "/SECRET"), 1, "failed"),
+    ],
+)
+def test_every_end_has_its_word(tmp_path, fault, code, word):
+    with pytest.raises(type(fault)), recorded(request(tmp_path)) as entry:
+        entry.begin(None)
+        raise fault
+    [run] = past_runs(tmp_path)
+    assert (run["exit_code"], run["word"]) == (code, word) and run["pid"] == os.getpid()
+    assert "SECRET" not in (tmp_path / "store" / history.NAME).read_text()
+
+
+def test_settings_are_kept_without_secrets(tmp_path):
+    settings = ("train.trees=5", "schedule.webhook=https://u:SECRET@h/SECRET")
+    asked = Request.of(tmp_path / "c.yaml", tmp_path, settings, "classification", frozenset({"1_2"}))
+    with recorded(asked, "tile/1_2") as entry:
+        entry.begin(None)
+    [run] = past_runs(tmp_path)
+    assert run["settings"] == ["train.trees=5"] and run["tiles"] == ["1_2"] and run["only"] == "tile/1_2"
+    assert run["word"] == "done" and run["why"] == {"trigger": "manual"}
+    assert "--only tile/1_2" in table([run]) and "SECRET" not in json.dumps(run)
+
+
+def _die(root) -> None:
+    with writer(root):
+        Entry(root, request(root)).begin(None)
+        os._exit(9)
+
+
+def test_a_killed_run_is_told_as_interrupted_and_one_at_work_as_running(tmp_path):
+    dead = multiprocessing.get_context("fork").Process(target=_die, args=(tmp_path,))
+    dead.start()
+    dead.join()
+    with writer(tmp_path):
+        Entry(tmp_path, request(tmp_path)).begin(None)
+        assert [r["word"] for r in past_runs(tmp_path)] == ["interrupted", "running"]
+    told = table(past_runs(tmp_path))
+    assert [line.split()[3] for line in told.splitlines()[1:]] == ["interrupted", "interrupted"]
+
+
+def test_a_torn_line_loses_itself_alone(tmp_path):
+    history.append(tmp_path, {"id": 1})
+    path = tmp_path / "store" / history.NAME
+    with path.open("ab") as stream:
+        stream.write(b'{"id": 2, "rec')
+    history.append(tmp_path, {"id": 3})
+    with path.open("ab") as stream:
+        stream.write(b"\xff\xfe\0\n[1]\n")
+    history.append(tmp_path, {"id": 4})
+    assert [line["id"] for line in history.lines(tmp_path)] == [1, 3, 4]
+
+
+def _write(root, number: int) -> None:
+    for k in range(100):
+        history.append(root, {"id": f"{number}-{k}", "text": "x" * 500})
+
+
+def test_writers_side_by_side_lose_nothing(tmp_path, monkeypatch):
+    """Four at once, the file put away in the middle: every line is there once, whole, each writer's in its order."""
+    monkeypatch.setattr(history, "HISTORY_BYTES", 150_000)
+    context = multiprocessing.get_context("fork")
+    writers = [context.Process(target=_write, args=(tmp_path, n)) for n in range(4)]
+    for process in writers:
+        process.start()
+    for process in writers:
+        process.join()
+    found = [line["id"] for line in history.lines(tmp_path)]
+    assert len(found) == len(set(found)) == 400
+    for n in range(4):
+        assert [f for f in found if f.startswith(f"{n}-")] == [f"{n}-{k}" for k in range(100)]
+    assert (tmp_path / "store" / history.EARLIER).exists()
+
+
+def test_the_history_is_bounded_and_keeps_the_newest(tmp_path, monkeypatch):
+    monkeypatch.setattr(history, "HISTORY_BYTES", 10_000)
+    for k in range(1000):
+        history.append(tmp_path, {"id": k})
+        assert sum(p.stat().st_size for p in (tmp_path / "store").glob("history*.jsonl")) <= 20_000
+    found = [line["id"] for line in history.lines(tmp_path)]
+    assert found == list(range(1000 - len(found), 1000)) and len(found) >= 10_000 // len('{"id": 999}\n')
+
+
+def test_an_end_whose_beginning_was_put_away_is_still_a_run(tmp_path):
+    entry = Entry(tmp_path, request(tmp_path))
+    entry.begin(None)
+    (tmp_path / "store" / history.NAME).unlink()
+    entry.end(0, "done")
+    [run] = past_runs(tmp_path)
+    assert run["word"] == "done" and run["host"] == socket.gethostname()
+
+
+def test_a_history_that_cannot_be_written_stops_no_run(tmp_path, capsys):
+    (tmp_path / "store").write_text("in the way")
+    with recorded(request(tmp_path)) as entry:
+        entry.begin(None)
+    assert "could not be written" in capsys.readouterr().err
+
+
+def test_words_of_signals():
+    assert word_of(-9) == "killed by SIGKILL" and word_of(2) == "configuration" and word_of(77) == "failed"

@@ -1,0 +1,76 @@
+"""`fwclass run --report`: Dask's performance report as one page, and the dashboard's address."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from commandline import fwclass, process
+
+CONFIG = """
+survey:
+  name: small
+  directory: .
+  sources: [a.las]
+  reference: {kind: source}
+  crs: none
+  features: [zc]
+  classes: [{name: a, code: 2, codes: [2]}, {name: b, code: 6, codes: [6]}]
+areas: {train: [[0, 0, 5, 10]], gap: 0.5}
+tile: {size: 5.0}
+train: {trees: 2}
+"""
+
+
+@pytest.fixture
+def survey(tmp_path) -> Path:
+    r = np.random.default_rng(0)
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.header.scales = [0.001] * 3
+    las.x, las.y, las.z = r.uniform(0, 10, (3, 400))
+    las.classification = r.choice([2, 6], 400)
+    las.write(tmp_path / "a.las")
+    (tmp_path / "c.yaml").write_text(CONFIG)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_the_report_is_one_page(survey):
+    pytest.importorskip("bokeh")
+    ended = process("run", "c.yaml", "--out", "r", "--workers", 1, "--report", cwd=survey)
+    assert ended.returncode == 0, ended.stderr
+    assert re.search(r"^dask +http://127\.0\.0\.1:\d+/status$", ended.stderr, re.MULTILINE)
+    page = (survey / "r" / "performance.html").read_text()
+    assert "dask" in page.lower() and "features" in page
+    outside = re.findall(r"""<(?:script|link|img)[^>]+(?:src|href)=["']?(?:https?:)?//[^"'> ]+""", page)
+    assert outside == []
+    assert not list((survey / "r").glob(".*performance*"))
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--workers", 0, "--report"), "plain loop"),
+        (("--workers", 1, "--report", "page.txt"), "ends in .html"),
+        (("--workers", 1, "--report", "there.html"), "such a file already"),
+        (("--only", "features/0_0", "--report"), "--report out"),
+    ],
+)
+def test_without_workers_or_a_page_it_is_refused_before_anything_starts(survey, words, told):
+    (survey / "there.html").touch()
+    ended = fwclass("run", "c.yaml", "--out", "r", *words, cwd=survey)
+    assert ended.returncode == 2 and told in ended.stderr, ended.stderr
+    assert not (survey / "r").exists()
+
+
+def test_without_bokeh_it_is_refused_before_anything_starts(survey, monkeypatch):
+    import importlib.util
+
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "bokeh" else find(name, *rest))
+    ended = fwclass("run", "c.yaml", "--out", "r", "--workers", 1, "--report", cwd=survey)
+    assert ended.returncode == 2 and "pip install 'fwclass[dashboard]'" in ended.stderr
+    assert not (survey / "r").exists()

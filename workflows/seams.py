@@ -1,0 +1,159 @@
+"""A finished run's tile borders, computed once more in tiles that lie elsewhere: what `fwclass seams` tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, FwclassError, StoreError
+from fwclass.grid import TileGrid
+from fwclass.run.desk import Desk
+from fwclass.run.plan import forest, ground
+from fwclass.run.plan.layout import Layout, check_features
+from fwclass.run.progress import Display
+from fwclass.run.restrict import Area
+from fwclass.run.shifted.desk import OtherTilesDesk, StripDesk, Tiles
+from fwclass.run.shifted.differ import Seam
+from fwclass.run.shifted.guard import check_done, check_idle, check_unchanged, whole_blocks
+from fwclass.run.shifted.measure import (
+    BLOCK_STAGES,
+    TILE_STAGES,
+    Apart,
+    apart,
+    block_seams,
+    reach_of,
+    shifted_blocks,
+    size_of,
+    tile_seams,
+)
+from fwclass.run.shifted.places import Place, chosen, drawn, places
+from fwclass.run.shifted.told import Found
+from fwclass.run.status.look import Look
+from fwclass.run.tasks import Tasks
+from fwclass.run.work.ground import WITHIN
+from fwclass.store.models import load_model
+from workflows.classification import given_model
+from workflows.echoes import Tiled, until_labels, until_tiles
+
+
+@dataclass(frozen=True)
+class Asked:
+    """`shift` of the tiles [m]; `share` of the borders, or `length` of them [m]; `tiles` that the run was restricted to
+    (None: all)."""
+
+    shift: tuple[float, float]
+    share: float
+    length: float | None
+    tiles: frozenset[str] | Area | None
+
+
+def seams(config: Config, root: Path, asked: Asked, display: Display) -> Found:
+    """Compute strips along tile borders, and some blocks, once more and compare; the run directory is only read."""
+    check_idle(root)
+    look = Look(root)
+    try:
+        plan = _planned(config, look)
+    except ConfigError:
+        raise
+    except FwclassError as fault:
+        raise StoreError("the run is not finished", where=root, got=fault.what, do="finish it first") from fault
+    layout = plan.tiled.layout
+    only = asked.tiles
+    if isinstance(only, Area):
+        only = only.tiles(layout, plan.tiled.survey.crs)
+    keys = layout.keys if only is None else layout.keys & only
+    check_done(look, keys, (*TILE_STAGES, "ground", "height"))
+    candidates = places(keys, config.tile.size, asked.shift, config.seams.width)
+    if not candidates:
+        raise ConfigError("no two tiles of this run share a border", where=root, got=f"{len(keys)} tiles")
+    strips = chosen(candidates, asked.share, asked.length, config.seams.seed)
+    total = sum(p.length for p in candidates)
+    share = min(1.0, sum(p.length for p in strips) / total)
+    tiles = Tiles(Desk(look.store), TileGrid(config.tile.size), layout.keys)
+    bounded = _strips(plan, strips, tiles, display)
+    bounded += _blocks(plan, share, look, tiles, display)
+    moved = _moved(plan, share, look, tiles, display)
+    check_unchanged(look, tiles.used, (*TILE_STAGES, "tile", "ground", "height"))
+    size = layout.config.tile.size * config.seams.tile
+    return Found(
+        root,
+        asked.shift,
+        config.seams.width,
+        total,
+        tuple(strips),
+        tuple(bounded),
+        tuple(moved),
+        size,
+        plan.tiled.survey.crs,
+    )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A run's parts, looked at."""
+
+    tiled: Tiled
+    names: tuple[str, ...]
+    model: tuple[Path, str] | None
+
+    def tasks(self, layout: Layout) -> Tasks:
+        """All that `classification` does with the tiles of `layout`, until their classes."""
+        asked = (*self.names, *layout.config.features.also)
+        labelled = until_labels(replace(self.tiled, layout=layout), asked)
+        return labelled + forest.classify_tasks(layout, self.names, self.model)
+
+
+def _planned(config: Config, look: Look) -> Plan:
+    model = given_model(config)
+    names = load_model(model[0]).features if model else config.features_asked
+    check_features(config, names, model[0] if model else f"{config.path}: survey.features")
+    plan = Plan(until_tiles(config, look, names), names, model)
+    layout = plan.tiled.layout
+    look.do([t for t in plan.tasks(layout) if t.stage != "classify"])
+    look.do([] if model else forest.training_tasks(layout))
+    look.do(forest.classify_tasks(layout, names, model))
+    return plan
+
+
+def _strips(plan: Plan, strips: list[Place], tiles: Tiles, display: Display) -> list[Seam]:
+    layout = replace(plan.tiled.layout, tiles=tuple(p.tile for p in strips))
+    desk = StripDesk(tiles.desk.store, tiles, {p.tile.key: p for p in strips}, {})
+    mine = [t for t in plan.tasks(layout) if t.stage in TILE_STAGES and t.part in desk.places]
+    return tile_seams(mine, desk, layout.config.seams.listed, display)
+
+
+def _count(share: float, blocks: int) -> int:
+    """So many of the blocks, at least one."""
+    return max(1, round(share * blocks))
+
+
+def _blocks(plan: Plan, share: float, look: Look, tiles: Tiles, display: Display) -> list[Seam]:
+    """Filter and terrain of some blocks, the same blocks, read from tiles of another size."""
+    whole = plan.tiled.layout
+    config = whole.config
+    size = round(1000.0 * config.tile.size * config.seams.tile) / 1000.0
+    grid, wanted, around = TileGrid(size), [], set()
+    for stage in BLOCK_STAGES:
+        halo = reach_of(stage, whole)
+        done = whole_blocks(stage.name, list(whole.blocks(size_of(stage.name, whole))), whole, look, halo)
+        for k in drawn(done, config.seams.seed)[: _count(share, len(done))]:
+            wanted.append((stage.name, done[k].key))
+            around |= set(grid.touching(done[k].box.grown(halo)))
+    cut = config.tile.model_copy(update={"size": size})
+    other = replace(whole, tiles=tuple(sorted(around)), config=replace(config, tile=cut))
+    tasks = [t for t in ground.ground_tasks(other) if t.name in wanted]
+    return block_seams(tasks, other, OtherTilesDesk(tiles.desk.store, tiles, grid), config.seams.listed, display)
+
+
+def _moved(plan: Plan, share: float, look: Look, tiles: Tiles, display: Display) -> list[Apart]:
+    """Filter and terrain of blocks that lie elsewhere: what is not bounded."""
+    layout, found = plan.tiled.layout, []
+    seed = layout.config.seams.seed
+    for stage in BLOCK_STAGES:
+        here = shifted_blocks(stage, layout)
+        done = set(whole_blocks("", [p.tile for p in here], layout, look, reach_of(stage, layout)))
+        here = [p for p in here if p.tile in done]
+        here = [here[k] for k in drawn([p.tile for p in here], seed)]
+        found.append(apart(stage, here, _count(share, len(here)), layout, tiles.desk, WITHIN, display))
+    return found
