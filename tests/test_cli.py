@@ -156,8 +156,10 @@ def test_a_failed_run_does_not_show_an_older_run_s_figures(tmp_path, small):
     result = fwclass(*args, "--set", classes)
     assert told(result, 3, "no training rows of class 'water'", "survey.classes=")
     assert "accuracy" not in result.stderr and "tiles  (" not in result.stderr
-    report = json.loads((tmp_path / "r" / "report.json").read_text())
+    assert "generation  0002 is not whole and lies aside" in result.stderr
+    report = json.loads((tmp_path / "r" / "generations" / "0002" / "report.json").read_text())
     assert report["accuracy"] is None and not report["outputs"]["laz"] and report["failed"]
+    assert json.loads((tmp_path / "r" / "report.json").read_text())["accuracy"], "readers keep the whole delivery"
 
 
 @pytest.mark.parametrize("place", ["file", "file/below", "/proc/nope/x"])
