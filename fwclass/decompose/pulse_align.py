@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.special import expit, log_ndtr
 
 from fwclass.decompose.pulse_template import BEFORE, NARROWEST, WIDEST, Template
 from fwclass.waveforms import Waveforms
@@ -136,8 +135,10 @@ def narrowest(width: Floats, error: Floats) -> float:
         d = width - mode - p[0] * typical
         flat = np.exp(-0.5 * (d / sd) ** 2) / (sd * math.sqrt(2.0 * math.pi))
         rate = 1.0 / (typical * (1.0 + math.exp(p[2])))
-        wide = rate * np.exp(np.minimum(rate * (0.5 * rate * sd**2 - d) + log_ndtr(d / sd - rate * sd), 0.0))
-        share = float(expit(p[3]))
+        wide = rate * np.exp(
+            np.minimum(rate * (0.5 * rate * sd**2 - d) + scipy.special.log_ndtr(d / sd - rate * sd), 0.0)
+        )
+        share = float(scipy.special.expit(p[3]))
         likelihood = (1.0 - STRAY) * (share * flat + (1.0 - share) * wide) + STRAY / (0.8 * mode)
         # the noise is known: only a clear misfit scales the errors
         return -float(np.log(likelihood).sum()) + 0.5 * (p[1] / 0.3) ** 2 + 0.01 * p[3] ** 2
@@ -147,6 +148,6 @@ def narrowest(width: Floats, error: Floats) -> float:
     simplex = np.vstack([start, start + np.diag([-1.0, 0.2, 1.0, 2.0])])
     for _ in range(2):
         options: Any = {"xatol": 0.02, "fatol": 0.02, "maxiter": 250, "initial_simplex": simplex}
-        best = minimize(loss, simplex[0], method="Nelder-Mead", options=options).x
+        best = scipy.optimize.minimize(loss, simplex[0], method="Nelder-Mead", options=options).x
         simplex = np.vstack([best, best + np.diag([0.5, 0.1, 0.5, -1.0])])
     return mode + float(best[0]) * typical

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.special import digamma, polygamma
 
 from fwclass.decompose import pulse_scan
 from fwclass.decompose.system_pulse import MOST_CHANNELS, Channel
@@ -134,22 +134,22 @@ def prior_variance(variance: Floats, freedom: Floats) -> tuple[float, float]:
     samples count as half that of rounding, and the outer 2.5 % of the logarithms as the outermost inside.
     """
     half = 0.5 * freedom
-    logs = np.log(np.maximum(variance, 0.5 * ROUNDING**2)) - digamma(half) + np.log(half)
+    logs = np.log(np.maximum(variance, 0.5 * ROUNDING**2)) - scipy.special.digamma(half) + np.log(half)
     logs = np.clip(logs, *np.quantile(logs, [TRIM, 1.0 - TRIM]))
     centre = float(logs.mean())
-    excess = float(logs.var(ddof=1)) / WINSOR_LOSS - float(polygamma(1, half).mean())
-    if excess <= float(polygamma(1, 0.5 * MOST_FREEDOM)):
+    excess = float(logs.var(ddof=1)) / WINSOR_LOSS - float(scipy.special.polygamma(1, half).mean())
+    if excess <= float(scipy.special.polygamma(1, 0.5 * MOST_FREEDOM)):
         return math.exp(centre), MOST_FREEDOM
     prior = 2.0 * _trigamma_inverse(excess)
-    return math.exp(centre + float(digamma(0.5 * prior)) - math.log(0.5 * prior)), prior
+    return math.exp(centre + float(scipy.special.digamma(0.5 * prior)) - math.log(0.5 * prior)), prior
 
 
 def _trigamma_inverse(x: float) -> float:
     """y > 0 with trigamma(y) = x > 0, by Newton's method (Smyth 2004, appendix)."""
     y = 0.5 + 1.0 / x
     for _ in range(50):
-        value = float(polygamma(1, y))
-        step = value * (1.0 - value / x) / float(polygamma(2, y))
+        value = float(scipy.special.polygamma(1, y))
+        step = value * (1.0 - value / x) / float(scipy.special.polygamma(2, y))
         y += step
         if abs(step) < 1e-8 * y:
             break

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from fwclass.kernel import kernel
 from fwclass.units import FWHM_PER_SIGMA
@@ -124,13 +123,13 @@ def mean_shape(u: Floats, v: Floats, sigma: Floats, fwhm: float, tail: float) ->
     knots = first + (last - first) / pieces * np.arange(-3, pieces + 4)
     if len(u) < 2 * pieces:
         return None
-    design = BSpline.design_matrix(u, knots, 3)
+    design = scipy.interpolate.BSpline.design_matrix(u, knots, 3)
     basis = design.data.reshape(-1, 4)
     start = design.indices.reshape(-1, 4)[:, 0]
     coefficients, error = _biweight(basis, start, v, 1.0 / sigma**2, pieces + 3)
     if coefficients is None or error is None:
         return None
-    return _normalised(BSpline(knots, coefficients, 3), error, first, last, fwhm)
+    return _normalised(scipy.interpolate.BSpline(knots, coefficients, 3), error, first, last, fwhm)
 
 
 def _biweight(
@@ -148,17 +147,17 @@ def _biweight(
         for shift, value in ((0, 6.0), (1, -4.0), (2, 1.0)):
             banded[shift, : size - shift] += ridge * value
         try:
-            banded = cholesky_banded(banded, lower=True)
+            banded = scipy.linalg.cholesky_banded(banded, lower=True)
         except np.linalg.LinAlgError:
             return None, None
-        coefficients = cho_solve_banded((banded, True), right)
+        coefficients = scipy.linalg.cho_solve_banded((banded, True), right)
         residual = np.empty(len(v))
         _departures(basis, start, v, scaled, coefficients, residual)
         scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
         robust = weight * np.clip(1.0 - (residual / (BISQUARE * scale)) ** 2, 0.0, None) ** 2
     share = robust / weight
     spread = float(np.sqrt((share * residual**2).sum() / max(share.sum(), 1.0)))
-    inverse = cho_solve_banded((banded, True), np.eye(size))
+    inverse = scipy.linalg.cho_solve_banded((banded, True), np.eye(size))
     return coefficients, spread * np.sqrt(np.diag(inverse))
 
 
@@ -184,7 +183,9 @@ def _departures(basis, start, v, scale, coefficients, out):  # type: ignore[no-u
         out[i] = (v[i] - value) * scale[i]
 
 
-def _normalised(spline: BSpline, error: Floats, first: float, last: float, fwhm: float) -> Template | None:
+def _normalised(
+    spline: scipy.interpolate.BSpline, error: Floats, first: float, last: float, fwhm: float
+) -> Template | None:
     """`spline` with its peak of 1 at time 0, tapered to 0 where it is not significant."""
     step = fwhm / STEPS_PER_FWHM
     grid = np.arange(first, last, step)
@@ -212,7 +213,7 @@ def _normalised(spline: BSpline, error: Floats, first: float, last: float, fwhm:
     return widened(time, value, width)
 
 
-def _reach(spline: BSpline, error: Floats, peak: float, fwhm: float) -> tuple[float, float]:
+def _reach(spline: scipy.interpolate.BSpline, error: Floats, peak: float, fwhm: float) -> tuple[float, float]:
     """First and last time of the part that is significant, half a FWHM for the fading included [ns]."""
     at = spline.t[2:-2]
     sure = np.abs(spline.c) > np.maximum(SURE * error, FAINTEST)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.units import FWHM_PER_SIGMA
@@ -89,7 +89,7 @@ class Profiles:
             self.start = pulse.first + pulse.step * float(high[0])
             self.stop = pulse.first + pulse.step * float(high[-1])
             times = pulse.first + pulse.step * np.arange(len(pulse.values))
-            self.spline = CubicSpline(times, pulse.values, bc_type="natural", extrapolate=False)
+            self.spline = scipy.interpolate.CubicSpline(times, pulse.values, bc_type="natural", extrapolate=False)
 
     def reach(self, s: float) -> tuple[float, float]:
         """First and last time at which an echo of width `s` counts."""

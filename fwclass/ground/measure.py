@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fwclass.grid import Window, whole_millimetres
 from fwclass.ground.raster.fill import filled
@@ -157,7 +157,7 @@ def measure(
         building=_widest(low, cell, _quantile(bare, 0.9)),
         ground=_near(flat, z, (first + NEAR + 0.5 * cell * slope).reshape(-1)) / len(x),
         vegetation=1.0 - seen,
-        roughness=_quantile(np.abs(first - ndimage.uniform_filter(first, 3, mode="nearest"))[known & ~cut], 0.5),
+        roughness=_quantile(np.abs(first - scipy.ndimage.uniform_filter(first, 3, mode="nearest"))[known & ~cut], 0.5),
         outliers=outliers,
     )
 
@@ -257,7 +257,7 @@ def _standing(surface: NDArray[np.float64], cell: float, slope: float, window: f
 
 def _slope(surface: NDArray[np.float64], cell: float) -> NDArray[np.float64]:
     """Slope, rise over run, of the surface averaged over five cells."""
-    return gradient(ndimage.uniform_filter(surface, 5, mode="nearest"), cell)
+    return gradient(scipy.ndimage.uniform_filter(surface, 5, mode="nearest"), cell)
 
 
 def _widest(low: NDArray[np.float64], cell: float, slope: float) -> float:
@@ -271,11 +271,11 @@ def _widest(low: NDArray[np.float64], cell: float, slope: float) -> float:
     if not np.isfinite(terrain).all():
         return 0.0
     high = surface - terrain > HIGH
-    inside = ndimage.distance_transform_edt(np.pad(high, 1, constant_values=False))[1:-1, 1:-1]
-    names, count = ndimage.label(high)
+    inside = scipy.ndimage.distance_transform_edt(np.pad(high, 1, constant_values=False))[1:-1, 1:-1]
+    names, count = scipy.ndimage.label(high)
     if count == 0:
         return 0.0
-    widths = 2.0 * edge * ndimage.maximum(inside, names, np.arange(1, count + 1)) - edge
+    widths = 2.0 * edge * scipy.ndimage.maximum(inside, names, np.arange(1, count + 1)) - edge
     steep = _border_steps(surface, high, names, count) >= STEEP_BORDER + math.sqrt(2.0) * edge * slope
     return float(np.max(widths, where=steep, initial=0.0))
 
@@ -284,9 +284,9 @@ def _border_steps(
     surface: NDArray[np.float64], high: NDArray[np.bool_], names: NDArray[np.signedinteger], count: int
 ) -> NDArray[np.float64]:
     """Median height [m] of every region's border cells over the lowest of their neighbours; 0 for none."""
-    rim = high & ~ndimage.binary_erosion(high)
-    step = surface - ndimage.minimum_filter(surface, 3, mode="nearest")
-    known = np.asarray(ndimage.median(step[rim], names[rim], np.arange(1, count + 1)))
+    rim = high & ~scipy.ndimage.binary_erosion(high)
+    step = surface - scipy.ndimage.minimum_filter(surface, 3, mode="nearest")
+    known = np.asarray(scipy.ndimage.median(step[rim], names[rim], np.arange(1, count + 1)))
     return np.nan_to_num(known)
 
 

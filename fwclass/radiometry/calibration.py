@@ -7,9 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fwclass.errors import InputError
 from fwclass.radiometry.overlap import PARTS, STEP, Overlap, merge
@@ -192,7 +191,9 @@ def _adjust(
     if len(pairs) == 0:
         return np.zeros(n), np.full(n, np.nan), np.arange(n), np.empty(0), None
     a, b = (np.searchsorted(strips, pairs[:, k].astype(np.int64)) for k in (0, 1))
-    groups, group = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)
+    groups, group = scipy.sparse.csgraph.connected_components(
+        scipy.sparse.coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False
+    )
     design = np.zeros((len(pairs), n))
     design[np.arange(len(a)), a], design[np.arange(len(a)), b] = 1.0, -1.0
     weight = 1.0 / pairs[:, 4] ** 2

@@ -8,8 +8,8 @@ in place: no particle is first, and a mirrored cloud gives a mirrored cloth.
 from __future__ import annotations
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fwclass.kernel import kernel
 
@@ -75,7 +75,7 @@ def without_holes(heights: NDArray[np.float64]) -> NDArray[np.float64]:
     out: NDArray[np.float64] = _nearest_around(heights, *_nearest_along(heights, NEAR), NEAR)
     far = np.isnan(out)
     if far.any():
-        rows, cols = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
+        rows, cols = scipy.ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
         out[far] = heights[rows[far], cols[far]]
     return out
 
@@ -133,7 +133,7 @@ def fallen(
     rigidness, iterations, time_step, slope_smooth : as in `CsfParams`.
     """
     ground = np.pad(heights, GHOSTS, mode="symmetric")
-    start = ndimage.maximum_filter(heights, size=2 * radius + 1, mode="nearest")
+    start = scipy.ndimage.maximum_filter(heights, size=2 * radius + 1, mode="nearest")
     cloth = np.pad(start, GHOSTS, mode="symmetric")
     movable = np.ones(ground.shape, bool)
     pull = GRAVITY * time_step**4  # a force of time_step² that works for time_step² (Zhang's program)
@@ -141,7 +141,7 @@ def fallen(
     inner = slice(GHOSTS, -GHOSTS)
     cloth, movable = cloth[inner, inner], movable[inner, inner]
     if slope_smooth:
-        pieces, _ = ndimage.label(movable)
+        pieces, _ = scipy.ndimage.label(movable)
         large = movable & (np.bincount(pieces.ravel()) > SLOPE_PARTICLES)[pieces]
         _let_down(heights, large, movable, cloth)
     return cloth

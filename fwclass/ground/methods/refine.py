@@ -6,8 +6,8 @@ Rasters of lowest points: heights [m] and, of the same points, the offsets east 
 from __future__ import annotations
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fwclass.ground.raster.lattice import LowestPoints
 from fwclass.kernel import kernel
@@ -75,7 +75,7 @@ def restored(
 
 def _near(cells: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     """Cells within a square of 2 `reach` + 1 cells of one of `cells`."""
-    return ndimage.maximum_filter(cells, 2 * reach + 1, mode="constant", cval=False)
+    return scipy.ndimage.maximum_filter(cells, 2 * reach + 1, mode="constant", cval=False)
 
 
 def without_company(

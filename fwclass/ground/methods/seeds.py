@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from fwclass.grid import Window
 from fwclass.ground.raster.fill import filled
@@ -111,7 +111,7 @@ def stand_ins(
     bx = np.r_[along_x, along_x, np.full(len(along_y), low_x), np.full(len(along_y), high_x)]
     by = np.r_[np.full(len(along_x), low_y), np.full(len(along_x), high_y), along_y, along_y]
     count = min(_NEAREST, len(seeds))
-    found = cKDTree(np.c_[x[seeds], y[seeds]]).query(np.c_[bx, by], np.arange(1, count + 1))
+    found = scipy.spatial.cKDTree(np.c_[x[seeds], y[seeds]]).query(np.c_[bx, by], np.arange(1, count + 1))
     weight, near = 1.0 / np.asarray(found[0]), np.asarray(found[1])
     return bx, by, (z[seeds][near] * weight).sum(axis=1) / weight.sum(axis=1)
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fwclass.ground.raster.opening import opened
 
@@ -30,7 +30,7 @@ def domain(measured: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
     Beyond it the openings see nothing, as beyond the edge of an image. Otherwise a building at the survey's
     border would be continued outwards and be too wide to be opened.
     """
-    near = ndimage.distance_transform_edt(~measured) <= radius
+    near = scipy.ndimage.distance_transform_edt(~measured) <= radius
     if near.all():
         return near
-    return (ndimage.distance_transform_edt(near) > radius) | measured
+    return (scipy.ndimage.distance_transform_edt(near) > radius) | measured

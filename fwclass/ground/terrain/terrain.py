@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fwclass.grid import Window
 from fwclass.ground.raster.bilinear import bilinear
@@ -122,7 +122,7 @@ def _distances(cells: NDArray[np.int64], window: Window) -> NDArray[np.float64]:
         return np.full(window.shape, np.inf)
     empty = np.ones(window.shape, bool)
     empty.reshape(-1)[cells] = False
-    return np.asarray(ndimage.distance_transform_edt(empty, sampling=window.cell), np.float64)
+    return np.asarray(scipy.ndimage.distance_transform_edt(empty, sampling=window.cell), np.float64)
 
 
 def _support(distance: NDArray[np.float64], max_gap: float) -> NDArray[np.uint8]:
@@ -188,7 +188,7 @@ def _continued(known: NDArray[np.float64], window: Window, gap: float) -> NDArra
     """
     if not np.isnan(known).all():
         empty = np.isnan(known)
-        distance, (row, col) = ndimage.distance_transform_edt(empty, sampling=window.cell, return_indices=True)
+        distance, (row, col) = scipy.ndimage.distance_transform_edt(empty, sampling=window.cell, return_indices=True)
         known = np.where(distance > gap, known[row, col], known)
     south, west = window.row % PYRAMID, window.col % PYRAMID
     around = np.pad(known, ((south, 0), (west, 0)), constant_values=np.nan)
