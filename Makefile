@@ -4,7 +4,7 @@ PYTHON ?= python3
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test check format bench clean
+.PHONY: demo test check format bench fuzz clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || \
@@ -33,6 +33,9 @@ format: $(READY)
 
 bench: $(READY)
 	for file in tests/bench/bench_*.py; do echo "== $$file"; $(PY) $$file; done
+
+fuzz: $(READY)
+	$(PY) tests/fuzz/long.py --inputs 100000
 
 clean:
 	rm -rf $(VENV) demo-run .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

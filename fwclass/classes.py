@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
 
+MOST_LETTERS = 100
+"""Of a class's name."""
+
 
 @dataclass(frozen=True)
 class ClassDef:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import unicodedata
 from collections.abc import Iterable
 
 from fwclass.redact import redacted
@@ -11,8 +12,30 @@ from fwclass.redact import redacted
 DONE, FAILED, USAGE, PARTIAL, QUALITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 
+_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Unicode's classes of characters that show as nothing, turn the text around them, or end a line."""
+
+
+def is_control(character: str) -> bool:
+    """It has no shape of its own: a terminal obeys it, and a reader does not see it."""
+    return unicodedata.category(character) in _UNSEEN
+
+
+def visible(text: object, keep: str = "") -> str:
+    """`text` with every control character but those in `keep` written out (``\\x1b``): what a file holds must not
+    colour, erase or rearrange what a terminal shows."""
+    plain = str(text)
+    if plain.isprintable():
+        return plain
+    return "".join(
+        c if c in keep or not is_control(c) else c.encode("unicode_escape", "surrogatepass").decode() for c in plain
+    )
+
+
 class FwclassError(Exception):
     """A fault that the user can act on; the command line prints it without a traceback.
+
+    Whatever comes from a file is in it with its control characters written out (`visible`).
 
     Parameters
     ----------
@@ -35,8 +58,10 @@ class FwclassError(Exception):
         got: object = "",
         do: str = "",
     ) -> None:
-        self.what, self.where, self.do = redacted(what), redacted(str(where)), redacted(do)
-        self.expected, self.got = redacted(str(expected)), redacted(str(got))
+        self.what, self.where, self.do = (
+            visible(redacted(what), "\n\t"), visible(redacted(str(where))), visible(redacted(do), "\n\t"),
+        )  # fmt: skip
+        self.expected, self.got = (visible(redacted(str(text)), "\n\t") for text in (expected, got))
         super().__init__(self.message())
 
     def message(self) -> str:

@@ -15,7 +15,7 @@ class AssessParams(Params):
     `block`: edge of the squares of the global grid [m] that intervals are drawn from.
     """
 
-    block: float = Field(gt=0)
-    quantiles: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(min_length=1)
+    block: float = Field(ge=0.1, le=100_000)
+    quantiles: tuple[Annotated[float, Field(ge=0, le=1)], ...] = Field(min_length=1, max_length=100)
     min_overall_accuracy: float | None = Field(ge=0, le=1)
     min_kappa: float | None = Field(ge=-1, le=1)

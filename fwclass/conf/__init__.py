@@ -16,6 +16,7 @@ from fwclass.conf.files import conf_directory, find, merged, read, setting
 from fwclass.conf.model import PARAMS, Config
 from fwclass.conf.schedule import SECRET
 from fwclass.errors import ConfigError, nearest
+from fwclass.ground.terrain.params import MOST_CELLS
 from fwclass.redact import redacted_setting
 
 __all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "preset", "presets", "section"]
@@ -163,6 +164,12 @@ def _check(config: Config) -> None:
         raise ConfigError("at least two classes are needed", where=f"{where}: survey.classes", got=names or "none")
     if not all(0 < c <= 255 for c in codes + used):
         raise ConfigError("class codes lie in 1 to 255", where=f"{where}: survey.classes", got=codes + used)
+    if config.terrain.block > MOST_CELLS * config.publish.class_cell:
+        raise ConfigError(
+            "the cells of the class raster are too small", where=f"{where}: publish.class_cell",
+            expected=f"at least {config.terrain.block / MOST_CELLS:g} m: {MOST_CELLS:,} in a block (terrain.block)",
+            got=f"{config.publish.class_cell:g} m", do="make them larger, or the blocks smaller",
+        )  # fmt: skip
     weights = config.train.class_weights
     for name in weights if isinstance(weights, Mapping) else ():
         if name not in names:

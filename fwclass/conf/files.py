@@ -10,7 +10,16 @@ import yaml
 from fwclass.errors import ConfigError, nearest
 from fwclass.redact import redacted_setting
 
-_SIZE_LIMIT = 1 << 20
+_SIZE_LIMIT = 1 << 18
+"""Bytes of a file; `conf/base.yaml`, the longest there is, has an eighth of it."""
+
+_MOST_VALUES = 100_000
+"""Keys and values of a file, each counted as often as an alias repeats it."""
+
+_DEEPEST = 50
+"""Levels of nested keys and lists."""
+
+_UNDER_WAY = (0, 0)
 
 
 def conf_directory() -> Path:
@@ -40,7 +49,23 @@ def find(name: str | Path) -> Path:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe loading that refuses a key given twice (plain YAML keeps the last one silently)."""
+    """Safe loading that refuses a key given twice (plain YAML keeps the last one silently), every tag, and depth."""
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        tag = getattr(event, "tag", None)
+        if tag is not None:
+            raise yaml.composer.ComposerError(
+                None, None, f"a tag ({tag[:80]}): a configuration is plain data", event.start_mark
+            )
+        if self.depth > _DEEPEST:
+            raise yaml.composer.ComposerError(None, None, f"nested more than {_DEEPEST} levels deep", event.start_mark)
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
 
 def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -56,15 +81,63 @@ def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
 
 
+def plain(text: str) -> Any:
+    """The plain data that `text` (YAML) holds: numbers, texts, lists and mappings.
+
+    Raises
+    ------
+    yaml.YAMLError
+        No YAML, a tag (`!…`) or a key twice, too deep, or aliases that would repeat too much.
+    """
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _count(node, {}, 0)
+        return loader.construct_document(node)
+    except (ValueError, TypeError, OverflowError) as fault:  # a date that is none, a list as a key, a number too long
+        raise yaml.YAMLError(f"a value cannot be read: {fault}") from fault
+    except RecursionError as fault:
+        raise yaml.YAMLError(f"nested more than {_DEEPEST} levels deep") from fault
+    finally:
+        loader.dispose()
+
+
+def _count(node: yaml.Node, known: dict[int, tuple[int, int]], depth: int) -> tuple[int, int]:
+    """Values below `node` and their levels, those of an alias each time; `known` holds what was counted before."""
+    if id(node) not in known:
+        known[id(node)] = _UNDER_WAY
+        below: list[yaml.Node] = []
+        if isinstance(node, yaml.SequenceNode):
+            below = node.value
+        elif isinstance(node, yaml.MappingNode):
+            below = [part for pair in node.value for part in pair]
+        found = [_count(part, known, depth + 1) for part in below]
+        known[id(node)] = 1 + sum(n for n, _ in found), 1 + max((levels for _, levels in found), default=0)
+    values, levels = known[id(node)]
+    if not values:
+        raise yaml.YAMLError("an alias (*…) stands inside of what it repeats")
+    if depth + levels > _DEEPEST:
+        raise yaml.YAMLError(f"nested more than {_DEEPEST} levels deep")
+    if values > _MOST_VALUES:
+        raise yaml.YAMLError(f"more than {_MOST_VALUES} values, with what aliases (*…) repeat")
+    return values, levels
+
+
 def read(path: Path) -> dict[str, Any]:
+    """The mapping in a YAML file; `ConfigError` where there is none, or a file that could not have been meant."""
     try:
         if path.stat().st_size > _SIZE_LIMIT:
-            raise ConfigError("a configuration this large is not one", where=path, got=f"{path.stat().st_size} bytes")
-        value = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)  # noqa: S506 - a SafeLoader
+            raise ConfigError(
+                "a configuration this large is not one", where=path, expected=f"at most {_SIZE_LIMIT} bytes",
+                got=f"{path.stat().st_size} bytes", do="check the path",
+            )  # fmt: skip
+        value = plain(path.read_text(encoding="utf-8"))
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as fault:
         told = _told(fault, path.name)
         tabs = "indent with spaces: YAML knows no tabs" if "\\t" in told else "mend the YAML at the place named"
-        raise ConfigError("a configuration cannot be read", where=path, got=told, do=tabs) from fault
+        raise ConfigError("a configuration cannot be read", where=path, got=told[:1000], do=tabs) from fault
     if value is None:
         return {}
     if not isinstance(value, dict):
@@ -100,7 +173,7 @@ def setting(text: str) -> dict[str, Any]:
             got=redacted_setting(text),
         )
     try:
-        result: Any = yaml.safe_load(value)
+        result: Any = plain(value)
     except yaml.YAMLError as fault:
         told = _told(fault, "the value")
         raise ConfigError(

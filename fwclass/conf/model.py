@@ -7,15 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from fwclass.assess.params import AssessParams
-from fwclass.classes import ClassDef
+from fwclass.classes import MOST_LETTERS, ClassDef
 from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sets import feature_set, listed_once
 from fwclass.decompose.params import DecomposeParams, PulseParams
+from fwclass.errors import visible
 from fwclass.features.params import FeaturesParams
 from fwclass.grid import Box
 from fwclass.ground.params import GroundParams
@@ -43,10 +44,17 @@ class ClassSection(Section):
     `legacy_code` (0 to 31) is written where a source strip has a point format (0-5) that cannot hold `code`.
     """
 
-    name: str
+    name: str = Field(min_length=1, max_length=MOST_LETTERS)
     code: int
     codes: tuple[int, ...]
     legacy_code: int | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _shows(cls, name: str) -> str:
+        if visible(name) != name:
+            raise ValueError("a class name has no characters that cannot be seen")
+        return name
 
 
 class ReferenceSection(Section):
@@ -85,7 +93,7 @@ class SurveySection(Section):
     the name or file of a feature set. `model`: directory of a trained model to use instead of training, or null.
     """
 
-    name: str = Field(pattern=r"^\w[\w .-]*$")
+    name: str = Field(pattern=r"^\w[\w .-]*$", max_length=100)
     directory: str | None
     sources: tuple[str, ...] = Field(min_length=1)
     crs: str | None
@@ -112,7 +120,7 @@ class AreasSection(Section):
 
     train: tuple[tuple[float, float, float, float], ...]
     test: tuple[tuple[float, float, float, float], ...]
-    gap: float = Field(ge=0)
+    gap: float = Field(ge=0, le=1_000_000)
 
     def boxes(self, name: Literal["train", "test"]) -> tuple[Box, ...]:
         return tuple(Box(*b) for b in getattr(self, name))
@@ -126,11 +134,11 @@ class RunSection(Section):
     `window`: parts that the scheduler knows at a time.
     """
 
-    workers: int = Field(ge=0)
-    worker_memory_gib: float = Field(gt=0)
-    window: int = Field(ge=1)
-    keep_generations: int = Field(ge=1)
-    seam_check_echoes: int = Field(ge=0)
+    workers: int = Field(ge=0, le=10_000)
+    worker_memory_gib: float = Field(gt=0, le=100_000)
+    window: int = Field(ge=1, le=10_000_000)
+    keep_generations: int = Field(ge=1, le=100_000)
+    seam_check_echoes: int = Field(ge=0, le=1_000_000_000)
 
 
 class SeamsSection(Section):
@@ -145,11 +153,11 @@ class SeamsSection(Section):
     listed : so many echoes of each stage that differ are listed.
     """
 
-    width: float = Field(gt=0)
+    width: float = Field(gt=0, le=10_000)
     share: float = Field(gt=0, le=1)
     seed: int = Field(ge=0)
     tile: float = Field(ge=0.1, lt=1)
-    listed: int = Field(ge=0)
+    listed: int = Field(ge=0, le=1_000_000)
 
 
 class PapersSection(Section):
@@ -165,11 +173,11 @@ class PapersSection(Section):
     more_classes : classes that a paper does not have: its variants neither train nor are scored on them.
     """
 
-    test_echoes: int = Field(ge=1)
-    seed: int = Field(ge=0)
-    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(min_length=1)
-    block: float = Field(gt=0)
-    repeats: int = Field(ge=1)
+    test_echoes: int = Field(ge=1, le=1_000_000_000)
+    seed: int = Field(ge=0, lt=2**63)
+    seeds: tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] = Field(min_length=1, max_length=100)
+    block: float = Field(ge=0.1, le=100_000)
+    repeats: int = Field(ge=1, le=1000)
     more_classes: tuple[ClassSection, ...]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -53,15 +53,15 @@ class PlanSection(Params):
     stages : cost of every stage by name.
     """
 
-    sample_points: int = Field(ge=1000)
-    returns_per_pulse: float = Field(ge=1)
-    echoes_per_return: float = Field(gt=0)
+    sample_points: int = Field(ge=1000, le=100_000_000)
+    returns_per_pulse: float = Field(ge=1, le=1000)
+    echoes_per_return: float = Field(gt=0, le=1000)
     wave_bytes: float = Field(ge=0)
-    crowding: float = Field(ge=1)
+    crowding: float = Field(ge=1, le=1000)
     base_mib: float = Field(ge=0)
     worker_share: float = Field(gt=0, le=1)
     disk_share: float = Field(gt=0, le=1)
     compile_seconds: float = Field(ge=0)
-    sizes: tuple[float, ...] = Field(min_length=1)
-    tiles_per_worker: int = Field(ge=1)
+    sizes: tuple[Annotated[float, Field(ge=5, le=100_000)], ...] = Field(min_length=1, max_length=100)
+    tiles_per_worker: int = Field(ge=1, le=1_000_000)
     stages: dict[str, StageCost]

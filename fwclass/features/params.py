@@ -59,13 +59,13 @@ class FeaturesParams(Params):
     """
 
     also: tuple[str, ...]
-    cell_x: float = Field(gt=0)
-    cell_y: float = Field(gt=0)
-    normal_radius: float = Field(gt=0)
+    cell_x: float = Field(ge=0.01, le=10_000)
+    cell_y: float = Field(ge=0.01, le=10_000)
+    normal_radius: float = Field(ge=0.01, le=100)
     orientation_rounds: int = Field(ge=1, le=100)
-    optimal_radii: tuple[float, ...] = Field(min_length=2)
+    optimal_radii: tuple[float, ...] = Field(min_length=2, max_length=100)
     nearest_reach: float = Field(gt=0, le=100)
-    pulse_reach: float = Field(gt=0)
+    pulse_reach: float = Field(gt=0, le=1000)
 
     @field_validator("optimal_radii")
     @classmethod

@@ -5,12 +5,19 @@ Lengths that follow from the largest building are null in the configuration and 
 
 from __future__ import annotations
 
+import math
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from fwclass.ground.methods import Method
 from fwclass.stage import Params
+
+LEAST_CELL = 0.01
+"""No cell or cloth is finer [m]: a tenth of what the densest surveys have between two points."""
+
+MOST_CELLS = 16_384
+"""Along the edge of a raster that a part holds: 1 GiB of float32."""
 
 MAX_HALO = 1000.0
 """What a filter may read around a block [m]: ten times what the widest halls need, and still tens of millions of
@@ -28,6 +35,11 @@ class FilterParams(Params):
     def reach(self) -> float:
         """Distance [m] from which a point may decide about another; of `sized` parameters."""
         return 0.0
+
+    @property
+    def finest(self) -> float:
+        """Edge of the finest raster cells that are made [m]; infinite for none."""
+        return math.inf
 
 
 class NoiseParams(Params):
@@ -51,17 +63,17 @@ class NoiseParams(Params):
     low: bool
     high: bool
     sigma_rule: bool
-    cell: float = Field(gt=0)
-    points: int = Field(ge=1)
+    cell: float = Field(ge=0.05, le=1000)
+    points: int = Field(ge=1, le=1_000_000_000)
     steepest: float = Field(ge=0)
     low_gap: float = Field(gt=0)
     high_gap: float = Field(gt=0)
     low_shape: float = Field(ge=0)
     high_shape: float = Field(ge=0)
     sigma: float = Field(gt=0)
-    sigma_radius: float = Field(gt=0)
+    sigma_radius: float = Field(gt=0, le=100)
     sigma_least: float = Field(ge=0)
-    sigma_neighbours: int = Field(ge=2)
+    sigma_neighbours: int = Field(ge=2, le=1_000_000_000)
     sigma_above: bool
 
     @property
@@ -91,19 +103,19 @@ class SmrfParams(FilterParams):
     restore_share : greatest share of object cells, about as high or higher, around such an edge.
     """
 
-    cell: float = Field(gt=0)
+    cell: float = Field(ge=LEAST_CELL, le=MAX_HALO)
     slope: float = Field(ge=0)
     window: float | None = Field(gt=0)
     scalar: float = Field(ge=0)
     threshold: float = Field(ge=0)
     low_slope: float = Field(gt=0)
     low_first: bool
-    low_companions: int = Field(ge=1)
-    low_radius: float = Field(ge=0)
+    low_companions: int = Field(ge=1, le=1000)
+    low_radius: float = Field(ge=0, le=MAX_HALO)
     low_level: float = Field(ge=0)
     survey_edge: bool
-    restore_rounds: int = Field(ge=0)
-    restore_radius: float = Field(gt=0)
+    restore_rounds: int = Field(ge=0, le=1000)
+    restore_radius: float = Field(gt=0, le=MAX_HALO)
     restore_tolerance: float = Field(ge=0)
     restore_share: float = Field(ge=0, le=1)
 
@@ -114,6 +126,10 @@ class SmrfParams(FilterParams):
     def reach(self) -> float:
         # every round of restoring starts from what the one before has found, but only a few go on at the same place
         return 2.0 * (self.window or 0.0) + min(self.restore_rounds, 3) * self.restore_radius
+
+    @property
+    def finest(self) -> float:
+        return self.cell
 
 
 class PmfParams(FilterParams):
@@ -128,7 +144,7 @@ class PmfParams(FilterParams):
     slope : steepest terrain, rise over run.
     """
 
-    cell_size: float = Field(gt=0)
+    cell_size: float = Field(ge=LEAST_CELL, le=MAX_HALO)
     exponential: bool
     initial_distance: float = Field(ge=0)
     max_distance: float = Field(gt=0)
@@ -143,6 +159,10 @@ class PmfParams(FilterParams):
     @property
     def reach(self) -> float:
         return (self.max_window_size or 0.0) * self.cell_size
+
+    @property
+    def finest(self) -> float:
+        return self.cell_size
 
 
 class SlopeParams(FilterParams):
@@ -179,9 +199,9 @@ class MovingSurfaceParams(FilterParams):
     slope : a seed may lie threshold + slope × cell [m] above the surface of these coarser cells.
     """
 
-    cell: float = Field(gt=0)
+    cell: float = Field(ge=LEAST_CELL, le=MAX_HALO)
     max_cell: float | None = Field(gt=0)
-    neighbours: int = Field(ge=1)
+    neighbours: int = Field(ge=1, le=50)
     threshold: float = Field(gt=0)
     scalar: float = Field(ge=0)
     slope: float = Field(ge=0)
@@ -192,6 +212,10 @@ class MovingSurfaceParams(FilterParams):
     @property
     def reach(self) -> float:
         return (self.neighbours + 1.0) * (self.max_cell or 0.0)
+
+    @property
+    def finest(self) -> float:
+        return self.cell
 
 
 class PtdParams(FilterParams):
@@ -222,7 +246,7 @@ class PtdParams(FilterParams):
     spacing: float = Field(ge=0)
     offset: float = Field(ge=0)
     scalar: float = Field(ge=0)
-    cell: float = Field(gt=0)
+    cell: float = Field(ge=LEAST_CELL, le=MAX_HALO)
     low_slope: float = Field(gt=0)
 
     def sized(self, max_building_size: float) -> Self:
@@ -231,6 +255,10 @@ class PtdParams(FilterParams):
     @property
     def reach(self) -> float:
         return 2.0 * (self.res or 0.0)
+
+    @property
+    def finest(self) -> float:
+        return self.cell
 
 
 class IptdParams(PtdParams):
@@ -260,11 +288,11 @@ class CsfParams(FilterParams):
     slope_smooth : let the cloth down on steep slopes at the end.
     """
 
-    cloth_resolution: float = Field(gt=0)
+    cloth_resolution: float = Field(ge=LEAST_CELL, le=MAX_HALO)
     class_threshold: float = Field(gt=0)
     scalar: float = Field(ge=0)
     rigidness: int = Field(ge=1, le=3)
-    iterations: int = Field(ge=1)
+    iterations: int = Field(ge=1, le=1_000_000)
     time_step: float = Field(gt=0)
     slope_smooth: bool
 
@@ -272,6 +300,10 @@ class CsfParams(FilterParams):
     def reach(self) -> float:
         # the cloth starts from the lowest points within 60 m
         return 64.0
+
+    @property
+    def finest(self) -> float:
+        return self.cloth_resolution
 
 
 class CsfSmrfParams(FilterParams):
@@ -287,6 +319,10 @@ class CsfSmrfParams(FilterParams):
     @property
     def reach(self) -> float:
         return self.csf.reach + self.smrf.reach
+
+    @property
+    def finest(self) -> float:
+        return min(self.csf.finest, self.smrf.finest)
 
 
 class ConsensusParams(FilterParams):
@@ -325,9 +361,9 @@ class GroundParams(Params):
     """
 
     method: Method
-    max_building_size: float = Field(gt=0)
+    max_building_size: float = Field(gt=0, le=1_000_000)
     last_returns: bool
-    block: float = Field(gt=0)
+    block: float = Field(ge=1, le=100_000)
     block_halo: float = Field(ge=0)
     noise: NoiseParams
     slope: SlopeParams
@@ -346,6 +382,13 @@ class GroundParams(Params):
             raise ValueError(
                 f"the filter would read {self.halo:,.0f} m around a block, more than {MAX_HALO:,.0f} m: "
                 "choose a smaller max_building_size, window, radius or cell of the filter"
+            )
+        asked = self.consensus.methods if self.method == "consensus" else (self.method,)
+        cell = min(self.of(m).finest for m in asked)
+        if self.block + 2.0 * self.halo > MOST_CELLS * cell:
+            raise ValueError(
+                f"a block of {self.block:g} m and {self.halo:g} m around it would be more than {MOST_CELLS:,} cells of "
+                f"{cell:g} m wide: choose a smaller block or larger cells of the filter"
             )
         return self
 

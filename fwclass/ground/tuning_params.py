@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Self
 
 from pydantic import Field, model_validator
 
 from fwclass.ground.methods import Method
+from fwclass.ground.params import LEAST_CELL
 from fwclass.stage import Params
+
+MOST_TRIED = 10_000
+"""Combinations of parameters."""
 
 Values = tuple[float, ...]
 Group = dict[str, Values]
@@ -30,15 +35,15 @@ class GroundAutoParams(Params):
     sample, square : larger clouds are judged by evenly spread squares of this edge [m] with about so many points.
     """
 
-    building_margin: float = Field(ge=1)
-    building_most: float = Field(gt=0)
+    building_margin: float = Field(ge=1, le=100)
+    building_most: float = Field(gt=0, le=10_000)
     method: Method
     referees: tuple[Method, ...] = Field(min_length=3)
     candidates: dict[Method, tuple[Group, ...]]
     thin: float = Field(ge=1)
-    cell: float = Field(gt=0)
-    sample: int = Field(gt=0)
-    square: float = Field(gt=0)
+    cell: float = Field(ge=LEAST_CELL)
+    sample: int = Field(gt=0, le=1_000_000_000)
+    square: float = Field(ge=1, le=100_000)
 
     @model_validator(mode="after")
     def _groups_fit(self) -> Self:
@@ -48,6 +53,8 @@ class GroundAutoParams(Params):
                     raise ValueError(
                         f"candidates of {method}: parameters that change together need as many values each"
                     )
+            if math.prod(len(next(iter(group.values()))) for group in groups) > MOST_TRIED:
+                raise ValueError(f"candidates of {method}: more than {MOST_TRIED} combinations")
         return self
 
     def updates(self, method: Method) -> list[dict[str, float]]:
@@ -69,8 +76,8 @@ class GroundSearchParams(Params):
     """
 
     leading: int = Field(ge=1, le=4)
-    coarse: int = Field(ge=2)
-    rounds: int = Field(ge=1)
+    coarse: int = Field(ge=2, le=20)
+    rounds: int = Field(ge=1, le=1000)
     ranges: dict[str, dict[str, Values]]
 
     @model_validator(mode="after")

@@ -8,8 +8,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.classes import ClassDef
-from fwclass.errors import InputError
+from fwclass.classes import MOST_LETTERS, ClassDef
+from fwclass.errors import InputError, visible
 
 LEAF = 65535
 """Value of `feature` in a leaf; no model has so many features."""
@@ -69,6 +69,8 @@ class Model:
                 return f"its card names {len(self.features)} features"
             if not 1 <= len(self.codes) <= 256 or len(self.classes) != len(self.codes):
                 return f"its card names {len(self.codes)} classes"
+            if any(visible(c.name) != c.name or len(c.name) > MOST_LETTERS for c in self.classes):
+                return "its card names a class by characters that cannot be seen, or by too many"
             if any(c.legacy_code is not None and not 0 <= c.legacy_code < 32 for c in self.classes):
                 return "its card names a legacy code beyond 31"
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as fault:

@@ -16,6 +16,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
@@ -184,6 +185,8 @@ def legend(axes: Any, handles: list[Any], title: str) -> None:
 
 def png(figure: Figure) -> bytes:
     """Without the software's name and date, which would change the bytes."""
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)  # a $ in the name of a class is a $
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=DPI, metadata={"Software": None})
     return out.getvalue()

@@ -26,13 +26,13 @@ class PublishParams(Params):
     exaggeration : factor on heights in shaded relief.
     """
 
-    class_cell: float = Field(gt=0)
+    class_cell: float = Field(ge=0.001, le=100_000)
     chunk_points: int = Field(gt=0, le=50_000_000)
-    row_group: int = Field(gt=0)
+    row_group: int = Field(gt=0, le=100_000_000)
     zstd_level: int = Field(ge=1, le=22)
     cog_block: int = Field(ge=128, le=4096, multiple_of=16)
     cog_compression: Literal["deflate", "zstd"]
     figure_pixels: int = Field(ge=200, le=4000)
     sun_azimuth: float = Field(ge=0, le=360)
     sun_altitude: float = Field(gt=0, le=90)
-    exaggeration: float = Field(gt=0)
+    exaggeration: float = Field(gt=0, le=1000)

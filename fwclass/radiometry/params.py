@@ -46,7 +46,7 @@ class OverlapParams(Params):
     least_cells : two strips are compared if they share at least so many cells.
     """
 
-    cell: float = Field(gt=0.0)
+    cell: float = Field(ge=0.01, le=10_000)
     least_echoes: int = Field(ge=2)
     max_spread: float = Field(gt=0.0)
     max_incidence: float = Field(gt=0.0, lt=90.0)
@@ -74,8 +74,8 @@ class RadiometryParams(Params):
     max_time_gap: float = Field(gt=0.0)
     max_incidence: float = Field(gt=0.0, lt=90.0)
     calibration: float | None = Field(gt=0.0)
-    extinction: float = Field(ge=0.0)
-    divergence: float = Field(gt=0.0)
+    extinction: float = Field(ge=0.0, le=1000.0)
+    divergence: float = Field(gt=0.0, le=1000.0)
     balance: bool
     target: TargetParams | None
     overlap: OverlapParams

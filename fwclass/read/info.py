@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.errors import visible
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
 from fwclass.read.pls_info import describe_pulses, pulse_info
@@ -48,8 +49,9 @@ class _Tally:
         self.low = np.minimum(self.low, [v.min() for v in xyz])
         self.high = np.maximum(self.high, [v.max() for v in xyz])
         time = gps_times(source, points)
-        if not np.isnan(time).all():
-            self.gps = (min(self.gps[0], float(np.nanmin(time))), max(self.gps[1], float(np.nanmax(time))))
+        known = time[np.isfinite(time)]
+        if len(known):
+            self.gps = min(self.gps[0], float(known.min())), max(self.gps[1], float(known.max()))
         intensity = np.asarray(points["intensity"])
         self.intensity = (
             min(self.intensity[0], int(intensity.min())),
@@ -220,8 +222,8 @@ def describe(found: dict[str, Any]) -> str:
         ("GPS time", "{:.3f} to {:.3f} s".format(*found["gps_time"]) if found["gps_time"] else "none"),
         *(describe_pulses(found) if "pulses" in found else _describe_points(found)),
     ]
-    lines = [f"{name:<12} {text}" for name, text in rows]
-    lines += [f"  ! {fault}" for fault in found["faults"]] or ["  no faults found"]
+    lines = [f"{name:<12} {visible(text)}" for name, text in rows]
+    lines += [f"  ! {visible(fault)}" for fault in found["faults"]] or ["  no faults found"]
     return "\n".join(lines)
 
 

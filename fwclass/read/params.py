@@ -20,6 +20,6 @@ class ReadParams(Params):
         its returns as echoes.
     """
 
-    chunk_pulses: int = Field(gt=0)
-    max_span_points: int = Field(gt=0)
+    chunk_pulses: int = Field(gt=0, le=100_000_000)
+    max_span_points: int = Field(gt=0, le=2_000_000_000)
     missing_packets: Literal["error", "keep"]

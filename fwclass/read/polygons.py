@@ -131,8 +131,8 @@ def reprojected(made: Shapes, source: CRS, target: CRS, where: object) -> tuple[
     _check_degrees(made, source, where)
     if source.equals(target, ignore_axis_order=True) or _flat(source).equals(_flat(target), ignore_axis_order=True):
         return made, ""
-    transformer = Transformer.from_crs(_flat(source), _flat(target), always_xy=True)
     try:
+        transformer = Transformer.from_crs(_flat(source), _flat(target), always_xy=True)
         x, y = transformer.transform(made.x, made.y)
     except ProjError as fault:
         raise _homeless(where, 0, str(fault)) from fault

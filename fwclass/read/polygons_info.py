@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, visible
 from fwclass.read.polygons import PolygonLayer, layers, open_polygons, read_polygons, values_of
 
 MOST_VALUES = 40
@@ -91,6 +91,6 @@ def describe_polygons(found: dict[str, Any]) -> str:
             values = layer["values"].get(name)
             text = ", ".join(f"{v}: {n:,}" for v, n in values.items()) if values else f"more than {MOST_VALUES} values"
             rows.append(("field", f"{name} ({kind})  {text}"))
-    lines = [f"{name:<12} {text}" for name, text in rows]
-    lines += [f"  ! {fault}" for fault in found["faults"]] or ["  no faults found"]
+    lines = [f"{name:<12} {visible(text)}" for name, text in rows]
+    lines += [f"  ! {visible(fault)}" for fault in found["faults"]] or ["  no faults found"]
     return "\n".join(lines)

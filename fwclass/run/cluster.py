@@ -36,6 +36,21 @@ class Unheeding(WorkerPlugin):  # type: ignore[misc]
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+def _no_answer(address: str | None, fault: Exception) -> FwclassError:
+    """Nobody speaks at `address`, or not to us."""
+    if (address or "").startswith("tls://") or dask.config.get("distributed.comm.require-encryption"):
+        return FwclassError(
+            "no Dask scheduler answers, or not to this certificate", where=address or "local cluster", got=fault,
+            do="name certificates of the scheduler's authority in Dask's distributed.comm.tls: ca-file, client.cert, "
+            "client.key, and those of scheduler and worker where these run (docs/security.md)",
+        )  # fmt: skip
+    return FwclassError(
+        "no Dask scheduler answers", where=address or "local cluster", got=fault,
+        do="start one with `dask scheduler`, or leave --scheduler out for a local cluster; one that speaks TLS has an "
+        "address tls://…",
+    )  # fmt: skip
+
+
 class Cluster:
     """Executor on a Dask scheduler: at `address`, or on `workers` processes of one thread each on this machine.
 
@@ -54,13 +69,8 @@ class Cluster:
             self._client = Client(self._cluster or address, timeout="30s")
             if self._cluster is not None:
                 self._client.register_plugin(Unheeding())
-        except (OSError, TimeoutError, ValueError) as fault:
-            raise FwclassError(
-                "no Dask scheduler answers",
-                where=address or "local cluster",
-                got=fault,
-                do="start one with `dask scheduler`, or leave --scheduler out for a local cluster",
-            ) from fault
+        except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as fault:  # TypeError: no certificate
+            raise _no_answer(address, fault) from fault
         self.address, self.dashboard = self._client.scheduler.address, self._page()
         self.workers = len(self._client.ncores())
         self._window, self._count = window, 0

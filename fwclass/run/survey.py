@@ -15,6 +15,7 @@ from fwclass.conf import Config
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
+from fwclass.paths import name_fault
 from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.source import Source, open_source
@@ -132,6 +133,14 @@ def _files_of(source: Any) -> list[Path]:
 
 
 def _distinct(paths: list[Path]) -> None:
+    for path in paths:
+        fault = name_fault(path.stem)
+        if fault:
+            raise InputError(
+                "a source file has a name that no output can have", where=repr(str(path)),
+                expected="a name that can be seen, of at most 200 bytes", got=fault,
+                do="rename it: strips are delivered under their source's name",
+            )  # fmt: skip
     stems = [p.stem for p in paths]
     twice = sorted({s for s in stems if stems.count(s) > 1})
     if twice:

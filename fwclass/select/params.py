@@ -28,19 +28,19 @@ class SelectParams(Params):
     rates : shares of the echoes that the thinning curve has.
     """
 
-    block: float = Field(gt=0)
+    block: float = Field(ge=0.1, le=100_000)
     gap: float = Field(ge=0)
     folds: int = Field(ge=2, le=50)
-    samples_per_class: int = Field(ge=1)
+    samples_per_class: int = Field(ge=1, le=100_000_000)
     trees: int = Field(ge=1, le=65535)
     score: Literal["overall", "kappa", "balanced"]
-    patience: int = Field(ge=1)
+    patience: int = Field(ge=1, le=100_000)
     drop: float = Field(ge=0, lt=1)
-    least: int = Field(ge=1)
-    repeats: int = Field(ge=1)
-    timing_repeats: int = Field(ge=1)
-    timing_echoes: int = Field(ge=1)
-    rates: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(min_length=1)
+    least: int = Field(ge=1, le=100_000)
+    repeats: int = Field(ge=1, le=1000)
+    timing_repeats: int = Field(ge=1, le=1000)
+    timing_echoes: int = Field(ge=1, le=100_000_000)
+    rates: tuple[Annotated[float, Field(gt=0, le=1)], ...] = Field(min_length=1, max_length=100)
 
     @model_validator(mode="after")
     def _gap_within_block(self) -> SelectParams:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
 from fwclass.stage import Params
+
+MOST_NODES = 16_384
+"""Of the terrain, along an edge of the survey: 2 GiB of float64."""
+
+MOST_RAYS = 20_000_000
+"""Rays that are traced at once."""
 
 MAX_FOOTPRINT = 0.5
 """Largest footprint on the ground that the search along a beam allows for [m]."""
@@ -15,35 +21,35 @@ MAX_FOOTPRINT = 0.5
 class SceneParams(Params):
     """What the scene is made of."""
 
-    terrain_step: float = Field(gt=0)
-    hill_height: float = Field(ge=0)
+    terrain_step: float = Field(ge=0.05, le=1000)
+    hill_height: float = Field(ge=0, le=10_000)
     street_angle: float
-    river_width: float = Field(ge=0)
-    leaf_density: float = Field(gt=0)
+    river_width: float = Field(ge=0, le=10_000)
+    leaf_density: float = Field(gt=0, le=1000)
     herb_threshold: float
-    tree_share: float = Field(ge=0)
+    tree_share: float = Field(ge=0, le=10)
     house_albedo: tuple[float, float]
     leaf_albedo: tuple[float, float]
-    gap_length: float = Field(ge=0)
-    gap_width: float = Field(ge=0)
-    index_cell: float = Field(gt=0)
+    gap_length: float = Field(ge=0, le=10_000)
+    gap_width: float = Field(ge=0, le=10_000)
+    index_cell: float = Field(ge=0.5, le=10_000)
 
 
 class FlightParams(Params):
     """How the aircraft flies."""
 
-    height: float = Field(gt=0)
-    speed: float = Field(gt=0)
+    height: float = Field(gt=0, le=20_000)
+    speed: float = Field(ge=1, le=10_000)
     field_of_view: float = Field(gt=0, lt=120)
     roll: float = Field(ge=0)
     pitch: float = Field(ge=0)
     heading: float = Field(ge=0)
-    drift: float = Field(ge=0)
+    drift: float = Field(ge=0, le=1000)
     position_error: float = Field(ge=0)
     attitude_error: float = Field(ge=0)
-    first_gps_time: float = Field(gt=0)
-    turn: float = Field(ge=0)
-    trajectory_rate: float = Field(gt=0)
+    first_gps_time: float = Field(gt=0, le=10_000_000_000)
+    turn: float = Field(ge=0, le=1_000_000)
+    trajectory_rate: float = Field(gt=0, le=10_000)
 
 
 class SensorParams(Params):
@@ -53,22 +59,22 @@ class SensorParams(Params):
     `skew` [ns], followed after `ringing_delay` [ns] by a second lobe of `ringing` of its height. 0 is none.
     """
 
-    pulse_rate: float = Field(gt=0)
-    pulse_width: float = Field(gt=0)
+    pulse_rate: float = Field(ge=1, le=100_000_000)
+    pulse_width: float = Field(gt=0, le=100)
     skew: float = Field(ge=0, le=20)
     ringing: float = Field(ge=0, lt=0.5)
     ringing_delay: float = Field(gt=0, le=100)
     divergence: float = Field(gt=0)
-    rings: tuple[int, ...] = Field(min_length=1)
+    rings: tuple[Annotated[int, Field(ge=1, le=1000)], ...] = Field(min_length=1, max_length=20)
     bright: float = Field(gt=0)
     baseline: float = Field(ge=0)
     noise: float = Field(ge=0)
     energy_jitter: float = Field(ge=0)
     clock_jitter: float = Field(ge=0)
-    short_segment: int = Field(ge=32)
-    long_segment: int = Field(ge=64)
-    lead: int = Field(ge=8)
-    tail: int = Field(ge=8)
+    short_segment: int = Field(ge=32, le=4096)
+    long_segment: int = Field(ge=64, le=65_535)
+    lead: int = Field(ge=8, le=1000)
+    tail: int = Field(ge=8, le=1000)
     detection: float = Field(gt=0)
     dip: float = Field(gt=0)
     separation: float = Field(gt=0)
@@ -100,7 +106,7 @@ class SimulateParams(Params):
     size: float = Field(ge=40, le=5000)
     strips: int = Field(ge=1, le=200)
     pulse_density: float = Field(gt=0, le=100)
-    chunk: int = Field(ge=1)
+    chunk: int = Field(ge=1, le=10_000_000)
     recordings: tuple[Recording, ...] = Field(min_length=1)
     empty_descriptors: int = Field(ge=0, le=250)
     scene: SceneParams
@@ -114,4 +120,8 @@ class SimulateParams(Params):
             raise ValueError("long_segment must be longer than short_segment and than lead + tail")
         if sensor.divergence * 1e-3 * self.flight.height > MAX_FOOTPRINT:
             raise ValueError(f"the footprint, divergence x height, must not exceed {MAX_FOOTPRINT} m")
+        if self.size > MOST_NODES * self.scene.terrain_step:
+            raise ValueError(f"size must not exceed {MOST_NODES:,} steps of scene.terrain_step")
+        if self.chunk * sum(sensor.rings) > MOST_RAYS:
+            raise ValueError(f"chunk pulses of all sensor.rings must not be more than {MOST_RAYS:,} rays")
         return self

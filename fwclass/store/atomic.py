@@ -68,7 +68,7 @@ def write_json(path: Path, value: Any) -> None:
 def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as fault:
+    except (ValueError, RecursionError) as fault:  # no JSON, no text, a number too long, nested too deep
         raise StoreError(
             "a JSON file of the store cannot be read",
             where=path,

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from fwclass.errors import StoreError
+from fwclass.errors import StoreError, visible
 from fwclass.store.atomic import read_json, write_json
 
 
@@ -53,6 +53,9 @@ class Failures:
                 continue  # being written
             try:
                 failure = Failure(**read_json(path))
+                if not all(isinstance(t, str) for t in asdict(failure).values()):
+                    raise TypeError("something that is no text")
+                failure = replace(failure, message=visible(failure.message, "\n\t"))
                 found[failure.stage, failure.part] = failure, path.stat().st_mtime
             except FileNotFoundError:
                 continue  # made meanwhile

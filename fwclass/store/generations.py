@@ -20,6 +20,7 @@ from typing import Any
 
 from fwclass import __version__
 from fwclass.errors import StoreError
+from fwclass.paths import below
 from fwclass.store.atomic import digest_of, files_below, read_json, sync, write_json
 
 CURRENT = "current"
@@ -54,7 +55,9 @@ class Generations:
     @property
     def pending(self) -> Path:
         """Where the next generation's reports are written before it is published; made when asked for."""
-        path = self.directory / _PENDING
+        path = below(self.root, f"{self.directory.name}/{_PENDING}")
+        if path.is_symlink():
+            path.unlink()
         path.mkdir(parents=True, exist_ok=True)
         return path
 
@@ -108,7 +111,7 @@ class Generations:
         own = self.pending
         made: set[Path] = {own}
         for name, (source, _) in sorted(files.items()):
-            target = own / name
+            target = below(own, name)
             if target.parent not in made:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 made.add(target.parent)
@@ -181,4 +184,9 @@ def _point(path: Path, target: Path) -> None:
 
 def _read(path: Path) -> Generation:
     facts: dict[str, Any] = read_json(path / _FACTS)
-    return Generation(int(facts["number"]), path, bool(facts["whole"]), str(facts["digest"]))
+    try:
+        return Generation(int(facts["number"]), path, bool(facts["whole"]), str(facts["digest"]))
+    except (KeyError, TypeError, ValueError) as fault:
+        raise StoreError(
+            "not the facts of a generation", where=path / _FACTS, got=fault, do=f"remove the directory {path}"
+        ) from fault

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import LockedError
+from fwclass.errors import LockedError, visible
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
                 return None
             if found.get("host") == socket.gethostname() and not _locked(stream.fileno()):
                 return None  # it was killed and left its name
-            return found
-    except (FileNotFoundError, json.JSONDecodeError):
+            return {str(k)[:80]: visible(v) if isinstance(v, str) else v for k, v in found.items()}
+    except (FileNotFoundError, ValueError, RecursionError):
         return None
 
 

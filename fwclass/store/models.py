@@ -17,6 +17,8 @@ from fwclass.model import FORMAT, KINDS, Forest, Model
 CARD = "card.json"
 _CARD_LIMIT = 1 << 24
 """Bytes of a card; one of 127 features has some ten thousand."""
+_NPY = b"\x93NUMPY\x01\x00"
+"""What numpy writes for arrays without fields."""
 _DECIDES = ("format", "kind", "features", "classes", "params", "computed", "preparation")
 """Keys of the card without which the arrays mean nothing, or something else."""
 
@@ -104,6 +106,10 @@ def _no_number(text: str) -> NoReturn:
 
 def _array(path: Path, kind: str, dimensions: int) -> NDArray:
     """One array; memory-mapped first, so that a header cannot make us allocate more than the file holds."""
+    with path.open("rb") as stream:
+        head = stream.read(len(_NPY))
+    if head != _NPY:  # later versions let a header be as long as it says
+        raise ValueError(f"{path.name} begins with {head!r}, not with {_NPY!r} (version 1 of the format)")
     try:
         with np.errstate(over="ignore"):  # a shape beyond 64 bits: the map is refused as too small for it
             mapped = np.load(path, mmap_mode="r", allow_pickle=False)

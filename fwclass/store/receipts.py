@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from fwclass.errors import StoreError
+from fwclass.paths import name_fault, relative_fault
 from fwclass.store.atomic import digest_of
 
 FORMAT = 1
+
+_DIGEST = re.compile(r"[0-9A-Za-z_]{1,64}")
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class Receipt:
 
     @classmethod
     def from_json(cls, value: Any, where: object) -> Receipt:
+        """A receipt as a file holds it; whoever can write there may have changed it, so every name is checked."""
         try:
             receipt = cls(**value)
         except TypeError as fault:
@@ -62,7 +67,29 @@ class Receipt:
                 got=receipt.format,
                 do="use another run directory, or remove its `store`",
             )
+        wrong = receipt._fault()
+        if wrong:
+            raise StoreError("not a receipt", where=where, got=wrong, do="remove the file; the part is made anew")
         return receipt
+
+    def _fault(self) -> str:
+        """What in it no writer of receipts wrote; "" if nothing."""
+        for what, name in (("stage", self.stage), ("part", self.part)):
+            if name_fault(name):
+                return f"{what} {str(name)[:80]!r}: {name_fault(name)}"
+        texts = (self.key, self.digest, self.params or "0")
+        if not all(isinstance(t, str) and _DIGEST.fullmatch(t) for t in texts):
+            return "a key or a digest that is none"
+        if self.place not in ("store", "deliver", "run"):
+            return f"place {str(self.place)[:80]!r}"
+        if not all(isinstance(m, Mapping) for m in (self.inputs, self.outputs, self.meta)):
+            return "inputs, outputs or meta that are no objects"
+        for name, facts in self.outputs.items():
+            if relative_fault(name):
+                return f"output {name[:80]!r}: {relative_fault(name)}"
+            if not isinstance(facts, Mapping) or not isinstance(facts.get("bytes"), int):
+                return f"output {name[:80]!r} without its size"
+        return ""
 
 
 def key_of(stage: str, version: int, params: Any, inputs: Mapping[str, str]) -> str:

@@ -19,6 +19,7 @@ from typing import Any
 import psutil
 
 from fwclass.errors import StoreError
+from fwclass.paths import below, name_fault
 from fwclass.store.atomic import (
     digest_of,
     file_digest,
@@ -56,18 +57,31 @@ class Store:
         return Generations(self.root)
 
     def _part(self, stage: str, part: str) -> Path:
+        fault = name_fault(stage) or name_fault(part)
+        if fault:
+            raise StoreError("this cannot be the name of a part", where=self.root, got=f"{stage!r}/{part!r}: {fault}")
         return self.directory / stage / part
 
     def receipt(self, stage: str, part: str) -> Receipt | None:
         """The part's receipt, or None."""
         path = self._part(stage, part) / "receipt.json"
-        return Receipt.from_json(read_json(path), path) if path.exists() else None
+        return self._read(path) if path.exists() else None
 
     def receipts(self, stage: str) -> Iterator[Receipt]:
         """Every receipt of a stage, by part."""
         directory = self.directory / stage
         for path in sorted(directory.glob("*/receipt.json")):
-            yield Receipt.from_json(read_json(path), path)
+            yield self._read(path)
+
+    def _read(self, path: Path) -> Receipt:
+        """The receipt in `path`, which must be of the part whose directory it lies in."""
+        receipt = Receipt.from_json(read_json(path), path)
+        if (receipt.stage, receipt.part) != (path.parent.parent.name, path.parent.name):
+            raise StoreError(
+                "a receipt of another part", where=path, expected=f"{path.parent.parent.name}/{path.parent.name}",
+                got=f"{receipt.stage}/{receipt.part}", do="remove the file; the part is made anew",
+            )  # fmt: skip
+        return receipt
 
     def done(self, stage: str, part: str, key: str) -> Receipt | None:
         """The receipt if the part is done under this key and all its files are there."""
@@ -127,7 +141,7 @@ class Store:
                 outputs[name] = {"bytes": path.stat().st_size, "digest": file_digest(path)}
             if place == "run":
                 for name in outputs:
-                    move_into_place(directory / name, self.root / name)
+                    move_into_place(directory / name, below(self.root, name))
             else:
                 move_into_place(directory, self._part(stage, part) / key)
         receipt = Receipt(
@@ -162,7 +176,7 @@ class Store:
         """Remove what no receipt names any more."""
         if receipt.place == "run":
             for name in set(old.outputs if old else ()) - set(receipt.outputs):
-                (self.root / name).unlink(missing_ok=True)
+                below(self.root, name).unlink(missing_ok=True)
             return
         for path in self._part(receipt.stage, receipt.part).iterdir():
             if path.is_dir() and path.name != receipt.key:
@@ -177,7 +191,7 @@ class Store:
             receipt = self.receipt(stage, part)
             if receipt is not None and receipt.place == "run":
                 for name in receipt.outputs:
-                    (self.root / name).unlink(missing_ok=True)
+                    below(self.root, name).unlink(missing_ok=True)
             shutil.rmtree(self._part(stage, part), ignore_errors=True)
         self.failures.forget_others(stage, keep)
         return gone

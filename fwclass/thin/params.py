@@ -18,7 +18,7 @@ class ThinParams(Params):
     reach : no echo is further than this from a kept one; as many more are kept as that takes [m].
     """
 
-    seed: int = Field(ge=0)
+    seed: int = Field(ge=0, lt=2**63)
     rate: float = Field(gt=0, le=1)
-    cell: float = Field(gt=0)
-    reach: float = Field(gt=0)
+    cell: float = Field(ge=0.01, le=100_000)
+    reach: float = Field(gt=0, le=10_000)

@@ -10,4 +10,4 @@ from fwclass.stage import Params
 class TileParams(Params):
     """`size`: edge of a tile [m], at least 5. It never changes a result, only what one part holds."""
 
-    size: float = Field(ge=5.0)
+    size: float = Field(ge=5.0, le=100_000)

@@ -27,15 +27,15 @@ class TrainParams(Params):
     """
 
     method: Literal["forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting"]
-    seed: int = Field(ge=0)
-    samples_per_class: int = Field(ge=1)
+    seed: int = Field(ge=0, lt=2**63)
+    samples_per_class: int = Field(ge=1, le=100_000_000)
     trees: int = Field(ge=1, le=65535)
     split: Literal["equal-width", "exact", "histogram"]
     criterion: Literal["entropy", "gini"]
     features_per_split: Literal["log2", "sqrt", "all"] | Annotated[int, Field(ge=1)]
     steps: int = Field(ge=1, le=1000)
     bins: int = Field(ge=2, le=255)
-    min_samples_split: int = Field(ge=2)
+    min_samples_split: int = Field(ge=2, le=2_000_000_000)
     bagging: float = Field(gt=0, le=1)
     replacement: bool
     class_weights: Literal["none", "balanced"] | dict[str, Annotated[float, Field(ge=0.001, le=1000)]]

@@ -196,17 +196,20 @@ def test_a_size_that_does_not_fit_is_not_proposed(walked) -> None:
     assert proposed(plan.config, choices(plan.config, plan.facts, 1, costs, 1.0)) is None
 
 
+NO_HALO = "terrain.max_gap=0 terrain.dsm_gap=0 terrain.block_halo=0"
+
+
 @pytest.mark.parametrize(
     ("room", "setting", "workers", "told"),
     [
         (ROOM, "run.worker_memory_gib=0.5", 2, "memory of a worker"),
         (Room(1000.0, 1e12), "run.workers=2", 2, "memory of this machine"),
         (Room(16_000.0, 1e6), "run.workers=2", 2, "disk"),
-        (ROOM, "terrain.cell=0.001", 2, "cells of the delivered rasters"),
+        (ROOM, f"{NO_HALO} terrain.cell=0.004", 2, "cells of the delivered rasters"),
     ],
 )
 def test_what_cannot_fit_is_refused_with_the_numbers(walked, survey, room, setting, workers, told) -> None:
-    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", setting))
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *setting.split()))
     plan = planned(config, walked[0].facts, workers, room)
     with pytest.raises(ConfigError, match="does not fit") as fault:
         refuse(list(plan.limits), config.path)

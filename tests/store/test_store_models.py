@@ -7,38 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from modelmaker import NAMES, card, models
 
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
-from fwclass.model import FORMAT, KINDS, LEAF, Boosted, Forest, KernelMachine, LinearMachine
+from fwclass.model import FORMAT, KINDS, LEAF, Boosted, KernelMachine
 from fwclass.store.models import load_forest, load_model, save_model
-
-NAMES = ("zc", "width")
-
-
-def card(n=3, **more):
-    classes = [{"name": f"c{k}", "code": 2 + k, "codes": [2 + k]} for k in range(n)]
-    ready = {"fill": [0.0, 1.0], "shift": [0.0, 2.0], "scale": [1.0, 3.0]}
-    return {"format": FORMAT, "features": list(NAMES), "classes": classes, "preparation": ready, "notes": [], **more}
-
-
-def tree():
-    feature = np.array([0, LEAF, 1, LEAF, LEAF], np.uint16)
-    return feature, np.array([1, 0, 2, 0, 0], np.float32), np.array([1, 0, 3, 0, 0], np.uint32), np.array([0, 5])
-
-
-def models():
-    feature, threshold, child, offsets = tree()
-    side, value = np.array([1, 0, 0, 0, 0], np.uint8), np.array([0, 0.5, 0, -1, 2.0])
-    thrice = [np.tile(a, 3) for a in (feature, threshold, child, side, value)]
-    return {
-        "forest": Forest(feature, threshold, child, offsets, card()),
-        "boosting": Boosted(*thrice, np.array([0, 5, 10, 15]), np.array([0.1, 0.2, 0.3]), card()),
-        "linear-svm": LinearMachine(np.arange(6.0).reshape(3, 2), np.ones(3), card()),
-        "rbf-svm": KernelMachine(
-            np.arange(8.0).reshape(4, 2), np.ones((2, 4)), np.zeros(3), np.array([1, 2, 1]), np.array([0.5]), card()
-        ),
-    }
 
 
 def test_every_kind_is_tried():

@@ -9,6 +9,9 @@ from pydantic import Field, model_validator
 
 from fwclass.stage import Params
 
+MOST_CELLS = 16_384
+"""Along the edge of a raster that a part holds: 2 GiB of float64."""
+
 HEIGHTS = ("height_above_ground",)
 """Columns that the terrain gives to echoes."""
 
@@ -26,13 +29,13 @@ class TerrainParams(Params):
     block, block_halo : edge of a block of the fixed global grid, and what is read around it [m].
     """
 
-    cell: float = Field(gt=0)
-    thin: float = Field(gt=0)
+    cell: float = Field(ge=0.001, le=1000)
+    thin: float = Field(ge=0.001)
     max_gap: float = Field(ge=0)
     dsm_gap: float = Field(ge=0)
     height: Literal["tin", "nearest", "raster"]
-    block: float = Field(gt=0)
-    block_halo: float = Field(ge=0)
+    block: float = Field(gt=0, le=100_000)
+    block_halo: float = Field(ge=0, le=10_000)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -43,6 +46,8 @@ class TerrainParams(Params):
         for name in ("max_gap", "dsm_gap"):
             if getattr(self, name) > self.block_halo:
                 raise ValueError(f"{name} must not exceed block_halo: gaps are seen inside a block and its halo")
+        if self.block + 2.0 * self.block_halo > MOST_CELLS * min(self.cell, self.thin):
+            raise ValueError(f"a block and its halo must not be more than {MOST_CELLS:,} cells (cell, thin) wide")
         return self
 
     @property

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from fwclass import conf
+from fwclass.conf.files import plain
 from fwclass.errors import ConfigError, nearest
 from fwclass.ground.filters import FILTERS
 from fwclass.ground.params import FilterParams, GroundParams, section_of
@@ -152,7 +153,7 @@ def _split(text: str) -> tuple[str, Any]:
     if not equals or not name.strip():
         raise ConfigError("--param wants name=value", where="--param", expected="for example slope=0.2", got=text)
     try:
-        return name.strip(), yaml.safe_load(value)
+        return name.strip(), plain(value)
     except yaml.YAMLError as fault:
         raise ConfigError("the value of --param cannot be read", where=f"--param {text}", got=fault) from fault
 

@@ -42,7 +42,9 @@ class Digests:
 
     def __init__(self, store: Store) -> None:
         self._path = store.directory / "inputs.json"
-        self._known: dict[str, Any] = read_json(self._path) if self._path.exists() else {}
+        found = read_json(self._path) if self._path.exists() else {}
+        sound = isinstance(found, dict) and all(isinstance(v, list) and len(v) == 3 for v in found.values())
+        self._known: dict[str, Any] = found if sound else {}
         self._read_only = store.read_only
         self._sizes = {(Path(path).name, seen[0]) for path, seen in self._known.items()}
 

@@ -16,7 +16,7 @@ class LinearSvmParams(Params):
 
     c: Positive
     tolerance: Positive
-    iterations: int = Field(ge=1)
+    iterations: int = Field(ge=1, le=100_000_000)
 
 
 class RbfSvmParams(Params):
@@ -26,11 +26,11 @@ class RbfSvmParams(Params):
     `max_rows`, `search_rows`: rows of the sample that train, and that the search looks at.
     """
 
-    c: tuple[Positive, ...] = Field(min_length=1)
-    gamma: tuple[Positive, ...] = Field(min_length=1)
+    c: tuple[Positive, ...] = Field(min_length=1, max_length=100)
+    gamma: tuple[Positive, ...] = Field(min_length=1, max_length=100)
     folds: int = Field(ge=2, le=20)
-    max_rows: int = Field(ge=2)
-    search_rows: int = Field(ge=2)
+    max_rows: int = Field(ge=2, le=1_000_000)
+    search_rows: int = Field(ge=2, le=1_000_000)
 
 
 class BoostingParams(Params):
@@ -38,8 +38,8 @@ class BoostingParams(Params):
 
     rounds: int = Field(ge=1, le=10_000)
     learning_rate: float = Field(gt=0, le=1)
-    leaves: int = Field(ge=2)
-    min_samples_leaf: int = Field(ge=1)
+    leaves: int = Field(ge=2, le=65_535)
+    min_samples_leaf: int = Field(ge=1, le=2_000_000_000)
     l2: float = Field(ge=0)
     bins: int = Field(ge=2, le=255)
 

@@ -1,0 +1,98 @@
+"""Trying inputs in a child process, which is started anew where one of them ends it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from child import CPU_SECONDS, drawn
+
+WALL_SECONDS = 60.0
+"""An input that waits for so long without using the processor hangs too."""
+
+READY_SECONDS = 300.0
+
+
+class Child:
+    """A running `child.py` for some readers; use it as a context."""
+
+    def __init__(self, *readers: str) -> None:
+        self.readers = readers
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Child:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def ask(self, line: str) -> dict[str, Any]:
+        """What became of the input ``READER SEED RECIPE`` or ``READER * NUMBER``."""
+        if self._process is None:
+            self._start()
+        assert self._process is not None and self._process.stdin is not None
+        self._process.stdin.write(line.encode() + b"\n")
+        self._process.stdin.flush()
+        answer = self._answer(WALL_SECONDS)
+        if answer is not None:
+            return answer
+        reader, seed, recipe = line.split(" ", 2)
+        if seed == "*":
+            seed, recipe = drawn(reader, int(recipe))
+        return {"seed": seed, "recipe": recipe, "ended": "wrong", "told": self._end(), "seconds": 0.0, "size": 1,
+                "grown": 0, "allowed": 1}  # fmt: skip
+
+    def _start(self) -> None:
+        line = [sys.executable, "-X", "faulthandler", str(Path(__file__).with_name("child.py")), *self.readers]
+        self._process = subprocess.Popen(
+            line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=dict(os.environ)
+        )
+        if self._answer(READY_SECONDS) is None:
+            raise RuntimeError(f"the sound files of {', '.join(self.readers)} are not read: {self._end()}")
+
+    def _answer(self, seconds: float) -> dict[str, Any] | None:
+        assert self._process is not None and self._process.stdout is not None
+        with selectors.DefaultSelector() as waiting:
+            waiting.register(self._process.stdout, selectors.EVENT_READ)
+            if not waiting.select(seconds):
+                return None
+        line = self._process.stdout.readline()
+        return json.loads(line) if line else None
+
+    def _end(self) -> str:
+        """End the process; why it ended, if it had."""
+        process, self._process = self._process, None
+        if process is None:
+            return ""
+        try:
+            process.wait(0.5 if process.poll() is None else 0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            code = None
+        else:
+            code = process.returncode
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    pipe.close()
+        if code is None:
+            return f"no answer within {WALL_SECONDS:g} s"
+        if code == -signal.SIGPROF:
+            return f"more than {CPU_SECONDS:g} s of the processor"
+        return f"the process ended: {signal.Signals(-code).name if code < 0 else code}"
+
+
+def answers(lines: Iterable[str], *readers: str) -> Iterator[dict[str, Any]]:
+    """What became of every input of `lines`, in order."""
+    with Child(*readers) as child:
+        for line in lines:
+            yield child.ask(line)

@@ -1,0 +1,153 @@
+"""A stranger's configuration is plain data, and no number in it can hang the program or fill the memory."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fwclass import conf
+from fwclass.cli import main  # noqa: F401 - what a command would have loaded is not counted
+from fwclass.conf.files import merged, plain, read
+from fwclass.conf.sets import feature_set
+from fwclass.errors import ConfigError
+
+ABSURD = (1e308, 10**18, -1e308)
+
+HARMLESS = {
+    "schedule",
+    "areas", "survey.trajectory", "radiometry.platform_altitude", "radiometry.calibration", "radiometry.max_time_gap",
+    "radiometry.overlap.least_echoes", "radiometry.overlap.max_spread", "radiometry.overlap.least_cells",
+    "simulate.origin_x", "simulate.origin_y", "simulate.base_height", "simulate.scene", "simulate.flight",
+    "simulate.sensor", "plan.wave_bytes", "plan.base_mib", "plan.compile_seconds", "plan.stages", "assess.min_kappa",
+    "pulse.bright", "pulse.worth",
+}  # fmt: skip
+"""A large number here is a threshold that nothing reaches, a place, or the sum of a plan: it costs nothing."""
+
+THRESHOLDS = {
+    "steepest", "low_gap", "high_gap", "low_shape", "high_shape", "sigma", "sigma_least", "slope", "tolerance",
+    "initial_distance", "max_distance", "scalar", "threshold", "low_slope", "low_level", "restore_tolerance",
+    "distance",
+    "first_distance", "angle_of_slope", "spacing", "offset", "class_threshold", "time_step", "detection", "split_gain",
+    "separation", "noise_floor", "poor_misfit", "vendor_tolerance", "register_within", "tail_reach", "c", "l2", "thin",
+    "features_per_split", "seed",
+}  # fmt: skip
+"""Numbers by which something is judged; they say nothing of how much is made."""
+
+
+def numbers(node: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of a configuration by its dotted name."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield from numbers(value, f"{name}.{key}" if name else str(key))
+    elif isinstance(node, int | float) and not isinstance(node, bool):
+        yield name, float(node)
+
+
+BASE = read(conf.conf_directory() / "base.yaml")
+
+
+def bound(name: str) -> bool:
+    """A limit is asked of this number."""
+    known = any(name == h or name.startswith(h + ".") for h in HARMLESS)
+    return (
+        not known and name.split(".")[-1] not in THRESHOLDS and not name.startswith(("ground_search", "ground_auto.c"))
+    )
+
+
+def refused(name: str, value: float) -> bool:
+    """The section does not take `value` for the number `name`."""
+    section = name.split(".")[0]
+    change: Any = value
+    for key in reversed(name.split(".")[1:]):
+        change = {key: change}
+    try:
+        conf.checked(section, merged(BASE[section], change), "here")
+    except ConfigError:
+        return True
+    return False
+
+
+def test_every_number_that_decides_how_much_is_made_has_a_limit() -> None:
+    """Of `conf/base.yaml`, all but thresholds and places: 1e308, 10^18 and -1e308 are refused by name."""
+    asked = [name for name, _ in numbers(BASE) if bound(name)]
+    assert len(asked) > 80
+    free = [f"{name}={value:g}" for name in asked for value in ABSURD if not refused(name, value)]
+    assert free == []
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "simulate.scene.tree_share=1e12", "simulate.scene.terrain_step=1e-9", "simulate.sensor.rings=[1, 1000000000]",
+        "simulate.flight.speed=1e-300", "simulate.flight.trajectory_rate=1e12", "simulate.sensor.long_segment=1000000",
+        "simulate.chunk=1000000000000", "ground.smrf.cell=1e-9", "ground.smrf.cell=0.02", "ground.block=1e-9",
+        "ground.csf.cloth_resolution=1e-6", "terrain.cell=0.01", "terrain.thin=1e-9", "tile.size=1e-9",
+        "tile.size=1e308", "publish.class_cell=0.01", "run.workers=1000000000000", "read.chunk_pulses=1000000000000",
+        "train.samples_per_class=1000000000000", "train.trees=1000000000000", "select.folds=1000000000",
+        "compare.rbf_svm.max_rows=1000000000", "features.cell_x=-12", "features.cell_x=1e-9",
+        "plan.sizes=[1e-9]", "assess.block=1e-9", "thin.cell=1e-9", "survey.name=../../x", "survey.name=/etc/x",
+        "survey.name=..", 'survey.name="a\\nb"', "survey.name=" + "a" * 300,
+        'survey.classes=[{name: "a\\e[31m", code: 2, codes: [2]}, {name: b, code: 6, codes: [6]}]',
+    ],
+)  # fmt: skip
+def test_what_would_never_end_or_fit_is_refused(setting: str) -> None:
+    with pytest.raises(ConfigError) as fault:
+        conf.load("demo", (setting,))
+    assert len(str(fault.value)) < 3000
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "!!python/object/apply:os.system [touch /tmp/x]", "!!python/name:os.system", "!own {a: 1}", "!!timestamp x",
+        "!!binary aGVsbG8=", "!!set {a, b}", "!!str a", "2001-99-99", "9" * 5000, "? [a]\n: b", "? {a: b}\n: c",
+        "[" * 100_000, "{a: " * 20_000, "- " * 60_000, "&a [*a]", "\x00", "a: b: c", "{a: 1, a: 2}",
+    ],
+)  # fmt: skip
+def test_what_is_no_plain_data_is_refused_in_words(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(f"survey: {text}\n")
+    for reader in (read, conf.load, lambda p: feature_set(str(p))):
+        with pytest.raises(ConfigError) as fault:
+            reader(path)
+        assert str(path) in str(fault.value) and len(str(fault.value)) < 3000
+    with pytest.raises(ConfigError):
+        conf.load("demo", (f"survey.name={text}",))
+
+
+def bomb(levels: int) -> str:
+    """Nine aliases of nine aliases of …: a billion laughs."""
+    rows = ["a0: &a0 [lol, lol, lol, lol, lol, lol, lol, lol, lol]"]
+    rows += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, levels)]
+    return "\n".join(rows)
+
+
+@pytest.mark.parametrize(
+    "text", [bomb(30), "a0: &a0 [x]\n" + "\n".join(f"a{k}: &a{k} [*a{k - 1}]" for k in range(1, 1000))]
+)
+def test_aliases_do_not_explode(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text(text)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ConfigError, match=r"aliases|levels deep"):
+            conf.load(path)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 200 * len(text) + (16 << 20)
+
+
+def test_a_file_of_megabytes_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.yaml"
+    path.write_text("# " + "a" * (1 << 20))
+    with pytest.raises(ConfigError, match="this large"):
+        read(path)
+
+
+def test_aliases_that_a_person_writes_are_read() -> None:
+    assert plain("a: &tin [1, 2]\nb: *tin") == {"a": [1, 2], "b": [1, 2]}

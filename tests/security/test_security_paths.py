@@ -1,0 +1,139 @@
+"""No name from outside leads out of the directory that it belongs to."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fwclass.errors import InputError, StoreError
+from fwclass.paths import below
+from fwclass.run.request import Request
+from fwclass.run.survey import _distinct
+from fwclass.store.run_store import Store
+
+NAMES = [
+    "..", ".", "", "../x", "a/../../x", "/etc/x", "a//b", "a/./b", "a\nb", "a\x1b[31mb", "a\u202eb", "a\\b", "a\x00b",
+    "a" * 201, "é" * 150,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_that_leads_elsewhere_is_no_name(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="leads out") as fault:
+        below(tmp_path, name)
+    assert "\x1b" not in str(fault.value) and "\u202e" not in str(fault.value)
+
+
+@pytest.mark.parametrize("name", ["a", "laz/tiles/1_2.laz", "Straße 7 (neu).laz", "..a", "a..", ".hidden", "漢字"])
+def test_names_that_people_give_are_names(name: str, tmp_path: Path) -> None:
+    assert below(tmp_path, name) == tmp_path / name
+
+
+def test_a_link_below_the_directory_leads_nowhere_else(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "in", tmp_path / "out"
+    inside.mkdir()
+    outside.mkdir()
+    (inside / "laz").symlink_to(outside)
+    (inside / "own").mkdir()
+    (inside / "alias").symlink_to(inside / "own")
+    with pytest.raises(InputError, match="a link on the way leads to"):
+        below(inside, "laz/a.laz")
+    assert below(inside, "alias/a.laz").parent.resolve() == inside / "own"
+    (tmp_path / "entry").symlink_to(inside)  # the directory itself may be reached by a link
+    assert below(tmp_path / "entry", "own/a.laz").is_relative_to(tmp_path / "entry")
+
+
+def committed(root: Path) -> tuple[Store, Path]:
+    """A store with one delivered part, and its receipt."""
+
+    def work(directory: Path) -> dict[str, int]:
+        (directory / "survey").mkdir()
+        (directory / "survey" / "a.las").write_text("abc")
+        return {}
+
+    store = Store(root)
+    store.commit("simulate", "one", "k1", {}, "run", work)
+    return store, root / "store" / "simulate" / "one" / "receipt.json"
+
+
+HOSTILE = {
+    "outputs": [{name: {"bytes": 1, "digest": "0"}} for name in ("../victim", "/etc/passwd", "a/../../victim", "..")],
+    "part": ["..", "../..", "other", "", 7, "one\n"],
+    "stage": ["..", "../..", "other", None],
+    "key": ["../../victim", "", 3],
+    "params": ["../../victim"],
+    "digest": ["../x", None],
+    "place": ["elsewhere", None],
+    "meta": [[]],
+    "inputs": ["x"],
+}
+
+
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in HOSTILE.items() for v in values])
+def test_a_receipt_that_was_tampered_with_deletes_nothing(field: str, value: object, tmp_path: Path) -> None:
+    root = tmp_path / "run"
+    victim = tmp_path / "victim"
+    victim.write_text("dear")
+    store, path = committed(root)
+    path.write_text(json.dumps({**json.loads(path.read_text()), field: value}))
+    for use in (
+        lambda: store.forget_others("simulate", []), lambda: store.done("simulate", "one", "k1"),
+        lambda: store.path("simulate", "one", "a"), lambda: list(store.receipts("simulate")),
+    ):  # fmt: skip
+        with pytest.raises(StoreError) as fault:
+            use()
+        assert str(path) in str(fault.value)
+    assert victim.read_text() == "dear" and (root / "survey" / "a.las").exists()
+
+
+def test_a_delivery_does_not_follow_a_link_out_of_the_run(tmp_path: Path) -> None:
+    root, outside = tmp_path / "run", tmp_path / "out"
+    outside.mkdir()
+    root.mkdir()
+    (root / "survey").symlink_to(outside)
+    with pytest.raises(InputError, match="a link on the way leads to"):
+        committed(root)
+    assert list(outside.iterdir()) == []
+
+
+def test_collecting_does_not_follow_a_link_out_of_the_run(tmp_path: Path) -> None:
+    root, outside = tmp_path / "run", tmp_path / "out"
+    store, _ = committed(root)
+    (root / "survey").rename(outside)
+    (root / "survey").symlink_to(outside)
+    with pytest.raises(InputError, match="a link on the way leads to"):
+        store.forget_others("simulate", [])
+    assert (outside / "a.las").exists()
+
+
+@pytest.mark.parametrize("part", ["..", "a/b", "../../x", "a\n", ""])
+def test_a_part_has_a_name_of_its_own(part: str, tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="cannot be the name of a part"):
+        Store(tmp_path).receipt("tile", part)
+
+
+def test_a_pending_delivery_that_is_a_link_is_not_written_through(tmp_path: Path) -> None:
+    outside = tmp_path / "out"
+    outside.mkdir()
+    (outside / "mine").write_text("dear")
+    generations = tmp_path / "run" / "generations"
+    generations.mkdir(parents=True)
+    (generations / ".pending").symlink_to(outside)
+    pending = Store(tmp_path / "run").generations.pending
+    assert not pending.is_symlink() and pending.is_dir()
+    assert (outside / "mine").read_text() == "dear"
+
+
+@pytest.mark.parametrize("stem", ["..", "a\nb", "a\x1b[31m", "a\u202eb", "a\\b", "a" * 240])
+def test_a_source_file_with_such_a_name_is_refused(stem: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no output can have") as fault:
+        _distinct([tmp_path / "good.las", tmp_path / f"{stem}.las"])
+    assert "\x1b" not in str(fault.value) and "\u202e" not in str(fault.value)
+
+
+def test_the_words_of_a_run_are_quoted_in_the_command_that_replays_it(tmp_path: Path) -> None:
+    Request("x; rm -rf /", str(tmp_path), ("a=$(id)",), tiles=("`id`",)).keep()
+    told = Request.kept(tmp_path).command()
+    assert "'x; rm -rf /'" in told and "'a=$(id)'" in told and "'`id`'" in told
