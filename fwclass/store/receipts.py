@@ -30,7 +30,7 @@ class Receipt:
     place : "store"; "deliver" for files of the store that a generation links to; "run" for files below the run
         directory.
     meta : plain data that later parts or the report need (rows, counts, faults).
-    seconds, peak_mib : cost of making it.
+    seconds, peak_mib : cost of making it; `keeping` of the seconds went into flushing, digests and renames.
     version : of the stage's code; None in receipts of before it was recorded.
     params : digest of the parameters, which lie in ``store/params/<digest>.json``; empty in receipts of before that.
     """
@@ -45,6 +45,7 @@ class Receipt:
     meta: Mapping[str, Any] = field(default_factory=dict)
     seconds: float = 0.0
     peak_mib: float = 0.0
+    keeping: float = 0.0
     version: int | None = None
     params: str = ""
     format: int = FORMAT

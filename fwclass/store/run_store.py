@@ -132,6 +132,7 @@ class Store:
         old = self.receipt(stage, part)
         with staged(self.directory / "staging", stage, part) as directory:
             meta = dict(work(directory))
+            worked = time.perf_counter()
             outputs = {}
             for path in files_below(directory):
                 if place == "deliver":
@@ -147,6 +148,7 @@ class Store:
         receipt = Receipt(
             stage=stage, part=part, key=key, inputs=dict(inputs), outputs=outputs, place=place, meta=meta,
             digest=digest_of_outputs(outputs, meta), seconds=round(time.perf_counter() - began, 4),
+            keeping=round(time.perf_counter() - worked, 4),
             peak_mib=round(_peak_mib(), 1), version=version, params=self._keep_params(params),
         )  # fmt: skip
         write_json(self._part(stage, part) / "receipt.json", receipt.to_json())

@@ -1,0 +1,79 @@
+"""Plans that are not held: tasks are made when there is room for them."""
+
+from __future__ import annotations
+
+import weakref
+from collections import Counter
+from functools import partial
+
+from fwclass.run.cluster import Cluster
+from fwclass.run.local import Loop
+from fwclass.run.part import Task
+from fwclass.run.progress import Display
+from fwclass.run.road import Road
+from fwclass.run.tasks import Tasks
+
+WINDOW = 8
+
+
+def nothing(fails, desk, directory):
+    (directory / "nothing.txt").write_text("x")
+    if fails:
+        raise ValueError("on purpose")
+    return {}
+
+
+class Made:
+    """Counts the tasks that are alive."""
+
+    def __init__(self, fails=()):
+        self.alive = weakref.WeakSet()
+        self.most = 0
+        self.fails = frozenset(fails)
+
+    def first(self, key):
+        return self._kept(Task("first", f"{key}", 1, {}, partial(nothing, key in self.fails)))
+
+    def second(self, key):
+        return self._kept(Task("second", f"{key}", 1, {}, partial(nothing, False), needs=(("first", f"{key}"),)))
+
+    def _kept(self, task):
+        self.alive.add(task.work)
+        self.most = max(self.most, len(self.alive))
+        return task
+
+    def plan(self, n):
+        return Tasks.of("first", range(n), self.first) + Tasks.of("second", range(n), self.second)
+
+
+def walked(root, executor, tasks):
+    with Display() as display:
+        road = Road(root, executor, display)
+        return road, road.do(tasks)
+
+
+def test_the_loop_holds_one_task(tmp_path):
+    made = Made()
+    road, done = walked(tmp_path, Loop(), made.plan(200))
+    assert len(done) == 400 and made.most <= 3
+    assert Counter(o.status for o in road.outcomes.values()) == {"computed": 400}
+    again, _ = walked(tmp_path, Loop(), made.plan(200))
+    assert Counter(o.status for o in again.outcomes.values()) == {"skipped": 400} and made.most <= 3
+
+
+def test_the_cluster_knows_a_window_and_failures_block_what_follows(tmp_path):
+    made = Made(fails={3, 57})
+    with Cluster(None, 2, 2.0, WINDOW) as cluster:
+        road, done = walked(tmp_path, cluster, made.plan(60))
+    assert made.most <= WINDOW + 2
+    assert {n for n, o in road.outcomes.items() if o.status == "failed"} == {("first", "3"), ("first", "57")}
+    assert {n for n, o in road.outcomes.items() if o.status == "blocked"} == {("second", "3"), ("second", "57")}
+    assert len(done) == 116 and ("first", "3") not in done
+
+
+def test_tasks_behave_as_a_sequence():
+    made = Made()
+    plan = made.plan(3) + Tasks.held([made.first(9)])
+    assert len(plan) == 7 and plan.stages == {"first": 4, "second": 3}
+    assert [t.name for t in plan][-2:] == [("second", "2"), ("first", "9")] == [plan[5].name, plan[-1].name]
+    assert [t.name for t in plan[2:4]] == [("first", "2"), ("second", "0")]
