@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fwclass.errors import StoreError
 from fwclass.store.atomic import read_json, write_json
@@ -95,13 +95,19 @@ class Request:
             )  # fmt: skip
         try:
             found = read_json(path)
-            tiles = found["tiles"]
+            tiles, aoi = found["tiles"], found["aoi"]
             return cls(
-                str(found["conf"]), str(root.resolve()), tuple(found["settings"]), str(found["workflow"]),
-                None if tiles is None else tuple(tiles), found["aoi"],
+                str(found["conf"]), str(root.resolve()), _words(found["settings"]), str(found["workflow"]),
+                None if tiles is None else _words(tiles), None if aoi is None else str(aoi),
             )  # fmt: skip
         except (KeyError, TypeError) as fault:
             raise StoreError("not the words of a run", where=path, got=fault, do="remove the file") from fault
+
+
+def _words(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+        raise TypeError(f"{value!r} is no list of words")
+    return tuple(value)
 
 
 def _path(root: Path) -> Path:
