@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -121,14 +123,13 @@ class Layout:
             tuple(sorted(part for stage, part in done if stage == "polygons")),
         )
 
-    @property
+    @cached_property
     def keys(self) -> frozenset[str]:
         return frozenset(t.key for t in self.tiles)
 
-    def around(self, box: Box, among: Iterable[str]) -> tuple[str, ...]:
+    def around(self, box: Box, among: AbstractSet[str]) -> tuple[str, ...]:
         """Tiles of `among` that touch `box`."""
-        here = set(among)
-        return tuple(t.key for t in TileGrid(self.config.tile.size).touching(box) if t.key in here)
+        return tuple(t.key for t in TileGrid(self.config.tile.size).touching(box) if t.key in among)
 
     def blocks(self, size: float, margin: int = 0) -> tuple[Tile, ...]:
         """Blocks of edge `size` [m] that own an echo, and `margin` blocks around them: the same set whatever the
