@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, visible
 from fwclass.redact import redacted_words
 
 NO_PAGE = "  (for its page: pip install 'fwclass[dashboard]')"
@@ -78,10 +78,9 @@ def open_road(
 def tell_failures(failures: list[Any], request: Any = None) -> None:
     """The parts that failed, and, with the run's `request`, the command that makes each alone."""
     click.echo(f"{len(failures)} parts failed; everything else is done and kept:", err=True)
-    from fwclass.run.logs import printable
 
     for outcome in failures[:TOLD]:
-        first = printable(outcome.message.splitlines()[0]) if outcome.message else ""
+        first = visible(outcome.message.splitlines()[0]) if outcome.message else ""
         click.echo(f"  {outcome.stage}/{outcome.part}: {first}", err=True)
         alone = request.replay((outcome.stage, outcome.part)) if request is not None else ""
         if alone:

@@ -66,14 +66,8 @@ def _value(value: Value) -> str:
     if _BARE.fullmatch(text):
         return text
     text = text if len(text) <= LONGEST else text[: LONGEST // 2] + " […] " + text[-LONGEST // 2 :]
-    return '"' + printable(text.replace("\\", "\\\\").replace('"', '\\"')) + '"'
-
-
-def printable(text: str, keep: str = "") -> str:
-    """`text` without what moves a terminal or breaks a line: such characters, but those in `keep`, as escapes."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() or c in keep else _escape(c) for c in text)
+    text = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else _escape(c) for c in text) + '"'
 
 
 def _escape(c: str) -> str:

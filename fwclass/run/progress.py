@@ -10,7 +10,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from fwclass.run.logs import printable
+from fwclass.errors import visible
 from fwclass.run.part import Outcome
 
 PERIOD = 30.0
@@ -92,7 +92,7 @@ class Display:
 
     def say(self, text: str) -> None:
         """Print lines; characters that would move the terminal come out as escapes."""
-        self.console.print(printable(text, keep="\n"), markup=False)
+        self.console.print(visible(text, keep="\n"), markup=False)
 
     def expect(self, stages: Mapping[str, int]) -> None:
         """So many more parts of each stage are to come, each told by `ended`."""

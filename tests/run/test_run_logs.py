@@ -8,7 +8,7 @@ import pytest
 
 from fwclass.errors import InputError
 from fwclass.run.local import Loop
-from fwclass.run.logs import LIMIT, attempted, line, log_path, printable
+from fwclass.run.logs import LIMIT, attempted, line, log_path
 from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
 from fwclass.run.road import Road
@@ -71,7 +71,6 @@ def test_no_text_breaks_a_line():
             assert parsed(text[:-1])["message"] == value
     assert line({"a": None, "b": 0.25, "c": "x/y:1"}) == "b=0.25 c=x/y:1\n"
     assert len(line({"m": "x y" * 100_000})) < 20_000
-    assert printable("a\nb\x1b", keep="\n") == "a\nb\\u001b"
 
 
 def test_a_log_is_bounded_and_keeps_the_newest(tmp_path):
@@ -94,7 +93,7 @@ def test_a_log_that_cannot_be_written_stops_nothing(tmp_path):
 def test_a_worker_that_is_lost_is_in_the_log(tmp_path: Path):
     from fwclass.run.cluster import Cluster
 
-    with Cluster(None, 1, 1.0) as cluster:
+    with Cluster(None, 1, 1.0, 1000) as cluster:
         assert cluster.workers == 1
         ended = list(cluster.run(tmp_path, [Task("one", "a", 1, {}, _dies)]))
     assert [o.status for o in ended] == ["failed"]

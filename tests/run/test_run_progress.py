@@ -73,7 +73,7 @@ def test_a_person_sees_bars_of_what_is_under_way():
         assert not bars["read"].visible and bars["tile"].visible
         assert (bars["tile"].completed, bars["tile"].total) == (1, 3) and "1 failed" in bars["tile"].fields["pace"]
     text = display.console.file.getvalue()
-    assert "read             1 computed" in text and "FAILED tile/1: bad\\u001b[2J file\nsecond line" in text
+    assert "read             1 computed" in text and "FAILED tile/1: bad\\x1b[2J file\nsecond line" in text
 
 
 def test_spans_in_words():
