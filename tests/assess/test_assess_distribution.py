@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fwclass.assess.distribution import BINS
-from fwclass.assess.stage import QUANTILES, distribution, quantiles, summary
+from fwclass.assess.stage import QUANTILES, distribution, packed, quantiles, summary, unpacked
 from fwclass.model import ClassDef
 from fwclass.schema import Table
 
@@ -100,3 +100,32 @@ def test_the_summary_is_plain_data():
 def test_no_rows():
     made = distribution(Table.empty(["zc"]), np.empty(0, np.uint8), CLASSES)
     assert made["zc"].sum() == 0
+
+
+def test_packed_histograms_of_tiles_are_the_whole_one():
+    features, reference = survey()
+    tile = np.random.default_rng(2).integers(0, 5, len(reference))
+    parts = [packed(features.take(tile == t), reference[tile == t], CLASSES) for t in range(6)]
+    assert all((counts > 0).all() for _, counts in parts)
+    whole, made = distribution(features, reference, CLASSES), unpacked(parts, tuple(features), len(CLASSES))
+    assert list(made) == list(whole)
+    for name, histogram in whole.items():
+        np.testing.assert_array_equal(made[name], histogram)
+
+
+@given(st.lists(st.floats(width=32), min_size=1, max_size=50))
+@settings(max_examples=200, deadline=None)
+def test_a_bin_is_an_exponent_and_seven_bits(values):
+    """The bin of every float32, NaN, infinities and both noughts among them, by arithmetic."""
+    table = Table({"zc": np.array(values, np.float32)})
+    made = distribution(table, np.full(len(values), 2, np.uint8), CLASSES[:1])["zc"][0]
+    expected = np.zeros(BINS, np.int64)
+    side = (BINS - 2) // 2
+    for v in values:
+        if not np.isfinite(v):
+            expected[-1] += 1
+            continue
+        mantissa, exponent = np.frexp(np.float64(abs(v)))
+        step = 0 if v == 0 else int((exponent - 1 + 12) * 128 + np.floor((2 * mantissa - 1) * 128)) + 1
+        expected[side + int(np.sign(v)) * min(max(step, 0), side)] += 1
+    np.testing.assert_array_equal(made, expected)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.stage import BlockCounts, confusion, distribution, figures, intervals, summary, unclassified
+from fwclass.assess.stage import BlockCounts, confusion, figures, intervals, packed, summary, unclassified, unpacked
 from fwclass.classify.stage import classify, filled
 from fwclass.errors import InputError
 from fwclass.grid import Box, Tile
@@ -175,10 +175,10 @@ def judged(
     table = table.take(tested(table, train, test, gap))
     matrix = confusion(table["reference"], table["classification"], classes)
     lost = unclassified(table["reference"], table["classification"], classes)
-    counts = distribution(table.select(names), table["reference"], classes)
-    flat = np.concatenate([counts[n].reshape(-1) for n in names])
+    places, counts = packed(table.select(names), table["reference"], classes)
     blocks = BlockCounts.of(table["x"], table["y"], table["reference"], table["classification"], classes, block)
-    write_arrays(directory / COUNTS, {"counts": flat, "place": blocks.place, "blocks": blocks.counts})
+    kept = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
+    write_arrays(directory / COUNTS, kept)
     return {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist()}
 
 
@@ -208,19 +208,18 @@ def assessed(
     """
     n = len(classes)
     matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
-    total: NDArray[np.int64] = np.zeros(1, np.int64)
-    parts = []
+    parts, counted = [], []
     for tile in tiles:
         meta = desk.meta("confusion", tile)
         matrix += np.array(meta["matrix"], np.int64)
         lost += np.array(meta["lost"], np.int64)
         filtered += np.array(meta["ground"], np.int64)
         arrays, _ = desk.arrays("confusion", tile, COUNTS)
-        total = total + arrays["counts"]
+        counted.append((arrays["places"], arrays["counts"]))
         parts.append(BlockCounts(arrays["place"], arrays["blocks"]))
     blocks = BlockCounts.merged(parts, n)
     write_arrays(directory / COUNTS, {"place": blocks.place, "blocks": blocks.counts})
-    histograms = dict(zip(names, total.reshape(len(names), n, -1), strict=True))
+    histograms = unpacked(counted, names, n)
     called = [c.name for c in classes]
     accuracy = figures(matrix, called, lost) | {"intervals": intervals(blocks.counts)}
     return {
