@@ -12,7 +12,7 @@ from fwclass import conf
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.road import Road
-from fwclass.store.lock import writer
+from fwclass.store.home import Home, locked
 from workflows import WORKFLOWS
 
 SETTINGS = (
@@ -22,12 +22,15 @@ SETTINGS = (
 )  # fmt: skip
 
 
-def walk(survey: Path, root: Path, *settings: str, executor=None, tiles=None):
-    """Run the classification of `survey` into `root`; return the road and the report."""
+def walk(survey: Path | str, home: Home, *settings: str, executor=None, tiles=None):
+    """Run the classification of `survey` into `home`; return the road and the report."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
-    root.mkdir(parents=True, exist_ok=True)
-    with writer(root), Display() as display, executor or contextlib.nullcontext(Loop()) as running:
-        road = Road(root, running, display)
+    with (
+        Display() as display,
+        locked(home, display.say) as (own, held),
+        executor or contextlib.nullcontext(Loop()) as running,
+    ):
+        road = Road(own, running, display, held=held)
         report = WORKFLOWS["classification"](config, road, tiles)
         road.publish(config.run.keep_generations)
         return road, report

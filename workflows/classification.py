@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
@@ -19,6 +18,8 @@ from fwclass.run.restrict import Area
 from fwclass.run.road import Road, ancestors
 from fwclass.run.tasks import Tasks
 from fwclass.store.models import load_model
+from fwclass.store.outside import Place, directory_outside, local
+from fwclass.store.url import is_url, url_of
 from workflows.echoes import Tiled, until_labels, until_tiles
 
 
@@ -29,7 +30,7 @@ def classification(config: Config, road: Road, tiles: frozenset[str] | Area | No
     areas) is made too, so that they come out as in a whole run.
     """
     model = given_model(config)
-    names = load_model(model[0]).features if model else config.features_asked
+    names = load_model(local(model[0])).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features")
     check_features(config, config.features.also, f"{config.path}: features.also")
     tiled = until_tiles(config, road, names)
@@ -39,7 +40,7 @@ def classification(config: Config, road: Road, tiles: frozenset[str] | Area | No
 
 def from_tiles(
     config: Config, road: Road, tiled: Tiled, names: tuple[str, ...], labelling: Sequence[Task],
-    model: tuple[Path, str] | None = None, tiles: frozenset[str] | None = None,
+    model: tuple[Place, str] | None = None, tiles: frozenset[str] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """The road from tiles to the report: a classifier by `names`, trained under `config` unless there is a `model`.
 
@@ -73,11 +74,13 @@ def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:
     return [("publish-tile", key) for key in sorted(tiles)]
 
 
-def given_model(config: Config) -> tuple[Path, str] | None:
-    """Path and digest of the model that the configuration names, None where it is to be trained."""
+def given_model(config: Config) -> tuple[Place, str] | None:
+    """Place and digest of the model that the configuration names, None where it is to be trained."""
     if config.survey.model is None:
         return None
-    path = Path(config.survey.model)
-    path = path if path.is_absolute() else (config.path.parent / path).resolve()
+    place: Place = (config.path.parent / config.survey.model).resolve()
+    if is_url(config.survey.model):
+        place = directory_outside(url_of(config.survey.model, f"{config.path}: survey.model"), config.store)
+    path = local(place)
     check_model(load_model(path), config, path)
-    return path, forest.digest_of_model(path)
+    return place, forest.digest_of_model(path)

@@ -32,6 +32,7 @@ from fwclass.run.shifted.told import Found
 from fwclass.run.status.look import Look
 from fwclass.run.tasks import Tasks
 from fwclass.run.work.ground import WITHIN
+from fwclass.store import outside
 from fwclass.store.models import load_model
 from workflows.classification import given_model
 from workflows.echoes import Tiled, until_labels, until_tiles
@@ -95,7 +96,7 @@ class Plan:
 
     tiled: Tiled
     names: tuple[str, ...]
-    model: tuple[Path, str] | None
+    model: tuple[outside.Place, str] | None
 
     def tasks(self, layout: Layout) -> Tasks:
         """All that `classification` does with the tiles of `layout`, until their classes."""
@@ -106,7 +107,7 @@ class Plan:
 
 def _planned(config: Config, look: Look) -> Plan:
     model = given_model(config)
-    names = load_model(model[0]).features if model else config.features_asked
+    names = load_model(outside.local(model[0])).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features")
     plan = Plan(until_tiles(config, look, names), names, model)
     layout = plan.tiled.layout

@@ -8,6 +8,7 @@ from fwclass.run.plan.layout import check_features
 from fwclass.run.planning.trial import Trial, whole_tiles
 from fwclass.run.road import Road
 from fwclass.store.models import load_model
+from fwclass.store.outside import local
 from workflows.classification import from_tiles, given_model
 from workflows.echoes import until_labels, until_tiles
 
@@ -16,7 +17,7 @@ def trial(asked: Trial, road: Road, count: int, halo: float) -> tuple[str, ...]:
     """Run the `count` tiles with most echoes of those that are whole; return their keys, the fullest first."""
     config: Config = asked.config
     model = given_model(config)
-    names = load_model(model[0]).features if model else config.features_asked
+    names = load_model(local(model[0])).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features")
     check_features(config, config.features.also, f"{config.path}: features.also")
     tiled = until_tiles(config, road, names)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from fwclass import __version__
+from fwclass.store.url import is_url, url_of
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
@@ -21,7 +23,27 @@ def cli() -> None:
     """
 
 
-PATH = click.Path(path_type=Path)
+class LocalPath(click.Path):
+    """A path of this host; an address on object storage is refused in words."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if is_url(value):
+            self.fail(
+                f"{value} is on object storage, and this command takes files of this host; `fwclass run --out` and "
+                "`fwclass status` take such an address (docs/many-machines.md)", param, ctx,
+            )  # fmt: skip
+        return super().convert(value, param, ctx)
+
+
+class RunPlace(click.Path):
+    """A path of this host, or an address on object storage."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return url_of(value, param.name or "" if param else "") if is_url(value) else super().convert(value, param, ctx)
+
+
+PATH = LocalPath(path_type=Path)
+RUN = RunPlace(path_type=Path)
 SET = click.option(
     "--set",
     "settings",

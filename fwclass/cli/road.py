@@ -21,12 +21,12 @@ TOLD = 100
 """Failed parts that are listed at the end."""
 
 
-def report_path(report: str | None, root: Path, workers: int, scheduler: str | None) -> Path | None:
+def report_path(report: str | None, root: Any, workers: int, scheduler: str | None) -> Path | None:
     """Where Dask's performance report goes (None without ``--report``; empty: into the run directory); `ConfigError`
     where there will be none."""
     if report is None:
         return None
-    path = Path(report) if report else root / "performance.html"
+    path = Path(report) if report else (root if isinstance(root, Path) else Path()) / "performance.html"
     if path.suffix != ".html":
         raise ConfigError(
             "the performance report is a page", where="--report", expected="a name that ends in .html", got=report,
@@ -47,20 +47,18 @@ def report_path(report: str | None, root: Path, workers: int, scheduler: str | N
 
 
 @contextmanager
-def open_road(
-    root: Path, workers: int, scheduler: str | None, limits: Any, report: Path | None = None
-) -> Iterator[Any]:
-    """A run directory locked for writing, with its executor; `limits` is section `run` of the configuration, `report`
-    where Dask's performance report goes."""
+def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, report: Path | None = None) -> Iterator[Any]:
+    """A run locked for writing, with its executor; `home` is its directory, or a `Remote` place; `limits` is section
+    `run` of the configuration, `report` where Dask's performance report goes."""
     from fwclass.run.local import Loop
     from fwclass.run.progress import Display
     from fwclass.run.road import Road
-    from fwclass.store.lock import writer
+    from fwclass.store.home import locked
 
-    root = root.resolve()
-    with writer(root), Display() as display:
+    home = home.resolve() if isinstance(home, Path) else home
+    with Display() as display, locked(home, display.say) as (home, held):
         if scheduler is None and workers == 0:
-            road = Road(root, Loop(), display)
+            road = Road(home, Loop(), display, held=held)
             road.store.clear_staging()
             yield road
             return
@@ -69,7 +67,7 @@ def open_road(
         with Cluster(scheduler, workers, limits.worker_memory_gib, limits.window) as cluster:
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
             display.workers = cluster.workers
-            road = Road(root, cluster, display)
+            road = Road(home, cluster, display, held=held)
             road.store.clear_staging()
             with cluster.reported(report, display.say) if report is not None else nullcontext():
                 yield road

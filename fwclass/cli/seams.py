@@ -35,6 +35,7 @@ def seams(
     from fwclass.run.shifted.places import shift_of
     from fwclass.run.shifted.polygons import check_free, write_gpkg
     from fwclass.run.shifted.told import as_data, as_text
+    from fwclass.store.run_store import Store
     from workflows.seams import Asked
     from workflows.seams import seams as measured
 
@@ -42,7 +43,7 @@ def seams(
         raise ConfigError("--share and --length both say how much", where="--share, --length", do="give one of them")
     if gpkg is not None:
         check_free(gpkg, overwrite)
-    request = Request.kept(run)
+    request = Request.kept(Store(run, read_only=True))
     if request.workflow not in PLANNED:
         raise ConfigError(f"the parts of --workflow {request.workflow} are not known", where=run)
     config = configuration.load(request.conf, (*request.settings, *settings))

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, PATH, SET, cli
+from fwclass.cli.base import JSON, PATH, RUN, SET, cli
 from fwclass.cli.road import open_road, tell_failures
 from fwclass.errors import PARTIAL, ConfigError, nearest
 
@@ -27,15 +27,15 @@ def chosen(tiles: str | None, aoi: Path | None) -> frozenset[str] | Path | None:
     return aoi or (frozenset(t.strip() for t in tiles.split(",")) if tiles else None)
 
 
-def out_directory(out: Path | None, config: Any) -> Path:
-    """The run directory that ``--out`` names, or the survey's own."""
+def out_directory(out: Any, config: Any) -> Any:
+    """The run directory that ``--out`` names, or the survey's own: a path, or an address on object storage."""
     if out is not None and str(out) in ("", "."):
         raise ConfigError("--out is empty", where="--out", do="name a directory for this run alone")
     return out if out is not None else Path("runs") / config.survey.name
 
 
 def requested(
-    conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | Path | None
+    conf: Path, out: Any, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | Path | None
 ) -> tuple[Any, Any]:
     """The configuration, and the `Request` that the words of the command make."""
     from fwclass import conf as configuration
@@ -46,6 +46,15 @@ def requested(
         raise ConfigError("no such workflow", where="--workflow", got=workflow, do=nearest(workflow, WORKFLOWS))
     config = configuration.load(conf, settings)
     return config, Request.of(conf, out_directory(out, config), settings, workflow, tiles)
+
+
+def _home(request: Any, config: Any) -> Any:
+    """Where the run of `request` lies."""
+    from fwclass.store.home import home_of
+    from fwclass.store.url import is_url, url_of
+
+    named = url_of(request.root, "--out") if is_url(request.root) else Path(request.root)
+    return home_of(named, config.store)
 
 
 def _looked(config: Any, request: Any) -> Any:
@@ -60,17 +69,17 @@ def _looked(config: Any, request: Any) -> Any:
             where="--workflow", expected=", ".join(PLANNED), got=request.workflow,
             do=f"run it again, which makes only what is missing: {request.command()}",
         )  # fmt: skip
-    return look_at(Path(request.root), lambda road: WORKFLOWS[request.workflow](config, road, request.wanted))
+    return look_at(_home(request, config), lambda road: WORKFLOWS[request.workflow](config, road, request.wanted))
 
 
-def alone(conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str, only: str) -> None:
+def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: str) -> None:
     """Make the part `only` (stage/part) in the plain loop, and nothing else."""
     from fwclass.run.status.replay import task_alone
 
     config, request = requested(conf, out, settings, workflow, None)
     from fwclass.run.history import recorded
 
-    with recorded(request, only) as entry, open_road(Path(request.root), 0, None, config.run) as road:
+    with recorded(request, only) as entry, open_road(_home(request, config), 0, None, config.run) as road:
         entry.begin(road)
         task = task_alone(_looked(config, request), only, request)
         road.do([task])
@@ -83,8 +92,8 @@ def alone(conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str
 
 
 @cli.command()
-@click.argument("conf_or_run", metavar="CONF|RUN", type=PATH)
-@click.option("--out", type=PATH, help="With CONF: the run directory (default: runs/<survey>).")
+@click.argument("conf_or_run", metavar="CONF|RUN", type=RUN)
+@click.option("--out", type=RUN, help="With CONF: the run directory (default: runs/<survey>).")
 @SET
 @TILES
 @AOI
@@ -92,7 +101,7 @@ def alone(conf: Path, out: Path | None, settings: tuple[str, ...], workflow: str
 @click.option("--parts", "every", is_flag=True, help="List every part, done or not.")
 @JSON
 def status(
-    conf_or_run: Path, out: Path | None, settings: tuple[str, ...], tiles: str | None, aoi: Path | None,
+    conf_or_run: Any, out: Any, settings: tuple[str, ...], tiles: str | None, aoi: Path | None,
     workflow: str, every: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Tell which parts of a run are done, stale (and why), missing, running or failed; nothing is made.
@@ -102,22 +111,25 @@ def status(
     """
     from fwclass import conf as configuration
     from fwclass.run.request import Request
+    from fwclass.store.home import held_by, home_of, open_store
+    from fwclass.store.url import is_url
 
-    if conf_or_run.is_dir():
+    if is_url(conf_or_run) or conf_or_run.is_dir():
         if out is not None or settings or tiles or aoi or workflow != "classification":
             raise ConfigError(
                 "a run directory is looked at as its run was asked for", where=conf_or_run,
                 do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
             )  # fmt: skip
-        request = Request.kept(conf_or_run)
+        home = home_of(conf_or_run, configuration.section("store"))
+        request = Request.kept(open_store(home, read_only=True))
         config = configuration.load(request.conf, request.settings)
     else:
         config, request = requested(conf_or_run, out, settings, workflow, chosen(tiles, aoi))
     from fwclass.run.schedule.state import standing
     from fwclass.run.status.told import as_data, as_text
-    from fwclass.store.lock import holder
 
-    writer, scheduled = holder(Path(request.root)), standing(Path(request.root))
+    home = _home(request, config)
+    writer, scheduled = held_by(home), standing(home) if isinstance(home, Path) else None
     looked = _looked(config, request)
     if as_json:
         click.echo(json.dumps({**as_data(looked, request, writer, every), "schedule": scheduled}, indent=1))

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import PATH, RUN, SCHEDULER, SET, WORKERS, cli
 from fwclass.cli.road import open_road, report_path, tell_failures
 from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, out_directory, requested
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
@@ -26,7 +26,7 @@ class How:
 
 
 def _run(
-    conf: Path, out: Path | None, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str,
+    conf: Path, out: Any, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str,
     how: How,
 ) -> None:  # fmt: skip
     config, request = requested(conf, out, settings, workflow, tiles)
@@ -37,17 +37,18 @@ def _run(
         _walk(config, request, root, how, entry)
 
 
-def _walk(config: Any, request: Any, root: Path, how: How, entry: Any) -> None:
+def _walk(config: Any, request: Any, root: Any, how: How, entry: Any) -> None:
     from workflows import WORKFLOWS
 
     count = config.run.workers if how.workers is None else how.workers
     performance = report_path(how.page, root, count, how.scheduler)
     from fwclass.assess.stage import judge
     from fwclass.run.report import REPORT, summary
+    from fwclass.store.home import home_of
 
-    with open_road(root, count, how.scheduler, config.run, performance) as road:
+    with open_road(home_of(root, config.store), count, how.scheduler, config.run, performance) as road:
         road.store.generations.check_links()
-        request.keep()
+        request.keep(road.store)
         road.fail_fast = how.fail_fast
         entry.begin(road)
         try:
@@ -63,7 +64,7 @@ def _walk(config: Any, request: Any, root: Path, how: How, entry: Any) -> None:
         failures = road.failures
         shown = road.store.generations.current()
     aside = shown is not None and shown.number != made.number
-    click.echo(summary(report, made.path if aside else root), err=True)
+    click.echo(summary(report, made.where if aside or isinstance(root, str) else root), err=True)
     if aside and shown is not None:
         click.echo(f"generation  {made.name} is not whole and lies aside; {root} still shows {shown.name}", err=True)
     if performance is not None:
@@ -77,7 +78,7 @@ def _walk(config: Any, request: Any, root: Path, how: How, entry: Any) -> None:
 
 @cli.command()
 @click.argument("conf", type=PATH)
-@click.option("--out", type=PATH, help="Run directory (default: runs/<survey>).")
+@click.option("--out", type=RUN, help="Run directory, or s3://bucket/directory (default: runs/<survey>).")
 @SET
 @TILES
 @AOI
@@ -94,7 +95,7 @@ def _walk(config: Any, request: Any, root: Path, how: How, entry: Any) -> None:
     help="Write Dask's performance report (default: performance.html in the run directory); needs bokeh.",
 )  # fmt: skip
 def run(
-    conf: Path, out: Path | None, settings: tuple[str, ...], tiles: str | None, aoi: Path | None, workflow: str,
+    conf: Path, out: Any, settings: tuple[str, ...], tiles: str | None, aoi: Path | None, workflow: str,
     scheduler: str | None, workers: int | None, keep_going: bool, only: str | None,
     report: str | None,
 ) -> None:  # fmt: skip

@@ -28,6 +28,7 @@ from fwclass.radiometry.params import RadiometryParams
 from fwclass.read.params import ReadParams
 from fwclass.select.params import SelectParams
 from fwclass.simulate.params import SimulateParams
+from fwclass.store.params import StoreParams
 from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
 from fwclass.train.others.params import CompareParams
@@ -185,6 +186,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "survey": SurveySection,
     "areas": AreasSection,
     "run": RunSection,
+    "store": StoreParams,
     "plan": PlanSection,
     "seams": SeamsSection,
     "schedule": ScheduleSection,
@@ -223,6 +225,7 @@ class Config:
     survey: SurveySection
     areas: AreasSection
     run: RunSection
+    store: StoreParams
     plan: PlanSection
     seams: SeamsSection
     schedule: ScheduleSection

@@ -16,15 +16,30 @@ from pathlib import Path
 from types import TracebackType
 
 import dask
-from distributed import Client, Future, LocalCluster, WorkerPlugin, as_completed, performance_report
+from distributed import Client, Future, LocalCluster, WorkerPlugin, as_completed, get_worker, performance_report
 
+from fwclass import __version__
 from fwclass.errors import FwclassError
 from fwclass.run.logs import attempted
 from fwclass.run.part import Name, Outcome, Task, execute
 from fwclass.store.atomic import write_text
+from fwclass.store.home import Home
+from fwclass.store.scratch import worker_directory
 
 _OUTSIDE = re.compile(r'<link rel="shortcut icon" href="https?://[^">]*"[^>]*>')
 """Of a performance report: its icon, which would be fetched."""
+
+
+def _at_worker(version: str, home: Home, task: Task, upstream: Iterable[Outcome]) -> Outcome:
+    """A part, on whatever host the scheduler has chosen."""
+    worker = get_worker()
+    if version != __version__:
+        return Outcome(
+            *task.name, "failed", message=f"worker {worker.address} has fwclass {__version__}, the run has {version}: "
+            "install the same version on all hosts",
+        )  # fmt: skip
+    worker_directory(Path(worker.local_directory))
+    return execute(home, task, tuple(upstream))
 
 
 class Unheeding(WorkerPlugin):  # type: ignore[misc]
@@ -110,7 +125,7 @@ class Cluster:
         if self._cluster is not None:
             self._cluster.close()
 
-    def run(self, root: Path, tasks: Iterable[Task]) -> Generator[Outcome]:
+    def run(self, home: Home, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes as parts end, in any order; edges are exactly the tasks' needs.
 
         The scheduler knows at most `window` parts: the next is taken when one has ended.
@@ -123,15 +138,15 @@ class Cluster:
             future = next(ended)
             name = names.pop(future.key)
             del futures[name]
-            return _outcome(root, name, future)
+            return _outcome(home, name, future)
 
         try:
             for task in tasks:
                 upstream = [futures[n] for n in task.needs if n in futures]
                 self._count += 1
                 future = self._client.submit(
-                    execute, root, task, upstream, key=f"{task.stage}-{task.part}-{self._count}", pure=False,
-                    priority=-self._count, retries=0,
+                    _at_worker, __version__, home, task, upstream, key=f"{task.stage}-{task.part}-{self._count}",
+                    pure=False, priority=-self._count, retries=0,
                 )  # fmt: skip
                 futures[task.name], names[future.key] = future, task.name
                 ended.add(future)
@@ -144,11 +159,11 @@ class Cluster:
             raise
 
 
-def _outcome(root: Path, name: Name, future: Future) -> Outcome:
+def _outcome(home: Home, name: Name, future: Future) -> Outcome:
     if future.status == "finished":
         outcome: Outcome = future.result()
         return outcome
     fault = future.exception() if future.status == "error" else future.status
     message = f"the worker was lost: {type(fault).__name__}: {fault}"
-    attempted(root, *name, {"status": "failed", "message": message})
+    attempted(home, *name, {"status": "failed", "message": message})
     return Outcome(*name, "failed", message=message)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays
+from fwclass.store.outside import Place, local
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, row_groups
 
@@ -21,9 +23,14 @@ TABLE = "table.parquet"
 
 @dataclass(frozen=True)
 class Desk:
-    """Reading side of the store, for one part's work."""
+    """What one part's work reads: the store, and files from outside, whose digests by name are `external`."""
 
     store: Store
+    external: Mapping[str, str] = field(default_factory=dict, kw_only=True)
+
+    def local(self, place: Place) -> Path:
+        """A file from outside on this host; one on object storage is fetched, and is what the part was planned with."""
+        return local(place, self.external)
 
     def table(self, stage: str, part: str, columns: Iterable[str] | None = None, name: str = TABLE) -> Table:
         return read_table(self.store.path(stage, part, name), columns)

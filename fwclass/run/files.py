@@ -8,14 +8,21 @@ from pathlib import Path
 
 from fwclass.errors import InputError
 from fwclass.grid import Box
+from fwclass.store.outside import Place, found_outside
+from fwclass.store.params import StoreParams
+from fwclass.store.url import Url
 
 
-def found_files(patterns: Iterable[str], directory: Path, setting: str, where: Path) -> list[Path]:
-    """Files that match, sorted by name; a pattern without a match is an error."""
-    found: dict[Path, None] = {}
+def found_files(
+    patterns: Iterable[str], directory: Path | Url, setting: str, where: Path, params: StoreParams
+) -> list[Place]:  # fmt: skip
+    """Files that match, sorted by name; a pattern without a match is an error.
+
+    A `directory` on object storage is talked to by `params`.
+    """
+    found: dict[Place, None] = {}
     for pattern in patterns:
-        wanted = str(Path(glob.escape(str(directory))) / pattern)
-        matches = sorted(p for p in map(Path, glob.glob(wanted, recursive=True)) if p.is_file())  # noqa: PTH207
+        matches = _matches(pattern, directory, params)
         if not matches:
             raise InputError(
                 "no file matches",
@@ -25,7 +32,14 @@ def found_files(patterns: Iterable[str], directory: Path, setting: str, where: P
                 do=f"check {setting} and survey.directory (--set survey.directory=...)",
             )
         found |= dict.fromkeys(matches)
-    return sorted(found, key=lambda p: (p.name, p))
+    return sorted(found, key=lambda p: (p.name, str(p)))
+
+
+def _matches(pattern: str, directory: Path | Url, params: StoreParams) -> list[Place]:
+    if isinstance(directory, Url):
+        return sorted(found_outside(pattern, directory, params), key=str)
+    wanted = str(Path(glob.escape(str(directory))) / pattern)
+    return [p for p in sorted(map(Path, glob.glob(wanted, recursive=True))) if p.is_file()]  # noqa: PTH207
 
 
 def joint_bounds(bounds: Iterable[tuple[float, ...]]) -> Box:

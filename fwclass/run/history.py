@@ -11,7 +11,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,11 +27,13 @@ from fwclass.errors import (
     USAGE,
     FwclassError,
     LockedError,
+    StoreError,
 )  # fmt: skip
 from fwclass.redact import redacted, redacted_setting
 from fwclass.run.request import Request
 from fwclass.store import history
 from fwclass.store.lock import holder
+from fwclass.store.url import is_url
 
 ORDER = "FWCLASS_ORDER"
 """Environment variable by which a schedule tells the run that it starts who it is and why: JSON of id and why."""
@@ -109,10 +111,19 @@ class Entry:
     def _write(self, line: Mapping[str, Any]) -> None:
         """A history that cannot be written (disk full, no permission) is told, and stops no run."""
         self.last = dict(line)
+        if is_url(self.request.root):
+            self._put(line)
+            return
         try:
             history.append(self.root, line)
         except OSError as fault:
             sys.stderr.write(f"the history in {self.root} could not be written: {fault.strerror or fault}\n")
+
+    def _put(self, line: Mapping[str, Any]) -> None:
+        """On object storage, where nothing can be appended, every line is an object."""
+        if self.road is not None:
+            with suppress(StoreError):
+                self.road.store.keep(f"history/{self.id}-{line['record']}.json", dict(line))
 
 
 def entry_of(request: Request, only: str | None = None) -> Entry:

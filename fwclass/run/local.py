@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable
-from pathlib import Path
 
 from fwclass.run.part import Outcome, Task, execute
+from fwclass.store.home import Home
 
 
 class Loop:
@@ -13,7 +13,7 @@ class Loop:
 
     address = ""
 
-    def run(self, root: Path, tasks: Iterable[Task]) -> Generator[Outcome]:
+    def run(self, home: Home, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes in order; a task comes after every task that it needs."""
         for task in tasks:
-            yield execute(root, task)
+            yield execute(home, task)

@@ -13,6 +13,11 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from fwclass.errors import StoreError
+from fwclass.store.home import Home, address_of
+from fwclass.store.remote_read import Remote
+from fwclass.store.url import Url
+
 LIMIT = 64 * 1024
 """Bytes of a log; beyond them its older half is dropped."""
 
@@ -23,19 +28,24 @@ Value = str | int | float | None
 _BARE = re.compile(r"[\w./:@%+,()\[\]-]+", re.ASCII)
 
 
-def log_path(root: Path, stage: str, part: str) -> Path:
-    return root / "logs" / stage / f"{part}.log"
+def log_path(home: Home, stage: str, part: str) -> Path | Url:
+    return address_of(home) / "logs" / stage / f"{part}.log"
 
 
-def attempted(root: Path, stage: str, part: str, fields: Mapping[str, Value]) -> None:
+def attempted(home: Home, stage: str, part: str, fields: Mapping[str, Value]) -> None:
     """Append one attempt at a part to its log: when (UTC), stage, part, host, pid, and `fields`.
 
-    The one place that knows where logs go; it is called where the work was done, on a worker.
+    The one place that knows where logs go; it is called where the work was done, on a worker. On object storage, where
+    nothing can be appended, the last attempt's line stays.
     """
     when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     who: dict[str, Value] = {"stage": stage, "part": part, "host": socket.gethostname(), "pid": os.getpid()}
     text = line({"when": when, **who, **fields})
-    path = log_path(root, stage, part)
+    if isinstance(home, Remote):
+        with contextlib.suppress(StoreError):
+            home.objects.put(f"logs/{stage}/{part}.log", text.encode())
+        return
+    path = home / "logs" / stage / f"{part}.log"
     with contextlib.suppress(OSError):
         try:
             _append(path, text)

@@ -14,6 +14,7 @@ from fwclass.errors import FwclassError, system_error
 from fwclass.run.desk import Desk
 from fwclass.run.logs import Value, attempted, log_path
 from fwclass.store.cells import Within, digest_within
+from fwclass.store.home import Home, open_store
 from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_store import Store
 
@@ -78,6 +79,7 @@ def input_digests(task: Task, store: Store) -> dict[str, str] | None:
     A part of which nothing lies where the task reads does not count.
     """
     digests = dict(task.external)
+    store.look_up(task.needs)
     for stage, part in task.needs:
         receipt = store.receipt(stage, part)
         if receipt is None:
@@ -100,44 +102,44 @@ def already_done(task: Task, store: Store) -> bool:
     return key is not None and store.done(task.stage, task.part, key) is not None
 
 
-def execute(root: Path, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome:
+def execute(home: Home, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome:
     """Make one part, or say why not. Never raises for a fault of the part; the run goes on without it."""
     broken = [u for u in upstream if not u.ok]
     if broken:
         return Outcome(*task.name, "blocked", message=f"{broken[0].stage}/{broken[0].part} {broken[0].status}")
     single_thread()
-    store = Store(root)
     key = ""
     began = time.perf_counter()
     try:
+        store = open_store(home)
         inputs = input_digests(task, store)
         if inputs is None:
             return Outcome(*task.name, "blocked", message="a part that it needs is not done")
         key = key_of(task.stage, task.version, task.params, inputs)
         if store.done(task.stage, task.part, key) is not None:
             return Outcome(*task.name, "skipped")
-        desk = Desk(store)
+        desk = Desk(store, external=dict(task.external))
         receipt = store.commit(
             task.stage, task.part, key, inputs, task.place, lambda directory: task.work(desk, directory),
             task.version, task.params,
         )  # fmt: skip
     except Exception as fault:
-        outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_told(root, task, fault))
+        outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_told(home, task, fault))
         trace = "" if isinstance(fault, (FwclassError, OSError)) else "".join(traceback.format_exception(fault))
-        attempted(root, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
+        attempted(home, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
         return outcome
     outcome = Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
-    attempted(root, *task.name, _attempt(outcome, key) | _made(receipt))
+    attempted(home, *task.name, _attempt(outcome, key) | _made(receipt))
     return outcome
 
 
-def _told(root: Path, task: Task, fault: Exception) -> str:
+def _told(home: Home, task: Task, fault: Exception) -> str:
     """A fault in words for the user; one of the program has its traceback in the part's log."""
     if isinstance(fault, FwclassError):
         return str(fault)
     if isinstance(fault, OSError):
-        return str(system_error(fault, root))
-    return f"{type(fault).__name__}: {fault}\n  traceback: {log_path(root, *task.name)}"
+        return str(system_error(fault, home))
+    return f"{type(fault).__name__}: {fault}\n  traceback: {log_path(home, *task.name)}"
 
 
 def _attempt(outcome: Outcome, key: str) -> dict[str, Value]:

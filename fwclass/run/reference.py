@@ -16,17 +16,19 @@ from fwclass.read.source import open_source
 from fwclass.run.files import box_text, found_files, joint_bounds
 from fwclass.run.plan.layout import FileDigests, PolygonFile
 from fwclass.run.work.sources import Digests
+from fwclass.store.outside import Place, local
 from fwclass.store.receipts import Receipt
+from fwclass.store.url import Url
 
 
 def reference_clouds(
-    config: Config, directory: Path, digests: Digests, box: Box
-) -> tuple[tuple[Path, FileDigests, int], ...]:
+    config: Config, directory: Path | Url, digests: Digests, box: Box
+) -> tuple[tuple[Place, FileDigests, int], ...]:
     """The reference's clouds, with their digests and points; `InputError` where they lie elsewhere than `box`."""
     if config.survey.reference.kind != "cloud":
         return ()
-    files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path)
-    opened = [open_source(p) for p in files]
+    files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
+    opened = [open_source(local(p)) for p in files]
     place = joint_bounds([s.bounds for s in opened])
     if not place.grown(config.label.max_distance).touches(box):
         raise InputError(
@@ -36,11 +38,11 @@ def reference_clouds(
             got=box_text(place),
             do="check survey.reference.files and the files' coordinate systems",
         )
-    return tuple((s.path, digests.of([s.path]), s.n_points) for s in opened)
+    return tuple((p, digests.of([local(p)], p), s.n_points) for p, s in zip(files, opened, strict=True))
 
 
 def reference_polygons(
-    config: Config, directory: Path, digests: Digests, crs: str | None, given: CRS | None
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, given: CRS | None
 ) -> tuple[PolygonFile, ...]:
     """The reference's files of polygons, each with its class field, in a system that is known."""
     asked = config.survey.reference
@@ -48,14 +50,17 @@ def reference_polygons(
         return ()
     survey = CRS.from_wkt(crs) if crs is not None else None
     found = []
-    for path in found_files(asked.files, directory, "survey.reference.files", config.path):
+    for place in found_files(asked.files, directory, "survey.reference.files", config.path, config.store):
+        path = local(place)
         opened = open_polygons(path, asked.layer)
         field = asked.field or ""
         check_field(opened, field)
         codes_of(values_of(opened, field), asked.values, config.classes, f"{path}: field {field}")
         system = source_crs(opened, given, survey)
         found.append(
-            PolygonFile(path, digests.of(opened.files), opened.layer, system.to_wkt() if system is not None else None)
+            PolygonFile(
+                place, digests.of(opened.files, place), opened.layer, system.to_wkt() if system is not None else None
+            )
         )
     return tuple(found)
 

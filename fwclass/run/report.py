@@ -23,6 +23,7 @@ from fwclass.run.work.tiles import mosaic
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.generations import link
 from fwclass.store.receipts import Receipt
+from fwclass.store.url import Url
 
 REPORT, PAGE = "report.json", "report.html"
 
@@ -66,15 +67,16 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
 
 def _standing(config: Config, road: Road) -> dict[str, Any] | None:
     """The report that is there, if it still tells everything; it goes into the next generation too."""
-    path = road.root / REPORT
-    made = any(o.status != "skipped" for o in road.outcomes.values())
-    if made or not path.exists() or not (road.root / PAGE).exists():
+    if any(o.status != "skipped" for o in road.outcomes.values()):
         return None
-    found = read_json(path)
+    report, page = (road.store.generations.shown(name) for name in (REPORT, PAGE))
+    if report is None or page is None:
+        return None
+    found = read_json(report)
     if found.get("config") != _plain(config.raw) or found.get("failed"):
         return None
-    for name in (REPORT, PAGE):
-        link(road.root / name, road.pending / name)
+    for path in (report, page):
+        link(path, road.pending / path.name)
     return dict(found)
 
 
@@ -258,7 +260,7 @@ def _plain(value: Any) -> Any:
     return value if isinstance(value, (str, int, float, bool)) or value is None else str(value)
 
 
-def summary(report: Mapping[str, Any], root: Path) -> str:
+def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     """The last words of a run, for the terminal; what it delivered lies below `root`."""
     counts = report["counts"]
     made, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]

@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fwclass.errors import StoreError
-from fwclass.store.atomic import read_json, write_json
+from fwclass.store.run_store import Store
+from fwclass.store.url import Url
+
+_KEPT = "run.json"
 
 if TYPE_CHECKING:
     from fwclass.run.restrict import Area
@@ -21,7 +24,8 @@ PLANNED = ("classification", "fan2013")
 class Request:
     """The words of ``fwclass run`` that decide which parts there are, and from what.
 
-    `conf`: absolute path or shipped name; `root`: the run directory; `tiles`: None for all; `aoi`: a file of polygons.
+    `conf`: absolute path or shipped name; `root`: the run directory, or its address; `tiles`: None for all; `aoi`: a
+    file of polygons.
     """
 
     conf: str
@@ -33,7 +37,7 @@ class Request:
 
     @classmethod
     def of(
-        cls, conf: Path, root: Path, settings: tuple[str, ...], workflow: str,
+        cls, conf: Path, root: Path | Url, settings: tuple[str, ...], workflow: str,
         tiles: frozenset[str] | Path | None,
     ) -> Request:  # fmt: skip
         """As typed; paths are made absolute, so that the command holds wherever it is given.
@@ -44,7 +48,8 @@ class Request:
         named = str(conf.resolve()) if conf.is_file() else str(conf)
         aoi = str(tiles.resolve()) if isinstance(tiles, Path) else None
         keys = tuple(sorted(tiles)) if isinstance(tiles, frozenset) else None
-        return cls(named, str(root.resolve()), settings, workflow, keys, aoi)
+        where = root if isinstance(root, Url) else root.resolve()
+        return cls(named, str(where), settings, workflow, keys, aoi)
 
     @property
     def wanted(self) -> frozenset[str] | Area | None:
@@ -78,37 +83,35 @@ class Request:
         """The command that makes the part `name` alone, empty where the workflow's parts are not known beforehand."""
         return self.command(name) if self.workflow in PLANNED else ""
 
-    def keep(self) -> None:
-        """Write it into the run directory (the holder of the lock calls this)."""
-        write_json(_path(Path(self.root)), {n: v for n, v in asdict(self).items() if n != "root"})
+    def keep(self, store: Store) -> None:
+        """Write it into the run (the holder of the lock calls this)."""
+        store.keep(_KEPT, {n: v for n, v in asdict(self).items() if n != "root"})
 
     @classmethod
-    def kept(cls, root: Path) -> Request:
-        """What the last run in `root` was asked for; `StoreError` where nothing tells."""
-        path = _path(root)
-        if not path.exists():
+    def kept(cls, store: Store) -> Request:
+        """What the last run in `store` was asked for; `StoreError` where nothing tells."""
+        where, found = store.where, store.recall(_KEPT)
+        if found is None:
             raise StoreError(
-                "nothing tells which configuration this run is of", where=root,
-                expected=f"{path.relative_to(root)}, which every run writes",
+                "nothing tells which configuration this run is of", where=where,
+                expected=f"store/{_KEPT}, which every run writes",
                 do=f"run it once more (what is done is kept), or, for its status, name the configuration: "
-                f"fwclass status CONF --out {shlex.quote(str(root))}",
+                f"fwclass status CONF --out {shlex.quote(str(where))}",
             )  # fmt: skip
         try:
-            found = read_json(path)
             tiles, aoi = found["tiles"], found["aoi"]
+            root = str(where if isinstance(where, Url) else where.resolve())
             return cls(
-                str(found["conf"]), str(root.resolve()), _words(found["settings"]), str(found["workflow"]),
+                str(found["conf"]), root, _words(found["settings"]), str(found["workflow"]),
                 None if tiles is None else _words(tiles), None if aoi is None else str(aoi),
             )  # fmt: skip
         except (KeyError, TypeError) as fault:
-            raise StoreError("not the words of a run", where=path, got=fault, do="remove the file") from fault
+            raise StoreError(
+                "not the words of a run", where=f"{where}/store/{_KEPT}", got=fault, do="remove the file"
+            ) from fault
 
 
 def _words(value: Any) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
         raise TypeError(f"{value!r} is no list of words")
     return tuple(value)
-
-
-def _path(root: Path) -> Path:
-    return root / "store" / "run.json"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
@@ -15,8 +15,9 @@ from fwclass.run.progress import Display
 from fwclass.run.tasks import Tasks
 from fwclass.store.failures import Failure
 from fwclass.store.generations import Generation
+from fwclass.store.home import Home, open_store
 from fwclass.store.receipts import Receipt
-from fwclass.store.run_store import SeenStore, Store
+from fwclass.store.run_store import Store
 
 
 class Executor(Protocol):
@@ -24,7 +25,7 @@ class Executor(Protocol):
 
     address: str
 
-    def run(self, root: Path, tasks: Iterable[Task]) -> Generator[Outcome]:
+    def run(self, home: Home, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes as parts end; a task is taken from `tasks` when there is room for it."""
         ...
 
@@ -65,10 +66,10 @@ class Road:
     """Walks batches of tasks; each batch may need parts of earlier ones.
 
     With `fail_fast` the first part that fails ends the walk by a `PartialError`. `store` remembers receipts; two roads
-    over one run share it (`seen`).
+    over one run share it (`seen`). `held` raises `StoreError` when the run's lock is lost.
     """
 
-    root: Path
+    home: Home
     executor: Executor
     display: Display
     outcomes: dict[Name, Outcome] = field(default_factory=dict)
@@ -77,11 +78,17 @@ class Road:
     fail_fast: bool = False
     whole: bool = False
     delivered: set[str] = field(default_factory=set)
-    seen: InitVar[SeenStore | None] = None
+    held: Callable[[], None] = lambda: None
+    seen: InitVar[Store | None] = None
 
-    def __post_init__(self, seen: SeenStore | None) -> None:
-        self.store = seen or SeenStore(self.root)
+    def __post_init__(self, seen: Store | None) -> None:
+        self.store = seen or open_store(self.home, lists=True)
         self._under_way: dict[Name, Task] = {}
+
+    @property
+    def root(self) -> Path:
+        """The run directory; of a run on object storage that of its copies on this host."""
+        return self.store.root
 
     def do(self, tasks: Sequence[Task]) -> Mapping[Name, Receipt]:
         """Make all parts of `tasks` (each after those it needs); return the receipts of those that are done.
@@ -95,14 +102,16 @@ class Road:
         for stage in plan.stages:
             self.tallies.setdefault(stage, Tally(began=now))
         names: list[Name] = []
-        with closing(self.executor.run(self.root, self._pending(plan, names))) as ended:
+        with closing(self.executor.run(self.home, self._pending(plan, names))) as ended:
             for outcome in ended:
+                self.held()
                 name = (outcome.stage, outcome.part)
                 task = self._under_way.pop(name)
                 self.store.forget(name)
                 self._take(outcome)
                 if outcome.status == "failed":
                     self._failed(task, outcome)
+        self.store.look_up(names)
         return Done(self.store, (n for n in names if self.outcomes[n].ok))
 
     def _pending(self, tasks: Iterable[Task], names: list[Name]) -> Iterator[Task]:
@@ -136,7 +145,7 @@ class Road:
         self.store.failures.record(Failure(task.stage, task.part, key, outcome.message))
         if self.fail_fast:
             raise PartialError(
-                "stopped at the first part that failed", where=f"{task.stage}/{task.part} in {self.root}",
+                "stopped at the first part that failed", where=f"{task.stage}/{task.part} in {self.store.where}",
                 do="mend the cause and run the same again; what is done is kept (--keep-going makes all other parts)",
             )  # fmt: skip
 
@@ -186,7 +195,7 @@ def require_all(road: Road, tasks: Sequence[Task]) -> Mapping[Name, Receipt]:
         outcome = road.outcomes[task.name]
         if not outcome.ok:
             raise InputError(
-                f"{task.stage} of part {task.part} failed", where=road.root, got=_first_line(outcome.message),
+                f"{task.stage} of part {task.part} failed", where=road.store.where, got=_first_line(outcome.message),
                 do="see the whole message above, mend the cause and run the same again; what is done is kept",
             )  # fmt: skip
     return done
@@ -203,7 +212,7 @@ def stop_if_nothing(road: Road, done: Mapping[Name, Receipt]) -> None:
         first = road.failures[0]
         raise FwclassError(
             f"nothing could be made: {len(road.failures)} parts failed, first {first.stage}/{first.part}",
-            where=road.root,
+            where=road.store.where,
             got=_first_line(first.message),
             do="mend the cause and run the same command again; what is done is kept",
         )

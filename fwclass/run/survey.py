@@ -29,8 +29,10 @@ from fwclass.run.reference import reference_clouds, reference_polygons
 from fwclass.run.road import Road
 from fwclass.run.work.sources import CLOUD_ROWS, Digests, max_of, min_of
 from fwclass.simulate.params import SimulateParams
+from fwclass.store.outside import Place, local
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
+from fwclass.store.url import Url, is_url, url_of
 
 SIMULATED = "survey"
 """Where a simulated survey lies below its run directory."""
@@ -85,10 +87,12 @@ def simulate_tasks(params: SimulateParams, prefix: str) -> list[Task]:
     return made
 
 
-def directory_of(config: Config, root: Path) -> Path:
+def directory_of(config: Config, root: Path) -> Path | Url:
     """Where the survey's files lie."""
     if config.survey.directory is None:
         return root / SIMULATED
+    if is_url(config.survey.directory):
+        return url_of(config.survey.directory, f"{config.path}: survey.directory")
     path = Path(config.survey.directory)
     return path if path.is_absolute() else (config.path.parent / path).resolve()
 
@@ -96,12 +100,18 @@ def directory_of(config: Config, root: Path) -> Path:
 def gather(config: Config, road: Road) -> Survey:
     """Find and check all files before anything is computed; simulate them first where the survey has none."""
     if config.simulate is not None:
+        if isinstance(road.store.where, Url):
+            raise ConfigError(
+                "a simulated survey cannot lie on object storage", where=f"{config.path}: survey.directory",
+                do="fwclass simulate CONF --out DIR, copy DIR to object storage, and set survey.directory to it",
+            )  # fmt: skip
         tasks = simulate_tasks(config.simulate, SIMULATED)
         if len(road.do(tasks)) < len(tasks):
             raise InputError("the survey could not be simulated", where=road.root, do="see the failed parts above")
     directory = directory_of(config, road.root)
     digests = Digests(road.store)
-    opened = [open_source(p) for p in found_files(config.survey.sources, directory, "survey.sources", config.path)]
+    places = found_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    opened = [open_source(local(p)) for p in places]
     for source in opened:
         check_source(source, config.read)
     _distinct([s.path for s in opened])
@@ -114,17 +124,28 @@ def gather(config: Config, road: Road) -> Survey:
         )
     crs = common_crs(config, {s.path: s.crs for s in full}, road)
     numbered = numbers(s.path.stem for s in opened)
-    strips = tuple(Strip(numbered[s.path.stem], s.path, digests.of(_files_of(s)), s.point_format) for s in opened)
+    strips = tuple(
+        Strip(numbered[p.stem], p, digests.of(_files_of(_here(p, s)), p), s.point_format)
+        for p, s in zip(places, opened, strict=True)
+    )
     _different(strips)
-    box = joint_bounds([_true_bounds(s) for s in full])
+    box = joint_bounds([_true_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records])
     _check_areas(config, box)
     standard = all(s.standard_gps_time for s in opened)
-    flown = found_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path)
-    _distinct(flown)
-    trajectory = tuple((p, digests.of([p])) for p in flown)
+    flown = found_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
+    _distinct([local(p) for p in flown])
+    trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
     given = given_crs(config.survey.reference.crs, "survey.reference.crs")
     polygons = reference_polygons(config, directory, digests, crs, given)
-    return Survey(strips, reference_clouds(config, directory, digests, box), crs, standard, trajectory, polygons)
+    clouds = reference_clouds(config, directory, digests, box)
+    digests.save()
+    return Survey(strips, clouds, crs, standard, trajectory, polygons)
+
+
+def _here(place: Place, source: Source) -> Source:
+    """An opened source, fetched once more if its copy on this host had to make room for others."""
+    local(place)
+    return source
 
 
 def _files_of(source: Any) -> list[Path]:
@@ -153,7 +174,7 @@ def _distinct(paths: list[Path]) -> None:
 
 def _different(strips: tuple[Strip, ...]) -> None:
     """Refuse a file that is listed under two names: its echoes would count twice."""
-    seen: dict[str, Path] = {}
+    seen: dict[str, Place] = {}
     for strip in strips:
         digest = strip.digests[0][1]
         if digest in seen:

@@ -22,6 +22,7 @@ from fwclass import __version__
 from fwclass.errors import StoreError
 from fwclass.paths import below
 from fwclass.store.atomic import digest_of, files_below, read_json, sync, write_json
+from fwclass.store.url import Url
 
 CURRENT = "current"
 _FACTS = "generation.json"
@@ -40,6 +41,11 @@ class Generation:
     @property
     def name(self) -> str:
         return self.path.name
+
+    @property
+    def where(self) -> Path | Url:
+        """What a user is told."""
+        return self.path
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,11 @@ class Generations:
             return _read(self.directory / (self.root / CURRENT).readlink().name)
         except FileNotFoundError:
             return None
+
+    def shown(self, name: str) -> Path | None:
+        """A file that the current generation has at its top, None where it has none."""
+        path = self.root / CURRENT / name
+        return path if path.exists() else None
 
     def publish(self, files: Mapping[str, tuple[Path, str]], whole: bool, keep: int) -> Generation:
         """Make a generation of `pending` and of `files` (path below the generation: file of the store and its digest).

@@ -33,6 +33,7 @@ from fwclass.store.atomic import (
 from fwclass.store.failures import Failures
 from fwclass.store.generations import Generations
 from fwclass.store.receipts import Receipt, digest_of_outputs
+from fwclass.store.url import Url
 
 MIB = 1 << 20
 
@@ -56,6 +57,11 @@ class Store:
     def generations(self) -> Generations:
         return Generations(self.root)
 
+    @property
+    def where(self) -> Path | Url:
+        """The run, for messages."""
+        return self.root
+
     def _part(self, stage: str, part: str) -> Path:
         fault = name_fault(stage) or name_fault(part)
         if fault:
@@ -66,6 +72,12 @@ class Store:
         """The part's receipt, or None."""
         path = self._part(stage, part) / "receipt.json"
         return self._read(path) if path.exists() else None
+
+    def look_up(self, names: Iterable[tuple[str, str]]) -> None:
+        """Receipts of all these parts will be asked for: a store that is far away fetches them together."""
+
+    def forget(self, name: tuple[str, str]) -> None:
+        """The part was made, by whomever: what is remembered of it does not hold."""
 
     def receipts(self, stage: str) -> Iterator[Receipt]:
         """Every receipt of a stage, by part."""
@@ -83,17 +95,22 @@ class Store:
             )  # fmt: skip
         return receipt
 
+    def parts(self) -> list[tuple[str, str]]:
+        """Every (directory, part) below the store, done or not."""
+        return sorted((p.parent.name, p.name) for p in self.directory.glob("*/*") if p.parent.is_dir())
+
     def done(self, stage: str, part: str, key: str) -> Receipt | None:
         """The receipt if the part is done under this key and all its files are there."""
         receipt = self.receipt(stage, part)
         if receipt is None or receipt.key != key:
             return None
-        base = self.base(receipt)
-        for name, facts in receipt.outputs.items():
-            path = base / name
-            if not path.is_file() or path.stat().st_size != facts["bytes"]:
-                return None
-        return receipt
+        sizes = ((self.size_of(receipt, name), facts["bytes"]) for name, facts in receipt.outputs.items())
+        return receipt if all(there == told for there, told in sizes) else None
+
+    def size_of(self, receipt: Receipt, name: str) -> int | None:
+        """Bytes of a part's file as it lies there, None if it is gone."""
+        path = self.base(receipt) / name
+        return path.stat().st_size if path.is_file() else None
 
     def base(self, receipt: Receipt) -> Path:
         """The directory that the receipt's outputs are relative to."""
@@ -155,6 +172,15 @@ class Store:
         self.failures.clear(stage, part)
         self._collect(receipt, old)
         return receipt
+
+    def keep(self, name: str, value: Any) -> None:
+        """Write a small piece of plain data, ``store/<name>``."""
+        write_json(self.directory / name, value)
+
+    def recall(self, name: str) -> Any:
+        """What was kept under this name, None if nothing was."""
+        path = self.directory / name
+        return read_json(path) if path.exists() else None
 
     def _keep_params(self, params: Any) -> str:
         """Keep parameters once for all parts that have them; their digest, empty for None."""

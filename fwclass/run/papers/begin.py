@@ -42,7 +42,7 @@ def _require_further(config: Config) -> None:
 
 def beside(road: Road) -> Road:
     """A road on the same run whose parts do not count in the report: what is asked for once more, or aside."""
-    return Road(road.root, road.executor, road.display, fail_fast=road.fail_fast, seen=road.store)
+    return Road(road.home, road.executor, road.display, fail_fast=road.fail_fast, held=road.held, seen=road.store)
 
 
 def base_of(name: str) -> str:

@@ -16,6 +16,7 @@ from fwclass.run.plan.thin import follow_tasks, thin_columns, thins
 from fwclass.run.tasks import Tasks
 from fwclass.run.work import forest, others
 from fwclass.store.atomic import digest_of, file_digest, files_below
+from fwclass.store.outside import Place
 from fwclass.train.others.stage import VERSION
 from fwclass.train.stage import TRAIN, TRAIN_IMPORTANCE, TRAIN_SAMPLE, TRAIN_TREES
 
@@ -90,7 +91,7 @@ def _other_task(config: Config, names: tuple[str, ...], params: dict[str, Any]) 
     return Task("train", "model", VERSION, params, work, needs=(("training", "all"),), place="deliver")
 
 
-def classify_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, str] | None) -> Tasks:
+def classify_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Place, str] | None) -> Tasks:
     if thins(layout.config):
         return follow_tasks(layout, names, model)
     columns, shares = layout.columns(names), layout.config.classify.probabilities

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from fwclass.classify.stage import CLASSIFY, probability_columns
@@ -20,6 +19,7 @@ from fwclass.grid import Box, Tile, TileGrid
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Name
+from fwclass.store.outside import Place
 from fwclass.store.receipts import Receipt
 
 MAX_REACH = 100.0
@@ -34,7 +34,7 @@ class Strip:
     """A source file with its number in the survey, which follows from its name (`numbering`)."""
 
     number: int
-    path: Path
+    path: Place
     digests: FileDigests
     point_format: int
 
@@ -43,7 +43,7 @@ class Strip:
 class PolygonFile:
     """A file of reference polygons: its layer, and the system that its coordinates are in (WKT; None: the survey's)."""
 
-    path: Path
+    path: Place
     digests: FileDigests
     layer: str
     crs: str | None
@@ -59,10 +59,10 @@ class Survey:
     """
 
     strips: tuple[Strip, ...]
-    reference: tuple[tuple[Path, FileDigests, int], ...]
+    reference: tuple[tuple[Place, FileDigests, int], ...]
     crs: str | None
     standard_time: bool
-    trajectory: tuple[tuple[Path, FileDigests], ...] = ()
+    trajectory: tuple[tuple[Place, FileDigests], ...] = ()
     polygons: tuple[PolygonFile, ...] = ()
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import partial
-from pathlib import Path
 
 from fwclass.conf import Config
 from fwclass.decompose.stage import DECOMPOSE, PULSE
@@ -17,6 +16,7 @@ from fwclass.run.plan.numbering import numbers
 from fwclass.run.tasks import Tasks
 from fwclass.run.work import reference as of_reference
 from fwclass.run.work import sources
+from fwclass.store.outside import Place
 from fwclass.store.receipts import Receipt
 from fwclass.tile.stage import REFERENCE, SPLIT, TILE
 
@@ -93,7 +93,7 @@ def _pulse_task(config: Config, strip: Strip, pulses: int, spans: int) -> Task:
     )  # fmt: skip
 
 
-def cloud_tasks(config: Config, files: Iterable[tuple[Path, FileDigests, int]]) -> Tasks:
+def cloud_tasks(config: Config, files: Iterable[tuple[Place, FileDigests, int]]) -> Tasks:
     """Splits of the reference files, `CLOUD_ROWS` points at a time."""
     grid, sizes, listed = TileGrid(config.tile.size), plain(config.tile), list(files)
     numbered = numbers(path.name for path, _, _ in listed)
@@ -103,7 +103,7 @@ def cloud_tasks(config: Config, files: Iterable[tuple[Path, FileDigests, int]]) 
         for k, first in enumerate(range(0, points, sources.CLOUD_ROWS))
     ]
 
-    def made(piece: tuple[Path, FileDigests, int, int, int]) -> Task:
+    def made(piece: tuple[Place, FileDigests, int, int, int]) -> Task:
         path, digests, k, first, last = piece
         work = partial(sources.scattered_cloud, path, first, last, grid)
         part = chunk_name(numbered[path.name], k)

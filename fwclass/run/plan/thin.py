@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
@@ -12,6 +11,7 @@ from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Layout, needs_of, plain
 from fwclass.run.tasks import Tasks
 from fwclass.run.work import thin
+from fwclass.store.outside import Place
 from fwclass.thin.sample import THIN
 
 
@@ -43,7 +43,7 @@ def thin_tasks(layout: Layout) -> Tasks:
     return Tasks.of(THIN.name, layout.tiles, made)
 
 
-def follow_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Path, str] | None) -> Tasks:
+def follow_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Place, str] | None) -> Tasks:
     """classify, of a thinned run."""
     config, here = layout.config, layout.keys
     columns, shares = layout.columns(names), config.classify.probabilities

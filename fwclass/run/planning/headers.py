@@ -21,6 +21,7 @@ from fwclass.run.progress import Display
 from fwclass.run.road import Road
 from fwclass.run.survey import common_crs, directory_of
 from fwclass.simulate.params import SimulateParams
+from fwclass.store.outside import local
 
 PER_CELL = 16.0
 """Points that a cell of the sampled part holds on average: hardly any is empty by chance."""
@@ -105,9 +106,10 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
         Files that cannot be used, or whose headers do not say where their points lie.
     """
     directory = directory_of(config, root)
-    if config.simulate is not None and not any(directory.glob("strips/*")):
+    if config.simulate is not None and isinstance(directory, Path) and not any(directory.glob("strips/*")):
         return simulated_facts(config)
-    opened = [open_source(p) for p in found_files(config.survey.sources, directory, "survey.sources", config.path)]
+    places = found_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    opened = [open_source(local(p)) for p in places]
     for source in opened:
         check_source(source, config.read)
     full = [s for s in opened if s.n_records]
@@ -120,8 +122,10 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
         crs = common_crs(config, {s.path: s.crs for s in full}, Road(root, Loop(), display))
     reference = 0
     if config.survey.reference.kind == "cloud":
-        files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path)
-        reference = sum(open_source(p).n_points for p in files)
+        files = found_files(
+            config.survey.reference.files, directory, "survey.reference.files", config.path, config.store
+        )
+        reference = sum(open_source(local(p)).n_points for p in files)
     largest = max(full, key=lambda s: s.n_points)
     sample = sampled(largest, config.plan.sample_points) if isinstance(largest, LasSource) else None
     return SurveyFacts(tuple(facts_of(s) for s in full), reference, crs, sample)

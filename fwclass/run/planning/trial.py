@@ -16,6 +16,8 @@ from fwclass.read.source import open_source
 from fwclass.run.files import found_files, joint_bounds
 from fwclass.run.planning.whole import Plan
 from fwclass.run.survey import directory_of
+from fwclass.store.outside import local
+from fwclass.store.url import Url
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,11 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
     taken = [s for s in sources if any(s.bounds.touches(b) for b in wanted)]
     left = tuple(s.bounds for s in sources if s not in taken)
     directory = directory_of(config, root)
+    if isinstance(directory, Url):
+        raise ConfigError(
+            "a dry run takes files of this host", where="--dry-run", got=directory,
+            do="plan without --dry-run, or copy the survey to a disk first",
+        )  # fmt: skip
     change: dict[str, Any] = {"directory": str(directory), "sources": tuple(glob.escape(str(s.path)) for s in taken)}
     reference = config.survey.reference
     if reference.kind == "cloud":
@@ -86,9 +93,9 @@ def _training(config: Config) -> tuple[Box, ...]:
 
 
 def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str, ...]:
-    files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path)
+    files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
     near = [
         p for p in files
-        if any(joint_bounds([open_source(p).bounds]).grown(config.label.max_distance).touches(b) for b in wanted)
+        if any(joint_bounds([open_source(local(p)).bounds]).grown(config.label.max_distance).touches(b) for b in wanted)
     ]  # fmt: skip
     return tuple(glob.escape(str(p)) for p in near or files)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from fwclass.errors import ConfigError, FwclassError
@@ -14,9 +13,9 @@ from fwclass.run.progress import Display
 from fwclass.run.road import Done, Road
 from fwclass.run.status.why import Reason, reasons, same, waiting
 from fwclass.store.failures import Failure
-from fwclass.store.lock import holder
+from fwclass.store.home import Home, held_by, open_store
 from fwclass.store.receipts import Receipt, key_of
-from fwclass.store.run_store import SeenStore
+from fwclass.store.run_store import Store
 
 Standing = Literal["done", "stale", "missing", "running", "failed"]
 STANDINGS: tuple[Standing, ...] = ("done", "stale", "missing", "running", "failed")
@@ -53,12 +52,12 @@ class PlanKnown(Exception):
 class Look(Road):
     """Takes every part's receipt, stale or not, for what a run will have made: so the parts that follow are known."""
 
-    def __init__(self, root: Path) -> None:
-        super().__init__(root, Loop(), Silent(), seen=SeenStore(root, read_only=True))
+    def __init__(self, home: Home) -> None:
+        super().__init__(home, Loop(), Silent(), seen=open_store(home, read_only=True, lists=True))
         self.states: dict[Name, State] = {}
         self.tasks: dict[Name, Task] = {}
         self._waits: dict[Name, str] = {}  # what is not done, with its standing
-        busy = holder(root) is not None
+        busy = held_by(home) is not None
         self._failures: dict[Name, tuple[Failure, float]] = self.store.failures.all()
         self._begun: dict[Name, float] = self.store.under_way() if busy else {}
 
@@ -102,7 +101,7 @@ class Look(Road):
 class Looked:
     """What was seen: parts in the plan's order; why the plan is not known further, None where all of it is."""
 
-    root: Path
+    store: Store
     states: dict[Name, State]
     tasks: dict[Name, Task]
     ends: str | None
@@ -112,13 +111,13 @@ class Looked:
         return self.ends is None and all(s.standing == "done" for s in self.states.values())
 
 
-def look_at(root: Path, workflow: Callable[[Road], object]) -> Looked:
-    """Walk `workflow` over the run directory `root` without making anything.
+def look_at(home: Home, workflow: Callable[[Road], object]) -> Looked:
+    """Walk `workflow` over the run in `home` without making anything.
 
     Faults of the configuration and of the input come out as they would from a run; where parts are missing that tell
     which others there will be, the plan ends there.
     """
-    look = Look(root)
+    look = Look(home)
     ends = None
     try:
         workflow(look)
@@ -131,4 +130,4 @@ def look_at(root: Path, workflow: Callable[[Road], object]) -> Looked:
             raise
         missing = [n for n in look.states if look.store.receipt(*n) is None]
         ends = f"{'/'.join(missing[0])} is missing" if missing else fault.what
-    return Looked(root, look.states, look.tasks, ends)
+    return Looked(look.store, look.states, look.tasks, ends)

@@ -9,7 +9,6 @@ from typing import Any
 from fwclass.run.part import Name
 from fwclass.run.request import Request
 from fwclass.run.status.look import STANDINGS, Looked, State
-from fwclass.store.run_store import Store
 
 NAMED = 4
 """Parts that are named of those that have one reason."""
@@ -49,12 +48,12 @@ def _counts(states: Mapping[Name, State]) -> dict[str, dict[str, int]]:
 
 def others(looked: Looked, request: Request) -> dict[str, int]:
     """How many parts by stage the store holds that the plan does not name; none are counted for chosen tiles."""
-    directory = Store(looked.root).directory
-    if request.wanted is not None or not directory.is_dir():
+    if request.wanted is not None:
         return {}
     found: Counter[str] = Counter()
-    for stage in sorted(p for p in directory.iterdir() if p.is_dir() and p.name not in NO_STAGES):
-        found[stage.name] += sum((stage.name, p.name) not in looked.states for p in stage.iterdir())
+    for stage, part in looked.store.parts():
+        if stage not in NO_STAGES:
+            found[stage] += (stage, part) not in looked.states
     return {stage: n for stage, n in found.items() if n}
 
 

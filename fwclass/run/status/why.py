@@ -147,11 +147,10 @@ def _of_parts(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, s
 def _of_outputs(receipt: Receipt, store: Store) -> list[Reason]:
     found = []
     for name, facts in receipt.outputs.items():
-        path = store.base(receipt) / name
-        if not path.is_file():
+        size = store.size_of(receipt, name)
+        if size is None:
             found.append(Reason(f"its file {name} is gone", "a file of it is gone"))
-        elif path.stat().st_size != facts["bytes"]:
-            size = path.stat().st_size
+        elif size != facts["bytes"]:
             text = f"its file {name} has {size} bytes, not {facts['bytes']}"
             found.append(Reason(text, "a file of it has another size"))
     return found

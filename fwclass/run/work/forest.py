@@ -19,6 +19,7 @@ from fwclass.run.work.others import stamped
 from fwclass.schema import Table, canonical_key
 from fwclass.store.arrays import read_arrays, write_arrays
 from fwclass.store.models import load_model, save_model
+from fwclass.store.outside import Place
 from fwclass.store.tables import write_table
 from fwclass.train.importance import drops
 from fwclass.train.sample import Sample, review
@@ -138,16 +139,16 @@ def model_at(path: Path, digest: str) -> Model:
     return _loaded[key]
 
 
-def model_of(given: tuple[Path, str] | None, desk: Desk) -> Model:
+def model_of(given: tuple[Place, str] | None, desk: Desk) -> Model:
     """The model at a path, by its digest; None: the run's own."""
     if given is None:
         receipt = desk.store.receipt("train", "model")
-        given = (desk.store.path("train", "model", MODEL), receipt.digest if receipt else "")
-    return model_at(*given)
+        return model_at(desk.store.path("train", "model", MODEL), receipt.digest if receipt else "")
+    return model_at(desk.local(given[0]), given[1])
 
 
 def classified(
-    tile: Tile, columns: Mapping[str, str], names: tuple[str, ...], model: tuple[Path, str] | None,
+    tile: Tile, columns: Mapping[str, str], names: tuple[str, ...], model: tuple[Place, str] | None,
     probabilities: bool, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.

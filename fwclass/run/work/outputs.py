@@ -24,6 +24,7 @@ from fwclass.run.desk import Desk
 from fwclass.run.work.sources import link_table
 from fwclass.run.work.tiles import mosaic, write_rasters
 from fwclass.schema import Table
+from fwclass.store.outside import Place
 
 _ECHO_BITS = 8
 MAX_CELLS = 1 << 29
@@ -54,7 +55,7 @@ def delivered_tile(
 
 
 def delivered_strip(
-    source: Path, strip: int, chunks: tuple[str, ...], tiles: tuple[str, ...], codes: Mapping[int, int],
+    source: Place, strip: int, chunks: tuple[str, ...], tiles: tuple[str, ...], codes: Mapping[int, int],
     params: PublishParams, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """A source strip in its own order with every point's class: that of its nearest echo of the same pulse.
@@ -76,7 +77,7 @@ def delivered_strip(
         legal[code] = other
     output = directory / "laz" / "strips" / f"{source.stem}.laz"
     output.parent.mkdir(parents=True)
-    facts = write_strip_laz(source, output, legal[classes[place]], None, params)
+    facts = write_strip_laz(desk.local(source), output, legal[classes[place]], None, params)
     return {"points": links.rows, "notes": [str(n) for n in facts.get("notes", ())]}
 
 

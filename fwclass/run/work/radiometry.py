@@ -25,6 +25,7 @@ from fwclass.schema import Table
 from fwclass.stage import Chunk
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import read_json, write_json
+from fwclass.store.outside import Place
 from fwclass.store.tables import write_table
 
 _POINTING = ("x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z")
@@ -36,10 +37,11 @@ FIXES = 8192
 
 
 def flown(
-    file: Path, crs: str | None, undulation: float, times: tuple[float, float], desk: Desk, directory: Path
+    file: Place, crs: str | None, undulation: float, times: tuple[float, float], desk: Desk, directory: Path
 ) -> dict[str, Any]:
     """A file's trajectory on the time scale of a survey of `times`, sorted by time."""
-    table = in_survey_time(thinned(read_trajectory(file, crs, undulation), SPACING), *times, where=file)
+    path = desk.local(file)
+    table = in_survey_time(thinned(read_trajectory(path, crs, undulation), SPACING), *times, where=path)
     write_table(directory / TABLE, table, FIXES)
     at = table["gps_time"]
     return {"fixes": table.rows, "begins": at[::FIXES].tolist(), "ends": float(at[-1])}

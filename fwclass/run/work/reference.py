@@ -26,13 +26,14 @@ def polygons_read(
     crs: str | None, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """Polygons of a file with their codes, in whole millimetres of the survey's system (`crs`, WKT)."""
-    opened = open_polygons(file.path, file.layer)
+    path = desk.local(file.path)
+    opened = open_polygons(path, file.layer)
     found, shapes = read_polygons(opened, field)
     codes, counts = codes_of(found, values, classes, f"{file.path}: field {field}")
     moved = ""
     if file.crs is not None and crs is not None:
-        shapes, moved = reprojected(shapes, CRS.from_wkt(file.crs), CRS.from_wkt(crs), file.path)
-    made = Polygons.of(shapes, codes, groups_of(codes, classes), file.path)
+        shapes, moved = reprojected(shapes, CRS.from_wkt(file.crs), CRS.from_wkt(crs), path)
+    made = Polygons.of(shapes, codes, groups_of(codes, classes), path)
     write_arrays(directory / POLYGONS, made.arrays())
     least_x, least_y, most_x, most_y = made.bounds
     return {

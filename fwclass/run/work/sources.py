@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import file_digest, read_json, write_json
 from fwclass.store.cells import CELLS, by_name, by_place
+from fwclass.store.outside import Place, seen_as
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, write_groups, write_table
 from fwclass.tile.stage import assemble, assemble_points, split
@@ -34,6 +36,11 @@ _ARRAYS = ("samples", "offsets", "outgoing", "outgoing_offsets")
 """What of `Waveforms` is stored as arrays."""
 
 
+_INPUTS = "inputs.json"
+_SAVED_EVERY = 30.0
+"""s of digests that an interruption may cost."""
+
+
 class Digests:
     """Digests of foreign files, remembered by size and modification time in ``store/inputs.json``.
 
@@ -41,26 +48,35 @@ class Digests:
     """
 
     def __init__(self, store: Store) -> None:
-        self._path = store.directory / "inputs.json"
-        found = read_json(self._path) if self._path.exists() else {}
+        self._store = store
+        found = store.recall(_INPUTS)
         sound = isinstance(found, dict) and all(isinstance(v, list) and len(v) == 3 for v in found.values())
         self._known: dict[str, Any] = found if sound else {}
-        self._read_only = store.read_only
+        self._read_only, self._changed, self._saved = store.read_only, False, time.monotonic()
         self._sizes = {(Path(path).name, seen[0]) for path, seen in self._known.items()}
 
-    def of(self, paths: Iterable[Path]) -> tuple[tuple[str, str], ...]:
-        """(file name, digest) of every path; files that look unchanged are not read again."""
+    def of(self, paths: Iterable[Path], place: Place | None = None) -> tuple[tuple[str, str], ...]:
+        """(file name, digest) of every path; files that look unchanged are not read again.
+
+        `place`, if it is on object storage, is where the paths are copies from.
+        """
         found = []
         for path in paths:
-            facts = path.stat()
-            seen = self._known.get(str(path))
-            if seen is None or seen[:2] != [facts.st_size, facts.st_mtime_ns]:
-                seen = [facts.st_size, facts.st_mtime_ns, self._digest(path, facts.st_size)]
-                self._known[str(path)] = seen
+            name, size, stamp = seen_as(path, place)
+            seen = self._known.get(name)
+            if seen is None or seen[:2] != [size, stamp]:
+                seen = [size, stamp, self._digest(path, size)]
+                self._known[name], self._changed = seen, True
             found.append((path.name, str(seen[2])))
-        if not self._read_only:
-            write_json(self._path, self._known)
+        if time.monotonic() - self._saved > _SAVED_EVERY:
+            self.save()
         return tuple(found)
+
+    def save(self) -> None:
+        """Remember what is new; called when all files are known, and now and then before."""
+        if self._changed and not self._read_only:
+            self._store.keep(_INPUTS, self._known)
+        self._changed, self._saved = False, time.monotonic()
 
     def _digest(self, path: Path, size: int) -> str:
         if self._read_only and (path.name, size) not in self._sizes:
@@ -68,9 +84,9 @@ class Digests:
         return file_digest(path)
 
 
-def index(path: Path, params: ReadParams, desk: Desk, directory: Path) -> dict[str, Any]:
+def index(path: Place, params: ReadParams, desk: Desk, directory: Path) -> dict[str, Any]:
     """Cut a source file into spans that no pulse straddles."""
-    source = open_source(path)
+    source = open_source(desk.local(path))
     spans = index_source(source, params)
     return {
         "spans": [[s.first_point, s.last_point, s.first_pulse, s.n_pulses, list(s.shared)] for s in spans],
@@ -80,9 +96,9 @@ def index(path: Path, params: ReadParams, desk: Desk, directory: Path) -> dict[s
     }
 
 
-def read(path: Path, span: Span, params: ReadParams, desk: Desk, directory: Path) -> dict[str, Any]:
+def read(path: Place, span: Span, params: ReadParams, desk: Desk, directory: Path) -> dict[str, Any]:
     """Pulses, returns and waveforms of one span."""
-    waves = read_span(open_source(path), span, params)
+    waves = read_span(open_source(desk.local(path)), span, params)
     write_table(directory / "pulses.parquet", waves.pulses)
     write_table(directory / "returns.parquet", waves.returns)
     arrays = {name: getattr(waves, name) for name in _ARRAYS}
@@ -150,9 +166,9 @@ def scattered(part: str, grid: TileGrid, desk: Desk, directory: Path) -> dict[st
     return _write_split(desk.table("decompose", part), grid, directory)
 
 
-def scattered_cloud(path: Path, first: int, last: int, grid: TileGrid, desk: Desk, directory: Path) -> dict[str, Any]:
+def scattered_cloud(path: Place, first: int, last: int, grid: TileGrid, desk: Desk, directory: Path) -> dict[str, Any]:
     """Reference points of part of a file, in tile order."""
-    cloud = read_cloud(path, first, last)
+    cloud = read_cloud(desk.local(path), first, last)
     return _write_split(cloud.with_columns({n: quantised(cloud[n]) for n in "xyz"}), grid, directory)
 
 

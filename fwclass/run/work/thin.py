@@ -18,6 +18,7 @@ from fwclass.run.desk import TABLE, Desk
 from fwclass.run.work.forest import model_of
 from fwclass.schema import Table, column
 from fwclass.stage import Chunk
+from fwclass.store.outside import Place
 from fwclass.store.tables import write_table
 from fwclass.thin.follow import follow
 from fwclass.thin.params import ThinParams
@@ -49,7 +50,7 @@ def features_of_some(chunk: Chunk, sampled: NDArray[np.bool_], names: tuple[str,
 
 
 def classified(
-    tile: Tile, columns: Mapping[str, str], present: tuple[str, ...], model: tuple[Path, str] | None,
+    tile: Tile, columns: Mapping[str, str], present: tuple[str, ...], model: tuple[Place, str] | None,
     probabilities: bool, reach: float, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """As `forest.classified`, for a thinned run: the model is asked about sampled echoes, in the halo too, and every

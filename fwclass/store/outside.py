@@ -1,0 +1,144 @@
+"""Files of a survey: on a path that every host sees, or on object storage, from where a host fetches what it reads."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from fwclass.errors import InputError, StoreError
+from fwclass.store.atomic import digest_of
+from fwclass.store.objects import Held, Wanted, objects_at
+from fwclass.store.params import StoreParams
+from fwclass.store.refusals import LostRace
+from fwclass.store.scratch import scratch_of
+from fwclass.store.url import Url
+
+
+@dataclass(frozen=True)
+class Outside:
+    """A file on object storage with the objects beside it that belong to it, or a directory, as a run found them.
+
+    Attributes
+    ----------
+    url : of the file or directory.
+    held : (path relative to what the file lies in, bytes, e-tag) of every object.
+    """
+
+    url: Url
+    held: tuple[tuple[str, int, str], ...]
+    params: StoreParams
+
+    def __str__(self) -> str:
+        return str(self.url)
+
+    @property
+    def name(self) -> str:
+        return self.url.name
+
+    @property
+    def stem(self) -> str:
+        return Path(self.name).stem
+
+    def fetched(self, digests: Mapping[str, str]) -> Path:
+        """The file, or directory, on this host's disk, with those that belong to it.
+
+        Raises
+        ------
+        InputError
+            An object is not the one any more that the run found, or its bytes do not have the digest that `digests` has
+            for its name.
+        """
+        scratch = scratch_of(self.params)
+        unit = f"outside/{digest_of([self.url, self.held])}"
+        files = {n: Wanted(n, size, scratch.root / unit / n, mark or None) for n, size, mark in self.held}
+        known = {n: digests[Path(n).name] for n in files if Path(n).name in digests}
+        try:
+            scratch.need(objects_at(self.url.parent, self.params), unit, files, known)
+        except (LostRace, FileNotFoundError) as fault:
+            raise self._changed(fault) from fault
+        except StoreError as fault:
+            if "is not what was written" in fault.what:
+                raise self._changed(fault) from fault
+            raise
+        return scratch.root / unit / self.name
+
+    def _changed(self, fault: Exception) -> InputError:
+        return InputError(
+            "a file of the survey was changed or removed while the run was under way", where=self.url,
+            got=str(fault).splitlines()[0], do="run the same again: the parts that the file touches are made anew",
+        )  # fmt: skip
+
+
+Place = Path | Outside
+
+
+def local(place: Place, digests: Mapping[str, str] | None = None) -> Path:
+    """`place` on this host; fetched if it lies on object storage, and checked against the `digests` of its files."""
+    return place.fetched(digests or {}) if isinstance(place, Outside) else place
+
+
+def seen_as(path: Path, place: Place | None = None) -> tuple[str, int, int | str]:
+    """What tells a file apart without reading it: name, bytes, and time of change [ns]; of a copy from object storage
+    the object's address and e-tag, whatever host it was copied to."""
+    if isinstance(place, Outside):
+        size, mark = next((size, mark) for name, size, mark in place.held if name == path.name)
+        return str(place.url.parent / path.name), size, mark
+    facts = path.stat()
+    return str(path), facts.st_size, facts.st_mtime_ns
+
+
+def found_outside(pattern: str, directory: Url, params: StoreParams) -> list[Outside]:
+    """Files below `directory` that match `pattern` (``*``, ``?``, ``[…]``, ``**/``), with what belongs to them."""
+    fixed = re.match(r"(?:[^*?\[/]+/)*", pattern)
+    below = fixed[0].strip("/") if fixed else ""
+    held = list(objects_at(directory, params).list(below))
+    wanted = re.compile(_expression(pattern))
+    return [_with_beside(h, held, directory, params) for h in held if wanted.fullmatch(h.key)]
+
+
+def directory_outside(url: Url, params: StoreParams) -> Outside:
+    """A whole directory (a model)."""
+    held = list(objects_at(url.parent, params).list(url.name))
+    return Outside(url, tuple((h.key, h.size, h.mark.e_tag or "") for h in held), params)
+
+
+def _with_beside(one: Held, held: Iterable[Held], directory: Url, params: StoreParams) -> Outside:
+    path, _, name = one.key.rpartition("/")
+    stem = Path(name).stem.lower()
+    own = []
+    for other in held:
+        there, _, called = other.key.rpartition("/")
+        if there == path and (called == name or (Path(called).stem.lower() == stem and _goes_with(name, called))):
+            own.append((called, other.size, other.mark.e_tag or ""))
+    return Outside(directory / one.key, tuple(own), params)
+
+
+_BESIDE = {
+    ".las": (".wdp",), ".laz": (".wdp",), ".pls": (".wvs",), ".plz": (".wvz", ".wvs"),
+    ".shp": (".dbf", ".shx", ".prj", ".cpg"),
+}  # fmt: skip
+"""Files that are read together with one of this ending."""
+
+
+def _goes_with(name: str, other: str) -> bool:
+    return Path(other).suffix.lower() in _BESIDE.get(Path(name).suffix.lower(), ())
+
+
+def _expression(pattern: str) -> str:
+    """A regular expression for a pattern of file names."""
+    made, at = "", 0
+    while at < len(pattern):
+        if pattern.startswith("**/", at):
+            made, at = made + "(?:[^/]+/)*", at + 3
+        elif pattern[at] == "*":
+            made, at = made + "[^/]*", at + 1
+        elif pattern[at] == "?":
+            made, at = made + "[^/]", at + 1
+        elif pattern[at] == "[" and (end := pattern.find("]", at + 2)) > 0:
+            inner = re.sub(r"([\\\[&~|^])", r"\\\1", pattern[at + 1 : end].removeprefix("!"))
+            made, at = made + ("[^" if pattern[at + 1] == "!" else "[") + f"{inner}]", end + 1
+        else:
+            made, at = made + re.escape(pattern[at]), at + 1
+    return made

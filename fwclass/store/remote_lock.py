@@ -1,0 +1,182 @@
+"""One writer per run on object storage: an object that its holder renews.
+
+No clock is asked: who finds the lock held watches its version, and takes it over when that has not changed for `dead`
+seconds by the finder's own monotonic watch. Every write is conditional on the version read before, so only one can win.
+What a holder that was thought dead still does is refused: its parts are committed only while the lock bears its token.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from fwclass.errors import LockedError, StoreError
+from fwclass.store.objects import Mark, Objects
+from fwclass.store.refusals import LostRace
+
+LOCK = "store/lock"
+_PROBE = "store/probe"
+
+
+class Heartbeat:
+    """Renews the lock until it is told to end; `check` raises `LostRace` once somebody else has it."""
+
+    def __init__(self, objects: Objects, facts: Mapping[str, Any], mark: Mark) -> None:
+        self._objects, self._facts, self._mark = objects, dict(facts), mark
+        self._end, self._lost = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._renew, name="lock", daemon=True)
+        self._thread.start()
+
+    def check(self) -> None:
+        if self._lost.is_set():
+            raise LostRace(
+                "another run took this run's lock over; nothing more is committed", where=self._objects.url,
+                got="the lock was not renewed in time: this host slept, or its network was away",
+                do="see which other run works below this address; if none does, run the same again",
+            )  # fmt: skip
+
+    def _renew(self) -> None:
+        beat = 0
+        while not self._end.wait(self._objects.params.beat):
+            beat += 1
+            try:
+                self._mark = self._objects.put_over(LOCK, _data(self._facts, beat), self._mark)
+            except LostRace:
+                self._lost.set()
+                return
+            except StoreError:
+                continue  # nobody can commit anything now; the next beat will tell whose the lock is
+
+    def end(self) -> None:
+        """Give the lock back."""
+        self._end.set()
+        self._thread.join(self._objects.params.timeout)
+        if not self._lost.is_set():
+            with suppress(StoreError):
+                self._objects.put_over(LOCK, b"{}", self._mark)
+
+
+def _data(facts: Mapping[str, Any], beat: int) -> bytes:
+    return json.dumps({**facts, "beat": beat}, sort_keys=True).encode()
+
+
+@contextmanager
+def remote_writer(objects: Objects, tell: Callable[[str], None]) -> Iterator[tuple[str, Heartbeat]]:
+    """Hold the run below `objects`; a second writer gets a `StoreError` naming the first one's host and pid.
+
+    Gives the token under which parts are committed, and what tells whether the lock is still held. A lock whose holder
+    does not renew it is watched for ``params.dead`` seconds, of which `tell` says so, and then taken over.
+    """
+    _check_conditional(objects)
+    token = uuid.uuid4().hex
+    facts = {"host": socket.gethostname(), "pid": os.getpid(), "machine": _machine(), "token": token}
+    beat = Heartbeat(objects, facts, _take(objects, _data(facts, 0), tell))
+    try:
+        yield token, beat
+    finally:
+        beat.end()
+
+
+def _check_conditional(objects: Objects) -> None:
+    """`StoreError` where the server takes no notice of conditions: two runs could not be kept apart there."""
+    own = uuid.uuid4().hex.encode()
+    objects.put(_PROBE, own)
+    for mark in (None, Mark('"00000000000000000000000000000000"', "0")):
+        with suppress(LostRace):
+            if mark is None:
+                objects.put_new(_PROBE, b"new")
+            else:
+                objects.put_over(_PROBE, b"over", mark)
+            raise StoreError(
+                "this object storage has no conditional writes", where=objects.url,
+                expected="a write with If-None-Match or If-Match is refused where its condition does not hold",
+                got="the object was written over",
+                do="use a server that has them (Amazon S3, Google, Azure; MinIO and Ceph of 2024 or later)",
+            )  # fmt: skip
+
+
+def _take(objects: Objects, data: bytes, tell: Callable[[str], None]) -> Mark:
+    found = objects.get(LOCK)
+    if found is None:
+        try:
+            return objects.put_new(LOCK, data)
+        except LostRace:
+            found = objects.get(LOCK)
+            if found is None:
+                raise
+    if held := _facts(found[0]):
+        found = _watched(objects, held, found, tell)
+    try:
+        return objects.put_over(LOCK, data, found[1])
+    except LostRace as fault:
+        after = objects.get(LOCK)
+        raise _refused(objects, _facts(after[0]) if after else {}) from fault
+
+
+def _watched(
+    objects: Objects, held: Mapping[str, Any], found: tuple[bytes, Mark], tell: Callable[[str], None]
+) -> tuple[bytes, Mark]:
+    """The lock as it is when its holder has been silent long enough; `StoreError` as soon as it shows life."""
+    if held.get("machine") == _machine() and not psutil.pid_exists(int(held.get("pid", 0))):
+        tell(f"lock         its holder, process {held.get('pid')} of this host, is gone; it is taken over")
+        return found
+    params = objects.params
+    tell(
+        f"lock         held by process {held.get('pid')} of {held.get('host')}; taken over if it is silent for "
+        f"{params.dead:g} s"
+    )
+    began = time.monotonic()
+    while time.monotonic() - began < params.dead:
+        time.sleep(min(params.beat, params.dead) / 2)
+        now = objects.get(LOCK)
+        if now is None or now[1] != found[1]:
+            if now is not None and not _facts(now[0]):
+                return now  # it ended just now
+            raise _refused(objects, held)
+    return found
+
+
+def _refused(objects: Objects, held: Mapping[str, Any]) -> LockedError:
+    named = json.dumps({n: held[n] for n in ("host", "pid") if n in held})
+    return LockedError(
+        "another run is writing to this directory", where=objects.url, got=named if held else "unknown holder",
+        do="wait for it to end, or choose another --out",
+    )  # fmt: skip
+
+
+def remote_holder(objects: Objects) -> Mapping[str, Any] | None:
+    """Host and pid of the run that holds the lock, None where there is none; one that was killed is told too, until
+    somebody waits for it."""
+    found = objects.get(LOCK)
+    held = _facts(found[0]) if found else {}
+    if not held or (held.get("machine") == _machine() and not psutil.pid_exists(int(held.get("pid", 0)))):
+        return None
+    return {n: held[n] for n in ("host", "pid") if n in held}
+
+
+def _facts(data: bytes) -> dict[str, Any]:
+    """What a lock says of its holder, empty for one that nobody holds."""
+    try:
+        found = json.loads(data)
+    except (json.JSONDecodeError, UnicodeDecodeError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _machine() -> str:
+    """The same for two processes only if each sees the other's pid: this run of the host, and the space of pids."""
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return f"{boot} {os.readlink('/proc/self/ns/pid')}"  # noqa: PTH115 - it is no path
+    except OSError:
+        return uuid.uuid4().hex

@@ -1,0 +1,177 @@
+"""A scheduler, workers and the command as processes that share nothing but an S3 server; killed, and started twice."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from objectstore import Server, quick, serving, used
+from runmaker import SETTINGS, delivered
+
+from fwclass.store.url import Url
+
+pytestmark = pytest.mark.slow
+
+PARAMS = quick(dead=3.0, beat=0.5, patience=60.0, timeout=20.0)
+QUICK = tuple(f"store.{n}={v}" for n, v in PARAMS.model_dump().items() if v is not None)
+COMMAND = "from fwclass.cli import main; main()"
+LIMIT = 600
+"""s, that a run may take on a loaded machine."""
+
+
+class Hosts:
+    """Processes, each with a directory of its own to work and to keep copies in."""
+
+    def __init__(self, s3: Server, root: Path) -> None:
+        self._s3, self._root = s3, root
+        self.running: list[subprocess.Popen[str]] = []
+
+    def start(self, name: str, *line: object, copies: bool = True) -> subprocess.Popen[str]:
+        """A process on a host of this name; standard output and error go to its `log`."""
+        home = self._root / name
+        home.mkdir(exist_ok=True)
+        given = {**os.environ, **used(self._s3, home / "copies"), "PYTHONPATH": ":".join(sys.path)}
+        if not copies:
+            del given["FWCLASS_SCRATCH"]  # a Dask worker has a directory of its own
+        with self.log(name).open("a") as told:
+            process = subprocess.Popen(
+                [sys.executable, *map(str, line)], cwd=home, env=given, stdout=told, stderr=told, text=True
+            )
+        self.running.append(process)
+        return process
+
+    def log(self, name: str) -> Path:
+        return self._root / f"{name}.log"
+
+    def scheduler(self) -> str:
+        """Its address."""
+        self.start("scheduler", "-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+        until = time.monotonic() + 60
+        while time.monotonic() < until:
+            if found := re.search(r"Scheduler at:\s+(tcp://\S+)", self.log("scheduler").read_text()):
+                return found[1]
+            time.sleep(0.1)
+        raise AssertionError(self.log("scheduler").read_text())
+
+    def worker(self, name: str, address: str) -> subprocess.Popen[str]:
+        return self.start(
+            name, "-m", "dask", "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
+            "--local-directory", self._root / name / "scratch", copies=False,
+        )  # fmt: skip
+
+    def run(self, name: str, place: Url, out: Url, *words: object) -> subprocess.Popen[str]:
+        settings = (*SETTINGS, *QUICK, f"survey.directory={place}")
+        given = [w for s in settings for w in ("--set", s)]
+        return self.start(name, "-c", COMMAND, "run", "demo", "--out", out, *given, *words)
+
+    def stop(self) -> None:
+        for process in self.running:
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def s3() -> Iterator[Server]:
+    with serving() as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def place(s3: Server, survey: Path) -> Url:
+    url = s3.url("survey")
+    s3.write_all(url, survey, "strips", "reference")
+    s3.write(url / "trajectory.csv", (survey / "trajectory.csv").read_bytes())
+    return url
+
+
+@pytest.fixture
+def hosts(s3: Server, tmp_path: Path) -> Iterator[Hosts]:
+    made = Hosts(s3, tmp_path)
+    try:
+        yield made
+    finally:
+        made.stop()
+
+
+def until(condition, process: subprocess.Popen[str] | None = None) -> None:
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < end
+        assert process is None or process.poll() is None
+        time.sleep(0.1)
+
+
+def receipts(s3: Server, out: Url) -> int:
+    """Parts that are done."""
+    return sum(key.endswith("receipt.json") for key in s3.keys(out))
+
+
+def test_workers_that_share_only_object_storage_and_one_is_killed(s3, place, hosts, finished, tmp_path):
+    out, address = s3.url(), hosts.scheduler()
+    first = hosts.worker("first", address)
+    hosts.worker("second", address)
+    run = hosts.run("driver", place, out, "--scheduler", address)
+    until(lambda: receipts(s3, out) > 30, run)
+    first.send_signal(signal.SIGKILL)
+    hosts.worker("third", address)
+    assert run.wait(LIMIT) == 0, hosts.log("driver").read_text()
+    assert s3.delivered(out) == delivered(finished[0])
+    for name in ("second", "third"):  # each read into a directory of its own
+        assert list((tmp_path / name / "scratch").rglob("*.parquet"))
+    assert not list((tmp_path / "driver").rglob("decompose/*/*/table.parquet"))
+
+
+def test_a_killed_command_is_followed_by_another_host_and_resumed(s3, place, hosts, finished):
+    out = s3.url()
+    killed = hosts.run("killed", place, out, "--workers", "0")
+    until(lambda: receipts(s3, out) > 40, killed)
+    killed.send_signal(signal.SIGKILL)
+    killed.wait()
+    before = receipts(s3, out)
+    again = hosts.run("again", place, out, "--workers", "0")
+    assert again.wait(LIMIT) == 0, hosts.log("again").read_text()
+    told = hosts.log("again").read_text()
+    assert "is gone; it is taken over" in told
+    skipped = sum(int(n) for n in re.findall(r"(\d+) skipped", told))
+    assert skipped >= before - 1  # what was done is not made again
+    assert s3.delivered(out) == delivered(finished[0])
+    assert not [k for k in s3.keys(out) if k.startswith("store/staging")]
+
+
+def test_of_two_runs_started_together_one_is_refused(s3, place, hosts, finished):
+    out = s3.url()
+    runs = [hosts.run(name, place, out, "--workers", "0") for name in ("one", "two")]
+    until(lambda: any(run.poll() is not None for run in runs))
+    [first] = [k for k, run in enumerate(runs) if run.poll() is not None]
+    assert runs[first].returncode == 1
+    assert re.search(r"another run is writing[\s\S]*pid", hosts.log(("one", "two")[first]).read_text())
+    other = runs[1 - first]
+    assert other.wait(LIMIT) == 0
+    assert s3.delivered(out) == delivered(finished[0])
+
+
+def test_a_command_that_slept_finds_its_lock_taken_and_commits_nothing_more(s3, place, hosts, finished):
+    """Stopped for longer than `store.dead`; another process follows it as one of another host would."""
+    out = s3.url()
+    asleep = hosts.run("asleep", place, out, "--workers", "0")
+    until(lambda: receipts(s3, out) > 20, asleep)
+    asleep.send_signal(signal.SIGSTOP)
+    other = hosts.run("other", place, out, "--workers", "0")
+    assert other.wait(LIMIT) == 0, hosts.log("other").read_text()
+    assert "taken over if it is silent" in hosts.log("other").read_text()
+    before = s3.read(out)
+    asleep.send_signal(signal.SIGCONT)
+    assert asleep.wait(LIMIT) == 1
+    told = hosts.log("asleep").read_text()
+    assert "lost its lock" in told or "took this run's lock over" in told
+    changed = {k for k, v in s3.read(out).items() if before.get(k) != v}
+    assert not [k for k in changed if k.endswith("receipt.json") or k.startswith(("generations", "current"))]
+    assert s3.delivered(out) == delivered(finished[0])
