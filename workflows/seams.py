@@ -118,7 +118,10 @@ def _planned(config: Config, look: Look) -> Plan:
 
 
 def _strips(plan: Plan, strips: list[Place], tiles: Tiles, display: Display) -> list[Seam]:
-    layout = replace(plan.tiled.layout, tiles=tuple(p.tile for p in strips))
+    whole = plan.tiled.layout
+    places = tuple(p.tile for p in strips)
+    ever = dict.fromkeys((t.key for t in places), (whole.times,))  # which strips pass these tiles is not known
+    layout = replace(whole, tiles=places, passes=ever)
     desk = StripDesk(tiles.desk.store, tiles, {p.tile.key: p for p in strips}, {})
     mine = [t for t in plan.tasks(layout) if t.stage in TILE_STAGES and t.part in desk.places]
     return tile_seams(mine, desk, layout.config.seams.listed, display)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,22 +31,21 @@ def _run(
 ) -> None:  # fmt: skip
     config, request = requested(conf, out, settings, workflow, tiles)
     root = out_directory(out, config)
+    count = config.run.workers if how.workers is None else how.workers
+    performance = report_path(how.page, root, count, how.scheduler)
     from fwclass.run.history import recorded
 
     with recorded(request) as entry:
-        _walk(config, request, root, how, entry)
+        _walk(config, request, root, replace(how, workers=count), performance, entry)
 
 
-def _walk(config: Any, request: Any, root: Any, how: How, entry: Any) -> None:
-    from workflows import WORKFLOWS
-
-    count = config.run.workers if how.workers is None else how.workers
-    performance = report_path(how.page, root, count, how.scheduler)
+def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
     from fwclass.assess.stage import judge
     from fwclass.run.report import REPORT, summary
     from fwclass.store.home import home_of
+    from workflows import WORKFLOWS
 
-    with open_road(home_of(root, config.store), count, how.scheduler, config.run, performance) as road:
+    with open_road(home_of(root, config.store), how.workers or 0, how.scheduler, config.run, performance) as road:
         road.store.generations.check_links()
         request.keep(road.store)
         road.fail_fast = how.fail_fast

@@ -31,7 +31,7 @@ class Tasks(Sequence[Task]):
     @classmethod
     def of(cls, stage: str, keys: Sequence[Key], make: Callable[[Key], Task]) -> Tasks:
         """A task of `stage` for each of `keys`."""
-        return cls([_Batch(keys, make, Counter({stage: len(keys)}))])
+        return cls([_Batch(keys, make, Counter({stage: len(keys)}))] if len(keys) else ())
 
     @classmethod
     def held(cls, tasks: Iterable[Task]) -> Tasks:

@@ -38,6 +38,7 @@ def run(directory, name, *settings):
     with Display() as display, contextlib.nullcontext(Loop()) as loop:
         road = Road(directory / "run", loop, display)
         report = WORKFLOWS["classification"](config, road, None)
+        road.publish(config.run.keep_generations)
     assert not road.failures, road.failures
     return report
 

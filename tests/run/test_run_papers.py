@@ -34,7 +34,9 @@ def follow(name: str, survey: Path, root: Path, *settings: str, tiles=None):
     root.mkdir(parents=True, exist_ok=True)
     with writer(root), Display() as display:
         road = Road(root, Loop(), display)
-        return road, WORKFLOWS[name](config, road, tiles)
+        report = WORKFLOWS[name](config, road, tiles)
+        road.publish(config.run.keep_generations)
+        return road, report
 
 
 @pytest.fixture(scope="module")
