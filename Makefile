@@ -4,7 +4,7 @@ PYTHON ?= python3
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test check format bench fuzz clean
+.PHONY: demo test check faults format bench fuzz clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || \
@@ -26,6 +26,9 @@ check: $(READY)
 
 test: $(READY)
 	$(PY) -m pytest -n auto -m "not bench"
+
+faults: $(READY)
+	$(PY) -m pytest -v -m faults
 
 format: $(READY)
 	$(VENV)/bin/ruff format .

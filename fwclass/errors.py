@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import difflib
 import errno
+import os
+import shutil
 import unicodedata
 from collections.abc import Iterable
+from pathlib import Path
 
 from fwclass.redact import redacted
 
@@ -99,6 +102,10 @@ class StoreError(FwclassError):
     """The store is damaged, locked, or belongs to something else."""
 
 
+class DamagedError(StoreError):
+    """A file of the store is not what was written there."""
+
+
 class LockedError(StoreError):
     """Another process is at work on the same directory."""
 
@@ -122,10 +129,53 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else "known: " + ", ".join(names)
 
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What a write says where nothing more can be written: disk full, quota used up, file larger than is allowed."""
+
+_LEAST = 1 << 16
+"""Bytes free, below which a fault while writing is put down to a full disk: some libraries do not say why."""
+
+
+def full_or(fault: Exception, where: Path) -> Exception:
+    """`fault`, or the `OSError` of the full disk that lies behind it; `where` is a place on the disk written to."""
+    seen: BaseException | None = fault
+    while seen is not None:
+        if isinstance(seen, OSError) and seen.errno in FULL:
+            return seen if seen.filename else OSError(seen.errno, os.strerror(seen.errno), str(where))
+        for code in FULL:
+            if os.strerror(code) in str(seen):
+                return OSError(code, os.strerror(code), str(where))
+        seen = seen.__cause__ or seen.__context__
+    if not isinstance(fault, OSError) and where.exists() and shutil.disk_usage(where).free < _LEAST:
+        return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(where))
+    return fault
+
+
+def _disk(where: str) -> str:
+    """The disk that a path lies on, and what is free there."""
+    path = Path(where).absolute()
+    while not path.exists() and path != path.parent:
+        path = path.parent
+    usage = shutil.disk_usage(path)
+    while not path.is_mount() and path != path.parent:
+        path = path.parent
+    return f"disk {path}: {usage.free / 2**20:.1f} of {usage.total / 2**20:.1f} MiB free now"
+
+
 def system_error(fault: OSError, where: object = "") -> FwclassError:
     """A refusal of the operating system (no such place, no permission, disk full) in words for the user."""
+    place = fault.filename or where
+    if fault.errno in FULL:
+        words = {
+            errno.ENOSPC: ("the disk is full", "free some space"),
+            errno.EDQUOT: ("the quota of disk space is used up", "free some space, or ask for more"),
+            errno.EFBIG: ("a file may not grow that large", "raise the limit (`ulimit -f`), or choose another disk"),
+        }[fault.errno]
+        return FwclassError(
+            words[0], where=place, got=_disk(str(place)) if place else "",
+            do=f"{words[1]}, then run the same command again; what is done is kept",
+        )  # fmt: skip
     advice = {
-        errno.ENOSPC: "free some space, then run the same command again; what is done is kept",
         errno.EACCES: "choose a place that you may write to, or change its permissions",
         errno.EPERM: "choose a place that you may write to, or change its permissions",
         errno.EROFS: "choose a place that can be written to",
@@ -135,6 +185,6 @@ def system_error(fault: OSError, where: object = "") -> FwclassError:
     }
     return FwclassError(
         fault.strerror or type(fault).__name__,
-        where=fault.filename or where,
+        where=place,
         do=advice.get(fault.errno or 0, "check the disk and the path, then run the same command again"),
     )

@@ -64,7 +64,9 @@ def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, repor
             return
         from fwclass.run.cluster import Cluster
 
-        with Cluster(scheduler, workers, limits.worker_memory_gib, limits.window) as cluster:
+        with Cluster(
+            scheduler, workers, limits.worker_memory_gib, limits.window, limits.retries, limits.split
+        ) as cluster:
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
             display.workers = cluster.workers
             road = Road(home, cluster, display, held=held)

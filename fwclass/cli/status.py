@@ -99,15 +99,16 @@ def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: 
 @AOI
 @WORKFLOW
 @click.option("--parts", "every", is_flag=True, help="List every part, done or not.")
+@click.option("--verify", is_flag=True, help="Read all files of parts that are done, and compare their digests.")
 @JSON
 def status(
     conf_or_run: Any, out: Any, settings: tuple[str, ...], tiles: str | None, aoi: Path | None,
-    workflow: str, every: bool, as_json: bool,
+    workflow: str, every: bool, verify: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Tell which parts of a run are done, stale (and why), missing, running or failed; nothing is made.
 
     A run directory is looked at as its last `fwclass run` was asked for; a configuration with the words given here.
-    Exit code 0 if all is done, 3 if not.
+    Exit code 0 if all is done (and, with --verify, undamaged), 3 if not.
     """
     from fwclass import conf as configuration
     from fwclass.run.request import Request
@@ -131,12 +132,21 @@ def status(
     home = _home(request, config)
     writer, scheduled = held_by(home), standing(home) if isinstance(home, Path) else None
     looked = _looked(config, request)
+    from fwclass.run.status.verify import as_text as damage_text
+    from fwclass.run.status.verify import damages
+
+    damaged = damages(Path(request.root), looked) if verify else []
     if as_json:
-        click.echo(json.dumps({**as_data(looked, request, writer, every), "schedule": scheduled}, indent=1))
+        data = {**as_data(looked, request, writer, every), "schedule": scheduled}
+        if verify:
+            data["damaged"] = [d.as_data() for d in damaged]
+        click.echo(json.dumps(data, indent=1))
     else:
         if scheduled is not None:
             when = f"next {scheduled['next']}" if scheduled.get("next") else "waits for files"
             click.echo(f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}")
         click.echo(as_text(looked, request, writer, every))
-    if not looked.all_done:
+        if verify:
+            click.echo(damage_text(Path(request.root), damaged))
+    if damaged or not looked.all_done:
         sys.exit(PARTIAL)

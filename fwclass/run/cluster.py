@@ -1,27 +1,33 @@
 """Parts on a Dask cluster. The only file that imports dask.
 
 Data never travels through the scheduler: a task's function reads from and writes to the store, and returns a small
-`Outcome`. The graph's edges are the tasks' needs.
+`Outcome`. The graph's edges are the tasks' needs. `hand` keeps what the scheduler knows.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import logging
 import re
 import signal
+import threading
+import time
 import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import dask
-from distributed import Client, Future, LocalCluster, WorkerPlugin, as_completed, get_worker, performance_report
+from distributed import Client, Future, LocalCluster, Nanny, WorkerPlugin, as_completed, get_worker, performance_report
+from distributed.scheduler import KilledWorker
 
 from fwclass import __version__
 from fwclass.errors import FwclassError
-from fwclass.run.logs import attempted
-from fwclass.run.part import Name, Outcome, Task, execute
+from fwclass.run.hand import Hand
+from fwclass.run.lost import Losses, cause_of
+from fwclass.run.part import Outcome, Task, execute
 from fwclass.store.atomic import write_text
 from fwclass.store.home import Home
 from fwclass.store.scratch import worker_directory
@@ -30,7 +36,17 @@ _OUTSIDE = re.compile(r'<link rel="shortcut icon" href="https?://[^">]*"[^>]*>')
 """Of a performance report: its icon, which would be fetched."""
 
 
-def _at_worker(version: str, home: Home, task: Task, upstream: Iterable[Outcome]) -> Outcome:
+MUSTER = 2.0
+"""Seconds between looks at whether workers are missing."""
+
+SLOW_START = 120.0
+"""Seconds that a worker may take to come back before another is started in its place."""
+
+_ENDS: dict[str, int] = {}
+"""How workers of this process ended, by address: the exit code, negative for a signal."""
+
+
+def _at_worker(version: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int) -> Outcome:
     """A part, on whatever host the scheduler has chosen."""
     worker = get_worker()
     if version != __version__:
@@ -39,7 +55,7 @@ def _at_worker(version: str, home: Home, task: Task, upstream: Iterable[Outcome]
             "install the same version on all hosts",
         )  # fmt: skip
     worker_directory(Path(worker.local_directory))
-    return execute(home, task, tuple(upstream))
+    return execute(home, task, tuple(upstream), split)
 
 
 class Unheeding(WorkerPlugin):  # type: ignore[misc]
@@ -66,20 +82,36 @@ def _no_answer(address: str | None, fault: Exception) -> FwclassError:
     )  # fmt: skip
 
 
+class Watcher(Nanny):  # type: ignore[misc]
+    """Restarts a worker that has ended, and remembers how it ended."""
+
+    async def _on_worker_exit(self, exitcode: int) -> None:
+        _ENDS[str(self.worker_address)] = int(exitcode)
+        await super()._on_worker_exit(exitcode)
+
+
 class Cluster:
     """Executor on a Dask scheduler: at `address`, or on `workers` processes of one thread each on this machine.
 
-    It is given at most `window` parts at a time.
+    It is given at most `window` parts at a time. A part whose worker is lost is tried `retries` times more among
+    others, then alone, in `split` × `split` pieces.
     """
 
-    def __init__(self, address: str | None, workers: int, worker_memory_gib: float, window: int) -> None:
-        dask.config.set({"distributed.scheduler.allowed-failures": 3, "distributed.admin.tick.limit": "30s"})
+    def __init__(
+        self, address: str | None, workers: int, worker_memory_gib: float, window: int, retries: int = 0, split: int = 1
+    ) -> None:
+        dask.config.set({
+            "distributed.scheduler.allowed-failures": 0, "distributed.admin.tick.limit": "30s",
+            "distributed.deploy.lost-worker-timeout": f"{SLOW_START:g}s",
+        })  # fmt: skip
         self._cluster: LocalCluster | None = None
+        self._wanted, self._memory, self._retries, self._split = workers, worker_memory_gib, retries, split
         try:
             if address is None:
                 self._cluster = LocalCluster(
                     n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
-                    memory_limit=f"{worker_memory_gib} GiB", host="127.0.0.1", silence_logs=40,
+                    memory_limit=f"{worker_memory_gib} GiB", host="127.0.0.1", silence_logs=50,
+                    worker_class=Watcher,
                 )  # fmt: skip
             self._client = Client(self._cluster or address, timeout="30s")
             if self._cluster is not None:
@@ -88,7 +120,15 @@ class Cluster:
             raise _no_answer(address, fault) from fault
         self.address, self.dashboard = self._client.scheduler.address, self._page()
         self.workers = len(self._client.ncores())
-        self._window, self._count = window, 0
+        self._window, self._count, self._over = window, 0, threading.Event()
+        if self._cluster is not None:
+            threading.Thread(target=self._muster, daemon=True).start()
+
+    def _muster(self) -> None:
+        """A worker that was killed while it started is given up by its nanny: start another."""
+        while not self._over.wait(MUSTER):
+            if self._cluster is not None and len(self._cluster.workers) < self._wanted:
+                self._cluster.scale(self._wanted)
 
     def _page(self) -> str | None:
         """Address of the scheduler's dashboard; None where it serves none, for want of bokeh."""
@@ -121,6 +161,7 @@ class Cluster:
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._over.set()
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
@@ -128,42 +169,60 @@ class Cluster:
     def run(self, home: Home, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes as parts end, in any order; edges are exactly the tasks' needs.
 
-        The scheduler knows at most `window` parts: the next is taken when one has ended.
+        The scheduler knows at most `window` parts: the next is taken when one has ended. `FwclassError` if the
+        scheduler is gone.
         """
-        names: dict[str, Name] = {}
-        futures: dict[Name, Future] = {}
-        ended = as_completed()
-
-        def next_one() -> Outcome:
-            future = next(ended)
-            name = names.pop(future.key)
-            del futures[name]
-            return _outcome(home, name, future)
-
+        hand = Hand(self, home, Losses(home, self._retries), as_completed())
         try:
             for task in tasks:
-                upstream = [futures[n] for n in task.needs if n in futures]
-                self._count += 1
-                future = self._client.submit(
-                    _at_worker, __version__, home, task, upstream, key=f"{task.stage}-{task.part}-{self._count}",
-                    pure=False, priority=-self._count, retries=0,
-                )  # fmt: skip
-                futures[task.name], names[future.key] = future, task.name
-                ended.add(future)
-                if len(futures) >= self._window:
-                    yield next_one()
-            while futures:
-                yield next_one()
+                hand.take(task)
+                while hand.full:
+                    yield from hand.ended()
+            while hand:
+                yield from hand.ended()
         except GeneratorExit:  # stopped at a failure: what has not begun is not begun any more
-            self._client.cancel([f for f in futures.values() if not f.done()])
+            hand.drop()
             raise
 
+    def submit(self, home: Home, task: Task, upstream: list[Any], alone: bool) -> Future:
+        """Hand a part to the scheduler; one that is tried alone is made in pieces."""
+        self._count += 1
+        return self._client.submit(
+            _at_worker, __version__, home, task, upstream, self._split if alone else 1,
+            key=f"{task.stage}-{task.part}-{self._count}", pure=False, priority=-self._count, retries=0,
+        )  # fmt: skip
 
-def _outcome(home: Home, name: Name, future: Future) -> Outcome:
-    if future.status == "finished":
-        outcome: Outcome = future.result()
-        return outcome
-    fault = future.exception() if future.status == "error" else future.status
-    message = f"the worker was lost: {type(fault).__name__}: {fault}"
-    attempted(home, *name, {"status": "failed", "message": message})
-    return Outcome(*name, "failed", message=message)
+    def cancel(self, futures: list[Future]) -> None:
+        self._client.cancel(futures)
+
+    def gone(self) -> FwclassError:
+        """The words for a scheduler that does not answer any more; its client's own are kept from the terminal."""
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+        return FwclassError(
+            "the Dask scheduler is gone", where=self.address,
+            do="start it and its workers again, then run the same command; what is done is kept",
+        )  # fmt: skip
+
+    @staticmethod
+    def killed(fault: BaseException | None, key: str) -> str | None:
+        """Address of the worker that was lost with the task `key`; empty if it was lost with one that this one needs,
+        None for another fault."""
+        if not isinstance(fault, KilledWorker):
+            return None
+        return str(fault.last_worker.address) if fault.task == key else ""
+
+    def cause(self, worker: str) -> str:
+        """Why the worker at this address ended, in words; empty where that is not known."""
+        until = time.monotonic() + 2.0
+        while self._cluster is not None and worker not in _ENDS and time.monotonic() < until:
+            time.sleep(0.05)  # the scheduler may know of it before its nanny does
+        try:
+            events = [e for _, e in self._client.get_events("worker-restart-memory") or ()]
+        except (OSError, TimeoutError):
+            events = []
+        over = next((int(e["rss"]) for e in events if e.get("worker") == worker), None)
+        return cause_of(over, self._memory if self._cluster is not None else None, _ENDS.get(worker))
+
+    @property
+    def window(self) -> int:
+        return self._window

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from fwclass.errors import FwclassError, system_error
+from fwclass.errors import FwclassError, full_or, system_error
 from fwclass.run.desk import Desk
 from fwclass.run.logs import Value, attempted, log_path
 from fwclass.store.cells import Within, digest_within
+from fwclass.store.foreign import Foreign
 from fwclass.store.home import Home, open_store
 from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_store import Store
@@ -34,7 +35,7 @@ class Task:
     needs : parts read; their digests enter the key.
     within : what is read of those of them that have digests of pieces (`store.cells`): the rows in a box, the piece of
         a name; None for all.
-    external : digests of files read from outside, by name; they enter the key.
+    external : files read from outside; their digests enter the key by name.
     place : "store"; "deliver" for what the user gets, in a generation, at the paths that it has in the part; "run" for
         files of the run directory itself.
     """
@@ -45,7 +46,7 @@ class Task:
     params: Any
     work: Callable[[Desk, Path], Mapping[str, Any]]
     needs: tuple[Name, ...] = ()
-    external: tuple[tuple[str, str], ...] = ()
+    external: tuple[Foreign, ...] = ()
     place: Literal["store", "deliver", "run"] = "store"
     within: Within = None
 
@@ -59,7 +60,7 @@ Status = Literal["computed", "skipped", "failed", "blocked"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a part ended; small, because it travels through the scheduler."""
+    """How a part ended; small, because it travels through the scheduler. `lost`: why workers that had it were lost."""
 
     stage: str
     part: str
@@ -67,6 +68,7 @@ class Outcome:
     seconds: float = 0.0
     peak_mib: float = 0.0
     message: str = ""
+    lost: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -78,7 +80,7 @@ def input_digests(task: Task, store: Store) -> dict[str, str] | None:
 
     A part of which nothing lies where the task reads does not count.
     """
-    digests = dict(task.external)
+    digests = {file.name: file.digest for file in task.external}
     store.look_up(task.needs)
     for stage, part in task.needs:
         receipt = store.receipt(stage, part)
@@ -102,8 +104,11 @@ def already_done(task: Task, store: Store) -> bool:
     return key is not None and store.done(task.stage, task.part, key) is not None
 
 
-def execute(home: Home, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome:
-    """Make one part, or say why not. Never raises for a fault of the part; the run goes on without it."""
+def execute(home: Home, task: Task, upstream: Sequence[Outcome] = (), split: int = 1) -> Outcome:
+    """Make one part, or say why not. Never raises for a fault of the part; the run goes on without it.
+
+    With `split` the stages that hold most work in `split` × `split` pieces of a tile: less memory, the same bytes.
+    """
     broken = [u for u in upstream if not u.ok]
     if broken:
         return Outcome(*task.name, "blocked", message=f"{broken[0].stage}/{broken[0].part} {broken[0].status}")
@@ -118,9 +123,9 @@ def execute(home: Home, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome
         key = key_of(task.stage, task.version, task.params, inputs)
         if store.done(task.stage, task.part, key) is not None:
             return Outcome(*task.name, "skipped")
-        desk = Desk(store, external=dict(task.external))
+        desk = Desk(store, external={file.name: file.digest for file in task.external}, split=split)
         receipt = store.commit(
-            task.stage, task.part, key, inputs, task.place, lambda directory: task.work(desk, directory),
+            task.stage, task.part, key, inputs, task.place, lambda directory: _worked(task, desk, directory),
             task.version, task.params,
         )  # fmt: skip
     except Exception as fault:
@@ -131,6 +136,23 @@ def execute(home: Home, task: Task, upstream: Sequence[Outcome] = ()) -> Outcome
     outcome = Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
     attempted(home, *task.name, _attempt(outcome, key) | _made(receipt))
     return outcome
+
+
+def _worked(task: Task, desk: Desk, directory: Path) -> Mapping[str, Any]:
+    """The part's work; refused where a file that it reads is not, before and after, the one whose digest was taken."""
+    for file in task.external:
+        file.check()
+    try:
+        meta = task.work(desk, directory)
+    except FwclassError:
+        raise
+    except Exception as fault:
+        for file in task.external:
+            file.check()
+        raise full_or(fault, directory) from fault
+    for file in task.external:
+        file.check()
+    return meta
 
 
 def _told(home: Home, task: Task, fault: Exception) -> str:

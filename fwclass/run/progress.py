@@ -121,6 +121,8 @@ class Display:
             self.say("\n".join(self._under_way(now)))
         if outcome.status == "failed":
             self._tell(outcome, stage)
+        elif outcome.lost:
+            self.say(f"{outcome.stage}/{outcome.part} {outcome.status} after {outcome.lost[-1]}")
 
     def _draw(self, name: str, stage: _Stage, now: float) -> None:
         """Bars of stages that have begun and not ended; a stage that has ended is a line above them."""

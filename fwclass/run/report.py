@@ -56,6 +56,11 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         "ground": _ground(road, config),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(road),
+        "lost_workers": [
+            {"stage": o.stage, "part": o.part, "status": o.status, "causes": list(o.lost)}
+            for o in road.outcomes.values()
+            if o.lost
+        ],
         "failed": [{"stage": o.stage, "part": o.part, "message": o.message} for o in road.failures],
         "config": _plain(config.raw),
         "seconds": round(max((t.ended for t in road.tallies.values()), default=0.0) - road.began, 3),

@@ -66,7 +66,8 @@ class Road:
     """Walks batches of tasks; each batch may need parts of earlier ones.
 
     With `fail_fast` the first part that fails ends the walk by a `PartialError`. `store` remembers receipts; two roads
-    over one run share it (`seen`). `held` raises `StoreError` when the run's lock is lost.
+    over one run share it (`seen`). `held` raises `StoreError` when the run's lock is lost; it is asked before a failure
+    is believed and before anything is delivered.
     """
 
     home: Home
@@ -141,6 +142,7 @@ class Road:
 
     def _failed(self, task: Task, outcome: Outcome) -> None:
         """Keep what the part said for `fwclass status`, and stop here if that was asked for."""
+        self.held()
         key = key_now(task, self.store) or ""
         self.store.failures.record(Failure(task.stage, task.part, key, outcome.message))
         if self.fail_fast:
@@ -162,6 +164,7 @@ class Road:
 
     def publish(self, keep: int) -> Generation:
         """Deliver what this run made or found valid, as one generation; of earlier whole ones the last `keep` stay."""
+        self.held()
         files: dict[str, tuple[Path, str]] = {}
         for stage, part in self.outcomes:
             if stage in self.delivered and self.made(stage, part):

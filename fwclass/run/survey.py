@@ -176,7 +176,7 @@ def _different(strips: tuple[Strip, ...]) -> None:
     """Refuse a file that is listed under two names: its echoes would count twice."""
     seen: dict[str, Place] = {}
     for strip in strips:
-        digest = strip.digests[0][1]
+        digest = strip.digests[0].digest
         if digest in seen:
             raise InputError(
                 "two source files are the same file", where=f"{seen[digest]}, {strip.path}", do="remove one of them"

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import StoreError
+from fwclass.errors import DamagedError
 
 _BLOCK = 1 << 20
 
@@ -69,7 +69,7 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as fault:  # no JSON, no text, a number too long, nested too deep
-        raise StoreError(
+        raise DamagedError(
             "a JSON file of the store cannot be read",
             where=path,
             got=fault,

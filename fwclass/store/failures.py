@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from fwclass.errors import StoreError, visible
+from fwclass.errors import DamagedError, visible
 from fwclass.store.atomic import read_json, write_json
 
 
@@ -57,10 +57,8 @@ class Failures:
                     raise TypeError("something that is no text")
                 failure = replace(failure, message=visible(failure.message, "\n\t"))
                 found[failure.stage, failure.part] = failure, path.stat().st_mtime
-            except FileNotFoundError:
-                continue  # made meanwhile
-            except TypeError as fault:
-                raise StoreError("not a failure", where=path, got=fault, do="remove the file") from fault
+            except (FileNotFoundError, DamagedError, TypeError):
+                continue  # made meanwhile, or damaged: that it failed is told, and decides nothing
         return found
 
     def forget_others(self, stage: str, keep: Iterable[str]) -> None:

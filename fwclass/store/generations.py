@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass import __version__
-from fwclass.errors import StoreError
+from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import below
 from fwclass.store.atomic import digest_of, files_below, read_json, sync, write_json
 from fwclass.store.url import Url
@@ -71,10 +71,10 @@ class Generations:
         shutil.rmtree(self.directory / _PENDING, ignore_errors=True)
 
     def all(self) -> list[Generation]:
-        """Every generation that is there, the oldest first."""
+        """Every generation that is there, the oldest first; a damaged one says nothing."""
         found = []
         for path in self.directory.glob("[0-9]*"):
-            with contextlib.suppress(FileNotFoundError):  # collected meanwhile
+            with contextlib.suppress(FileNotFoundError, DamagedError):  # collected meanwhile
                 found.append(_read(path))
         return sorted(found, key=lambda g: g.number)
 
@@ -82,7 +82,7 @@ class Generations:
         """What readers see, None before anything was delivered."""
         try:
             return _read(self.directory / (self.root / CURRENT).readlink().name)
-        except FileNotFoundError:
+        except (FileNotFoundError, DamagedError):
             return None
 
     def shown(self, name: str) -> Path | None:
@@ -98,11 +98,11 @@ class Generations:
         """
         self.check_links()
         digest = digest_of({name: of for name, (_, of) in files.items()})
-        before, there = self.current(), self.all()
+        before = self.current()
         if before is not None and before.whole == whole and before.digest == digest and self._stands(before, files):
             self.clear_pending()
             return before
-        number = 1 + max((g.number for g in there), default=0)
+        number = 1 + max((int(p.name) for p in self.directory.glob("[0-9]*") if p.name.isdigit()), default=0)
         made = self._write(number, files, whole, digest)
         if whole or before is None or not before.whole:
             self._show(made)
@@ -198,6 +198,6 @@ def _read(path: Path) -> Generation:
     try:
         return Generation(int(facts["number"]), path, bool(facts["whole"]), str(facts["digest"]))
     except (KeyError, TypeError, ValueError) as fault:
-        raise StoreError(
+        raise DamagedError(
             "not the facts of a generation", where=path / _FACTS, got=fault, do=f"remove the directory {path}"
         ) from fault

@@ -7,13 +7,13 @@ import json
 import os
 import socket
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import LockedError, visible
+from fwclass.errors import LockedError, StoreError, visible
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,11 @@ SCHEDULE = Lock(
 
 
 @contextmanager
-def writer(root: Path, lock: Lock = WRITER) -> Iterator[None]:
+def writer(root: Path, lock: Lock = WRITER) -> Iterator[Callable[[], None]]:
     """Hold the run directory `root`; a second writer gets a `LockedError` naming the first one's host and pid.
+
+    Gives a function that raises `StoreError` when the directory is not the one any more that is held; what else goes
+    wrong then is told as that.
 
     The lock is the kernel's (`flock`) and goes with the process that held it, so none is left behind by a crash.
     """
@@ -49,7 +52,10 @@ def writer(root: Path, lock: Lock = WRITER) -> Iterator[None]:
         stream.write(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}))
         stream.flush()
         try:
-            yield
+            yield lambda: _same(path, stream.fileno(), root)
+        except Exception:
+            _same(path, stream.fileno(), root)  # the reason for all else, if it is one
+            raise
         finally:
             stream.seek(0)
             stream.truncate()
@@ -74,6 +80,19 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
             return {str(k)[:80]: visible(v) if isinstance(v, str) else v for k, v in found.items()}
     except (FileNotFoundError, ValueError, RecursionError):
         return None
+
+
+def _same(path: Path, handle: int, root: Path) -> None:
+    try:
+        if os.path.samestat(path.stat(), os.fstat(handle)):
+            return
+        got = "another store in its place"
+    except OSError as fault:
+        got = str(fault.strerror)
+    raise StoreError(
+        "the run directory was removed while the run was under way", where=root, got=got,
+        do="run the same again; it makes what is missing",
+    )  # fmt: skip
 
 
 def _taken(handle: int) -> bool:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.model import FORMAT, KINDS, Forest, Model
+from fwclass.store.atomic import digest_of, file_digest, files_below
 
 CARD = "card.json"
 _CARD_LIMIT = 1 << 24
@@ -118,3 +119,8 @@ def _array(path: Path, kind: str, dimensions: int) -> NDArray:
     if mapped.dtype != np.dtype(kind) or mapped.ndim != dimensions:
         raise ValueError(f"{path.name} is {mapped.dtype} of {mapped.ndim} dimensions, expected {kind} of {dimensions}")
     return np.array(mapped, order="C")
+
+
+def model_digest(path: Path) -> str:
+    """Digest of a model directory's files."""
+    return digest_of([[p.relative_to(path).as_posix(), file_digest(p)] for p in files_below(path)])

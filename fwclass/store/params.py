@@ -24,13 +24,13 @@ class StoreParams(Params):
     """
 
     scratch: str | None
-    scratch_gib: float = Field(gt=0)
-    timeout: float = Field(gt=0)
-    patience: float = Field(ge=0)
-    chunk_mib: int = Field(ge=5)
+    scratch_gib: float = Field(gt=0, le=1_000_000)
+    timeout: float = Field(gt=0, le=86_400)
+    patience: float = Field(ge=0, le=86_400)
+    chunk_mib: int = Field(ge=5, le=5_120)
     parallel: int = Field(ge=1, le=256)
-    beat: float = Field(gt=0)
-    dead: float = Field(gt=0)
+    beat: float = Field(gt=0, le=86_400)
+    dead: float = Field(gt=0, le=604_800)
 
     @model_validator(mode="after")
     def _fit(self) -> StoreParams:

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from fwclass.errors import StoreError
+from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import name_fault, relative_fault
 from fwclass.store.atomic import digest_of
 
 FORMAT = 1
 
 _DIGEST = re.compile(r"[0-9A-Za-z_]{1,64}")
+_SEAL = "seal"
 
 
 @dataclass(frozen=True)
@@ -51,15 +52,24 @@ class Receipt:
     format: int = FORMAT
 
     def to_json(self) -> dict[str, Any]:
-        return asdict(self)
+        """Plain data, with a digest of itself."""
+        plain = asdict(self)
+        return {**plain, _SEAL: digest_of(plain)}
 
     @classmethod
     def from_json(cls, value: Any, where: object) -> Receipt:
-        """A receipt as a file holds it; whoever can write there may have changed it, so every name is checked."""
+        """A receipt as a file holds it; whoever can write there may have changed it, so every name is checked.
+
+        `DamagedError` for what is no receipt, or not the one that was written.
+        """
         try:
-            receipt = cls(**value)
-        except TypeError as fault:
-            raise StoreError("not a receipt", where=where, got=fault, do="remove the file") from fault
+            plain = dict(value)
+            seal = plain.pop(_SEAL, None)  # receipts of before they were sealed have none
+            receipt, sealed = cls(**plain), digest_of(plain)
+        except (TypeError, ValueError) as fault:
+            raise DamagedError("not a receipt", where=where, got=fault, do="remove the file") from fault
+        if seal is not None and seal != sealed:
+            raise DamagedError("a receipt was changed after it was written", where=where, do="remove the file")
         if receipt.format != FORMAT:
             raise StoreError(
                 "a receipt of another version of the store",

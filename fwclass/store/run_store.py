@@ -18,7 +18,7 @@ from typing import Any
 
 import psutil
 
-from fwclass.errors import StoreError
+from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import below, name_fault
 from fwclass.store.atomic import (
     digest_of,
@@ -69,9 +69,9 @@ class Store:
         return self.directory / stage / part
 
     def receipt(self, stage: str, part: str) -> Receipt | None:
-        """The part's receipt, or None."""
+        """The part's receipt, or None; a damaged one says nothing, so that the part is made again."""
         path = self._part(stage, part) / "receipt.json"
-        return self._read(path) if path.exists() else None
+        return self._read(path)
 
     def look_up(self, names: Iterable[tuple[str, str]]) -> None:
         """Receipts of all these parts will be asked for: a store that is far away fetches them together."""
@@ -83,11 +83,16 @@ class Store:
         """Every receipt of a stage, by part."""
         directory = self.directory / stage
         for path in sorted(directory.glob("*/receipt.json")):
-            yield self._read(path)
+            receipt = self._read(path)
+            if receipt is not None:
+                yield receipt
 
-    def _read(self, path: Path) -> Receipt:
-        """The receipt in `path`, which must be of the part whose directory it lies in."""
-        receipt = Receipt.from_json(read_json(path), path)
+    def _read(self, path: Path) -> Receipt | None:
+        """The receipt in `path`, of the part whose directory it lies in; None for none, or a damaged one."""
+        try:
+            receipt = Receipt.from_json(read_json(path), path)
+        except (FileNotFoundError, NotADirectoryError, DamagedError):
+            return None
         if (receipt.stage, receipt.part) != (path.parent.parent.name, path.parent.name):
             raise StoreError(
                 "a receipt of another part", where=path, expected=f"{path.parent.parent.name}/{path.parent.name}",
@@ -111,6 +116,12 @@ class Store:
         """Bytes of a part's file as it lies there, None if it is gone."""
         path = self.base(receipt) / name
         return path.stat().st_size if path.is_file() else None
+
+    def damaged(self, receipt: Receipt) -> list[str]:
+        """Files of a part that are gone or whose bytes are not those that were written: all of them are read."""
+        base = self.base(receipt)
+        paths = {name: base / name for name in receipt.outputs}
+        return [n for n, p in paths.items() if not p.is_file() or file_digest(p) != receipt.outputs[n]["digest"]]
 
     def base(self, receipt: Receipt) -> Path:
         """The directory that the receipt's outputs are relative to."""
@@ -198,7 +209,10 @@ class Store:
     def params(self, receipt: Receipt) -> Any:
         """The parameters that a part was made with, as plain data; None where they were not recorded."""
         path = self._params(receipt.params)
-        return read_json(path) if receipt.params and path.exists() else None
+        try:
+            return read_json(path) if receipt.params and path.exists() else None
+        except DamagedError:
+            return None
 
     def _collect(self, receipt: Receipt, old: Receipt | None) -> None:
         """Remove what no receipt names any more."""
@@ -235,6 +249,13 @@ class Store:
                 name = (path.parent.name, path.name)
                 found[name] = max(path.parent.stat().st_mtime, found.get(name, 0.0))
         return found
+
+    def clear_staged(self, stage: str, part: str) -> bool:
+        """Remove what a lost worker left of one part; whether there was something, so that the part had begun."""
+        left = list((self.directory / "staging").glob(f"*/{stage}/{part}"))
+        for path in left:
+            shutil.rmtree(path.parent.parent, ignore_errors=True)
+        return bool(left)
 
     def clear_staging(self) -> None:
         """Remove what an interrupted writer left behind (only the holder of the lock calls this)."""

@@ -163,7 +163,7 @@ def _store(path: Path) -> Actions:
             store.path("publish", receipt.part, "laz/a.laz")
 
     return [
-        receipts, store.failures.all, lambda: Request.kept(root).command(), lambda: holder(root),
+        receipts, store.failures.all, lambda: Request.kept(store).command(), lambda: holder(root),
         lambda: store.done("publish", "1_run", "0" * 24), lambda: store.forget_others("publish", ["1_store"]),
     ]  # fmt: skip
 

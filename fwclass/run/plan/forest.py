@@ -15,7 +15,8 @@ from fwclass.run.plan.layout import Layout, needs_of, plain, plain_classes, prov
 from fwclass.run.plan.thin import follow_tasks, thin_columns, thins
 from fwclass.run.tasks import Tasks
 from fwclass.run.work import forest, others
-from fwclass.store.atomic import digest_of, file_digest, files_below
+from fwclass.store.foreign import Foreign
+from fwclass.store.models import model_digest
 from fwclass.store.outside import Place
 from fwclass.train.others.stage import VERSION
 from fwclass.train.stage import TRAIN, TRAIN_IMPORTANCE, TRAIN_SAMPLE, TRAIN_TREES
@@ -103,7 +104,7 @@ def classify_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Place, s
             "classify", tile.key, CLASSIFY.version, params,
             partial(forest.classified, tile, columns, names, model, shares),
             needs=(*needs_of(columns, (tile.key,)), *trained),
-            external=(("model", model[1]),) if model else (),
+            external=(Foreign("model", model[1]),) if model else (),
         )  # fmt: skip
 
     return Tasks.of("classify", layout.tiles, made)
@@ -150,4 +151,4 @@ def assess_tasks(layout: Layout, names: tuple[str, ...]) -> Tasks:
 
 def digest_of_model(path: Path) -> str:
     """Digest of a model directory's files."""
-    return digest_of([[p.relative_to(path).as_posix(), file_digest(p)] for p in files_below(path)])
+    return model_digest(path)

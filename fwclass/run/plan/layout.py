@@ -19,14 +19,15 @@ from fwclass.grid import Box, Tile, TileGrid
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Name
+from fwclass.store.foreign import Foreign
 from fwclass.store.outside import Place
 from fwclass.store.receipts import Receipt
 
 MAX_REACH = 100.0
 """m, no feature reaches further: the neighbourhoods of a point, not of a quarter."""
 
-FileDigests = tuple[tuple[str, str], ...]
-"""(file name, digest of its bytes)."""
+FileDigests = tuple[Foreign, ...]
+"""The files of one source, with the digests of their bytes."""
 
 
 @dataclass(frozen=True)

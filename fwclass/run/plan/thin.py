@@ -11,6 +11,7 @@ from fwclass.run.part import Name, Task
 from fwclass.run.plan.layout import Layout, needs_of, plain
 from fwclass.run.tasks import Tasks
 from fwclass.run.work import thin
+from fwclass.store.foreign import Foreign
 from fwclass.store.outside import Place
 from fwclass.thin.sample import THIN
 
@@ -56,7 +57,7 @@ def follow_tasks(layout: Layout, names: tuple[str, ...], model: tuple[Place, str
             "classify", tile.key, CLASSIFY.version, params,
             partial(thin.classified, tile, columns, present, model, shares, config.thin.reach),
             needs=(*needs_of({**columns, **thin_columns(config)}, present), *trained),
-            external=(("model", model[1]),) if model else (),
+            external=(Foreign("model", model[1]),) if model else (),
         )  # fmt: skip
 
     return Tasks.of("classify", layout.tiles, made)

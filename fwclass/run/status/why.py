@@ -109,7 +109,7 @@ def _shown(value: Any) -> str:
 def _of_files(task: Task, receipt: Receipt) -> list[Reason]:
     """Files read from outside; their names, unlike those of parts, have no slash."""
     then = {n: d for n, d in receipt.inputs.items() if "/" not in n}
-    now = dict(task.external)
+    now = {file.name: file.digest for file in task.external}
     found = [same(f"input {n} changed") for n in now if n in then and then[n] != now[n]]
     found += [same(f"input {n} is new") for n in now if n not in then]
     return found + [same(f"input {n} is no longer read") for n in then if n not in now]

@@ -18,7 +18,7 @@ from fwclass.run.desk import TABLE, Desk
 from fwclass.run.work.others import stamped
 from fwclass.schema import Table, canonical_key
 from fwclass.store.arrays import read_arrays, write_arrays
-from fwclass.store.models import load_model, save_model
+from fwclass.store.models import load_model, model_digest, save_model
 from fwclass.store.outside import Place
 from fwclass.store.tables import write_table
 from fwclass.train.importance import drops
@@ -130,21 +130,32 @@ def trained(
 _loaded: dict[tuple[str, str], Model] = {}
 
 
-def model_at(path: Path, digest: str) -> Model:
-    """The model in `path`, kept in this process as long as its digest is the same."""
+def model_at(path: Path, digest: str, foreign: bool) -> Model:
+    """The model in `path`, kept in this process as long as its digest is the same.
+
+    A `foreign` model, which no receipt names, must still have it.
+    """
     key = (str(path), digest)
     if key not in _loaded:
         _loaded.clear()
-        _loaded[key] = load_model(path)
+        model = load_model(path)
+        if foreign and model_digest(path) != digest:
+            raise InputError(
+                "the model was changed while the run was under way",
+                where=path,
+                do="run the same again with one of them",
+            )
+        _loaded[key] = model
     return _loaded[key]
 
 
 def model_of(given: tuple[Place, str] | None, desk: Desk) -> Model:
     """The model at a path, by its digest; None: the run's own."""
+    foreign = given is not None
     if given is None:
         receipt = desk.store.receipt("train", "model")
-        return model_at(desk.store.path("train", "model", MODEL), receipt.digest if receipt else "")
-    return model_at(desk.local(given[0]), given[1])
+        return model_at(desk.store.path("train", "model", MODEL), receipt.digest if receipt else "", foreign)
+    return model_at(desk.local(given[0]), given[1], foreign)
 
 
 def classified(
@@ -156,12 +167,16 @@ def classified(
     `model`: path and digest of a given one, None for the run's own.
     """
     used = model_of(model, desk)
-    X = sample_matrix(desk.rows(tile.key, columns), used.features, tile.key)
-    table = classify(X, used, probabilities)
+    tables, missing = [], 0
+    for rows in desk.runs_of_rows(tile.key, columns):
+        X = sample_matrix(rows, used.features, tile.key)
+        tables.append(classify(X, used, probabilities))
+        missing += filled(X, used)
+    table = tables[0] if len(tables) == 1 else Table.concat(tables)
     write_table(directory / TABLE, table)
     codes, counts = np.unique(table["classification"], return_counts=True)
     found = {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
-    return {"codes": found, "filled": filled(X, used)}
+    return {"codes": found, "filled": missing}
 
 
 def judged(

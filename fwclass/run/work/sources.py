@@ -13,6 +13,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
 from fwclass.decompose.stage import decompose, returns_without_echo
 from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.errors import DamagedError
 from fwclass.grid import TileGrid, quantised
 from fwclass.read.source import open_source
 from fwclass.read.spans import Span
@@ -20,9 +21,10 @@ from fwclass.read.stage import ReadParams, index_source, read_cloud, read_span
 from fwclass.run.desk import TABLE, Desk
 from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
-from fwclass.store.atomic import file_digest, read_json, write_json
+from fwclass.store.atomic import read_json, write_json
 from fwclass.store.cells import CELLS, by_name, by_place
-from fwclass.store.outside import Place, seen_as
+from fwclass.store.foreign import Foreign, digested
+from fwclass.store.outside import Outside, Place, seen_as
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, write_groups, write_table
 from fwclass.tile.stage import assemble, assemble_points, split
@@ -49,16 +51,14 @@ class Digests:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        found = store.recall(_INPUTS)
-        sound = isinstance(found, dict) and all(isinstance(v, list) and len(v) == 3 for v in found.values())
-        self._known: dict[str, Any] = found if sound else {}
+        self._known = _remembered(store)
         self._read_only, self._changed, self._saved = store.read_only, False, time.monotonic()
         self._sizes = {(Path(path).name, seen[0]) for path, seen in self._known.items()}
 
-    def of(self, paths: Iterable[Path], place: Place | None = None) -> tuple[tuple[str, str], ...]:
-        """(file name, digest) of every path; files that look unchanged are not read again.
+    def of(self, paths: Iterable[Path], place: Place | None = None) -> tuple[Foreign, ...]:
+        """Every path with the digest of its bytes; files that look unchanged are not read again.
 
-        `place`, if it is on object storage, is where the paths are copies from.
+        `place`, if it is on object storage, is where the paths are copies from: who fetches them looks at their e-tags.
         """
         found = []
         for path in paths:
@@ -67,7 +67,10 @@ class Digests:
             if seen is None or seen[:2] != [size, stamp]:
                 seen = [size, stamp, self._digest(path, size)]
                 self._known[name], self._changed = seen, True
-            found.append((path.name, str(seen[2])))
+            if isinstance(place, Outside) or not isinstance(stamp, int):
+                found.append(Foreign(path.name, str(seen[2])))
+            else:
+                found.append(Foreign(path.name, str(seen[2]), path, size, stamp))
         if time.monotonic() - self._saved > _SAVED_EVERY:
             self.save()
         return tuple(found)
@@ -81,7 +84,17 @@ class Digests:
     def _digest(self, path: Path, size: int) -> str:
         if self._read_only and (path.name, size) not in self._sizes:
             return f"not read: {path}"
-        return file_digest(path)
+        return digested(path)
+
+
+def _remembered(store: Store) -> dict[str, Any]:
+    """What was remembered; nothing where that is damaged, and all files are read again."""
+    try:
+        known = store.recall(_INPUTS)
+    except DamagedError:
+        return {}
+    usable = isinstance(known, dict) and all(isinstance(v, list) and len(v) == 3 for v in known.values())
+    return known if usable else {}
 
 
 def index(path: Place, params: ReadParams, desk: Desk, directory: Path) -> dict[str, Any]:

@@ -69,15 +69,24 @@ def featured(
     params: FeaturesParams, thins: bool, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """Neighbourhood features of a tile's echoes; of a thinned run's, of the sampled ones."""
-    chunk = desk.chunk(tile, halo, columns, present)
-    if thins:
-        sampled = desk.rows(tile.key, {"sampled": "thin"})["sampled"]
-        made = features_of_some(chunk, sampled, names, params)
-    else:
-        made = features(chunk, names, params)
+    sampled = desk.rows(tile.key, {"sampled": "thin"})["sampled"] if thins else None
+    tables, places, rows = [], [], []
+    for these, chunk in desk.chunks(tile, halo, columns, present):
+        some = None if sampled is None else sampled[these]
+        made = features(chunk, names, params) if some is None else features_of_some(chunk, some, names, params)
+        tables.append(made)
+        places.append(chunk.table.select(("x", "y")).take(chunk.core))
+        rows.append(these)
+    made, place = (_joined(pieces, rows) for pieces in (tables, places))
     write_table(directory / TABLE, made)
-    core = chunk.core
-    return {CELLS: by_place(made, chunk.table["x"][core], chunk.table["y"][core])}
+    return {CELLS: by_place(made, place["x"], place["y"])}
+
+
+def _joined(pieces: list[Table], rows: list[NDArray[np.int64]]) -> Table:
+    """A tile's rows in their order, from pieces of which each has `rows`."""
+    if len(pieces) == 1:
+        return pieces[0]
+    return Table.concat(pieces).take(np.argsort(np.concatenate(rows), kind="stable"))
 
 
 def labelled_by_source(tile: Tile, params: LabelParams, desk: Desk, directory: Path) -> dict[str, Any]:

@@ -1,0 +1,194 @@
+"""Real processes for tests of faults: runs that are begun and killed, their workers, what readers see meanwhile."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+from runmaker import SETTINGS
+
+SMALL = (
+    "simulate.size=60", "simulate.strips=1", "train.trees=5", "train.samples_per_class=500", "read.chunk_pulses=3000",
+    "train.importance_repeats=0", "areas.train=[[512000,5403000,512030,5403060]]", "tile.size=40",
+)  # fmt: skip
+"""One strip over 60 m x 60 m: a run of seconds."""
+
+HELD = 500 << 20
+"""Bytes that a part of `greedy` and `hopeless` holds."""
+
+PATIENCE = 300.0
+"""s, until a process that does not end counts as hung."""
+
+
+def words(survey: Path, root: Path, *settings: str) -> list[str]:
+    """`fwclass run` of the small survey into `root`."""
+    chosen = [*SETTINGS, *SMALL, f"survey.directory={survey}", *settings]
+    return ["run", "demo", "--out", str(root), *(w for s in chosen for w in ("--set", s))]
+
+
+@dataclass
+class Run:
+    """A command in a process group of its own; what it says goes to the file `told`."""
+
+    told: Path
+    process: subprocess.Popen[bytes]
+
+    @classmethod
+    def begin(cls, told: Path, *line: object, limit: Callable[[], None] | None = None) -> Run:
+        command = [sys.executable, "-c", "from fwclass.cli import main; main()", *map(str, line)]
+        with told.open("ab") as stream:
+            return cls(
+                told,
+                subprocess.Popen(
+                    command, stdout=stream, stderr=stream, start_new_session=True, preexec_fn=limit
+                ),
+            )  # fmt: skip
+
+    @property
+    def said(self) -> str:
+        return self.told.read_text(errors="replace")
+
+    @property
+    def ended(self) -> bool:
+        return self.process.poll() is not None
+
+    def workers(self) -> list[psutil.Process]:
+        """Its worker processes that live."""
+        found = []
+        with contextlib.suppress(psutil.NoSuchProcess):
+            for child in psutil.Process(self.process.pid).children(recursive=True):
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    if "spawn_main" in " ".join(child.cmdline()) and child.status() != psutil.STATUS_ZOMBIE:
+                        found.append(child)
+        return found
+
+    def until(self, holds: Callable[[], Any]) -> None:
+        """Wait until something holds; an error if the run ends or hangs before."""
+        end = time.monotonic() + PATIENCE
+        while not holds():
+            assert not self.ended, self.said
+            assert time.monotonic() < end, self.said
+            time.sleep(0.01)
+
+    def code(self) -> int:
+        """Wait for its exit code."""
+        return self.process.wait(PATIENCE)
+
+    def kill(self) -> None:
+        """SIGKILL for the driving process, and for it alone."""
+        self.process.kill()
+        self.process.wait()
+
+
+@contextlib.contextmanager
+def running(told: Path, *line: object, limit: Callable[[], None] | None = None) -> Iterator[Run]:
+    """A run that is ended with all its workers when the test is over, however that goes."""
+    run = Run.begin(told, *line, limit=limit)
+    try:
+        yield run
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(run.process.pid, signal.SIGKILL)
+        run.process.wait()
+
+
+def kill_workers(run: Run, times: int, seed: int, pause: tuple[float, float]) -> int:
+    """Kill one of the run's workers after the other, at random moments; how many were, before the run ended."""
+    rng, killed = random.Random(seed), 0  # noqa: S311
+    while killed < times and not run.ended:
+        time.sleep(rng.uniform(*pause))
+        victims = run.workers()
+        if victims:
+            with contextlib.suppress(psutil.NoSuchProcess):
+                rng.choice(victims).kill()
+                killed += 1
+    return killed
+
+
+def receipts(root: Path) -> int:
+    """How many parts of a run have one."""
+    return len(list((root / "store").glob("*/*/receipt.json")))
+
+
+def gone(processes: list[psutil.Process], seconds: float) -> bool:
+    """All of these have ended within some seconds."""
+    return not psutil.wait_procs(processes, timeout=seconds)[1]
+
+
+@dataclass
+class Reader:
+    """Looks at `current` of a run directory all the time; `torn` tells what was not whole when it was looked at."""
+
+    root: Path
+    looks: int = 0
+    torn: list[str] = field(default_factory=list)
+    _over: threading.Event = field(default_factory=threading.Event)
+
+    def __enter__(self) -> Reader:
+        self._thread = threading.Thread(target=self._look)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *ended: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while not self._over.wait(0.02):
+            link = self.root / "current"
+            if link.is_symlink():
+                self.looks += 1
+                try:
+                    self._whole(link.resolve())
+                except (OSError, ValueError) as fault:
+                    self.torn.append(f"{type(fault).__name__}: {fault}")
+
+    def _whole(self, generation: Path) -> None:
+        facts = json.loads((generation / "generation.json").read_text())
+        aside = {"generation.json", "report.json", "report.html"}
+        files = [p for p in generation.rglob("*") if p.is_file() and p.name not in aside]
+        if len(files) != facts["files"]:
+            raise ValueError(f"{len(files)} files of {facts['files']}")
+
+
+def simple(desk: Any, directory: Path) -> dict[str, Any]:
+    """A part that takes a moment."""
+    time.sleep(0.2)
+    (directory / "made").write_text(directory.name)
+    return {}
+
+
+def greedy(desk: Any, directory: Path) -> dict[str, Any]:
+    """A part that holds much memory, and less in pieces."""
+    return _holding(HELD // desk.split**2, directory)
+
+
+def hopeless(desk: Any, directory: Path) -> dict[str, Any]:
+    """A part that holds much memory, in pieces too."""
+    return _holding(HELD, directory)
+
+
+def crashing(desk: Any, directory: Path) -> dict[str, Any]:
+    """A part that crashes its process."""
+    signal.raise_signal(signal.SIGSEGV)
+    return {}
+
+
+def _holding(size: int, directory: Path) -> dict[str, Any]:
+    held = np.ones(size, np.uint8)
+    time.sleep(1.5)
+    (directory / "made").write_text(str(held[-1]))
+    return {}

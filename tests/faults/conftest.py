@@ -1,0 +1,41 @@
+"""A small simulated survey, and an undisturbed run over it to compare with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from faultmaker import SMALL, running, words
+from runmaker import SETTINGS, delivered
+
+from fwclass import conf
+from fwclass.run.local import Loop
+from fwclass.run.progress import Display
+from fwclass.run.road import Road
+from fwclass.run.survey import simulate_tasks
+
+
+@pytest.fixture(scope="session")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One strip with its reference."""
+    root = tmp_path_factory.mktemp("survey")
+    with Display() as display:
+        road = Road(root, Loop(), display)
+        road.do(simulate_tasks(conf.load("demo", (*SETTINGS, *SMALL)).simulate, "."))
+        assert not road.failures
+    return root
+
+
+@pytest.fixture(scope="session")
+def finished(survey: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run directory of an undisturbed run."""
+    root = tmp_path_factory.mktemp("undisturbed") / "run"
+    with running(root.parent / "told", *words(survey, root), "--workers", "0") as run:
+        assert run.code() == 0, run.said
+    return root
+
+
+@pytest.fixture(scope="session")
+def expected(finished: Path) -> dict[str, str]:
+    """Digest of every file that an undisturbed run delivers."""
+    return delivered(finished)
