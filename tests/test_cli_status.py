@@ -147,3 +147,21 @@ def test_what_cannot_be_told(copy, tmp_path):
     ended = fwclass("status", copy / "c.yaml", "--out", tmp_path / "none")
     assert ended.returncode == 3 and "index/13507 is missing" in ended.stdout
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "rc", "told"),
+    [
+        (("--tiles", "../x"), 2, "not a tile key"),
+        (("--aoi", "nowhere.gpkg"), 2, "no such file"),
+        (("--aoi", "broken.geojson"), 1, "cannot be read"),
+        (("--aoi", "empty.geojson"), 1, "has no polygon"),
+        (("--aoi", "empty.geojson", "--tiles", "1_1"), 2, "chosen twice"),
+    ],
+)
+def test_bad_choices_are_told_before_anything_is_made(tmp_path, words, rc, told):
+    (tmp_path / "broken.geojson").write_text('{"type": "FeatureCollection", "features": [')
+    (tmp_path / "empty.geojson").write_text('{"type": "FeatureCollection", "features": []}')
+    ended = fwclass("run", "demo", "--out", "r", *words, cwd=tmp_path)
+    assert ended.returncode == rc and told in ended.stderr, ended.stderr
+    assert not (tmp_path / "r").exists()

@@ -69,7 +69,7 @@ def history(run: Path, count: int | None, as_json: bool) -> None:
     """Tell what was run in the run directory RUN: when, why, how it ended, and how many parts were made."""
     from fwclass.run.history import past_runs, table
 
-    if not run.is_dir():
+    if not (run / "store").is_dir():
         raise ConfigError("no such run directory", where=run, do="name a directory that `fwclass run` has made")
     runs = past_runs(run)
     runs = runs[-count:] if count is not None else runs

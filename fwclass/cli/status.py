@@ -24,7 +24,14 @@ def chosen(tiles: str | None, aoi: Path | None) -> frozenset[str] | Path | None:
         raise ConfigError("tiles are chosen twice", where="--tiles, --aoi", do="leave one of them out")
     if aoi is not None and not aoi.is_file():
         raise ConfigError("there is no such file", where="--aoi", expected="a file of polygons", got=aoi)
-    return aoi or (frozenset(t.strip() for t in tiles.split(",")) if tiles else None)
+    if not tiles:
+        return aoi
+    from fwclass.grid import TileGrid
+
+    keys = frozenset(t.strip() for t in tiles.split(","))
+    for key in sorted(keys):
+        TileGrid(1.0).tile(key)  # its words for what is no key
+    return keys
 
 
 def out_directory(out: Any, config: Any) -> Any:

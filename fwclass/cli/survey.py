@@ -35,6 +35,8 @@ def _run(
     performance = report_path(how.page, root, count, how.scheduler)
     from fwclass.run.history import recorded
 
+    if request.aoi is not None:
+        request.wanted.check()
     with recorded(request) as entry:
         _walk(config, request, root, replace(how, workers=count), performance, entry)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,30 @@ from fwclass.grid import Box
 from fwclass.run.files import box_text
 from fwclass.run.plan.layout import Layout
 
+if TYPE_CHECKING:
+    from fwclass.read.polygons import PolygonLayer
+    from fwclass.read.wkb import Shapes
+
 
 @dataclass(frozen=True)
 class Area:
     """The polygons of a file (GeoParquet, GeoPackage, GeoJSON, Shapefile), in any coordinate system that it names."""
 
     path: Path
+
+    def check(self) -> None:
+        """`InputError` for a file that holds no polygon, before anything is computed."""
+        from fwclass.read.polygons import open_polygons, read_polygons
+
+        opened = open_polygons(self.path)
+        self._some(opened, read_polygons(opened, None)[1])
+
+    def _some(self, opened: PolygonLayer, made: Shapes) -> None:
+        if not made.parts:
+            raise InputError(
+                "the area of interest has no polygon", where=self.path, expected="at least one",
+                got=f"{opened.features} features", do="check the export of the polygons",
+            )  # fmt: skip
 
     def tiles(self, layout: Layout, crs: str | None) -> frozenset[str]:
         """Keys of the tiles of `layout` that share area with a polygon; `crs` is the survey's (WKT).
@@ -32,10 +51,7 @@ class Area:
 
         opened = open_polygons(self.path)
         _, made = read_polygons(opened, None)
-        if not made.parts:
-            raise InputError(
-                "the area of interest has no polygon", where=self.path, expected="at least one", got=opened.features
-            )
+        self._some(opened, made)
         survey = CRS.from_wkt(crs) if crs is not None else None
         own = source_crs(opened, None, survey)
         if own is not None and survey is not None:

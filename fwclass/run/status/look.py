@@ -11,7 +11,7 @@ from fwclass.run.local import Loop
 from fwclass.run.part import Name, Outcome, Task, input_digests
 from fwclass.run.progress import Display
 from fwclass.run.road import Done, Road
-from fwclass.run.status.why import Reason, reasons, same, waiting
+from fwclass.run.status.why import Reason, new_files, reasons, same, waiting
 from fwclass.store.failures import Failure
 from fwclass.store.home import Home, held_by, open_store
 from fwclass.store.receipts import Receipt, key_of
@@ -93,7 +93,7 @@ class Look(Road):
         receipt = self.store.receipt(*task.name)
         before = [] if failure is None else [same("it failed before, from other inputs or parameters")]
         if receipt is None:
-            return State(*task.name, "missing", tuple(waiting(late) + before))
+            return State(*task.name, "missing", tuple(waiting(late) + new_files(task) + before))
         return State(*task.name, "stale", tuple(reasons(task, receipt, self.store, self._waits) + before))
 
 

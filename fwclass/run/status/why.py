@@ -41,6 +41,11 @@ def reasons(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str
     return found or [same("its key is another one")]
 
 
+def new_files(task: Task) -> list[Reason]:
+    """What a part that was never made reads from outside."""
+    return [Reason(f"input {file.name} is new", "a file is new") for file in task.external[:1]]
+
+
 def waiting(waits: Mapping[Name, str]) -> list[Reason]:
     """One reason for every (stage, status) among parts that are needed and not done."""
     groups: dict[tuple[str, str], list[str]] = {}
