@@ -25,7 +25,7 @@ check: $(READY)
 	$(PY) -m pytest -n auto -m "not slow and not bench"
 
 test: $(READY)
-	$(PY) -m pytest -n auto -m "not bench"
+	$(PY) -m pytest -n auto -m "not bench and not (faults and slow)"
 
 faults: $(READY)
 	$(PY) -m pytest -v -m faults
