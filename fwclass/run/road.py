@@ -176,8 +176,11 @@ class Road:
 
     def retire(self) -> None:
         """Remove parts of earlier runs that this run's plan does not have, with what they delivered."""
-        for stage in self.tallies:
-            self.store.forget_others(stage, (part for name, part in self.outcomes if name == stage))
+        parts: dict[str, list[str]] = {stage: [] for stage in self.tallies}
+        for stage, part in self.outcomes:
+            parts[stage].append(part)
+        for stage, kept in parts.items():
+            self.store.forget_others(stage, kept)
 
     @property
     def failures(self) -> list[Outcome]:
