@@ -155,7 +155,7 @@ def test_an_interval_goes_on_after_a_killed_run_until_sigterm(survey):
         assert state(survey)["pid"] == process.pid and state(survey)["next"]
         second = once(survey, "--every", "1h")
         assert second.returncode == 1 and "another schedule is at work" in second.stderr, second.stderr
-        assert f'"pid": {process.pid}' in second.stderr
+        assert f"pid {process.pid} on " in second.stderr
         process.send_signal(signal.SIGTERM)
         assert process.wait(240) == 0
     runs = past(survey)
@@ -296,7 +296,8 @@ def test_what_cannot_be_scheduled(survey):
         done = fwclass("schedule", conf, "--out", survey / "r", *words)
         assert done.returncode == 2 and told in done.stderr, done.stderr
     assert fwclass("history", survey / "none").returncode == 2
-    assert fwclass("history", survey).stdout == "no run is in the history\n"
+    told = fwclass("history", survey)
+    assert told.returncode == 2 and "no such run directory" in told.stderr
 
 
 @pytest.mark.slow

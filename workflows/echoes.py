@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fwclass.conf import Config
 from fwclass.run.plan import ground, sources
@@ -35,6 +35,7 @@ def until_tiles(config: Config, road: Road, names: tuple[str, ...]) -> Tiled:
     survey = gather(config, road)
     polygons = require_all(road, sources.polygon_tasks(config, survey))
     indexed = require_all(road, sources.index_tasks(config, survey.strips))
+    survey = replace(survey, strips=tuple(s for s in survey.strips if sources.index_name(s) in indexed))
     chunks = sources.chunk_tasks(config, survey.strips, indexed)
     splits = road.do(chunks + sources.cloud_tasks(config, survey.reference))
     check_widths(config, names, splits, road.store)

@@ -51,11 +51,15 @@ def _asked(every: str | None, cron: str | None, inbox: Path | None) -> list[str]
     """The options as settings, checked like those of the configuration that they replace."""
     if every is not None and cron is not None:
         raise ConfigError("--every and --cron exclude one another", where="--every, --cron", do="give one of them")
+    from fwclass.conf.schedule import cron_rule, interval
+
     found: dict[str, Any] = {}
-    if every is not None:
-        found |= {"every": every, "cron": None}
-    if cron is not None:
-        found |= {"cron": cron, "every": None}
+    for option, other, typed, rule in (("every", "cron", every, interval), ("cron", "every", cron, cron_rule)):
+        if typed is not None:
+            try:
+                found |= {option: rule(typed), other: None}
+            except ValueError as fault:
+                raise ConfigError(str(fault), where=f"--{option}", got=repr(typed), do="correct it") from None
     if inbox is not None:
         found["inbox"] = str(inbox.resolve())
     return [f"schedule.{name}={json.dumps(value)}" for name, value in found.items()]
@@ -68,8 +72,9 @@ def _asked(every: str | None, cron: str | None, inbox: Path | None) -> list[str]
 def history(run: Path, count: int | None, as_json: bool) -> None:
     """Tell what was run in the run directory RUN: when, why, how it ended, and how many parts were made."""
     from fwclass.run.history import past_runs, table
+    from fwclass.run.schedule.state import NAME
 
-    if not (run / "store").is_dir():
+    if not (run / "store").is_dir() and not (run / NAME).is_file():
         raise ConfigError("no such run directory", where=run, do="name a directory that `fwclass run` has made")
     runs = past_runs(run)
     runs = runs[-count:] if count is not None else runs

@@ -31,6 +31,14 @@ def seconds_of(value: Any) -> Any:
     return value
 
 
+def interval(text: str) -> float:
+    """`seconds_of` a text; `ValueError` where no time goes by."""
+    found = float(seconds_of(text))
+    if not 0 < found < float("inf"):
+        raise ValueError("a time greater than 0 is wanted, like 90s, 15m, 1h30m or 1d")
+    return found
+
+
 def cron_rule(expression: str) -> str:
     """`expression`, five fields as of crontab(5); `ValueError` where it says nothing, or never comes."""
     from datetime import UTC, datetime
@@ -41,7 +49,10 @@ def cron_rule(expression: str) -> str:
     try:
         next(CronSim(text, datetime(2000, 1, 1, tzinfo=UTC)))
     except (CronSimError, AssertionError) as fault:
-        raise ValueError(f"no cron expression: {fault or 'a step needs a place to start'}") from None
+        raise ValueError(
+            f"no cron expression: {fault or 'a step needs a place to start'}"
+            " (minute 0-59, hour 0-23, day 1-31, month 1-12, weekday 0-7)"
+        ) from None
     except StopIteration:
         raise ValueError("it never comes") from None
     return text

@@ -184,6 +184,12 @@ def _different(strips: tuple[Strip, ...]) -> None:
         seen[digest] = strip.path
 
 
+def header_box(path: Path) -> Box | None:
+    """Where a source file says that it lies, None where it says nothing; `FwclassError` where it cannot be read."""
+    source = open_source(path)
+    return joint_bounds([_true_bounds(source)]) if source.n_records else None
+
+
 def _true_bounds(source: Source) -> tuple[float, ...]:
     """The header's bounds, or the points' own where the first points disagree: some writers leave them empty."""
     if isinstance(source, PulseSource):

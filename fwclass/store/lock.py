@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from fwclass.errors import LockedError, StoreError, visible
 
@@ -45,8 +45,7 @@ def writer(root: Path, lock: Lock = WRITER) -> Iterator[Callable[[], None]]:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+") as stream:
         if not _taken(stream.fileno()):
-            stream.seek(0)
-            raise LockedError(lock.taken, where=root, got=stream.read(200) or "unknown holder", do=lock.do)
+            raise LockedError(lock.taken, where=root, got=named(_facts(stream) or {}), do=lock.do)
         stream.seek(0)
         stream.truncate()
         stream.write(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}))
@@ -69,17 +68,29 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
     path = root / "store" / lock.name
     try:
         with path.open() as stream:
-            text = stream.read(200)
-            if not text:
-                return None
-            found = json.loads(text)
-            if not isinstance(found, dict):
-                return None
-            if found.get("host") == socket.gethostname() and not _locked(stream.fileno()):
+            found = _facts(stream)
+            if found is not None and found.get("host") == socket.gethostname() and not _locked(stream.fileno()):
                 return None  # it was killed and left its name
-            return {str(k)[:80]: visible(v) if isinstance(v, str) else v for k, v in found.items()}
-    except (FileNotFoundError, ValueError, RecursionError):
+            return found
+    except FileNotFoundError:
         return None
+
+
+def named(held: Mapping[str, Any]) -> str:
+    """Who holds a lock, in words."""
+    return f"pid {held.get('pid')} on {held.get('host')}" if held else "one that did not leave its name"
+
+
+def _facts(stream: IO[str]) -> dict[str, Any] | None:
+    """What the file of a lock says, None where it says nothing."""
+    try:
+        stream.seek(0)
+        found = json.loads(stream.read(200))
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(found, dict):
+        return None
+    return {str(k)[:80]: visible(v) if isinstance(v, str) else v for k, v in found.items()}
 
 
 def _same(path: Path, handle: int, root: Path) -> None:

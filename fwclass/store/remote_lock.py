@@ -21,6 +21,7 @@ from typing import Any
 import psutil
 
 from fwclass.errors import LockedError, StoreError
+from fwclass.store.lock import named
 from fwclass.store.objects import Mark, Objects
 from fwclass.store.refusals import LostRace
 
@@ -147,9 +148,8 @@ def _watched(
 
 
 def _refused(objects: Objects, held: Mapping[str, Any]) -> LockedError:
-    named = json.dumps({n: held[n] for n in ("host", "pid") if n in held})
     return LockedError(
-        "another run is writing to this directory", where=objects.url, got=named if held else "unknown holder",
+        "another run is writing to this directory", where=objects.url, got=named(held),
         do="wait for it to end, or choose another --out",
     )  # fmt: skip
 

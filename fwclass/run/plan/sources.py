@@ -28,10 +28,14 @@ def _spans(receipt: Receipt) -> list[Span]:
     return [Span(a, b, first, pulses, tuple(shared)) for a, b, first, pulses, shared in receipt.meta["spans"]]
 
 
+def index_name(strip: Strip) -> Name:
+    return "index", f"{strip.number:05d}"
+
+
 def index_tasks(config: Config, strips: Iterable[Strip]) -> list[Task]:
     return [
         Task(
-            "index", f"{s.number:05d}", INDEX_VERSION, plain(config.read),
+            *index_name(s), INDEX_VERSION, plain(config.read),
             partial(sources.index, s.path, config.read), external=s.digests,
         )
         for s in strips
@@ -46,7 +50,7 @@ def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, 
     """read, decompose and split of every span of every strip, and every strip's system pulse."""
     made = Tasks()
     for strip in strips:
-        index = indexed["index", f"{strip.number:05d}"]
+        index = indexed[index_name(strip)]
         made += _strip_tasks(config, strip, _spans(index), int(index.meta["pulses"]))
     return made
 

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from fwclass.errors import ConfigError, FwclassError
+from fwclass.grid import Box, TileGrid
 from fwclass.run.local import Loop
 from fwclass.run.part import Name, Outcome, Task, input_digests
 from fwclass.run.progress import Display
 from fwclass.run.road import Done, Road
 from fwclass.run.status.why import Reason, new_files, reasons, same, waiting
+from fwclass.run.survey import header_box
 from fwclass.store.failures import Failure
 from fwclass.store.home import Home, held_by, open_store
 from fwclass.store.receipts import Receipt, key_of
@@ -30,6 +32,11 @@ class State:
     standing: Standing
     reasons: tuple[Reason, ...] = ()
     message: str = ""
+
+    @property
+    def waits(self) -> bool:
+        """It is not done only because what it needs is not: it may hold once that is made."""
+        return bool(self.reasons) and all(r.waits for r in self.reasons)
 
 
 class Silent(Display):
@@ -57,6 +64,7 @@ class Look(Road):
         self.states: dict[Name, State] = {}
         self.tasks: dict[Name, Task] = {}
         self._waits: dict[Name, str] = {}  # what is not done, with its standing
+        self.absent: dict[str, Box] = {}  # files that nothing was made of, by name
         busy = held_by(home) is not None
         self._failures: dict[Name, tuple[Failure, float]] = self.store.failures.all()
         self._begun: dict[Name, float] = self.store.under_way() if busy else {}
@@ -76,6 +84,17 @@ class Look(Road):
             self.outcomes[task.name] = Outcome(*task.name, "skipped" if receipt else "blocked")
         return Done(self.store, receipts)
 
+    def goes_without(self, task: Task) -> bool:
+        """A source that came after the others: the tiles that it says it lies over are told, the rest is as it was."""
+        if task.stage != "index" or not any(n[0] == "index" and o.ok for n, o in self.outcomes.items()):
+            return False
+        file = task.external[0]
+        box = header_box(file.path) if file.path is not None else None
+        if box is None:
+            return False
+        self.absent[file.name] = box
+        return True
+
     def finish(self, whole: bool) -> None:
         raise PlanKnown
 
@@ -83,7 +102,8 @@ class Look(Road):
         late = {n: self._waits[n] for n in task.needs if n in self._waits}
         inputs = None if late else input_digests(task, self.store)
         key = "" if inputs is None else key_of(task.stage, task.version, task.params, inputs)
-        if key and self.store.done(task.stage, task.part, key):
+        come = self._come(task)
+        if key and not come and self.store.done(task.stage, task.part, key):
             return State(*task.name, "done")
         failure, failed_at = self._failures.get(task.name, (None, 0.0))
         if self._begun.get(task.name, 0.0) > failed_at:
@@ -94,7 +114,18 @@ class Look(Road):
         before = [] if failure is None else [same("it failed before, from other inputs or parameters")]
         if receipt is None:
             return State(*task.name, "missing", tuple(waiting(late) + new_files(task) + before))
-        return State(*task.name, "stale", tuple(reasons(task, receipt, self.store, self._waits) + before))
+        why = come if key and come else come + reasons(task, receipt, self.store, self._waits)
+        return State(*task.name, "stale", tuple(why + before))
+
+    def _come(self, task: Task) -> list[Reason]:
+        """Files without parts that lie over a tile."""
+        if task.stage != "tile":
+            return []
+        box = TileGrid(task.params["size"]).tile(task.part).box
+        return [
+            Reason(f"input {name} lies over it, by its header", "a new file lies over it, by its header")
+            for name, extent in self.absent.items() if extent.touches(box)
+        ]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -105,6 +136,11 @@ class Looked:
     states: dict[Name, State]
     tasks: dict[Name, Task]
     ends: str | None
+
+    @property
+    def waiting(self) -> int:
+        """How many parts are not done only because what they need is not."""
+        return sum(s.waits for s in self.states.values())
 
     @property
     def all_done(self) -> bool:
@@ -122,7 +158,8 @@ def look_at(home: Home, workflow: Callable[[Road], object]) -> Looked:
     try:
         workflow(look)
     except PlanKnown:
-        pass
+        if look.absent:
+            ends = f"nothing was made yet of {', '.join(sorted(look.absent))}"
     except ConfigError:
         raise
     except FwclassError as fault:

@@ -31,7 +31,7 @@ def as_data(looked: Looked, request: Request, writer: Mapping[str, Any] | None, 
 def _part(state: State, request: Request) -> dict[str, Any]:
     found: dict[str, Any] = {"stage": state.stage, "part": state.part, "status": state.standing}
     if state.standing != "done":
-        found |= {"why": [r.text for r in state.reasons], "message": state.message}
+        found |= {"why": [r.text for r in state.reasons], "waits": state.waits, "message": state.message}
     if state.standing == "failed":
         found["replay"] = request.replay((state.stage, state.part))
     return found
@@ -70,7 +70,7 @@ def as_text(looked: Looked, request: Request, writer: Mapping[str, Any] | None, 
     rows += ["", *(_every(looked) if every else _grouped(looked))]
     rows += _failed(looked, request)
     if looked.ends is not None:
-        rows.append(f"which parts follow is known once those are made ({looked.ends})")
+        rows.append(f"which other parts there are is known once those are made ({looked.ends})")
     left = others(looked, request)
     if left:
         told = ", ".join(f"{stage} {n}" for stage, n in left.items())
@@ -119,4 +119,5 @@ def _verdict(looked: Looked, request: Request, writer: Mapping[str, Any] | None)
         return f"all {total} parts are done"
     left = sum(s.standing != "done" for s in looked.states.values())
     next_step = "wait for the run to end" if writer else f"make them: {request.command()}"
-    return f"{left} of {total} parts are not done; {next_step}"
+    waits = f" ({looked.waiting} of them only wait for what they need)" if looked.waiting else ""
+    return f"{left} of {total} parts are not done{waits}; {next_step}"

@@ -18,10 +18,14 @@ SHOWN = 48
 
 @dataclass(frozen=True)
 class Reason:
-    """One reason in words; `kind` is the same for parts that have it alike (no part is named in it)."""
+    """One reason in words; `kind` is the same for parts that have it alike (no part is named in it).
+
+    `waits`: it is one of what the part needs, not of the part itself.
+    """
 
     text: str
     kind: str
+    waits: bool = False
 
 
 def same(text: str) -> Reason:
@@ -43,7 +47,7 @@ def reasons(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str
 
 def new_files(task: Task) -> list[Reason]:
     """What a part that was never made reads from outside."""
-    return [Reason(f"input {file.name} is new", "a file is new") for file in task.external[:1]]
+    return [Reason(f"nothing of input {file.name} is there", "a file is new") for file in task.external[:1]]
 
 
 def waiting(waits: Mapping[Name, str]) -> list[Reason]:
@@ -51,13 +55,13 @@ def waiting(waits: Mapping[Name, str]) -> list[Reason]:
     groups: dict[tuple[str, str], list[str]] = {}
     for (stage, part), status in sorted(waits.items()):
         groups.setdefault((stage, status), []).append(part)
-    return [_about(stage, parts, f"needs {{}}, {status}") for (stage, status), parts in groups.items()]
+    return [_about(stage, parts, f"needs {{}}, {status}", waits=True) for (stage, status), parts in groups.items()]
 
 
-def _about(stage: str, parts: list[str], text: str) -> Reason:
+def _about(stage: str, parts: list[str], text: str, waits: bool = False) -> Reason:
     """`text` with the first part's name put in, and how many more there are."""
     more = f" and {len(parts) - 1} more of {stage}" if len(parts) > 1 else ""
-    return Reason(text.format(f"{stage}/{parts[0]}{more}"), text.format(stage))
+    return Reason(text.format(f"{stage}/{parts[0]}{more}"), text.format(stage), waits)
 
 
 def _of_version(task: Task, receipt: Receipt) -> list[Reason]:
