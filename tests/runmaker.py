@@ -12,6 +12,7 @@ from fwclass import conf
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.road import Road
+from fwclass.run.status.look import Looked, look_at
 from fwclass.store.home import Home, locked
 from workflows import WORKFLOWS
 
@@ -34,6 +35,12 @@ def walk(survey: Path | str, home: Home, *settings: str, executor=None, tiles=No
         report = WORKFLOWS["classification"](config, road, tiles)
         road.publish(config.run.keep_generations)
         return road, report
+
+
+def looked(survey: Path, root: Path, *settings: str) -> Looked:
+    """How the run that `walk` makes stands."""
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
+    return look_at(root, lambda road: WORKFLOWS["classification"](config, road, None))
 
 
 def delivered(root: Path) -> dict[str, str]:

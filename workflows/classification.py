@@ -48,12 +48,11 @@ def from_tiles(
     """
     survey, layout = tiled.survey, replace(tiled.layout, config=config)
     labelled = config.survey.reference.kind != "none"
-    tasks = Tasks.held(labelling)
+    tasks = Tasks.held(labelling) + ground.seam_tasks(layout)  # long, and one part: not at the end
     tasks += [] if model else Tasks.held(forest.training_tasks(layout)) + sampling_tasks(layout)
     tasks += forest.classify_tasks(layout, names, model)
     tasks += forest.assess_tasks(layout, names) if labelled else []
     tasks += outputs.output_tasks(layout, names, survey, *tiled.where)
-    tasks += ground.seam_tasks(layout)
     if tiles is not None:
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, tiles)))
     road.do(tasks)

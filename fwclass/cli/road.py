@@ -65,8 +65,9 @@ def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, repor
         from fwclass.run.cluster import Cluster
 
         with Cluster(
-            scheduler, workers, limits.worker_memory_gib, limits.window, limits.retries, limits.split
-        ) as cluster:
+            scheduler, workers, limits.worker_memory_gib, limits.window, limits.retries, limits.split,
+            watched=report is not None,
+        ) as cluster:  # fmt: skip
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
             display.workers = cluster.workers
             road = Road(home, cluster, display, held=held)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
 
 import numpy as np
 import pyproj
-import rasterio
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
@@ -18,6 +17,9 @@ from fwclass.kernel import kernel
 from fwclass.publish.files import whole
 from fwclass.publish.palette import RGB, colours
 from fwclass.publish.params import PublishParams
+
+if TYPE_CHECKING:
+    import rasterio
 
 NO_CLASS = 0
 
@@ -58,6 +60,8 @@ def write_cog(
     """
     if array.shape != window.shape or not array.size:
         raise InputError("a raster does not fit its window", where=path, expected=window.shape, got=array.shape)
+    import rasterio  # it takes its time, and is not needed to plan
+
     codes = bool(names or colormap)
     profile = {
         "driver": "COG", "width": window.ncols, "height": window.nrows, "count": 1, "dtype": array.dtype,
@@ -93,6 +97,8 @@ def _predictor(dtype: np.dtype, codes: bool) -> str:
 
 def north_up(window: Window, unit: float = 1.0) -> rasterio.Affine:
     """From (column, row counted from the north) to coordinates; cell corners lie on the window's box."""
+    import rasterio
+
     cell = window.cell / unit
     return rasterio.Affine(cell, 0.0, window.box.xmin / unit, 0.0, -cell, window.box.ymax / unit)
 

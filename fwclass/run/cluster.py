@@ -15,6 +15,7 @@ import time
 import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -42,13 +43,26 @@ MUSTER = 2.0
 SLOW_START = 120.0
 """Seconds that a worker may take to come back before another is started in its place."""
 
+_QUIET = {
+    "distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+}  # fmt: skip
+"""Dask looks at itself every 10 to 500 ms in every process: 12 % of a core for two workers that have nothing to do,
+4 % with these."""
+
 _ENDS: dict[str, int] = {}
 """How workers of this process ended, by address: the exit code, negative for a signal."""
 
 
-def _at_worker(version: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int) -> Outcome:
-    """A part, on whatever host the scheduler has chosen."""
+def _at_worker(version: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int, topic: str) -> Outcome:
+    """A part, on whatever host the scheduler has chosen; its outcome is told under `topic` too, which asks nobody."""
     worker = get_worker()
+    outcome = _made(worker, version, home, task, upstream, split)
+    worker.log_event(topic, {"key": worker.get_current_task(), **asdict(outcome)})
+    return outcome
+
+
+def _made(worker: Any, version: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int) -> Outcome:
     if version != __version__:
         return Outcome(
             *task.name, "failed", message=f"worker {worker.address} has fwclass {__version__}, the run has {version}: "
@@ -94,17 +108,19 @@ class Cluster:
     """Executor on a Dask scheduler: at `address`, or on `workers` processes of one thread each on this machine.
 
     It is given at most `window` parts at a time. A part whose worker is lost is tried `retries` times more among
-    others, then alone, in `split` × `split` pieces.
+    others, then alone, in `split` × `split` pieces. `watched`: for a performance report, workers note what they do.
     """
 
     def __init__(
-        self, address: str | None, workers: int, worker_memory_gib: float, window: int, retries: int = 0, split: int = 1
-    ) -> None:
+        self, address: str | None, workers: int, worker_memory_gib: float, window: int, retries: int = 0,
+        split: int = 1, watched: bool = False,
+    ) -> None:  # fmt: skip
         dask.config.set({
             "distributed.scheduler.allowed-failures": 0, "distributed.admin.tick.limit": "30s",
-            "distributed.deploy.lost-worker-timeout": f"{SLOW_START:g}s",
+            "distributed.deploy.lost-worker-timeout": f"{SLOW_START:g}s", **({} if watched else _QUIET),
         })  # fmt: skip
         self._cluster: LocalCluster | None = None
+        self._heard: dict[str, Outcome] = {}
         self._wanted, self._memory, self._retries, self._split = workers, worker_memory_gib, retries, split
         try:
             if address is None:
@@ -116,6 +132,8 @@ class Cluster:
             self._client = Client(self._cluster or address, timeout="30s")
             if self._cluster is not None:
                 self._client.register_plugin(Unheeding())
+            self._topic = f"fwclass-{uuid.uuid4().hex}"
+            self._client.subscribe_topic(self._topic, self._hear)
         except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as fault:  # TypeError: no certificate
             raise _no_answer(address, fault) from fault
         self.address, self.dashboard = self._client.scheduler.address, self._page()
@@ -180,6 +198,7 @@ class Cluster:
                     yield from hand.ended()
             while hand:
                 yield from hand.ended()
+            self._heard.clear()
         except GeneratorExit:  # stopped at a failure: what has not begun is not begun any more
             hand.drop()
             raise
@@ -188,9 +207,19 @@ class Cluster:
         """Hand a part to the scheduler; one that is tried alone is made in pieces."""
         self._count += 1
         return self._client.submit(
-            _at_worker, __version__, home, task, upstream, self._split if alone else 1,
+            _at_worker, __version__, home, task, upstream, self._split if alone else 1, self._topic,
             key=f"{task.stage}-{task.part}-{self._count}", pure=False, priority=-self._count, retries=0,
         )  # fmt: skip
+
+    def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
+        told = dict(event[1])
+        key = told.pop("key")
+        self._heard[key] = Outcome(**{**told, "lost": tuple(told["lost"])})
+
+    def outcome(self, future: Future) -> Outcome:
+        """Of a part that has ended: what its worker told, or else what the scheduler finds; any fault of that."""
+        told = self._heard.pop(future.key, None)
+        return told if told is not None else future.result()
 
     def cancel(self, futures: list[Future]) -> None:
         self._client.cancel(futures)

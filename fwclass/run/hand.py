@@ -94,7 +94,7 @@ class Hand:
         """A part has an outcome; where that was lost with its worker, the part is handed over again and found done."""
         future = self._futures[name]
         try:
-            outcome: Outcome = future.result()
+            outcome = self._cluster.outcome(future)
         except Exception as fault:
             if future.status == "cancelled":
                 raise self._cluster.gone() from fault

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import gammaincinv
+import scipy  # its parts are loaded when they are used
 
 from fwclass.simulate.houses import Builder
 from fwclass.simulate.params import SimulateParams
@@ -248,7 +248,7 @@ def _scene(params: SimulateParams, things: Things, land: Relief) -> Scene:
     arrays = things.arrays()
     start, item, ceiling = index(arrays["box"], params.size, params.scene.index_cell)
     clump = np.zeros(256)
-    clump[200:] = gammaincinv(2.5, (np.arange(56) + 0.5) / 56)
+    clump[200:] = scipy.special.gammaincinv(2.5, (np.arange(56) + 0.5) / 56)
     gap = params.scene
     turn = math.radians(31.0)
     return Scene(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from fwclass.kernel import kernel
 
@@ -52,5 +52,5 @@ def pulse_key(seed, strip, pulse):  # type: ignore[no-untyped-def]
 def normal_table() -> NDArray[np.float64]:
     """4096 equally likely values of a standard normal variate, of exactly unit variance."""
     count = 1 << NORMAL_BITS
-    values = ndtri((np.arange(count) + 0.5) / count)
+    values = scipy.special.ndtri((np.arange(count) + 0.5) / count)
     return np.ascontiguousarray(values / values.std())

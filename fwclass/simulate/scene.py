@@ -9,8 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from fwclass.kernel import kernel
 
@@ -129,5 +129,5 @@ def index(
     if len(item):
         _fill(box, cell, side, start[:-1].copy(), item, ceiling)
     reach = 2 * math.ceil(LONGEST_SHADOW / cell) + 1
-    ceiling = maximum_filter(ceiling.reshape(side, side), reach, mode="constant", cval=-np.inf).ravel()
+    ceiling = scipy.ndimage.maximum_filter(ceiling.reshape(side, side), reach, mode="constant", cval=-np.inf).ravel()
     return start, item, np.ascontiguousarray(ceiling)

@@ -17,10 +17,12 @@ from fwclass.errors import DamagedError
 _BLOCK = 1 << 20
 
 
+_CANONICAL = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+
+
 def digest_of(value: Any) -> str:
     """Digest of plain data: 32 hex digits of BLAKE2b over its canonical JSON."""
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+    return hashlib.blake2b(_CANONICAL.encode(value).encode(), digest_size=16).hexdigest()
 
 
 def file_digest(path: Path) -> str:
@@ -46,19 +48,26 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a small file beside, flush it, rename it into place."""
+def write_text(path: Path, text: str, flush: bool = True) -> None:
+    """Write a small file beside, flush it, rename it into place.
+
+    Without `flush` a power cut may leave an earlier file, none, or a torn one: for what tells of itself whether it is
+    whole, and can be made again.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
         with beside.open("w", encoding="utf-8") as stream:
             stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
+            if flush:
+                stream.flush()
+                os.fsync(stream.fileno())
         beside.replace(path)
-    finally:
+    except BaseException:
         beside.unlink(missing_ok=True)
-    sync(path.parent)
+        raise
+    if flush:
+        sync(path.parent)
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -89,10 +98,14 @@ def staged(parent: Path, *below: str) -> Iterator[Path]:
         shutil.rmtree(own, ignore_errors=True)
 
 
-def move_into_place(source: Path, target: Path) -> None:
-    """Rename a flushed file or directory to `target`; an older one there is replaced."""
+def move_into_place(source: Path, target: Path, flush: bool = True) -> None:
+    """Rename a flushed file or directory to `target`; an older one there is replaced.
+
+    Without `flush` it may be gone after a power cut.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
     if target.is_dir():
         shutil.rmtree(target)
     source.replace(target)
-    sync(target.parent)
+    if flush:
+        sync(target.parent)

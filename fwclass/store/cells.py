@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -75,19 +76,28 @@ def digest_within(receipt: Receipt, within: Within) -> str | None:
         return receipt.digest if names is None else names.get(within)
     if "size" not in cells:
         return receipt.digest
-    read = _inside(cells, within)
-    return digest_of(read) if read else None
-
-
-def _inside(cells: Mapping[str, Any], box: Box) -> list[list[Any]]:
-    """Column, row and digest of every square that something lies in and that shares area with `box`."""
     (column, row), rows, text = cells["first"], int(cells["rows"]), str(cells["digests"])
     columns = len(text) // (_WIDTH * rows) if rows else 0
-    whole = Window.covering(box, float(cells["size"]))
+    whole = Window.covering(within, float(cells["size"]))
+    across = max(whole.col, column), min(whole.col + whole.ncols, column + columns)
+    up = max(whole.row, row), min(whole.row + whole.nrows, row + rows)
+    return _digest_of_squares(text, rows, column, row, across, up)
+
+
+@lru_cache(maxsize=8192)
+def _digest_of_squares(
+    text: str, rows: int, column: int, row: int, across: tuple[int, int], up: tuple[int, int]
+) -> str | None:
+    """Digest of column, row and digest of every square in a window that something lies in; None where nothing does.
+
+    `text`, `rows`: as in `CELLS`, from (`column`, `row`) on; `across`, `up`: first column and row, and those behind
+    the last ones. Every stage that reads a tile with its halo asks for the same windows.
+    """
     found = []
-    for c in range(max(whole.col, column), min(whole.col + whole.ncols, column + columns)):
-        for r in range(max(whole.row, row), min(whole.row + whole.nrows, row + rows)):
-            at = _WIDTH * ((c - column) * rows + r - row)
-            if text[at] != ".":
-                found.append([c, r, text[at : at + _WIDTH]])
-    return found
+    for c in range(*across):
+        at = _WIDTH * (c - column) * rows
+        for r in range(*up):
+            digest = text[at + _WIDTH * (r - row) : at + _WIDTH * (r - row + 1)]
+            if digest != _NOTHING:
+                found.append([c, r, digest])
+    return digest_of(found) if found else None

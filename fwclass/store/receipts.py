@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from fwclass.errors import DamagedError, StoreError
@@ -15,6 +16,7 @@ FORMAT = 1
 
 _DIGEST = re.compile(r"[0-9A-Za-z_]{1,64}")
 _SEAL = "seal"
+_LINE = json.JSONEncoder(sort_keys=True, allow_nan=False)
 
 
 @dataclass(frozen=True)
@@ -51,10 +53,11 @@ class Receipt:
     params: str = ""
     format: int = FORMAT
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data, with a digest of itself."""
-        plain = asdict(self)
-        return {**plain, _SEAL: digest_of(plain)}
+    def to_text(self) -> str:
+        """JSON, a field a line, with a digest of itself."""
+        plain = {f.name: getattr(self, f.name) for f in fields(self)}
+        sealed = {**plain, _SEAL: digest_of(plain)}
+        return "{\n" + ",\n".join(f'"{name}": {_LINE.encode(sealed[name])}' for name in sorted(sealed)) + "\n}\n"
 
     @classmethod
     def from_json(cls, value: Any, where: object) -> Receipt:

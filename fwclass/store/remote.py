@@ -77,7 +77,7 @@ class RemoteStore(RemoteReader):
 
     def _written(self, receipt: Receipt, mark: Mark | None) -> Receipt:
         """The receipt, by a conditional write; that of a twin of this task, which made the same, if it was first."""
-        data = json.dumps(receipt.to_json(), sort_keys=True, indent=1, allow_nan=False).encode()
+        data = receipt.to_text().encode()
         key = key_of_receipt(receipt.stage, receipt.part)
         try:
             made = self.objects.put_new(key, data) if mark is None else self.objects.put_over(key, data, mark)

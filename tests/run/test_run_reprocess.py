@@ -8,7 +8,7 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from runmaker import delivered, walk
+from runmaker import delivered, looked, walk
 
 from fwclass import conf
 from fwclass.features.params import Asked, is_feature
@@ -50,14 +50,18 @@ def first(survey, tmp_path_factory):
 
 
 def again(first, tmp_path, change):
-    """The survey changed by `change(strips)`, run on top of the old run and from scratch: (computed parts, road)."""
+    """The survey changed by `change(strips)`, run on top of the old run and from scratch: (computed parts, road, how
+    the run stood before)."""
     files, root = tmp_path / "survey", tmp_path / "run"
     shutil.copytree(first[0], files)
     shutil.copytree(first[1], root, symlinks=True)
     change(files / "strips")
     settings = (*SETTINGS, "survey.crs=EPSG:25832")
+    before = looked(files, root, *settings)
     road, _ = walk(files, root, *settings)
     assert not road.failures, road.failures
+    made = {n for n, o in road.outcomes.items() if o.status == "computed"}
+    assert made & before.states.keys() <= {n for n, s in before.states.items() if s.standing != "done"}
     fresh, _ = walk(files, tmp_path / "fresh", *settings)
     assert not fresh.failures
     assert delivered(root) == delivered(tmp_path / "fresh")
@@ -65,7 +69,7 @@ def again(first, tmp_path, change):
     for (stage, part), outcome in road.outcomes.items():
         if outcome.status == "computed":
             computed.setdefault(stage, set()).add(part)
-    return computed, road
+    return computed, road, before
 
 
 def touching(box):
@@ -81,9 +85,11 @@ EDGE = Box(512041, 5403010, 512047, 5403017)
 
 @pytest.mark.parametrize("box", [INNER, EDGE], ids=["inside", "at an edge"])
 def test_an_added_strip_touches_its_tiles_and_their_halos_only(first, tmp_path, box):
-    computed, road = again(first, tmp_path, lambda d: cut(d / "strip_02.las", d / "strip_05.las", box, 12.0))
+    computed, road, before = again(first, tmp_path, lambda d: cut(d / "strip_02.las", d / "strip_05.las", box, 12.0))
     own = touching(box)
     assert len(own) == 1 and computed["tile"] == own
+    assert before.ends == "nothing was made yet of strip_05.las"
+    assert own == {part for (stage, part), s in before.states.items() if stage == "tile" and s.standing == "stale"}
     assert own <= computed["features"] <= touching(box.grown(REACH))
     near = touching(box.grown(2.0))
     assert near <= computed["features"], "a neighbour within the radius is made anew"
@@ -104,14 +110,14 @@ def test_a_changed_strip_changes_where_it_changed(first, tmp_path):
         cloud.intensity[0] += 1
         cloud.write(strips / "strip_09.las")
 
-    computed, _ = again(first, tmp_path, redeliver)
+    computed, _, _ = again(first, tmp_path, redeliver)
     assert computed["tile"] == touching(Box(512082, 5403082, 512090, 5403090))
     assert computed["ground"] == computed["height"] == computed["tile"], "blocks are made anew, their flags are not"
     assert set(computed["publish-strip"]) >= {"strip_09"}
 
 
 def test_a_removed_strip_leaves_nothing(first, tmp_path):
-    computed, road = again(first, tmp_path, lambda d: (d / "strip_09.las").unlink())
+    computed, road, _ = again(first, tmp_path, lambda d: (d / "strip_09.las").unlink())
     own = touching(Box(512082, 5403082, 512090, 5403090))
     assert computed["tile"] == own and "read" not in computed and "index" not in computed
     assert not (road.root / "laz" / "strips" / "strip_09.laz").exists()

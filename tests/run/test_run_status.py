@@ -72,12 +72,13 @@ def everything_below(root):
 
 
 def test_nothing_made_all_made_and_lost(tmp_path):
-    assert seen(tmp_path, *pair()) == {"one/a": ("missing", []), "two/a": ("missing", ["needs one/a, missing"])}
+    nothing = ("missing", ["nothing of input a.las is there"])
+    assert seen(tmp_path, *pair()) == {"one/a": nothing, "two/a": ("missing", ["needs one/a, missing"])}
     assert list(tmp_path.iterdir()) == []
     made(tmp_path, *pair())
     assert {s for s, _ in seen(tmp_path, *pair()).values()} == {"done"}
     shutil.rmtree(tmp_path / "store" / "one")
-    assert seen(tmp_path, *pair()) == {"one/a": ("missing", []), "two/a": ("stale", ["needs one/a, missing"])}
+    assert seen(tmp_path, *pair()) == {"one/a": nothing, "two/a": ("stale", ["needs one/a, missing"])}
 
 
 @pytest.mark.parametrize(
