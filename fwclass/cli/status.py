@@ -132,6 +132,11 @@ def status(
         request = Request.kept(open_store(home, read_only=True))
         config = configuration.load(request.conf, request.settings)
     else:
+        if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():
+            raise ConfigError(
+                "no such run directory", where=conf_or_run, expected="a directory that `fwclass run` has made, or a "
+                "configuration (a YAML file, or the name of one that comes with fwclass)", do="give its path",
+            )  # fmt: skip
         config, request = requested(conf_or_run, out, settings, workflow, chosen(tiles, aoi))
     from fwclass.run.schedule.state import standing
     from fwclass.run.status.told import as_data, as_text

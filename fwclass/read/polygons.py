@@ -90,19 +90,23 @@ def check_field(opened: PolygonLayer, field: str) -> None:
         )
 
 
-def source_crs(opened: PolygonLayer, given: CRS | None, survey: CRS | None) -> CRS | None:
+NAME_CRS = "--set survey.reference.crs=EPSG:<code>"
+
+
+def source_crs(opened: PolygonLayer, given: CRS | None, survey: CRS | None, do: str = NAME_CRS) -> CRS | None:
     """The system that the polygons' coordinates are in: the one given, else the file's own.
 
-    None where the survey has none either: they are taken as they are. `InputError` where it is unknown.
+    None where the survey has none either: they are taken as they are. `InputError` where it is unknown; `do` says what
+    to do then.
     """
     crs = given or opened.crs
     if crs is None and survey is not None:
         raise InputError(
             "the coordinate system of the polygons is unknown",
             where=opened.path,
-            expected="a CRS in the file, or survey.reference.crs in the configuration",
-            got="neither",
-            do="--set survey.reference.crs=EPSG:<code>",
+            expected="a CRS in the file" + (", or survey.reference.crs in the configuration" if do == NAME_CRS else ""),
+            got="none",
+            do=do,
         )
     return crs if survey is not None else None
 

@@ -53,17 +53,19 @@ class Area:
         _, made = read_polygons(opened, None)
         self._some(opened, made)
         survey = CRS.from_wkt(crs) if crs is not None else None
-        own = source_crs(opened, None, survey)
+        own = source_crs(opened, None, survey, "export them with their system: GeoPackage and GeoParquet keep it")
         if own is not None and survey is not None:
             made, _ = reprojected(made, own, survey, self.path)
         a, b = edges(made.x, made.y, made.ring_start)
         found = frozenset(t.key for t in layout.tiles if shares_area(t.box, a, b))
         if not found:
+            system = f" ({survey.name})" if survey is not None else ""
             reach = Box(*(float(f(v)) for f in (np.min, np.max) for v in (made.x, made.y)))
             raise InputError(
                 "no tile of the survey lies in the area of interest", where=self.path,
-                expected=f"polygons that meet {box_text(layout.box)}", got=box_text(reach),
-                do="check the polygons' coordinate system",
+                expected=f"polygons that meet {box_text(layout.box)}{system}", got=box_text(reach),
+                do="check the polygons, and the coordinate system that their file names"
+                + (f" ({own.name})" if own is not None else ""),
             )  # fmt: skip
         return found
 

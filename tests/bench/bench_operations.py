@@ -1,6 +1,6 @@
 """What operations cost: receipts and Dask in a run, a run with nothing to do, status, and the window of tasks.
 
-    python tests/bench/bench_operations.py [--run DIR] [--survey city-1200m] [--set KEY=VALUE …]
+    python tests/bench/bench_operations.py [--run DIR [--first]] [--survey city-1200m] [--set KEY=VALUE …]
 
 Without ``--run`` the survey is simulated and run on two workers first. The second part sends parts that do nothing
 through the same road, once in the plain loop and once on two workers: what is left is the cost of a part. Run it when
@@ -62,7 +62,8 @@ def walked(executor, root: Path) -> float:
         return time.perf_counter() - began
 
 
-def told(survey: str, root: Path, settings: list[str]) -> None:
+def told(survey: str, root: Path, settings: list[str], wall: float | None) -> None:
+    """`wall`: what the whole run took after its start [s], None for one that was made in pieces."""
     words = [w for s in settings for w in ("--set", s)]
     stages = Counter()
     keeping = 0.0
@@ -75,8 +76,10 @@ def told(survey: str, root: Path, settings: list[str]) -> None:
     parts = sum(1 for p in store.directory.glob("*/*/receipt.json"))
     total = sum(stages.values())
     print(ROW.format("parts", parts))
-    print(ROW.format("seconds of parts", f"{total:.0f}"))
+    print(ROW.format("seconds of parts, on two workers", f"{total:.0f}"))
     print(ROW.format("  of them receipts (flush, digest, rename)", f"{100 * keeping / total:.1f} %"))
+    if wall is not None:
+        print(ROW.format("share of two workers' time that is a part's", f"{100 * total / (2 * wall):.1f} %"))
     again = ("run", survey, "--out", str(root), "--workers", "0", *words)
     for name, line in (("run with nothing to do", again), ("status", ("status", str(root)))):
         took = [command(*line) for _ in range(REPEATS)]
@@ -87,16 +90,16 @@ def told(survey: str, root: Path, settings: list[str]) -> None:
         with Cluster(None, 2, 2.0, 2000) as cluster:
             spread = walked(cluster, Path(scratch) / "cluster")
     each = 1e3 * spread / EMPTY
+    wall = wall or total / 2
     print(ROW.format("an empty part in the loop", f"{1e3 * alone / EMPTY:.1f} ms"))
     print(ROW.format("an empty part on two workers", f"{each:.1f} ms"))
-    print(
-        ROW.format("all of the run's, of its seconds on two workers", f"{100 * each * parts / 1e3 / (total / 2):.1f} %")
-    )
+    print(ROW.format("as many empty parts, of the run's time", f"{100 * each * parts / 1e3 / wall:.1f} %"))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--run", type=Path)
+    parser.add_argument("--run", type=Path, help="a run directory that is there")
+    parser.add_argument("--first", action="store_true", help="its last run made all of it, on two workers")
     parser.add_argument("--survey", default="city-1200m")
     parser.add_argument("--set", action="append", default=[], dest="settings")
     chosen = parser.parse_args()
@@ -107,7 +110,8 @@ def main() -> None:
             wall, _ = command("run", chosen.survey, "--out", str(root), "--workers", "2", *words)
             print(ROW.format("whole run, wall", f"{wall:.0f} s"))
             print(ROW.format("  of it after the start", f"{read_json(root / 'report.json')['seconds']:.0f} s"))
-        told(chosen.survey, root, chosen.settings)
+        first = read_json(root / "report.json") if not chosen.run or chosen.first else None
+        told(chosen.survey, root, chosen.settings, first["seconds"] if first else None)
 
 
 if __name__ == "__main__":
