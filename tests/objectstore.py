@@ -156,12 +156,12 @@ class Server:
 
 
 @contextmanager
-def serving() -> Iterator[Server]:
-    """An S3 server on this host as long as the block lasts."""
+def serving(host: str = "127.0.0.1") -> Iterator[Server]:
+    """An S3 server at this address of this host as long as the block lasts."""
     moto = DomainDispatcherApplication(create_backend_app)
     calm = make_server("127.0.0.1", 0, moto, threaded=True, request_handler=_Quiet)
     faults = Faults(moto)
-    front = make_server("127.0.0.1", 0, faults, threaded=True, request_handler=_Quiet)
+    front = make_server(host, 0, faults, threaded=True, request_handler=_Quiet)
     for one in (calm, front):
         threading.Thread(target=one.serve_forever, daemon=True).start()
     client = boto3.client(
@@ -169,7 +169,7 @@ def serving() -> Iterator[Server]:
         aws_access_key_id="test", aws_secret_access_key="test",  # noqa: S106
     )  # fmt: skip
     try:
-        yield Server(f"http://127.0.0.1:{front.server_port}", faults, client)
+        yield Server(f"http://{host}:{front.server_port}", faults, client)
     finally:
         for one in (calm, front):
             one.shutdown()

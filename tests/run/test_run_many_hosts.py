@@ -2,80 +2,19 @@
 
 from __future__ import annotations
 
-import os
 import re
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from objectstore import Server, quick, serving, used
-from runmaker import SETTINGS, delivered
+from manyhosts import LIMIT, Hosts, receipts, until
+from objectstore import Server, serving
+from runmaker import delivered
 
 from fwclass.store.url import Url
 
 pytestmark = pytest.mark.slow
-
-PARAMS = quick(dead=3.0, beat=0.5, patience=60.0, timeout=20.0)
-QUICK = tuple(f"store.{n}={v}" for n, v in PARAMS.model_dump().items() if v is not None)
-COMMAND = "from fwclass.cli import main; main()"
-LIMIT = 600
-"""s, that a run may take on a loaded machine."""
-
-
-class Hosts:
-    """Processes, each with a directory of its own to work and to keep copies in."""
-
-    def __init__(self, s3: Server, root: Path) -> None:
-        self._s3, self._root = s3, root
-        self.running: list[subprocess.Popen[str]] = []
-
-    def start(self, name: str, *line: object, copies: bool = True) -> subprocess.Popen[str]:
-        """A process on a host of this name; standard output and error go to its `log`."""
-        home = self._root / name
-        home.mkdir(exist_ok=True)
-        given = {**os.environ, **used(self._s3, home / "copies"), "PYTHONPATH": ":".join(sys.path)}
-        if not copies:
-            del given["FWCLASS_SCRATCH"]  # a Dask worker has a directory of its own
-        with self.log(name).open("a") as told:
-            process = subprocess.Popen(
-                [sys.executable, *map(str, line)], cwd=home, env=given, stdout=told, stderr=told, text=True
-            )
-        self.running.append(process)
-        return process
-
-    def log(self, name: str) -> Path:
-        return self._root / f"{name}.log"
-
-    def scheduler(self) -> str:
-        """Its address."""
-        self.start("scheduler", "-m", "dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
-        until = time.monotonic() + 60
-        while time.monotonic() < until:
-            if found := re.search(r"Scheduler at:\s+(tcp://\S+)", self.log("scheduler").read_text()):
-                return found[1]
-            time.sleep(0.1)
-        raise AssertionError(self.log("scheduler").read_text())
-
-    def worker(self, name: str, address: str) -> subprocess.Popen[str]:
-        return self.start(
-            name, "-m", "dask", "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
-            "--local-directory", self._root / name / "scratch", copies=False,
-        )  # fmt: skip
-
-    def run(self, name: str, place: Url, out: Url, *words: object) -> subprocess.Popen[str]:
-        settings = (*SETTINGS, *QUICK, f"survey.directory={place}")
-        given = [w for s in settings for w in ("--set", s)]
-        return self.start(name, "-c", COMMAND, "run", "demo", "--out", out, *given, *words)
-
-    def stop(self) -> None:
-        for process in self.running:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
 
 
 @pytest.fixture(scope="module")
@@ -99,19 +38,6 @@ def hosts(s3: Server, tmp_path: Path) -> Iterator[Hosts]:
         yield made
     finally:
         made.stop()
-
-
-def until(condition, process: subprocess.Popen[str] | None = None) -> None:
-    end = time.monotonic() + LIMIT
-    while not condition():
-        assert time.monotonic() < end
-        assert process is None or process.poll() is None
-        time.sleep(0.1)
-
-
-def receipts(s3: Server, out: Url) -> int:
-    """Parts that are done."""
-    return sum(key.endswith("receipt.json") for key in s3.keys(out))
 
 
 def test_workers_that_share_only_object_storage_and_one_is_killed(s3, place, hosts, finished, tmp_path):
