@@ -50,29 +50,33 @@ def report_path(report: str | None, root: Any, workers: int, scheduler: str | No
 def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, report: Path | None = None) -> Iterator[Any]:
     """A run locked for writing, with its executor; `home` is its directory, or a `Remote` place; `limits` is section
     `run` of the configuration, `report` where Dask's performance report goes."""
-    from fwclass.run.local import Loop
+    from fwclass.run.local import Loop, WhenNeeded
     from fwclass.run.progress import Display
     from fwclass.run.road import Road
     from fwclass.store.home import locked
 
     home = home.resolve() if isinstance(home, Path) else home
     with Display() as display, locked(home, display.say) as (home, held):
-        if scheduler is None and workers == 0:
-            road = Road(home, Loop(), display, held=held)
-            road.store.clear_staging()
-            yield road
-            return
-        from fwclass.run.cluster import Cluster
 
-        with Cluster(
-            scheduler, workers, limits.worker_memory_gib, limits.window, limits.retries, limits.split,
-            watched=report is not None,
-        ) as cluster:  # fmt: skip
+        def started() -> Any:
+            from fwclass.run.cluster import Cluster
+
+            cluster = Cluster(
+                scheduler, workers, limits.worker_memory_gib, limits.window, limits.retries, limits.split,
+                watched=report is not None,
+            )  # fmt: skip
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
             display.workers = cluster.workers
-            road = Road(home, cluster, display, held=held)
+            return cluster
+
+        if scheduler is not None or report is not None:
+            executor = started()
+        else:
+            executor = WhenNeeded(started) if workers else nullcontext(Loop())
+        with executor as running:
+            road = Road(home, running, display, held=held)
             road.store.clear_staging()
-            with cluster.reported(report, display.say) if report is not None else nullcontext():
+            with running.reported(report, display.say) if report is not None else nullcontext():
                 yield road
 
 

@@ -59,7 +59,7 @@ def _trajectory(params: SimulateParams, prefix: str, desk: Desk, directory: Path
 
 def simulate_tasks(params: SimulateParams, prefix: str) -> list[Task]:
     """One part per strip, and the trajectory; files go to `prefix` below the run directory."""
-    from fwclass.simulate.stage import plan_strips
+    from fwclass.simulate.flight import plan_strips
 
     plain = params.model_dump(mode="json")
     strips = plan_strips(params)

@@ -4,13 +4,14 @@ import json
 import os
 import re
 import shutil
+from contextlib import contextmanager
 
 import pytest
 from runmaker import SETTINGS, delivered, shifted_reference, walk
 
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError
-from fwclass.run.local import Loop
+from fwclass.run.local import Loop, WhenNeeded
 from fwclass.run.part import Task
 from fwclass.run.progress import Display
 from fwclass.run.road import Road, require_all
@@ -162,3 +163,25 @@ def test_the_report_is_whole(finished):
 def test_settings_that_cannot_be_are_refused():
     with pytest.raises(ConfigError, match="did you mean 'slope'"):
         conf.load("demo", (*SETTINGS, "ground.slopp=1"))
+
+
+def test_workers_start_for_the_first_part_and_never_for_none(tmp_path):
+    """And they end with the run."""
+    states = []
+
+    @contextmanager
+    def workers():
+        states.append("started")
+        yield Loop()
+        states.append("ended")
+
+    def work(desk, directory):
+        (directory / "made.txt").write_text("x")
+        return {}
+
+    tasks = [Task("one", part, 1, {}, work) for part in "abc"]
+    for expected in (["started", "ended"], ["started", "ended"]):  # the second time nothing is left to do
+        with WhenNeeded(workers) as executor, Display() as display:
+            road = Road(tmp_path, executor, display)
+            assert len(road.do(tasks[:2])) == 2 and len(road.do(tasks)) == 3
+        assert states == expected
