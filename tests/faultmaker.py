@@ -7,6 +7,7 @@ import json
 import os
 import random
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -18,11 +19,17 @@ from typing import Any
 
 import numpy as np
 import psutil
-from runmaker import SETTINGS
+from commandline import fwclass
+from runmaker import SETTINGS, delivered
+
+from fwclass.run.cluster import Cluster
+from fwclass.run.part import Task
+from fwclass.store.lock import holder
+from fwclass.store.run_store import Store
 
 SMALL = (
     "simulate.size=60", "simulate.strips=1", "train.trees=5", "train.samples_per_class=500", "read.chunk_pulses=3000",
-    "train.importance_repeats=0", "areas.train=[[512000,5403000,512030,5403060]]", "tile.size=40",
+    "train.importance_repeats=0", "areas.train=[[512000,5403000,512030,5403060]]", "tile.size=80",
 )  # fmt: skip
 """One strip over 60 m x 60 m: a run of seconds."""
 
@@ -105,22 +112,76 @@ def running(told: Path, *line: object, limit: Callable[[], None] | None = None) 
         run.process.wait()
 
 
-def kill_workers(run: Run, times: int, seed: int, pause: tuple[float, float]) -> int:
-    """Kill one of the run's workers after the other, at random moments; how many were, before the run ended."""
+@contextlib.contextmanager
+def scheduler(place: Path, workers: int) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """A Dask scheduler with workers of one thread, as separate processes: its own one, and its address."""
+    given = {**os.environ, "PYTHONPATH": ":".join(sys.path)}
+    facts, dask = place / "scheduler.json", [sys.executable, "-m", "dask"]
+    where = ["--scheduler-file", str(facts), "--no-dashboard"]
+    here = [*where, "--host", "127.0.0.1", "--port", "0"]
+    with (place / "dask").open("wb") as told:
+
+        def begin(*line: str) -> subprocess.Popen[bytes]:
+            return subprocess.Popen([*dask, *line], stdout=told, stderr=told, env=given, start_new_session=True)
+
+        processes = [begin("scheduler", *here)]
+        processes += [begin("worker", *where, "--nthreads", "1", "--no-nanny") for _ in range(workers)]
+    try:
+        end = time.monotonic() + PATIENCE
+        while not facts.exists():
+            assert time.monotonic() < end and processes[0].poll() is None, (place / "dask").read_text()
+            time.sleep(0.1)
+        yield processes[0], json.loads(facts.read_text())["address"]
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def kill_workers(run: Run, root: Path, times: int, parts: int, seed: int) -> int:
+    """Kill one worker after the other at random moments, spread over a run of so many parts; how many died of it.
+
+    Each while a part is being made and nothing is delivered: the test fails where the run ends before.
+    """
     rng, killed = random.Random(seed), 0  # noqa: S311
-    while killed < times and not run.ended:
-        time.sleep(rng.uniform(*pause))
-        victims = run.workers()
-        if victims:
-            with contextlib.suppress(psutil.NoSuchProcess):
-                rng.choice(victims).kill()
-                killed += 1
+    for k in range(times):
+        run.until(lambda done=k * parts // (times + 4): receipts(root) > done)
+        time.sleep(rng.uniform(0.0, 0.4))
+        run.until(lambda: Store(root).under_way() and run.workers())
+        victim = rng.choice(run.workers())
+        assert not (root / "current").exists() and victim.status() != psutil.STATUS_ZOMBIE
+        victim.kill()
+        killed += gone([victim], 30.0)
     return killed
 
 
 def receipts(root: Path) -> int:
     """How many parts of a run have one."""
-    return len(list((root / "store").glob("*/*/receipt.json")))
+    return sum((root / "store" / stage / part / "receipt.json").exists() for stage, part in Store(root).parts())
+
+
+def lost(root: Path) -> int:
+    """How often a part that had begun was lost with its worker."""
+    return sum(p.read_text().count("status=lost") for p in (root / "logs").rglob("*.log"))
+
+
+def unharmed(root: Path, undisturbed: Path) -> None:
+    """A run has made and delivered what an undisturbed one has, to the byte, and nothing is left behind."""
+    assert delivered(root) == delivered(undisturbed)
+    for stage in _stages(undisturbed) | _stages(root):
+        made, wanted = ({r.part: (r.key, r.outputs) for r in Store(d).receipts(stage)} for d in (root, undisturbed))
+        assert made == wanted, stage
+    assert not list((root / "store").glob("staging/*"))
+    assert not list((root / "store" / "failures").rglob("*.json"))
+    assert not (root / "generations" / ".pending").exists()
+    assert not [p for p in root.rglob(".*") if p.parent != root / "logs"], "files beside their names"
+    assert holder(root) is None
+    told = fwclass("status", root, "--json", "--verify")
+    assert told.returncode == 0 and json.loads(told.stdout)["done"], told.stdout
+
+
+def _stages(root: Path) -> set[str]:
+    return {p.parent.parent.name for p in (root / "store").glob("*/*/receipt.json")}
 
 
 def gone(processes: list[psutil.Process], seconds: float) -> bool:
@@ -162,6 +223,26 @@ class Reader:
         files = [p for p in generation.rglob("*") if p.is_file() and p.name not in aside]
         if len(files) != facts["files"]:
             raise ValueError(f"{len(files)} files of {facts['files']}")
+
+
+def set_back(root: Path, ahead: Path) -> None:
+    """Ten parts on two workers of this process, whose clock is set back all the time; `clock.c` reads `ahead`."""
+    over = threading.Event()
+
+    def back() -> None:
+        with ahead.open("r+b", buffering=0) as stream:  # in place: it is mapped
+            seconds = 0
+            while not over.wait(0.005):
+                seconds -= 100
+                os.pwrite(stream.fileno(), struct.pack("q", seconds), 0)
+
+    with Cluster(None, 2, 1.0, 100) as cluster:
+        thread = threading.Thread(target=back, daemon=True)
+        thread.start()
+        for outcome in cluster.run(root, [Task("simple", f"a{k}", 1, {}, simple) for k in range(10)]):
+            assert outcome.status == "computed", outcome
+        over.set()
+        thread.join()
 
 
 def simple(desk: Any, directory: Path) -> dict[str, Any]:

@@ -20,6 +20,7 @@ SETTINGS = (
     "simulate.size=120", "simulate.strips=2", "train.trees=10", "train.samples_per_class=3000", "areas.gap=5",
     "train.importance_repeats=2",
     "areas.train=[[512000, 5403000, 512060, 5403120]]", "read.chunk_pulses=9000", "ground.block=64", "terrain.block=64",
+    "publish.figure_pixels=200",
 )  # fmt: skip
 
 

@@ -148,6 +148,7 @@ def test_once_runs_tells_and_ends_with_the_runs_code(survey):
     no_secret(survey, done.stdout, done.stderr, *text)
 
 
+@pytest.mark.faults
 def test_an_interval_goes_on_after_a_killed_run_until_sigterm(survey):
     with going(survey, "--every", "1s") as process:
         os.kill(until(lambda: state(survey).get("run"))["pid"], signal.SIGKILL)

@@ -78,6 +78,7 @@ def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, repor
             road.store.clear_staging()
             with running.reported(report, display.say) if report is not None else nullcontext():
                 yield road
+        road.store.sweep()
 
 
 def tell_failures(failures: list[Any], request: Any = None) -> None:

@@ -21,8 +21,10 @@ from types import TracebackType
 from typing import Any
 
 import dask
+import distributed.batched
 from distributed import Client, Future, LocalCluster, Nanny, WorkerPlugin, as_completed, get_worker, performance_report
 from distributed.scheduler import KilledWorker
+from tornado.ioloop import IOLoop
 
 from fwclass import __version__
 from fwclass.errors import FwclassError
@@ -72,12 +74,25 @@ def _made(worker: Any, version: str, home: Home, task: Task, upstream: Iterable[
     return execute(home, task, tuple(upstream), split)
 
 
+def steady() -> None:
+    """Let this process's senders of Dask wait by the monotonic clock.
+
+    They wait until a time of the wall clock (`distributed.batched`, tornado's `IOLoop.time`): where that is set back by
+    an hour, nothing is sent for one.
+    """
+    ahead = time.time() - time.monotonic()
+    setattr(IOLoop, "time", lambda loop: time.monotonic() + ahead)  # noqa: B010 (a method of theirs, on purpose)
+    distributed.batched.time = lambda: time.monotonic() + ahead
+
+
 class Unheeding(WorkerPlugin):  # type: ignore[misc]
-    """A terminal sends Ctrl-C to the workers too; only the command heeds it, and ends them."""
+    """A terminal sends Ctrl-C to the workers too; only the command heeds it, and ends them. Nor do they heed the wall
+    clock."""
 
     name = "unheeding"
 
     def setup(self, worker: object) -> None:
+        steady()
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -115,9 +130,11 @@ class Cluster:
         self, address: str | None, workers: int, worker_memory_gib: float, window: int, retries: int = 0,
         split: int = 1, watched: bool = False,
     ) -> None:  # fmt: skip
+        steady()
         dask.config.set({
             "distributed.scheduler.allowed-failures": 0, "distributed.admin.tick.limit": "30s",
             "distributed.deploy.lost-worker-timeout": f"{SLOW_START:g}s", **({} if watched else _QUIET),
+            "distributed.scheduler.worker-ttl": None,  # it asks the wall clock; nannies know whether workers live
         })  # fmt: skip
         self._cluster: LocalCluster | None = None
         self._heard: dict[str, Outcome] = {}

@@ -9,7 +9,7 @@ from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from fwclass.errors import FwclassError, InputError, PartialError
+from fwclass.errors import FwclassError, InputError, PartialError, StoreError
 from fwclass.run.part import Name, Outcome, Task, already_done, key_now
 from fwclass.run.progress import Display
 from fwclass.run.tasks import Tasks
@@ -173,9 +173,13 @@ class Road:
         for stage, part in self.outcomes:
             if stage in self.delivered and self.made(stage, part):
                 receipt = self.store.receipt(stage, part)
-                if receipt is not None:
-                    base = self.store.base(receipt)
-                    files |= {name: (base / name, str(facts["digest"])) for name, facts in receipt.outputs.items()}
+                if receipt is None:
+                    raise StoreError(
+                        "a part that is to be delivered is gone", where=f"{stage}/{part} in {self.store.where}",
+                        do="run again; the missing parts are made",
+                    )  # fmt: skip
+                base = self.store.base(receipt)
+                files |= {name: (base / name, str(facts["digest"])) for name, facts in receipt.outputs.items()}
         return self.store.generations.publish(files, self.whole, keep)
 
     def retire(self) -> None:

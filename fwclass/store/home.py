@@ -49,9 +49,5 @@ def locked(home: Home, tell: Callable[[str], None]) -> Iterator[tuple[Home, Call
         with remote_writer(home.objects, tell) as (token, beat):
             yield replace(home, token=token), beat.check
     else:
-        with writer(home):
-            yield home, _held
-
-
-def _held() -> None:
-    """The kernel's lock lasts as long as the process."""
+        with writer(home) as check:
+            yield home, check

@@ -145,6 +145,9 @@ class RemoteStore(RemoteReader):
         self.objects.delete(k for k in every if k.endswith(f"/{RECEIPT}"))
         self.objects.delete(k for k in every if not k.endswith(f"/{RECEIPT}"))
 
+    def sweep(self) -> None:
+        """What killed workers left is removed when the next run begins: to find it, everything is listed."""
+
     def clear_staging(self) -> None:
         """Remove what interrupted writers left: marks, and objects that no receipt names (for the lock's holder)."""
         shutil.rmtree(self.root / "store" / "staging", ignore_errors=True)

@@ -12,6 +12,7 @@ import os
 import shutil
 import stat
 import time
+import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -106,7 +107,7 @@ class Store:
 
     def parts(self) -> list[tuple[str, str]]:
         """Every (directory, part) below the store, done or not."""
-        return sorted((p.parent.name, p.name) for p in self.directory.glob("*/*") if p.parent.is_dir())
+        return sorted((stage.name, p.name) for stage in _inside(self.directory) for p in _inside(stage))
 
     def done(self, stage: str, part: str, key: str) -> Receipt | None:
         """The receipt if the part is done under this key and all its files are there."""
@@ -162,7 +163,7 @@ class Store:
         """
         began = time.perf_counter()
         own, old = self._part(stage, part), self.receipt(stage, part)
-        with staged(self.directory / "staging", stage, part) as directory:
+        with staged(self.directory / "staging", stage, part) as directory, _watched(directory) as check:
             meta = dict(work(directory))
             worked = time.perf_counter()
             outputs = {}
@@ -172,6 +173,7 @@ class Store:
                 sync(path)
                 name = path.relative_to(directory).as_posix()
                 outputs[name] = {"bytes": path.stat().st_size, "digest": file_digest(path)}
+            check()
             if place == "run":
                 for name in outputs:
                     move_into_place(directory / name, below(self.root, name))
@@ -227,6 +229,8 @@ class Store:
         for path in self._part(receipt.stage, receipt.part).iterdir():
             if path.is_dir() and path.name != receipt.key:
                 shutil.rmtree(path, ignore_errors=True)
+            elif path.name.startswith("."):  # a receipt whose writer was killed
+                path.unlink(missing_ok=True)
 
     def forget_others(self, stage: str, parts: Iterable[str]) -> list[str]:
         """Remove parts of `stage` that the plan no longer has, with what they delivered; return their names."""
@@ -248,7 +252,9 @@ class Store:
         A killed worker leaves its directory until the run ends: a part may stand here that has failed since.
         """
         found: dict[tuple[str, str], float] = {}
-        for path in (self.directory / "staging").glob("*/*/*"):
+        for path in (
+            p for own in _inside(self.directory / "staging") for stage in _inside(own) for p in _inside(stage)
+        ):
             with contextlib.suppress(FileNotFoundError):  # it has ended meanwhile
                 name = (path.parent.name, path.name)
                 found[name] = max(path.parent.stat().st_mtime, found.get(name, 0.0))
@@ -258,13 +264,21 @@ class Store:
         """Remove what a lost worker left of one part; whether there was something, so that the part had begun."""
         left = list((self.directory / "staging").glob(f"*/{stage}/{part}"))
         for path in left:
-            shutil.rmtree(path.parent.parent, ignore_errors=True)
+            _cleared(path.parent.parent)
         return bool(left)
 
     def clear_staging(self) -> None:
         """Remove what an interrupted writer left behind (only the holder of the lock calls this)."""
-        shutil.rmtree(self.directory / "staging", ignore_errors=True)
+        self.sweep()
         self.generations.clear_pending()
+
+    def sweep(self) -> None:
+        """Remove what killed workers left of parts, when a run has ended or before it begins."""
+        for path in (self.directory / "staging").glob("*"):
+            _cleared(path)
+        shutil.rmtree(self.directory / "staging", ignore_errors=True)
+        for path in (*self.directory.glob(".*"), *(self.directory / "params").glob(".*")):  # what was half-written
+            path.unlink(missing_ok=True)
 
 
 @lru_cache(maxsize=4096)
@@ -303,6 +317,40 @@ def _size(path: str) -> int | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     return facts.st_size if stat.S_ISREG(facts.st_mode) else None
+
+
+def _inside(directory: Path) -> list[Path]:
+    """What lies in a directory, nothing if it is gone or none; a glob over several levels breaks off where one goes."""
+    try:
+        return list(directory.iterdir())
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
+def _cleared(own: Path) -> None:
+    """Take a staged directory away, at one stroke: who still writes there cannot commit what is left of it."""
+    gone = own.with_name(f"cleared-{uuid.uuid4().hex}")
+    with contextlib.suppress(OSError):
+        own.rename(gone)
+    shutil.rmtree(gone, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _watched(directory: Path) -> Iterator[Callable[[], None]]:
+    """What raises `StoreError` where `directory` was taken away since, also if its writer has made it again."""
+    handle = os.open(directory, os.O_RDONLY)  # while it is open, no other directory can be taken for this one
+
+    def check() -> None:
+        if not directory.is_dir() or not os.path.samestat(directory.stat(), os.fstat(handle)):
+            raise StoreError(
+                "another run cleared away what was being made", where=directory,
+                do="see which runs work in this directory, then run the same again",
+            )  # fmt: skip
+
+    try:
+        yield check
+    finally:
+        os.close(handle)
 
 
 def _peak_mib() -> float:

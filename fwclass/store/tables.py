@@ -76,13 +76,14 @@ def row_groups(path: Path, box: Box | None) -> list[int]:
 def read_table(path: Path, columns: Iterable[str] | None = None, groups: list[int] | None = None) -> Table:
     """The table at `path`: chosen columns (all), chosen row groups (all)."""
     with open_parquet(path) as file:
-        names = list(columns) if columns is not None else file.schema_arrow.names
-        lacking = [n for n in names if n not in file.schema_arrow.names]
+        there = file.schema_arrow.names
+        names = list(columns) if columns is not None else there
+        lacking = [n for n in names if n not in there]
         if lacking:
             raise StoreError(
                 f"a table of the store lacks {', '.join(lacking)}",
                 where=path,
-                got=", ".join(file.schema_arrow.names),
+                got=", ".join(there),
                 do="run again; if that does not help, use a fresh run directory",
             )
         wanted = list(range(file.metadata.num_row_groups)) if groups is None else groups

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import random
 import shutil
+import threading
 import time
+from pathlib import Path
 
 import pytest
 from commandline import fwclass
 from faultmaker import SMALL, words
-from runmaker import delivered, walk
+from runmaker import SETTINGS, delivered, walk
 
+from fwclass import conf
+from fwclass.cli.road import open_road
 from fwclass.errors import StoreError
 from fwclass.run.desk import Desk
+from fwclass.run.local import Loop
 from fwclass.run.part import Task, execute
+from fwclass.run.progress import Display
+from fwclass.run.road import Road
 from fwclass.run.work.sources import Digests
+from fwclass.store.atomic import staged
+from fwclass.store.home import locked
 from fwclass.store.lock import writer
 from fwclass.store.run_store import Store
+from workflows import WORKFLOWS
 
 pytestmark = pytest.mark.faults
 
@@ -172,6 +183,95 @@ def test_a_removed_store_is_told_as_that(tmp_path):
         check()
         shutil.rmtree(tmp_path / "store")
         raise KeyError("what follows of it")
+
+
+def test_a_second_run_finds_its_store_removed_at_the_next_part(tmp_path):
+    """Removed and made again by others: the first may neither go on nor deliver."""
+    with (
+        pytest.raises(StoreError, match="another store in its place"),
+        locked(tmp_path, lambda text: None) as (_, held),
+    ):
+        held()
+        shutil.rmtree(tmp_path / "store")
+        with writer(tmp_path):
+            held()
+
+
+@pytest.mark.parametrize("what", ["store", "store/publish-tile"])
+def test_a_store_that_is_removed_at_the_very_end_is_not_delivered(survey, copy, what):
+    """All parts are done, reports are written, and what was to be linked is gone."""
+    before = (copy / "current").readlink()
+    config = conf.load("demo", (*SETTINGS, *SMALL, f"survey.directory={survey}", "train.trees=6"))
+    with (
+        pytest.raises(StoreError, match=r"removed while|is gone"),
+        Display() as display,
+        locked(copy, display.say) as (own, held),
+    ):
+        road = Road(own, Loop(), display, held=held)
+        WORKFLOWS["classification"](config, road, None)
+        shutil.rmtree(copy / what)
+        road.publish(3)
+    assert (copy / "current").readlink() == before and not (copy / "generations" / "0002").exists()
+
+
+def test_what_another_run_cleared_away_is_not_committed(tmp_path):
+    """A worker that outlives its driver, and makes its directory again: half of its files are gone."""
+    store = Store(tmp_path)
+
+    def work(directory: Path) -> dict:
+        (directory / "first").write_text("gone")
+        Store(tmp_path).clear_staging()
+        directory.mkdir(parents=True)
+        (directory / "second").write_text("half")
+        return {}
+
+    with pytest.raises(StoreError, match="cleared away"):
+        store.commit("one", "a", "k", {}, "store", work)
+    assert store.receipt("one", "a") is None and not list((tmp_path / "store").glob("staging/*"))
+
+
+def test_what_workers_left_that_were_killed_goes_at_the_end_of_the_run(tmp_path):
+    """Killed when its part had been moved to its place: nothing tells whose directory it was."""
+
+    def work(desk: Desk, directory: Path) -> dict:
+        (tmp_path / "store" / "staging" / "left" / "one").mkdir(parents=True)
+        return {}
+
+    with open_road(tmp_path, 0, None, None) as road:
+        road.do([Task("one", "a", 1, {}, work)])
+        assert list((tmp_path / "store").glob("staging/*"))
+    assert not road.failures and not list((tmp_path / "store").glob("staging/*"))
+
+
+def test_what_is_under_way_is_told_while_it_comes_and_goes(tmp_path):
+    store, over = Store(tmp_path), threading.Event()
+    (store.directory / "staging").mkdir(parents=True)
+
+    def come_and_go() -> None:
+        while not over.is_set():
+            with staged(store.directory / "staging", "one", "a"):
+                pass
+
+    thread = threading.Thread(target=come_and_go)
+    thread.start()
+    try:
+        for _ in range(1000):
+            assert set(store.under_way()) <= {("one", "a")}
+    finally:
+        over.set()
+        thread.join()
+
+
+def test_what_a_killed_writer_left_beside_goes(tmp_path):
+    store = Store(tmp_path)
+    task = Task("one", "a", 1, {"x": 1}, lambda desk, directory: {})
+    execute(tmp_path, task)
+    left = [store.directory / "one" / "a" / ".receipt.json.1", store.directory / "params" / ".p.1"]
+    for path in (*left, store.directory / ".inputs.json.1"):
+        path.write_text("{")
+    store.clear_staging()
+    execute(tmp_path, dataclasses.replace(task, version=2))
+    assert not list(tmp_path.rglob(".*"))
 
 
 def _nothing(executor):

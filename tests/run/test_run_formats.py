@@ -43,6 +43,10 @@ def run(directory, name, *settings):
     return report
 
 
+_OTHERS = ((4, "external"), (5, "internal"), (9, "internal"), (10, "external"))
+"""Formats and places of waveforms in the pairs that are tested in the slow suite alone."""
+
+
 def samples(path, points):
     """All waveforms of a file, by the reader."""
     source = open_source(path)
@@ -50,8 +54,16 @@ def samples(path, points):
     return waves.samples, waves.offsets
 
 
-@pytest.mark.parametrize("where", ["internal", "external"])
-@pytest.mark.parametrize("point_format", [4, 5, 9, 10])
+@pytest.mark.parametrize(
+    ("point_format", "where"),
+    [
+        (4, "internal"),
+        (5, "external"),
+        (9, "external"),
+        (10, "internal"),
+        *(pytest.param(*other, marks=pytest.mark.slow) for other in _OTHERS),
+    ],
+)
 def test_every_waveform_format_goes_the_whole_road(tmp_path, point_format, where):
     bits = 16 if point_format in (5, 10) else 8
     truth = survey(tmp_path / "a.las", 400, point_format=point_format, where=where, bits=bits)

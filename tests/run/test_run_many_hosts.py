@@ -55,6 +55,7 @@ def test_workers_that_share_only_object_storage_and_one_is_killed(s3, place, hos
     assert not list((tmp_path / "driver").rglob("decompose/*/*/table.parquet"))
 
 
+@pytest.mark.faults
 def test_a_killed_command_is_followed_by_another_host_and_resumed(s3, place, hosts, finished):
     out = s3.url()
     killed = hosts.run("killed", place, out, "--workers", "0")
@@ -72,6 +73,7 @@ def test_a_killed_command_is_followed_by_another_host_and_resumed(s3, place, hos
     assert not [k for k in s3.keys(out) if k.startswith("store/staging")]
 
 
+@pytest.mark.faults
 def test_of_two_runs_started_together_one_is_refused(s3, place, hosts, finished):
     out = s3.url()
     runs = [hosts.run(name, place, out, "--workers", "0") for name in ("one", "two")]
@@ -84,6 +86,7 @@ def test_of_two_runs_started_together_one_is_refused(s3, place, hosts, finished)
     assert s3.delivered(out) == delivered(finished[0])
 
 
+@pytest.mark.faults
 def test_a_command_that_slept_finds_its_lock_taken_and_commits_nothing_more(s3, place, hosts, finished):
     """Stopped for longer than `store.dead`; another process follows it as one of another host would."""
     out = s3.url()

@@ -143,6 +143,7 @@ def test_a_simulated_survey_is_refused_there(s3, host):
     assert "simulated survey cannot lie on object storage" in ended.stderr
 
 
+@pytest.mark.faults
 @pytest.mark.slow
 def test_a_run_in_trouble_all_the_way_delivers_the_same_bytes(s3, stored, finished, host):
     out = s3.url()
@@ -166,6 +167,7 @@ def test_a_run_in_trouble_all_the_way_delivers_the_same_bytes(s3, stored, finish
     assert s3.delivered(out) == delivered(finished[0])
 
 
+@pytest.mark.faults
 @pytest.mark.slow
 def test_a_store_that_stops_answering_ends_in_words(s3, stored, host):
     out, patient = s3.url(), quick(patience=0.5)

@@ -83,7 +83,7 @@ EDGE = Box(512041, 5403010, 512047, 5403017)
 """Just east of a tile's edge, in reach of its western neighbour alone."""
 
 
-@pytest.mark.parametrize("box", [INNER, EDGE], ids=["inside", "at an edge"])
+@pytest.mark.parametrize("box", [pytest.param(INNER, marks=pytest.mark.slow), EDGE], ids=["inside", "at an edge"])
 def test_an_added_strip_touches_its_tiles_and_their_halos_only(first, tmp_path, box):
     computed, road, before = again(first, tmp_path, lambda d: cut(d / "strip_02.las", d / "strip_05.las", box, 12.0))
     own = touching(box)

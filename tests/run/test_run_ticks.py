@@ -58,6 +58,7 @@ def test_cron_waits_for_its_first_tick_and_runs_once_a_night():
     assert [m.wall for m in ran] == [at(f"2026-01-{d}T03:00") for d in (11, 12, 13)]
 
 
+@pytest.mark.faults
 def test_a_clock_set_forwards_runs_once():
     ticks = nightly("2026-01-10T02:00")
     ran, ticks = walk(ticks, [Now(at("2026-01-10T02:30"), 0.0), Now(at("2026-01-20T10:00"), 5.0)])
@@ -65,6 +66,7 @@ def test_a_clock_set_forwards_runs_once():
     assert ticks.next == at("2026-01-21T03:00")
 
 
+@pytest.mark.faults
 def test_a_clock_set_back_repeats_no_tick():
     ticks = nightly("2026-01-10T02:00")
     ran, ticks = walk(ticks, [Now(at("2026-01-10T03:00") + 0.2, 0.0)])

@@ -46,6 +46,7 @@ def test_a_conditional_write_is_won_once(objects: Objects) -> None:
         objects.put_over("gone", b"c", first)
 
 
+@pytest.mark.faults
 def test_a_conditional_write_whose_answer_is_lost_is_still_won(s3: Server, objects: Objects) -> None:
     def put(method: str, path: str) -> bool:
         return method == "PUT"
@@ -57,6 +58,7 @@ def test_a_conditional_write_whose_answer_is_lost_is_still_won(s3: Server, objec
     assert objects.get("receipt")[0] == b"mine too"
 
 
+@pytest.mark.faults
 @pytest.mark.parametrize("kind", ["busy", "torn", "slow"])
 def test_a_server_in_trouble_for_a_while_is_waited_for(
     s3: Server, objects: Objects, kind: str, tmp_path: Path
@@ -70,6 +72,7 @@ def test_a_server_in_trouble_for_a_while_is_waited_for(
     assert (tmp_path / "a").read_bytes() == data
 
 
+@pytest.mark.faults
 def test_a_server_that_stays_in_trouble_is_named(s3: Server) -> None:
     url = s3.url()
     objects = Objects(url, quick(patience=0.5))
@@ -80,6 +83,7 @@ def test_a_server_that_stays_in_trouble_is_named(s3: Server) -> None:
     assert "AWS_ENDPOINT_URL" in str(told.value)
 
 
+@pytest.mark.faults
 def test_a_request_that_hangs_is_given_up(s3: Server) -> None:
     objects = Objects(s3.url(), quick(timeout=0.3, patience=0.5))
     with s3.trouble(Trouble("slow", 100, seconds=1.5)), pytest.raises(StoreError, match="does not answer"):

@@ -86,6 +86,7 @@ def test_a_part_that_breaks_leaves_the_older_one(s3, remote):
     assert s3.read(remote.url) == before
 
 
+@pytest.mark.faults
 def test_an_upload_that_is_torn_is_no_part_and_is_swept(s3, remote):
     remote = Remote(remote.url, quick(patience=0.2))
 
@@ -118,6 +119,7 @@ def test_the_sweep_keeps_what_a_receipt_names(s3, remote):
     assert RemoteStore.at(remote).done("stage", "1_2", "k1") == receipt
 
 
+@pytest.mark.faults
 def test_two_who_make_a_part_at_once_do_not_mix(remote):
     """The second finds another receipt than before its work: the same part made by a twin is taken, another refused."""
     slow = RemoteStore.at(remote)
@@ -135,6 +137,7 @@ def test_two_who_make_a_part_at_once_do_not_mix(remote):
     assert RemoteStore.at(remote).path("stage", "1_2", "a.txt").read_text() == "another text"
 
 
+@pytest.mark.faults
 def test_objects_that_are_gone_or_changed_are_no_part(s3, remote, monkeypatch, tmp_path):
     receipt = commit(remote, "k1", "abc")
     [key] = [k for k in s3.read(remote.url) if k.endswith("a.txt")]
@@ -172,6 +175,7 @@ def test_a_receipt_that_leads_out_of_its_part_is_refused(s3, remote):
         RemoteStore.at(remote).receipt("stage", "1_2")
 
 
+@pytest.mark.faults
 def test_a_run_that_lost_its_lock_commits_nothing(s3, remote):
     s3.write(remote.url / "store/lock", json.dumps({"host": "other", "pid": 1, "token": "theirs"}).encode())
     with pytest.raises(LostRace, match="lost its lock"):

@@ -58,6 +58,7 @@ def test_a_second_writer_is_told_who_the_first_is(objects: Objects) -> None:
         pass
 
 
+@pytest.mark.faults
 def test_of_several_who_start_together_one_writes(objects: Objects) -> None:
     won, lost, go = [], [], threading.Event()
 
@@ -79,6 +80,7 @@ def test_of_several_who_start_together_one_writes(objects: Objects) -> None:
     assert (len(won), len(lost)) == (1, 4)
 
 
+@pytest.mark.faults
 def test_a_silent_holder_of_another_host_is_waited_for_and_then_followed(objects: Objects) -> None:
     strange(objects)
     said: list[str] = []
@@ -89,6 +91,7 @@ def test_a_silent_holder_of_another_host_is_waited_for_and_then_followed(objects
     assert "process 7 of other" in said[0]
 
 
+@pytest.mark.faults
 def test_a_killed_holder_of_this_host_is_followed_at_once(objects: Objects, tmp_path) -> None:
     script = tmp_path / "holder.py"
     script.write_text(HOLDER)
@@ -108,6 +111,7 @@ def test_a_killed_holder_of_this_host_is_followed_at_once(objects: Objects, tmp_
     assert "is gone" in said[0]
 
 
+@pytest.mark.faults
 def test_a_holder_whose_lock_was_taken_stops(objects: Objects) -> None:
     with remote_writer(objects, quiet) as (_, beat):
         strange(objects)
@@ -119,6 +123,7 @@ def test_a_holder_whose_lock_was_taken_stops(objects: Objects) -> None:
     assert json.loads(objects.get(LOCK)[0])["host"] == "other"  # the thief's lock is not given back
 
 
+@pytest.mark.faults
 def test_a_holder_keeps_its_lock_through_trouble(s3: Server, objects: Objects) -> None:
     with remote_writer(objects, quiet) as (token, beat):
         with s3.trouble(Trouble("busy", 6, lambda method, path: path.endswith(LOCK))):
