@@ -40,7 +40,8 @@ def main(directory: Path) -> None:
     plan = planned(config, facts, 64, Room(64 * 16_000.0, 1e15))
     paths = deliver(plan, directory)
     told = {
-        "cpu_seconds": time.process_time(), "seconds": time.perf_counter() - began, "tiles": plan.tiles.number, "points": float(plan.counts.points.sum()),
+        "cpu_seconds": time.process_time(), "seconds": time.perf_counter() - began,
+        "tiles": plan.tiles.number, "points": float(plan.counts.points.sum()),
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "fits": plan.fits,
         "bytes": [p.stat().st_size for p in paths],
     }  # fmt: skip
