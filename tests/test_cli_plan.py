@@ -77,6 +77,23 @@ def test_wrong_words_are_told(conf: Path, tmp_path: Path) -> None:
     assert gone.returncode == 1 and "no file matches" in gone.stderr and not (tmp_path / "r").exists()
     unknown = fwclass("plan", conf, "--set", "plan.stages.tile.eech=3")
     assert unknown.returncode == 2 and "unknown key plan.stages.tile.eech" in unknown.stderr
+    for words, told in (
+        ("survey.features=[foo]", "'foo' is not a feature"),
+        ("areas.train=[[900,900,910,910]]", "no training area lies on the survey"),
+    ):
+        refused = fwclass("plan", conf, "--set", words, "--out", tmp_path / "r")
+        assert refused.returncode == 2 and told in refused.stderr and not (tmp_path / "r").exists()
+
+
+@pytest.mark.parametrize("command", ["plan", "run", "status"])
+def test_every_file_that_cannot_be_used_is_named(conf: Path, tmp_path: Path, command: str) -> None:
+    whole = (tmp_path / "a.las").read_bytes()
+    (tmp_path / "b.las").write_bytes(whole[:-30])
+    (tmp_path / "c.las").write_bytes(b"PK\3\4")
+    settings = ("--set", "survey.sources=['*.las']", "--out", tmp_path / "r")
+    ended = fwclass(command, conf, *settings)
+    assert ended.returncode == 1 and "2 of 3 source files cannot be used" in ended.stderr
+    assert "b.las: the file is cut short" in ended.stderr and "c.las: " in ended.stderr
 
 
 def test_a_survey_still_to_be_simulated_is_planned_but_not_tried(tmp_path: Path) -> None:

@@ -293,6 +293,17 @@ def test_what_cannot_be_scheduled(survey):
         (("--inbox", survey / "none"), "the inbox is no directory"),
         (("--inbox", survey / "data" / "strips"), "where the survey looks"),
         (("--every", "1h", "--workflow", "nonsense"), "no such workflow"),
+        (
+            (
+                "--every",
+                "1h",
+                "--set",
+                "schedule.webhook=http://h/x",
+                "--set",
+                "schedule.webhook_token_env=NOT_SET_HERE",
+            ),
+            "NOT_SET_HERE is not set",
+        ),
     ):
         done = fwclass("schedule", conf, "--out", survey / "r", *words)
         assert done.returncode == 2 and told in done.stderr, done.stderr

@@ -144,6 +144,8 @@ def test_what_cannot_be_told(copy, tmp_path):
     assert fwclass("status", "nowhere.yaml").returncode == 2
     ended = fwclass("status", copy / "c.yaml", "--out", copy / "r", "--workflow", "xiong2018")
     assert ended.returncode == 2 and "as it goes" in ended.stderr
+    ended = fwclass("status", tmp_path / "none")
+    assert ended.returncode == 2 and "no such run directory" in ended.stderr
     ended = fwclass("status", copy / "c.yaml", "--out", tmp_path / "none")
     assert ended.returncode == 3 and "index/13507 is missing" in ended.stdout
     assert not (tmp_path / "none").exists()
@@ -153,6 +155,7 @@ def test_what_cannot_be_told(copy, tmp_path):
     ("words", "rc", "told"),
     [
         (("--tiles", "../x"), 2, "not a tile key"),
+        (("--tiles", ""), 2, "no tile is named"),
         (("--aoi", "nowhere.gpkg"), 2, "no such file"),
         (("--aoi", "broken.geojson"), 1, "cannot be read"),
         (("--aoi", "empty.geojson"), 1, "has no polygon"),

@@ -29,13 +29,19 @@ def classification(config: Config, road: Road, tiles: frozenset[str] | Area | No
     `tiles`: deliver only these tiles, or those in an area; what they need (their neighbours' echoes, the training
     areas) is made too, so that they come out as in a whole run.
     """
+    names, model = features_of(config)
+    tiled = until_tiles(config, road, names)
+    keys = tiles.tiles(tiled.layout, tiled.survey.crs) if isinstance(tiles, Area) else tiles
+    return from_tiles(config, road, tiled, names, until_labels(tiled, (*names, *config.features.also)), model, keys)
+
+
+def features_of(config: Config) -> tuple[tuple[str, ...], tuple[Place, str] | None]:
+    """Names of the features that will be decided by, and the model that is given; `ConfigError` for what is none."""
     model = given_model(config)
     names = load_model(local(model[0])).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features")
     check_features(config, config.features.also, f"{config.path}: features.also")
-    tiled = until_tiles(config, road, names)
-    keys = tiles.tiles(tiled.layout, tiled.survey.crs) if isinstance(tiles, Area) else tiles
-    return from_tiles(config, road, tiled, names, until_labels(tiled, (*names, *config.features.also)), model, keys)
+    return names, model
 
 
 def from_tiles(

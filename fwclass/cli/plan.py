@@ -39,12 +39,17 @@ def plan(
     from fwclass.run.planning.text import describe
     from fwclass.run.planning.whole import as_json as plain
     from fwclass.run.planning.whole import planned
+    from fwclass.run.survey import check_areas
+    from workflows.classification import features_of
 
     config = configuration.load(conf, settings)
     root = out if out is not None else Path("runs") / config.survey.name
     check_free(root, overwrite)
     number = config.run.workers if workers is None else workers
-    made = planned(config, survey_facts(config, root), number, room_at(root))
+    features_of(config)
+    facts = survey_facts(config, root)
+    check_areas(config, facts.box)
+    made = planned(config, facts, number, room_at(root))
     if count is not None:
         made = _dry_run(made, count, root)
     paths = deliver(made, root)

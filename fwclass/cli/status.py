@@ -24,8 +24,12 @@ def chosen(tiles: str | None, aoi: Path | None) -> frozenset[str] | Path | None:
         raise ConfigError("tiles are chosen twice", where="--tiles, --aoi", do="leave one of them out")
     if aoi is not None and not aoi.is_file():
         raise ConfigError("there is no such file", where="--aoi", expected="a file of polygons", got=aoi)
-    if not tiles:
+    if tiles is None:
         return aoi
+    if not tiles.strip(" ,"):
+        raise ConfigError(
+            "no tile is named", where="--tiles", expected="keys, as in 12_34,12_35", do="leave it out for all"
+        )
     from fwclass.grid import TileGrid
 
     keys = frozenset(t.strip() for t in tiles.split(","))

@@ -52,15 +52,17 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         request.keep(road.store)
         road.fail_fast = how.fail_fast
         entry.begin(road)
+        report: Any = None
         try:
             report = WORKFLOWS[request.workflow](config, road, request.wanted)
-        except FwclassError:
-            if (road.pending / REPORT).exists():  # what came after the delivery has failed
+            made = road.publish(config.run.keep_generations)
+        except (FwclassError, OSError) as fault:
+            after = report is None and isinstance(fault, FwclassError)
+            if after and (road.pending / REPORT).exists():  # what came after the delivery has failed
                 entry.generation = road.publish(config.run.keep_generations).number
             if road.failures:
                 tell_failures(road.failures, request)
             raise
-        made = road.publish(config.run.keep_generations)
         entry.generation = made.number
         failures = road.failures
         shown = road.store.generations.current()
@@ -68,6 +70,10 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     click.echo(summary(report, made.where if aside or isinstance(root, str) else root), err=True)
     if aside and shown is not None:
         click.echo(f"generation  {made.name} is not whole and lies aside; {root} still shows {shown.name}", err=True)
+    elif not made.whole and failures:
+        click.echo(
+            f"generation  {made.name} is not whole: parts failed; it is shown, as no whole one is there", err=True
+        )
     if performance is not None:
         click.echo(f"dask report {performance}", err=True)
     if failures:

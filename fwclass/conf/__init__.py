@@ -130,11 +130,18 @@ def _explain(name: str, model: type[BaseModel], error: Any) -> str:
         return f"{key} is missing"
     if error["type"] == "value_error" and isinstance(error["input"], Mapping):
         return f"{key}: {error['msg'].removeprefix('Value error, ')}"  # several keys that do not fit one another
-    wanted = _WANTED.get(error["type"].split("_")[0], error["msg"].removeprefix("Value error, "))
+    kind = "" if error["type"] in _RULES else error["type"].split("_")[0]
+    wanted = _RULES.get(error["type"]) or _WANTED.get(kind, error["msg"].removeprefix("Value error, "))
     if name == "schedule" and error["loc"] and error["loc"][0] in SECRET:
         return f"{key}: {wanted}"
     return f"{key}: {wanted} (got {str(error['input'])[:80]!r})"
 
+
+_RULES = {
+    "too_short": "at least one is wanted", "string_too_short": "a text that is not empty is wanted",
+    "string_pattern_mismatch": "a name of letters and digits is wanted, with no more than `_`, `-` and `.` in it",
+}  # fmt: skip
+"""What to say where the kind is right and the value is not."""
 
 _WANTED = {
     "tuple": "a list is wanted, as in [a, b]",

@@ -13,7 +13,6 @@ from fwclass import __version__
 from fwclass.assess.stage import caution
 from fwclass.conf import Config
 from fwclass.grid import Window
-from fwclass.publish.report import render_report
 from fwclass.run.desk import Desk
 from fwclass.run.plan.layout import Layout, Survey
 from fwclass.run.road import Road, Tally
@@ -26,6 +25,12 @@ from fwclass.store.receipts import Receipt
 from fwclass.store.url import Url
 
 REPORT, PAGE = "report.json", "report.html"
+
+SOURCES = ("index", "read", "pulse", "decompose", "split")
+"""Stages whose failed parts leave tiles without some of their echoes."""
+
+SHOWN = 4
+"""Chunks that are named of those that failed."""
 
 MAP_CELLS = 4_000_000
 """A map is drawn only up to this many cells; a larger survey has the rasters."""
@@ -40,6 +45,8 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
     standing = _standing(config, road)
     if standing is not None:
         return standing
+    from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
+
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
@@ -270,6 +277,10 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     counts = report["counts"]
     made, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
     balance = "all of them in tiles" if made == kept else f"{kept:,} of them in the tiles of this run"
+    lost = sorted({f["part"] for f in report["failed"] if f["stage"] in SOURCES})
+    if lost:
+        more = f" and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
+        balance += f", without those of chunks that failed: {', '.join(lost[:SHOWN])}{more}"
     source = f"{counts['pulses']:,} pulses" if counts["pulses"] else f"{counts['returns']:,} returns"
     rows = [f"echoes      {made:,} from {source}, {balance} ({counts['tiles']} tiles)"]
     if counts["returns_without_packet"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,10 @@ def _trajectory(params: SimulateParams, prefix: str, desk: Desk, directory: Path
     (directory / prefix).mkdir(parents=True, exist_ok=True)
     write_trajectory(params, directory / prefix)
     return {}
+
+
+BAD_FILES = 20
+"""Files that cannot be used that are named."""
 
 
 def simulate_tasks(params: SimulateParams, prefix: str) -> list[Task]:
@@ -111,9 +115,7 @@ def gather(config: Config, road: Road) -> Survey:
     directory = directory_of(config, road.root)
     digests = Digests(road.store)
     places = found_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = [open_source(local(p)) for p in places]
-    for source in opened:
-        check_source(source, config.read)
+    opened = opened_all(places, config)
     _distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]
     if not full:
@@ -130,7 +132,7 @@ def gather(config: Config, road: Road) -> Survey:
     )
     _different(strips)
     box = joint_bounds([_true_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records])
-    _check_areas(config, box)
+    check_areas(config, box)
     standard = all(s.standard_gps_time for s in opened)
     flown = found_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
     _distinct([local(p) for p in flown])
@@ -140,6 +142,29 @@ def gather(config: Config, road: Road) -> Survey:
     clouds = reference_clouds(config, directory, digests, box)
     digests.save()
     return Survey(strips, clouds, crs, standard, trajectory, polygons)
+
+
+def opened_all(places: Sequence[Place], config: Config) -> list[Source]:
+    """Every source, opened and checked; `InputError` naming all that cannot be used."""
+    opened, faults = [], []
+    for place in places:
+        try:
+            source = open_source(local(place))
+            check_source(source, config.read)
+            opened.append(source)
+        except InputError as fault:
+            faults.append(fault)
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        told = [f"{Path(f.where).name}: {f.what}{f', {f.got}' if f.got else ''}" for f in faults[:BAD_FILES]]
+        told += [f"and {len(faults) - BAD_FILES} more"] if len(faults) > BAD_FILES else []
+        raise InputError(
+            f"{len(faults)} of {len(places)} source files cannot be used", where=f"{config.path}: survey.sources",
+            got="\n    ".join(["", *told]),
+            do="get them again, or take them out of the survey's directory (`fwclass info` tells all of each)",
+        )  # fmt: skip
+    return opened
 
 
 def _here(place: Place, source: Source) -> Source:
@@ -270,7 +295,8 @@ def given_crs(text: str | None, where: str) -> CRS | None:
         ) from fault
 
 
-def _check_areas(config: Config, box: Box) -> None:
+def check_areas(config: Config, box: Box) -> None:
+    """`ConfigError` where no training or test area touches `box`, or nothing would be left to test on."""
     if config.survey.model is not None and config.survey.reference.kind == "none":
         return  # nothing is trained and nothing assessed
     for kind in ("train", "test"):

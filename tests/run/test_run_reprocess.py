@@ -117,9 +117,12 @@ def test_a_changed_strip_changes_where_it_changed(first, tmp_path):
 
 
 def test_a_removed_strip_leaves_nothing(first, tmp_path):
-    computed, road, _ = again(first, tmp_path, lambda d: (d / "strip_09.las").unlink())
+    computed, road, before = again(first, tmp_path, lambda d: (d / "strip_09.las").unlink())
     own = touching(Box(512082, 5403082, 512090, 5403090))
     assert computed["tile"] == own and "read" not in computed and "index" not in computed
+    for tile in own:
+        told = " ".join(r.text for r in before.states["tile", tile].reasons)
+        assert "is no longer read (strip_09.las)" in told, told
     assert not (road.root / "laz" / "strips" / "strip_09.laz").exists()
     assert not (road.root / "store" / "read" / "00009-00000").exists()
     strips = {s for p in (road.root / "parquet").glob("*.parquet") for s in pq.read_table(p)["strip"].to_pylist()}

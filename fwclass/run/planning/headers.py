@@ -14,12 +14,11 @@ from fwclass.grid import Box
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
 from fwclass.read.source import PulseSource, Source, open_source
-from fwclass.read.stage import check_source
 from fwclass.run.files import found_files
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.road import Road
-from fwclass.run.survey import common_crs, directory_of
+from fwclass.run.survey import common_crs, directory_of, opened_all
 from fwclass.simulate.params import SimulateParams
 from fwclass.store.outside import local
 
@@ -109,9 +108,7 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
     if config.simulate is not None and isinstance(directory, Path) and not any(directory.glob("strips/*")):
         return simulated_facts(config)
     places = found_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = [open_source(local(p)) for p in places]
-    for source in opened:
-        check_source(source, config.read)
+    opened = opened_all(places, config)
     full = [s for s in opened if s.n_records]
     if not full:
         raise InputError(

@@ -27,6 +27,14 @@ from fwclass.store import history
 from fwclass.store.lock import SCHEDULE, holder, writer
 
 
+def span(seconds: float | None) -> str | None:
+    """An interval as a user types it."""
+    if seconds is None:
+        return None
+    unit, size = next(((u, s) for u, s in (("d", 86400), ("h", 3600), ("m", 60)) if seconds % s == 0), ("s", 1))
+    return f"{seconds / size:g}{unit}"
+
+
 @dataclass(frozen=True)
 class Order:
     """A run that is due: why, and what is delivered before it begins."""
@@ -62,7 +70,7 @@ class Schedule:
         Raises
         ------
         ConfigError
-            Nothing says when to run, or the inbox cannot be one.
+            Nothing says when to run, the inbox cannot be one, or the webhook's token is not there.
         LockedError
             Another schedule is at work on the run directory.
         """
@@ -71,6 +79,12 @@ class Schedule:
             raise ConfigError(
                 "nothing says when to run", where=f"{self.config.path}: schedule",
                 expected="every, cron or inbox", do="for example: fwclass schedule CONF --every 1h",
+            )  # fmt: skip
+        token = self.config.schedule.webhook_token_env
+        if self.config.schedule.webhook is not None and token is not None and not os.environ.get(token):
+            raise ConfigError(
+                f"the environment variable {token} is not set", where=f"{self.config.path}: schedule.webhook_token_env",
+                expected="the token for the webhook", do="set it where the schedule is started, or leave the key out",
             )  # fmt: skip
         with writer(self.root, SCHEDULE), self.signals:
             self._state = State(self.root, rules(self.config), self.config.schedule.heartbeat, self._say)
@@ -85,7 +99,8 @@ class Schedule:
 
     def _go(self) -> int:
         self._say(f"pid {os.getpid()} runs: {self.request.command()}")
-        self._say("when: " + ", ".join(f"{k} {v}" for k, v in rules(self.config).items() if v is not None))
+        when = {**rules(self.config), "every": span(self.config.schedule.every)}
+        self._say("when: " + ", ".join(f"{k} {v}" for k, v in when.items() if v is not None))
         while self.signals.first is None:
             moment = now()
             order = self._due(moment)

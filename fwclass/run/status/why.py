@@ -12,6 +12,9 @@ from fwclass.store.cells import digest_within
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
 
+SOME = 3
+"""Files that are named of those that are no longer read."""
+
 SHOWN = 48
 """Characters of a parameter's value that are shown."""
 
@@ -47,7 +50,9 @@ def reasons(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str
 
 def new_files(task: Task) -> list[Reason]:
     """What a part that was never made reads from outside."""
-    return [Reason(f"nothing of input {file.name} is there", "a file is new") for file in task.external[:1]]
+    return [
+        Reason(f"nothing of input {file.name} is there", "nothing of its input is there") for file in task.external[:1]
+    ]
 
 
 def waiting(waits: Mapping[Name, str]) -> list[Reason]:
@@ -148,9 +153,27 @@ def _of_parts(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, s
         else:
             gone.setdefault(stage, []).append(part)
     found = waiting(late)
-    for groups, text in ((anew, "{} was made anew"), (new, "{} is read now"), (gone, "{} is no longer read")):
+    for groups, text in ((anew, "{} was made anew"), (new, "{} is read now")):
         found += [_about(stage, parts, text) for stage, parts in groups.items()]
+    for stage, parts in gone.items():
+        files = sorted({f for part in parts for f in _files_below((stage, part), store)})
+        told = f" ({', '.join(files[:SOME])}{', …' if len(files) > SOME else ''})" if files else ""
+        about = _about(stage, parts, "{} is no longer read")
+        found.append(Reason(about.text + told, about.kind + told))
     return found
+
+
+def _files_below(name: Name, store: Store, steps: int = 4) -> set[str]:
+    """Files from outside that a part which is no longer read was made of, as far as its receipts are still there."""
+    receipt = store.receipt(*name)
+    if receipt is None or not steps:
+        return set()
+    own = {n for n in receipt.inputs if "/" not in n}
+    stage = {n.split("/", 1)[0] for n in receipt.inputs} - own
+    if own or len(stage) > 2:  # a table of many parts: its own receipt says what it is
+        return own
+    below = [tuple(n.split("/", 1)) for n in receipt.inputs if "/" in n]
+    return set().union(*(_files_below((s, p), store, steps - 1) for s, p in below[:SOME]))
 
 
 def _of_outputs(receipt: Receipt, store: Store) -> list[Reason]:
