@@ -6,17 +6,22 @@ import json
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pyproj
 from numpy.typing import NDArray
 
+from fwclass.later import Later
 from fwclass.publish.files import whole
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Column, Table, column, require
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+else:
+    pa, pq = Later("pyarrow"), Later("pyarrow.parquet")
 
 POINT_Z = np.dtype([("order", "u1"), ("kind", "<u4"), ("x", "<f8"), ("y", "<f8"), ("z", "<f8")])
 """ISO WKB of a point with height: 29 bytes."""

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError
+from fwclass.later import Later
 from fwclass.read.vector import Header
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+else:
+    pa, pq = Later("pyarrow"), Later("pyarrow.parquet")
 
 WITHOUT_CRS = "OGC:CRS84"
 """What a column that does not speak of its CRS is in (GeoParquet 1.1)."""
