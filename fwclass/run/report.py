@@ -70,6 +70,7 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         ],
         "failed": [{"stage": o.stage, "part": o.part, "message": o.message} for o in road.failures],
         "config": _plain(config.raw),
+        "whole": road.whole,
         "seconds": round(max((t.ended for t in road.tallies.values()), default=0.0) - road.began, 3),
     }
     write_json(road.pending / REPORT, report)
@@ -85,7 +86,7 @@ def _standing(config: Config, road: Road) -> dict[str, Any] | None:
     if report is None or page is None:
         return None
     found = read_json(report)
-    if found.get("config") != _plain(config.raw) or found.get("failed"):
+    if found.get("config") != _plain(config.raw) or found.get("failed") or found.get("outputs") != _outputs(road):
         return None
     for path in (report, page):
         link(path, road.pending / path.name)
@@ -300,7 +301,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             + f" on {accuracy['area']}"
         )
     elif report["training"]:
-        rows.append("accuracy    unknown: no labelled echo lies in a test area (areas.test, areas.gap)")
+        none = "unknown: no labelled echo lies in a test area (areas.test, areas.gap)"
+        rows.append(f"accuracy    {none if report['whole'] else 'not assessed: not all of the survey is made'}")
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
     rows += [f"{kind:<11} {root / kind}  ({len(names)} files)" for kind, names in report["outputs"].items() if names]
     rows.append(f"report      {root / 'report.html'}")

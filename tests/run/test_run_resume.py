@@ -70,6 +70,14 @@ def test_a_model_of_another_run_classifies_without_labels(survey, finished, tmp_
         walk(survey, tmp_path / "run", f"survey.model={tmp_path / 'bad'}")
 
 
+def test_chosen_tiles_of_a_finished_run_are_reported_alone(survey, finished, copy):
+    key = sorted(n for n in delivered(finished[0]) if n.startswith("parquet/"))[0].split("/")[1].split(".")[0]
+    road, report = walk(survey, copy, tiles=frozenset({key}))
+    assert statuses(road)["publish-tile"] == {"skipped"} and not report["whole"]
+    assert report["outputs"]["laz"] == [f"laz/tiles/{key}.laz"] and not report["outputs"]["rasters"]
+    assert delivered(copy) == delivered(finished[0])  # it lies aside
+
+
 def test_chosen_tiles_come_out_as_in_a_whole_run(survey, finished, tmp_path):
     whole = delivered(finished[0])
     key = sorted(n for n in whole if n.startswith("parquet/"))[0].split("/")[1].split(".")[0]

@@ -104,7 +104,7 @@ def test_a_part_made_anew_a_new_one_and_one_that_is_gone(tmp_path):
     other = Task("one", "b", 1, {}, written("b"))
     made(tmp_path, other)
     read = Task("two", "a", 1, {}, written("y"), needs=(("one", "b"),))
-    assert seen(tmp_path, other, read)["two/a"] == ("stale", ["one/b is read now", "one/a is no longer read"])
+    assert seen(tmp_path, other, read)["two/a"] == ("stale", ["one/b is read now", "one/a is no longer read (a.las)"])
 
 
 def test_a_lost_and_a_cut_file(tmp_path):
