@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 SCRIPT = """
-import sys, time
+import signal, sys, time
 from functools import partial
 from pathlib import Path
 
@@ -26,6 +26,7 @@ def slow(desk, directory):
 
 if __name__ == "__main__":
     root = Path(sys.argv[1])
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job is begun without it
     try:
         with Cluster(None, 2, 1.0, 1000) as cluster:
             list(cluster.run(root, [Task("slow", "all", 1, {}, partial(slow))]))

@@ -252,6 +252,7 @@ def test_a_system_that_is_given_stands_for_the_file_s_own(survey, drawn, squares
     np.testing.assert_array_equal(echoes["reference"], squares[1]["reference"])
 
 
+@pytest.mark.slow
 def test_a_class_that_no_polygon_has_is_told_with_the_codes_that_are_there(survey, drawn, tmp_path):
     drawn[drawn["code"] != 64].to_parquet(tmp_path / "three.parquet")
     road, report = walk(survey, tmp_path / "run", asked(tmp_path / "three.parquet"), *FAST)
@@ -260,6 +261,7 @@ def test_a_class_that_no_polygon_has_is_told_with_the_codes_that_are_there(surve
     assert (tmp_path / "run" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_cloud_whose_codes_no_class_counts_is_told(survey, tmp_path):
     classes = "survey.classes=[{name: water, code: 9, codes: [9]}, {name: road, code: 11, codes: [11]}]"
     road, report = walk(survey, tmp_path, classes, *FAST)
@@ -274,6 +276,7 @@ def test_a_test_area_in_a_training_area_leaves_nothing_to_test(survey, tmp_path)
     assert isinstance(fault, ConfigError) and "nothing is left to test on" in str(fault) and "5 m" in str(fault)
 
 
+@pytest.mark.slow
 def test_one_training_row_of_a_class_works_and_is_told(survey, drawn, squares, tmp_path):
     echoes = squares[1]
     inside = (echoes["x"] < 512055) & (echoes["reference"] == 2)

@@ -57,6 +57,7 @@ def words(place: Url, out: Url) -> list[str]:
     return ["demo", "--out", out, *(w for s in settings for w in ("--set", s))]
 
 
+@pytest.mark.slow
 def test_a_run_on_object_storage_delivers_the_bytes_of_one_on_a_disk(s3, stored, finished, host):
     """And another host makes nothing again, and programs read what is current as the manual says."""
     place, out = stored

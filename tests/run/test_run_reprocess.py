@@ -102,6 +102,7 @@ def test_an_added_strip_touches_its_tiles_and_their_halos_only(first, tmp_path, 
         assert computed["features"] == own
 
 
+@pytest.mark.slow
 def test_a_changed_strip_changes_where_it_changed(first, tmp_path):
     """A redelivered file of the same name: only tiles in which its points differ."""
 
