@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import io
 import sys
 
@@ -32,7 +31,6 @@ __all__ = [
 
 def main() -> None:
     """Entry point: faults of data and configuration are told in words, without a traceback."""
-    gc.set_threshold(50_000, 20, 20)  # modules and receipts are no garbage: looking for it takes a tenth of a short run
     try:
         cli(standalone_mode=False)
     except click.exceptions.Exit as end:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, PATH, RUN, SET, cli
+from fwclass.cli.base import JSON, PATH, RUN, SET, cli, little_garbage
 from fwclass.cli.road import open_road, tell_failures
 from fwclass.errors import PARTIAL, ConfigError, nearest
 
@@ -121,6 +121,7 @@ def status(
     A run directory is looked at as its last `fwclass run` was asked for; a configuration with the words given here.
     Exit code 0 if all is done (and, with --verify, undamaged), 3 if not.
     """
+    little_garbage()
     from fwclass import conf as configuration
     from fwclass.run.request import Request
     from fwclass.store.home import held_by, home_of, open_store

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import PATH, RUN, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import PATH, RUN, SCHEDULER, SET, WORKERS, cli, little_garbage
 from fwclass.cli.road import open_road, report_path, tell_failures
 from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, out_directory, requested
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
@@ -29,6 +29,7 @@ def _run(
     conf: Path, out: Any, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str,
     how: How,
 ) -> None:  # fmt: skip
+    little_garbage()
     config, request = requested(conf, out, settings, workflow, tiles)
     root = out_directory(out, config)
     count = config.run.workers if how.workers is None else how.workers
