@@ -60,7 +60,7 @@ def _at_worker(version: str, home: Home, task: Task, upstream: Iterable[Outcome]
     """A part, on whatever host the scheduler has chosen; its outcome is told under `topic` too, which asks nobody."""
     worker = get_worker()
     outcome = _made(worker, version, home, task, upstream, split)
-    worker.log_event(topic, {"key": worker.get_current_task(), **asdict(outcome)})
+    worker.log_event(topic, {"key": worker.get_current_task(), "outcome": asdict(outcome)})
     return outcome
 
 
@@ -229,9 +229,8 @@ class Cluster:
         )  # fmt: skip
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
-        told = dict(event[1])
-        key = told.pop("key")
-        self._heard[key] = Outcome(**{**told, "lost": tuple(told["lost"])})
+        told = event[1]["outcome"]
+        self._heard[event[1]["key"]] = Outcome(**{**told, "lost": tuple(told["lost"])})
 
     def outcome(self, future: Future) -> Outcome:
         """Of a part that has ended: what its worker told, or else what the scheduler finds; any fault of that."""

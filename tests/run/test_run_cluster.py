@@ -1,4 +1,4 @@
-"""Workers on this machine: Ctrl-C, which a terminal sends to them too, is the command's alone."""
+"""Workers on this machine: Ctrl-C, which a terminal sends to them too, is the command's alone; outcomes are told."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
+
+from fwclass.run.cluster import Cluster
+from fwclass.run.part import Task
 
 SCRIPT = """
 import signal, sys, time
@@ -53,3 +57,21 @@ def test_ctrl_c_ends_the_workers_without_a_word_of_theirs(tmp_path: Path) -> Non
             if begun.poll() is None:
                 os.killpg(begun.pid, signal.SIGKILL)
     assert (tmp_path / "told").read_text() == "interrupted\n"
+
+
+def test_outcomes_are_heard_and_not_asked_for(tmp_path: Path) -> None:
+    asked = []
+
+    class Listening(Cluster):
+        def outcome(self, future):
+            asked.append(future.key not in self._heard)
+            return super().outcome(future)
+
+    with Listening(None, 2, 1.0, 1000) as cluster:
+        tasks = [Task("quick", str(k), 1, {}, partial(quick)) for k in range(20)]
+        assert [o.status for o in cluster.run(tmp_path, tasks)] == ["computed"] * 20
+    assert asked == [False] * 20
+
+
+def quick(desk: object, directory: Path) -> dict[str, object]:
+    return {}
