@@ -27,7 +27,7 @@ from fwclass.store import history
 from fwclass.store.lock import SCHEDULE, holder, writer
 
 
-def span(seconds: float | None) -> str | None:
+def as_typed(seconds: float | None) -> str | None:
     """An interval as a user types it."""
     if seconds is None:
         return None
@@ -99,7 +99,7 @@ class Schedule:
 
     def _go(self) -> int:
         self._say(f"pid {os.getpid()} runs: {self.request.command()}")
-        when = {**rules(self.config), "every": span(self.config.schedule.every)}
+        when = {**rules(self.config), "every": as_typed(self.config.schedule.every)}
         self._say("when: " + ", ".join(f"{k} {v}" for k, v in when.items() if v is not None))
         while self.signals.first is None:
             moment = now()

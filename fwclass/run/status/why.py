@@ -169,8 +169,8 @@ def _files_below(name: Name, store: Store, steps: int = 4) -> set[str]:
     if receipt is None or not steps:
         return set()
     own = {n for n in receipt.inputs if "/" not in n}
-    stage = {n.split("/", 1)[0] for n in receipt.inputs} - own
-    if own or len(stage) > 2:  # a table of many parts: its own receipt says what it is
+    stages = {n.split("/", 1)[0] for n in receipt.inputs} - own
+    if own or len(stages) > 2:  # a table of many parts: its own receipt says what it is
         return own
     below = [tuple(n.split("/", 1)) for n in receipt.inputs if "/" in n]
     return set().union(*(_files_below((s, p), store, steps - 1) for s, p in below[:SOME]))
