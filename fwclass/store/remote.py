@@ -20,7 +20,7 @@ from fwclass.store.receipts import Receipt, digest_of_outputs
 from fwclass.store.refusals import LostRace
 from fwclass.store.remote_lock import LOCK
 from fwclass.store.remote_read import RECEIPT, RemoteReader, key_of_receipt, unit_of
-from fwclass.store.run_store import _peak_mib
+from fwclass.store.run_store import peak_mib
 
 _kept: set[tuple[str, str]] = set()
 """Parameters that this process has written: (address, digest)."""
@@ -55,7 +55,7 @@ class RemoteStore(RemoteReader):
             }
             receipt = Receipt(
                 stage=stage, part=part, key=key, inputs=dict(inputs), outputs=outputs, place=place,
-                meta=meta, digest=digest_of_outputs(outputs, meta), peak_mib=round(_peak_mib(), 1), version=version,
+                meta=meta, digest=digest_of_outputs(outputs, meta), peak_mib=round(peak_mib(), 1), version=version,
                 params=self._keep_params(params),
             )  # fmt: skip
             self._upload(receipt, directory)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import stat
 import time
@@ -183,7 +184,7 @@ class Store:
             stage=stage, part=part, key=key, inputs=dict(inputs), outputs=outputs, place=place, meta=meta,
             digest=digest_of_outputs(outputs, meta), seconds=round(time.perf_counter() - began, 4),
             keeping=round(time.perf_counter() - worked, 4),
-            peak_mib=round(_peak_mib(), 1), version=version, params=self._keep_params(params),
+            peak_mib=round(peak_mib(), 1), version=version, params=self._keep_params(params),
         )  # fmt: skip
         write_text(own / "receipt.json", receipt.to_text(), flush=False)  # its seal tells whether it is whole
         self.failures.clear(stage, part)
@@ -353,11 +354,17 @@ def _watched(directory: Path) -> Iterator[Callable[[], None]]:
         os.close(handle)
 
 
-def _peak_mib() -> float:
-    """Highest resident memory of this process so far [MiB]; Windows and others give the present one."""
-    try:
-        import resource
+def peak_mib() -> float:
+    """Highest resident memory of this process so far [MiB]; where the system does not tell, the present one.
 
-        return float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * 1024 / MIB
-    except ImportError:
-        return float(psutil.Process(os.getpid()).memory_info().rss) / MIB
+    Not `getrusage`: a process begins there with the peak of the one that started it, so that the workers of a large
+    program would all look large.
+    """
+    try:
+        told = re.search(r"^VmHWM:\s+(\d+) kB$", Path("/proc/self/status").read_text(), re.MULTILINE)
+    except OSError:
+        told = None
+    if told:
+        return int(told[1]) * 1024 / MIB
+    memory = psutil.Process(os.getpid()).memory_info()
+    return float(getattr(memory, "peak_wset", memory.rss)) / MIB

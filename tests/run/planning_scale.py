@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
 import sys
 import time
 from pathlib import Path
@@ -16,6 +15,7 @@ from fwclass.run.planning.headers import SourceFacts, SurveyFacts
 from fwclass.run.planning.limits import Room
 from fwclass.run.planning.output import deliver
 from fwclass.run.planning.whole import planned
+from fwclass.store.run_store import peak_mib
 
 STRIPS, PIECES, EDGE = 250, 40, 100_000.0
 """Flight lines 400 m apart that overlap by half, in files of 2.5 km."""
@@ -42,7 +42,7 @@ def main(directory: Path) -> None:
     told = {
         "cpu_seconds": time.process_time(), "seconds": time.perf_counter() - began,
         "tiles": plan.tiles.number, "points": float(plan.counts.points.sum()),
-        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "fits": plan.fits,
+        "peak_mib": peak_mib(), "fits": plan.fits,
         "bytes": [p.stat().st_size for p in paths],
     }  # fmt: skip
     sys.stdout.write(json.dumps(told))

@@ -87,10 +87,13 @@ def scheduler(certificates: Path, tmp_path_factory: pytest.TempPathFactory) -> I
             assert answers(port, processes[-1]), (folder / f"{words[0]}.log").read_text()
         yield address
     finally:
-        for process in processes:
+        for process in reversed(processes):  # a worker whose scheduler has gone first looks for it for long
             process.terminate()
-        for process in processes:
-            process.wait(20)
+            try:
+                process.wait(60)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait(60)
 
 
 def simulated(out: Path, address: str, folder: Path | None) -> subprocess.CompletedProcess[str]:
