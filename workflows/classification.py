@@ -63,7 +63,7 @@ def from_tiles(
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, tiles)))
     road.do(tasks)
     road.finish(whole=tiles is None)
-    return write_report(config, road, survey, layout, names)
+    return road.tell(lambda: write_report(config, road, survey, layout, names))
 
 
 def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:

@@ -8,7 +8,7 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.run.papers import fan
-from fwclass.run.papers.begin import beside, features_like, require_whole
+from fwclass.run.papers.begin import features_like, require_whole
 from fwclass.run.papers.page import deliver
 from fwclass.run.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
 from fwclass.run.plan.layout import check_features
@@ -35,7 +35,7 @@ def fan2013(config: Config, road: Road, tiles: frozenset[str] | Area | None = No
     report = from_tiles(config, road, tiled, used, until_labels(tiled, (*used, *config.features.also)))
     if road.failures:
         return report
-    aside = beside(road)
+    aside = road.beside()
     every = replace(config, select=config.select.model_copy(update={"patience": len(names)}))
     curves = {
         "paper": selection(config, aside, names, "forward", order=names),
@@ -45,5 +45,9 @@ def fan2013(config: Config, road: Road, tiles: frozenset[str] | Area | None = No
     made = dict(require_all(road, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants)))
     made |= require_all(road, comparison_tasks(config, fan.comparisons(config, variants)))
     made |= require_all(road, time_tasks(config, names, fan.timed(variants)))
-    facts = fan.facts(config, printed, report, curves, variants, made)
-    return deliver(config, road, tiled.layout, report, facts)
+
+    def page() -> dict[str, Any]:
+        facts = fan.facts(config, printed, report, curves, variants, made)
+        return deliver(config, road, tiled.layout, report, facts)
+
+    return road.tell(page)

@@ -10,7 +10,7 @@ from fwclass.errors import ConfigError, FwclassError, StoreError
 from fwclass.grid import TileGrid
 from fwclass.run.desk import Desk
 from fwclass.run.plan import forest, ground
-from fwclass.run.plan.layout import Layout, check_features
+from fwclass.run.plan.layout import Layout
 from fwclass.run.progress import Display
 from fwclass.run.restrict import Area
 from fwclass.run.shifted.desk import OtherTilesDesk, StripDesk, Tiles
@@ -33,20 +33,21 @@ from fwclass.run.status.look import Look
 from fwclass.run.tasks import Tasks
 from fwclass.run.work.ground import WITHIN
 from fwclass.store import outside
-from fwclass.store.models import load_model
-from workflows.classification import given_model
+from workflows import xiong2018
+from workflows.classification import features_of
 from workflows.echoes import Tiled, until_labels, until_tiles
 
 
 @dataclass(frozen=True)
 class Asked:
     """`shift` of the tiles [m]; `share` of the borders, or `length` of them [m]; `tiles` that the run was restricted to
-    (None: all)."""
+    (None: all), by `workflow`."""
 
     shift: tuple[float, float]
     share: float
     length: float | None
     tiles: frozenset[str] | Area | None
+    workflow: str = "classification"
 
 
 def seams(config: Config, root: Path, asked: Asked, display: Display) -> Found:
@@ -54,7 +55,7 @@ def seams(config: Config, root: Path, asked: Asked, display: Display) -> Found:
     check_idle(root)
     look = Look(root)
     try:
-        plan = _planned(config, look)
+        plan = _planned(config, look, asked.workflow)
     except ConfigError:
         raise
     except FwclassError as fault:
@@ -92,25 +93,28 @@ def seams(config: Config, root: Path, asked: Asked, display: Display) -> Found:
 
 @dataclass(frozen=True)
 class Plan:
-    """A run's parts, looked at."""
+    """A run's parts, looked at: `names` decide, `computed` are the columns that there are."""
 
     tiled: Tiled
     names: tuple[str, ...]
+    computed: tuple[str, ...]
     model: tuple[outside.Place, str] | None
 
     def tasks(self, layout: Layout) -> Tasks:
         """All that `classification` does with the tiles of `layout`, until their classes."""
-        asked = (*self.names, *layout.config.features.also)
-        labelled = until_labels(replace(self.tiled, layout=layout), asked)
+        labelled = until_labels(replace(self.tiled, layout=layout), self.computed)
         return labelled + forest.classify_tasks(layout, self.names, self.model)
 
 
-def _planned(config: Config, look: Look) -> Plan:
-    model = given_model(config)
-    names = load_model(outside.local(model[0])).features if model else config.features_asked
-    check_features(config, names, model[0] if model else f"{config.path}: survey.features")
-    plan = Plan(until_tiles(config, look, names), names, model)
-    layout = plan.tiled.layout
+def _planned(config: Config, look: Look, workflow: str) -> Plan:
+    names, model = features_of(config)
+    computed = (*names, *config.features.also)
+    tiled = until_tiles(config, look, names)
+    if workflow == xiong2018.NAME:
+        _, config = xiong2018.selected(config, look.beside())
+        computed, names = names, config.features_asked
+    layout = replace(tiled.layout, config=config)
+    plan = Plan(replace(tiled, layout=layout), names, computed, model)
     look.do([t for t in plan.tasks(layout) if t.stage != "classify"])
     look.do([] if model else forest.training_tasks(layout))
     look.do(forest.classify_tasks(layout, names, model))

@@ -8,7 +8,7 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.run.papers import xiong
-from fwclass.run.papers.begin import beside, require_whole
+from fwclass.run.papers.begin import require_whole
 from fwclass.run.papers.page import deliver
 from fwclass.run.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
 from fwclass.run.plan.layout import check_features
@@ -29,14 +29,9 @@ def xiong2018(config: Config, road: Road, tiles: frozenset[str] | Area | None = 
     require_whole(config, tiles, NAME)
     printed, names = paper(NAME), config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
-    aside = beside(road)
-    found = selection(config, aside, names, "rffs")
-    chosen = tuple(found["chosen"])
-    final = replace(
-        config,
-        survey=config.survey.model_copy(update={"features": chosen}),
-        features=config.features.model_copy(update={"also": ()}),
-    )
+    aside = road.beside()
+    found, final = selected(config, aside)
+    chosen = final.features_asked
     tiled = until_tiles(config, road, names)
     report = from_tiles(final, road, tiled, chosen, until_labels(tiled, names))
     if road.failures:
@@ -48,5 +43,16 @@ def xiong2018(config: Config, road: Road, tiles: frozenset[str] | Area | None = 
     made |= require_all(road, comparison_tasks(config, xiong.comparisons(variants)))
     thinned = xiong.thinned(config, aside, tiled.layout, chosen)
     made |= require_all(road, time_tasks(config, names, variants))
-    facts = xiong.facts(config, printed, report, found, thinned, variants, made)
-    return deliver(config, road, tiled.layout, report, facts)
+
+    def page() -> dict[str, Any]:
+        facts = xiong.facts(config, printed, report, found, thinned, variants, made)
+        return deliver(config, road, tiled.layout, report, facts)
+
+    return road.tell(page)
+
+
+def selected(config: Config, road: Road) -> tuple[dict[str, Any], Config]:
+    """What the selection among the survey's features tells, and `config` with the set that it chose."""
+    found = selection(config, road, config.features_asked, "rffs")
+    survey = config.survey.model_copy(update={"features": tuple(found["chosen"])})
+    return found, replace(config, survey=survey, features=config.features.model_copy(update={"also": ()}))

@@ -31,7 +31,7 @@ def seams(
     """
     from fwclass import conf as configuration
     from fwclass.run.progress import Display
-    from fwclass.run.request import PLANNED, Request
+    from fwclass.run.request import Request
     from fwclass.run.shifted.places import shift_of
     from fwclass.run.shifted.polygons import check_free, write_gpkg
     from fwclass.run.shifted.told import as_data, as_text
@@ -44,12 +44,11 @@ def seams(
     if gpkg is not None:
         check_free(gpkg, overwrite)
     request = Request.kept(Store(run, read_only=True))
-    if request.workflow not in PLANNED:
-        raise ConfigError(f"the parts of --workflow {request.workflow} are not known", where=run)
     config = configuration.load(request.conf, (*request.settings, *settings))
     asked = Asked(
-        shift_of(shift, config.tile.size), config.seams.share if share is None else share, length, request.wanted
-    )
+        shift_of(shift, config.tile.size), config.seams.share if share is None else share, length, request.wanted,
+        request.workflow,
+    )  # fmt: skip
     began = time.perf_counter()
     with Display() as display:
         found = measured(config, Path(request.root), asked, display)

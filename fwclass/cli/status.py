@@ -69,17 +69,10 @@ def _home(request: Any, config: Any) -> Any:
 
 
 def _looked(config: Any, request: Any) -> Any:
-    """The parts of the run, looked at; `ConfigError` for a workflow that finds its parts as it goes."""
-    from fwclass.run.request import PLANNED
+    """The parts of the run, looked at."""
     from fwclass.run.status.look import look_at
     from workflows import WORKFLOWS
 
-    if request.workflow not in PLANNED:
-        raise ConfigError(
-            f"the parts of --workflow {request.workflow} are not known before it runs: it chooses them as it goes",
-            where="--workflow", expected=", ".join(PLANNED), got=request.workflow,
-            do=f"run it again, which makes only what is missing: {request.command()}",
-        )  # fmt: skip
     return look_at(_home(request, config), lambda road: WORKFLOWS[request.workflow](config, road, request.wanted))
 
 

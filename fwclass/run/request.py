@@ -16,9 +16,6 @@ _KEPT = "run.json"
 if TYPE_CHECKING:
     from fwclass.run.restrict import Area
 
-PLANNED = ("classification", "fan2013")
-"""Workflows whose parts are known before anything runs; of `fan2013` those that it shares with `classification`."""
-
 
 @dataclass(frozen=True)
 class Request:
@@ -80,8 +77,8 @@ class Request:
         return words
 
     def replay(self, name: tuple[str, str]) -> str:
-        """The command that makes the part `name` alone, empty where the workflow's parts are not known beforehand."""
-        return self.command(name) if self.workflow in PLANNED else ""
+        """The command that makes the part `name` alone."""
+        return self.command(name)
 
     def keep(self, store: Store) -> None:
         """Write it into the run (the holder of the lock calls this)."""

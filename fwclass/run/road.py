@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing
 from dataclasses import InitVar, dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from fwclass.errors import FwclassError, InputError, PartialError, StoreError
 from fwclass.run.part import Name, Outcome, Task, already_done, key_now
@@ -154,6 +154,14 @@ class Road:
     def goes_without(self, task: Task) -> bool:
         """The plan can be followed though `task`, which it stands on, is not done: never where things are made."""
         return False
+
+    def beside(self) -> Road:
+        """A road on the same run whose parts do not count in the report: what is asked for once more, or aside."""
+        return Road(self.home, self.executor, self.display, fail_fast=self.fail_fast, held=self.held, seen=self.store)
+
+    def tell(self, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        """Do what is no part: write what the run says of itself at its end."""
+        return work()
 
     def finish(self, whole: bool) -> None:
         """All parts of the plan have been walked; a `whole` one without failures forgets parts of earlier plans."""

@@ -19,6 +19,7 @@ from collections import Counter
 from pathlib import Path
 
 import psutil
+from nothing import nothing
 
 from fwclass.run.cluster import Cluster
 from fwclass.run.local import Loop
@@ -42,11 +43,6 @@ def command(*words: str) -> tuple[float, float]:
     after = psutil.Process().cpu_times()
     cpu = after.children_user + after.children_system - before.children_user - before.children_system
     return time.perf_counter() - began, cpu
-
-
-def nothing(desk, directory):
-    (directory / "nothing.txt").write_text("")
-    return {}
 
 
 def empty(key: int) -> Task:

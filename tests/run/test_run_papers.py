@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,15 @@ from fwclass import conf
 from fwclass.errors import ConfigError
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
+from fwclass.run.request import Request
 from fwclass.run.road import Road
+from fwclass.run.status.look import Looked, Silent, look_at
+from fwclass.run.status.replay import task_alone
+from fwclass.run.status.told import NO_STAGES
 from fwclass.store.lock import writer
+from fwclass.store.run_store import Store
 from workflows import WORKFLOWS
+from workflows.seams import Asked, seams
 
 SMALL = (
     *SETTINGS,
@@ -103,6 +110,25 @@ def test_a_second_run_makes_nothing(fan, survey: Path) -> None:
     }  # fmt: skip
 
 
+def looked_at(name: str, survey: Path, root: Path, *settings: str) -> Looked:
+    config = conf.load("demo", (*SMALL, f"survey.directory={survey}", *settings))
+    return look_at(root, lambda road: WORKFLOWS[name](config, road))
+
+
+def test_status_tells_the_page_s_own_parts(fan, survey: Path) -> None:
+    root, _ = fan
+    settings = ("survey.features=fan2013-six", "features.also=[backscatter]")
+    looked = looked_at("fan2013", survey, root, *settings)
+    assert looked.all_done and {"select-trial", "paper-judged", "paper-time", "publish-tile"} <= {
+        s for s, _ in looked.states
+    }
+    assert set(looked.states) == set(Store(root).parts()) - {n for n in Store(root).parts() if n[0] in NO_STAGES}
+    looked = looked_at("fan2013", survey, root, *settings, "select.trees=5")
+    assert {s for (s, _), one in looked.states.items() if one.standing != "done"} == {"select-trial", "select-cost"}
+    looked = looked_at("fan2013", survey, root, *settings, "papers.seeds=[1, 2, 3]")
+    assert not looked.all_done and "is missing" in (looked.ends or "")
+
+
 def test_the_figures_need_the_whole_survey(survey: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="whole survey"):
         follow("fan2013", survey, tmp_path, tiles=frozenset({"5120_54030"}))
@@ -114,15 +140,18 @@ def test_the_figures_need_the_whole_survey(survey: Path, tmp_path: Path) -> None
         follow("fan2013", survey, tmp_path, "survey.features=[height_above_ground]", "features.also=[]")
 
 
+NAMES = ["height_above_ground", *(f"{b}_r{r}" for r in (50, 100) for b in ("height_std", "inclination", "egi"))]
+XIONG = (
+    f"survey.features=[{', '.join(NAMES)}]", "features.also=[]", "train.split=exact", "train.criterion=gini",
+    "train.bagging=0.9", "train.replacement=false", "papers.more_classes=[]",
+)  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def xiong(survey: Path, tmp_path_factory: pytest.TempPathFactory):
     """(root, facts) of the workflow xiong2018 with few features."""
     root = tmp_path_factory.mktemp("xiong")
-    names = ["height_above_ground", *(f"{b}_r{r}" for r in (50, 100) for b in ("height_std", "inclination", "egi"))]
-    road, report = follow(
-        "xiong2018", survey, root, f"survey.features=[{', '.join(names)}]", "features.also=[]", "train.split=exact",
-        "train.criterion=gini", "train.bagging=0.9", "train.replacement=false", "papers.more_classes=[]",
-    )  # fmt: skip
+    road, report = follow("xiong2018", survey, root, *XIONG)
     assert not road.failures
     return root, json.loads((root / "xiong2018.json").read_text()), report
 
@@ -157,6 +186,27 @@ def test_survivors_and_importances_count_every_feature_once(xiong) -> None:
     assert facts["importance"]["rows"][0]["score"] == pytest.approx(100)
     assert [s["rate"] for s in facts["thinning"]["steps"]] == [1.0, 0.1]
     assert (root / "xiong2018.html").read_text().count("data:image/png") == 5
+
+
+@pytest.mark.slow
+def test_status_replay_and_seams_of_a_run_that_chooses_its_features(xiong, survey: Path, tmp_path: Path) -> None:
+    root = tmp_path / "copy"
+    shutil.copytree(xiong[0], root, symlinks=True)
+    looked = looked_at("xiong2018", survey, root, *XIONG)
+    assert looked.all_done
+    assert {"select-ranked", "select-cost", "select-rate", "paper-importance", "classify"} <= {
+        s for s, _ in looked.states
+    }
+    shutil.rmtree(root / "store" / "paper-judged" / "rf")
+    looked = looked_at("xiong2018", survey, root, *XIONG)
+    late = {n: s.standing for n, s in looked.states.items() if s.standing != "done"}
+    assert late.pop(("paper-judged", "rf")) == "missing" and set(late.values()) <= {"stale"}
+    work = task_alone(looked, "paper-judged/rf", Request("demo", str(root), workflow="xiong2018"))
+    assert work.name == ("paper-judged", "rf")
+    config = conf.load("demo", (*SMALL, f"survey.directory={survey}", *XIONG))
+    found = seams(config, root, Asked((31.0, 17.0), 0.5, None, None, "xiong2018"), Silent())
+    assert sum(s.differ for s in found.bounded) == 0 < sum(s.rows for s in found.bounded)
+    assert {"features", "classify", "ground"} <= {s.stage for s in found.bounded}
 
 
 @pytest.mark.slow

@@ -7,7 +7,6 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.run.road import Road
 from fwclass.schema import split_name
 
 
@@ -38,11 +37,6 @@ def _require_further(config: Config) -> None:
                 f"a class {what} is given twice", where=f"{config.path}: survey.classes, papers.more_classes",
                 got=", ".join(twice), do="list in papers.more_classes only what survey.classes lacks",
             )  # fmt: skip
-
-
-def beside(road: Road) -> Road:
-    """A road on the same run whose parts do not count in the report: what is asked for once more, or aside."""
-    return Road(road.home, road.executor, road.display, fail_fast=road.fail_fast, held=road.held, seen=road.store)
 
 
 def base_of(name: str) -> str:

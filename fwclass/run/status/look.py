@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from fwclass.errors import ConfigError, FwclassError
 from fwclass.grid import Box, TileGrid
@@ -52,10 +53,6 @@ class Silent(Display):
         pass
 
 
-class PlanKnown(Exception):
-    """The workflow has named all its parts."""
-
-
 class Look(Road):
     """Takes every part's receipt, stale or not, for what a run will have made: so the parts that follow are known."""
 
@@ -95,8 +92,21 @@ class Look(Road):
         self.absent[file.name] = box
         return True
 
+    def beside(self) -> Look:
+        other = copy(self)
+        other.outcomes, other.tallies = {}, {}
+        return other
+
+    @property
+    def failures(self) -> list[Outcome]:
+        """None: the walk goes on for as long as the parts that follow are known."""
+        return []
+
+    def tell(self, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        return {}
+
     def finish(self, whole: bool) -> None:
-        raise PlanKnown
+        pass
 
     def _state(self, task: Task) -> State:
         late = {n: self._waits[n] for n in task.needs if n in self._waits}
@@ -157,7 +167,6 @@ def look_at(home: Home, workflow: Callable[[Road], object]) -> Looked:
     ends = None
     try:
         workflow(look)
-    except PlanKnown:
         if look.absent:
             ends = f"nothing was made yet of {', '.join(sorted(look.absent))}"
     except ConfigError:
