@@ -180,6 +180,11 @@ class Window:
             raise ValueError(f"window {self} does not lie inside {outer}")
         return slice(r, r + self.nrows), slice(c, c + self.ncols)
 
+    def grown(self, margin: int) -> Window:
+        """With `margin` cells more on every side."""
+        n = 2 * margin
+        return Window(self.cell, self.col - margin, self.row - margin, self.ncols + n, self.nrows + n)
+
     def common(self, other: Window) -> Window | None:
         """The cells that both windows have, or None."""
         col, row = max(self.col, other.col), max(self.row, other.row)

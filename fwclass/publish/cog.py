@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
@@ -24,34 +25,18 @@ if TYPE_CHECKING:
 NO_CLASS = 0
 
 
+STRIPE = 64
+"""Rows of a raster that lie together while it is being written: who puts whole stripes, from the north, writes once."""
+
+Put = Callable[[Window, NDArray], None]
+
+
 def write_cog(
-    array: NDArray,
-    window: Window,
-    path: Path,
-    crs: pyproj.CRS | None,
-    params: PublishParams,
-    nodata: float,
-    colormap: Mapping[int, RGB] | None = None,
-    tags: Mapping[str, str] | None = None,
-    names: Mapping[int, str] | None = None,
-    unit: float = 1.0,
-) -> dict[str, Any]:
-    """Write a raster north up with overviews; the same array gives the same bytes.
-
-    Parameters
-    ----------
-    array : shape ``window.shape``, float32 or uint8, **row 0 in the south**; the outer corner of cell (0, 0)
-        is the south-west corner of ``window.box``.
-    nodata : value of a cell without data; NaN for heights, 0 for classes.
-    colormap : colour per code, for uint8; None takes the house's colours of `names`.
-        Overviews take the commonest value if there are colours or names, else the mean.
-    tags : texts for the file's metadata.
-    unit : metres in one unit of the CRS; the window counts in metres.
-    names : class name per code; stored as tags ``CLASS_<code>`` and, for desktop GIS, in ``<path>.aux.xml``.
-
-    Returns
-    -------
-    dict with ``path, shape, cell, bytes``.
+    array: NDArray, window: Window, path: Path, crs: pyproj.CRS | None, params: PublishParams, nodata: float,
+    colormap: Mapping[int, RGB] | None = None, tags: Mapping[str, str] | None = None,
+    names: Mapping[int, str] | None = None, unit: float = 1.0,
+) -> dict[str, Any]:  # fmt: skip
+    """Write a raster that is in memory; see `cog`. Returns a dict with ``path, shape, cell, bytes``.
 
     Raises
     ------
@@ -60,32 +45,74 @@ def write_cog(
     """
     if array.shape != window.shape or not array.size:
         raise InputError("a raster does not fit its window", where=path, expected=window.shape, got=array.shape)
+    with cog(array.dtype, window, path, crs, params, nodata, colormap, tags, names, unit) as put:
+        put(window, array)
+    return {"path": str(path), "shape": list(window.shape), "cell": window.cell, "bytes": path.stat().st_size}
+
+
+@contextmanager
+def cog(
+    dtype: np.dtype, window: Window, path: Path, crs: pyproj.CRS | None, params: PublishParams, nodata: float,
+    colormap: Mapping[int, RGB] | None = None, tags: Mapping[str, str] | None = None,
+    names: Mapping[int, str] | None = None, unit: float = 1.0,
+) -> Iterator[Put]:  # fmt: skip
+    """Write a raster north up with overviews, piece by piece; the same cells give the same bytes.
+
+    ``put(piece, array)`` lays an array of ``piece.shape``, **row 0 in the south**, into the window; the outer corner of
+    the window's cell (0, 0) is the south-west corner of ``window.box``. What no piece covers has no data. The file
+    appears at the end, and only if no fault ended the block. Until then the cells lie beside it on the disk, and memory
+    holds the pieces and `params.raster_cache`.
+
+    Parameters
+    ----------
+    dtype : float32 or uint8.
+    nodata : value of a cell without data; NaN for heights, 0 for classes.
+    colormap : colour per code, for uint8; None takes the house's colours of `names`.
+        Overviews take the commonest value if there are colours or names, else the mean.
+    tags : texts for the file's metadata.
+    unit : metres in one unit of the CRS; the window counts in metres.
+    names : class name per code; stored as tags ``CLASS_<code>`` and, for desktop GIS, in ``<path>.aux.xml``.
+    """
     import rasterio  # it takes its time, and is not needed to plan
+    from rasterio.shutil import copy
 
     codes = bool(names or colormap)
-    profile = {
-        "driver": "COG", "width": window.ncols, "height": window.nrows, "count": 1, "dtype": array.dtype,
-        "nodata": nodata,
-        "transform": north_up(window, unit),
-        "crs": rasterio.crs.CRS.from_wkt(crs.to_wkt()) if crs is not None else None,
-        "compress": params.cog_compression, "blocksize": params.cog_block, "num_threads": 1,
-        "predictor": _predictor(array.dtype, codes), "bigtiff": "IF_SAFER",
-        "overview_resampling": "MODE" if codes else "AVERAGE",
-    }  # fmt: skip
     known = dict(sorted((names or {}).items()))
     if codes and known and colormap is None:
         colormap = colours({"name": name, "code": code} for code, name in known.items())
-    with whole(path) as beside:
-        with rasterio.open(beside, "w", **profile) as file:
-            file.write(np.ascontiguousarray(array[::-1]), 1)
-            if colormap:
-                file.write_colormap(1, dict(sorted(colormap.items())))
-            file.update_tags(AREA_OR_POINT="Area", TIFFTAG_SOFTWARE="fwclass", **(tags or {}))
-            file.update_tags(1, **{f"CLASS_{code}": name for code, name in known.items()})
-        size = beside.stat().st_size
+    raw_profile = {
+        "driver": "GTiff", "width": window.ncols, "height": window.nrows, "count": 1, "dtype": dtype, "nodata": nodata,
+        "transform": north_up(window, unit),
+        "crs": rasterio.crs.CRS.from_wkt(crs.to_wkt()) if crs is not None else None,
+        "blockysize": STRIPE, "sparse_ok": True, "bigtiff": "IF_SAFER",
+    }  # fmt: skip
+    finished = {
+        "driver": "COG", "compress": params.cog_compression, "blocksize": params.cog_block, "num_threads": 1,
+        "predictor": _predictor(dtype, codes), "bigtiff": "IF_SAFER",
+        "overview_resampling": "MODE" if codes else "AVERAGE",
+    }  # fmt: skip
+    with whole(path) as beside, rasterio.Env(GDAL_CACHEMAX=params.raster_cache):
+        raw = beside.with_name(f"{beside.name}.raw")
+        try:
+            with rasterio.open(raw, "w", **raw_profile) as file:
+                if colormap:
+                    file.write_colormap(1, dict(sorted(colormap.items())))
+                file.update_tags(AREA_OR_POINT="Area", TIFFTAG_SOFTWARE="fwclass", **(tags or {}))
+                file.update_tags(1, **{f"CLASS_{code}": name for code, name in known.items()})
+
+                def put(piece: Window, array: NDArray) -> None:
+                    rows, columns = piece.within(window)
+                    place = rasterio.windows.Window(
+                        columns.start, window.nrows - rows.stop, piece.ncols, piece.nrows
+                    )  # fmt: skip
+                    file.write(np.ascontiguousarray(array[::-1]), 1, window=place)
+
+                yield put
+            copy(raw, beside, **finished)
+        finally:
+            raw.unlink(missing_ok=True)
     if known:
         _write_names(path, known)
-    return {"path": str(path), "shape": list(window.shape), "cell": window.cell, "bytes": size}
 
 
 def _predictor(dtype: np.dtype, codes: bool) -> str:

@@ -20,6 +20,7 @@ class PublishParams(Params):
     zstd_level : effort of Zstandard in Parquet.
     cog_block : edge of a raster's internal tile [cells].
     cog_compression : compression of the rasters.
+    raster_cache : memory that GDAL keeps blocks of rasters in while they are written [MiB].
     figure_pixels : longer edge of the report's maps [pixels]; a map is never drawn finer than its raster.
     sun_azimuth : where the light of shaded relief comes from, clockwise from north [deg].
     sun_altitude : its height above the horizon [deg].
@@ -32,6 +33,7 @@ class PublishParams(Params):
     zstd_level: int = Field(ge=1, le=22)
     cog_block: int = Field(ge=128, le=4096, multiple_of=16)
     cog_compression: Literal["deflate", "zstd"]
+    raster_cache: int = Field(ge=16, le=65_536)
     figure_pixels: int = Field(ge=200, le=4000)
     sun_azimuth: float = Field(ge=0, le=360)
     sun_altitude: float = Field(gt=0, le=90)

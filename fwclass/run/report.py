@@ -12,13 +12,13 @@ import numpy as np
 from fwclass import __version__
 from fwclass.assess.stage import caution
 from fwclass.conf import Config
-from fwclass.grid import Window
+from fwclass.grid import TileGrid, Window
 from fwclass.run.desk import Desk
 from fwclass.run.plan.layout import Layout, Survey
 from fwclass.run.road import Road, Tally
 from fwclass.run.sampling import sampling
+from fwclass.run.work.rasters import Mosaic
 from fwclass.run.work.sources import pulse_of
-from fwclass.run.work.tiles import mosaic
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.generations import link
 from fwclass.store.receipts import Receipt
@@ -254,10 +254,10 @@ def _figures(config: Config, road: Road, layout: Layout, report: Mapping[str, An
     window = Window.covering(layout.box, config.publish.class_cell)
     if max(np.prod(terrain.shape), np.prod(window.shape)) > MAP_CELLS:
         return others
-    surfaces = tuple(r.part for r in _made(road, "terrain"))
-    blocks = tuple(r.part for r in _made(road, "class-block"))
-    dtm = mosaic(desk, "terrain", surfaces, terrain, ("dtm",), {"dtm": np.nan})["dtm"]
-    classes = mosaic(desk, "class-block", blocks, window, ("classes",), {"classes": 0})["classes"].astype(np.uint8)
+    grid = TileGrid(config.terrain.block)
+    surfaces, blocks = ([grid.tile(r.part) for r in _made(road, stage)] for stage in ("terrain", "class-block"))
+    dtm = Mosaic(desk, "terrain", surfaces, terrain.cell, {"dtm": np.float32(np.nan)}).laid(terrain)["dtm"]
+    classes = Mosaic(desk, "class-block", blocks, window.cell, {"classes": np.uint8(0)}).laid(window)["classes"]
     return {
         "map": class_map(classes, window, report["classes"], config.publish, (dtm, terrain), report["areas"]),
         "relief": relief(dtm, terrain, config.publish),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -12,12 +13,15 @@ import rasterio
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.grid import Window
+from fwclass.publish.cog import cog
 from fwclass.publish.params import PublishParams
 from fwclass.publish.stage import class_raster, write_cog
 
 CRS = pyproj.CRS(2154)
+PARAMS = conf.section("publish")
 WINDOW = Window(0.5, 1_540_000, 12_554_000, 700, 600)
 NAMES = {2: "ground", 5: "vegetation", 6: "building", 64: "artificial & <other>"}
 
@@ -83,6 +87,45 @@ def test_same_array_gives_same_bytes(compression: str, params: PublishParams, tm
     with rasterio.open(tmp_path / "a.tif") as file:
         assert file.crs is None and file.compression.name == compression
     assert len(list(tmp_path.iterdir())) == 4, "nothing is left beside"
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_pieces_in_any_order_give_the_bytes_of_the_whole(seed: int) -> None:
+    rng, array = np.random.default_rng(seed), codes(seed)
+    window, params = WINDOW, PARAMS
+    rows, cols = (np.unique(np.r_[0, rng.integers(0, n, 3), n]) for n in window.shape)
+    pieces = [
+        (Window(window.cell, window.col + c, window.row + r, w, h), array[r : r + h, c : c + w])
+        for r, h in zip(rows[:-1], np.diff(rows), strict=True)
+        for c, w in zip(cols[:-1], np.diff(cols), strict=True)
+    ]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_cog(array, window, folder / "a.tif", CRS, params, 0, names=NAMES)
+        with cog(array.dtype, window, folder / "b.tif", CRS, params, 0, names=NAMES) as put:
+            for k in rng.permutation(len(pieces)):
+                put(*pieces[k])
+        assert (folder / "a.tif").read_bytes() == (folder / "b.tif").read_bytes()
+
+
+def test_what_no_piece_covers_has_no_data_and_a_fault_leaves_no_file(params: PublishParams, tmp_path: Path) -> None:
+    corner = Window(0.5, WINDOW.col, WINDOW.row, 3, 2)
+    with cog(np.dtype(np.float32), WINDOW, tmp_path / "d.tif", CRS, params, np.nan) as put:
+        put(corner, np.arange(6, dtype=np.float32).reshape(2, 3))
+    with rasterio.open(tmp_path / "d.tif") as file:
+        found = file.read(1)
+    assert found[-1, :3].tolist() == [0, 1, 2] and found[-2, :3].tolist() == [3, 4, 5]
+    assert np.isfinite(found).sum() == 6
+    with pytest.raises(ZeroDivisionError), cog(np.dtype(np.uint8), WINDOW, tmp_path / "e.tif", CRS, params, 0) as put:
+        put(corner, np.ones((2, 3), np.uint8))
+        raise ZeroDivisionError
+    assert [p.name for p in tmp_path.iterdir()] == ["d.tif"]
+    with (
+        pytest.raises(ValueError, match="does not lie inside"),
+        cog(np.dtype(np.uint8), WINDOW, tmp_path / "f.tif", CRS, params, 0) as put,
+    ):
+        put(Window(0.5, WINDOW.col - 1, WINDOW.row, 3, 2), np.ones((2, 3), np.uint8))
 
 
 def test_another_shape_is_refused(params: PublishParams, tmp_path: Path) -> None:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from fwclass.conf import Config
-from fwclass.grid import Window
+from fwclass.grid import TileGrid, Window
 from fwclass.publish.papers.page import render_paper
 from fwclass.run.desk import Desk
 from fwclass.run.plan.layout import Layout
 from fwclass.run.report import MAP_CELLS
 from fwclass.run.road import Road
-from fwclass.run.work.tiles import mosaic
+from fwclass.run.work.rasters import Mosaic
 from fwclass.store.atomic import write_json
 
 
@@ -36,6 +36,9 @@ def class_picture(config: Config, road: Road, layout: Layout, report: Mapping[st
     window = Window.covering(layout.box, config.publish.class_cell)
     if np.prod(window.shape) > MAP_CELLS:
         return None
-    blocks = tuple(sorted(part for stage, part in road.outcomes if stage == "class-block" and road.made(stage, part)))
-    found = mosaic(Desk(road.store), "class-block", blocks, window, ("classes",), {"classes": 0})["classes"]
-    return class_map(found.astype(np.uint8), window, report["classes"], config.publish, None, report["areas"])
+    grid = TileGrid(config.terrain.block)
+    blocks = sorted(
+        grid.tile(part) for stage, part in road.outcomes if stage == "class-block" and road.made(stage, part)
+    )
+    mosaic = Mosaic(Desk(road.store), "class-block", blocks, window.cell, {"classes": np.uint8(0)})
+    return class_map(mosaic.laid(window)["classes"], window, report["classes"], config.publish, None, report["areas"])

@@ -78,18 +78,14 @@ def seam_tasks(layout: Layout) -> list[Task]:
         return []
     columns = layout.columns(tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))))
     keys = tuple(t.key for t in layout.tiles)
-    blocks = terrain_keys(layout)
+    blocks = terrain_blocks(layout)
     params = {"ground": plain(config.ground), "terrain": plain(config.terrain)}
     work = partial(ground.measured_seams, keys, columns, blocks, layout.box, config.ground, config.terrain)
-    needs = (*needs_of(columns, keys), *((TERRAIN.name, b) for b in blocks))
+    needs = (*needs_of(columns, keys), *((TERRAIN.name, b.key) for b in blocks))
     return [Task("seams", "all", SEAMS_VERSION, params, work, needs=needs)]
 
 
-def terrain_keys(layout: Layout) -> tuple[str, ...]:
-    """Terrain blocks that the survey's box touches."""
-    return tuple(b.key for b in terrain_blocks(layout))
-
-
 def terrain_blocks(layout: Layout) -> tuple[Tile, ...]:
+    """Terrain blocks that the survey's box touches."""
     blocks = layout.blocks(layout.config.terrain.block, margin=1)
     return tuple(b for b in blocks if b.box.touches(layout.box))

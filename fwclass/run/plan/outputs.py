@@ -58,12 +58,12 @@ def output_tasks(
     made = Tasks.of("publish-tile", layout.tiles, delivered)
     made += _strip_tasks(config, params, survey.strips, chunks, in_strip)
     made += Tasks.of("class-block", owned, classes)
-    keys, cell = tuple(b.key for b in owned), config.terrain.cell
+    cell = config.terrain.cell
     codes = {c.code: c.name for c in config.survey.classes}
     rasters = Task(
-        "publish-rasters", "all", 2, {**params, "box": list(layout.box.bounds), "cell": cell},
-        partial(outputs.delivered_rasters, layout.box, cell, keys, keys, codes, survey.crs, config.publish),
-        needs=(*((TERRAIN.name, k) for k in keys), *(("class-block", k) for k in keys)), place="deliver",
+        "publish-rasters", "all", 3, {**params, "box": list(layout.box.bounds), "cell": cell},
+        partial(outputs.delivered_rasters, layout.box, cell, owned, codes, survey.crs, config.publish),
+        needs=tuple((stage, b.key) for stage in (TERRAIN.name, "class-block") for b in owned), place="deliver",
     )  # fmt: skip
     return made + Tasks.held([rasters])
 

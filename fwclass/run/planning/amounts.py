@@ -13,6 +13,7 @@ from fwclass.conf import Config
 from fwclass.features.params import Asked, is_feature
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN
 from fwclass.label.stage import LABEL
+from fwclass.publish.cog import STRIPE
 from fwclass.radiometry.stage import OVERLAP
 from fwclass.run.plan.forest import TREES_PER_PART
 from fwclass.run.plan.layout import has_range
@@ -196,5 +197,5 @@ def _of_delivery(config: Config, facts: SurveyFacts, counts: Counts) -> dict[str
     return {
         "publish-strip": Amount(len(counts.points), float(counts.points.sum()), largest, largest),
         "class-block": Amount(blocks, cells, min(cells, (config.terrain.block / cell) ** 2), 0.0),
-        "publish-rasters": Amount(1, cells, cells, cells),
+        "publish-rasters": Amount(1, cells, cells, (box.xmax - box.xmin) / cell * STRIPE),
     }

@@ -24,7 +24,7 @@ from fwclass.run.shifted.desk import OtherTilesDesk, StripDesk
 from fwclass.run.shifted.differ import Seam
 from fwclass.run.shifted.places import Place, places
 from fwclass.run.work.ground import filtered_block, surroundings, terrain_block
-from fwclass.run.work.tiles import RASTERS
+from fwclass.run.work.rasters import RASTERS
 from fwclass.schema import IDENTITY, Table
 from fwclass.stage import Stage
 from fwclass.store.arrays import read_arrays

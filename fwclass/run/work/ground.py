@@ -17,7 +17,7 @@ from fwclass.ground.stage import GROUND_FILTER, filtered
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import terrain
 from fwclass.run.desk import TABLE, Desk
-from fwclass.run.work.tiles import mosaic, write_rasters
+from fwclass.run.work.rasters import Mosaic, write_rasters
 from fwclass.schema import Table, column
 from fwclass.store.cells import CELLS, by_name, by_place
 from fwclass.store.tables import write_table
@@ -133,7 +133,7 @@ def gathered_columns(
 
 
 def measured_seams(
-    tiles: tuple[str, ...], columns: Mapping[str, str], blocks: tuple[str, ...], box: Box, ground: GroundParams,
+    tiles: tuple[str, ...], columns: Mapping[str, str], blocks: tuple[Tile, ...], box: Box, ground: GroundParams,
     terrain_params: TerrainParams, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
     """The survey filtered once more as a single block, against what its blocks say."""
@@ -143,7 +143,7 @@ def measured_seams(
     nobody = np.zeros(table.rows, bool)
     place = (table["x"], table["y"], table["z"])
     surface = terrain(*place, whole.ground, whole.noise, nobody, window, terrain_params).dtm
-    dtm = mosaic(desk, "terrain", blocks, window, ("dtm",), {"dtm": np.nan})["dtm"]
+    dtm = Mosaic(desk, "terrain", blocks, window.cell, {"dtm": np.float32(np.nan)}).laid(window)["dtm"]
     differs = (table["ground"] != whole.ground) | (table["noise"] != whole.noise)
     both = np.isfinite(dtm) & np.isfinite(surface)
     off = np.abs(dtm - surface)[both]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from pyproj import CRS
 
 from fwclass.errors import InputError, StoreError
 from fwclass.grid import Box, Tile, Window
-from fwclass.publish.cog import class_raster, write_cog
+from fwclass.publish.cog import STRIPE, class_raster, cog
 from fwclass.publish.geoparquet import write_geoparquet
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.palette import colours
@@ -21,14 +22,14 @@ from fwclass.publish.params import PublishParams
 from fwclass.publish.shade import hillshade
 from fwclass.publish.strips import write_strip_laz
 from fwclass.run.desk import Desk
+from fwclass.run.work.rasters import Mosaic, stripes, write_rasters
 from fwclass.run.work.sources import link_table
-from fwclass.run.work.tiles import mosaic, write_rasters
 from fwclass.schema import Table
 from fwclass.store.outside import Place
 
 _ECHO_BITS = 8
-MAX_CELLS = 1 << 29
-"""Cells of a survey-wide raster; one array of them has 2 GiB."""
+MAX_CELLS = 1 << 35
+"""Cells of a survey-wide raster: 34 000 km² at 1 m. More are stray points, which would fill a disk with nothing."""
 
 
 def crs_of(text: str | None) -> CRS | None:
@@ -118,55 +119,82 @@ def class_block(
 
 
 def delivered_rasters(
-    box: Box, cell: float, blocks: tuple[str, ...], class_blocks: tuple[str, ...], names: Mapping[int, str],
-    crs: str | None, params: PublishParams, desk: Desk, directory: Path,
+    box: Box, cell: float, blocks: tuple[Tile, ...], names: Mapping[int, str], crs: str | None, params: PublishParams,
+    desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
-    """Terrain, surface, their difference, hillshade and class map of the whole survey as cloud-optimised GeoTIFF."""
+    """Terrain, surface, their difference, hillshade and class map of the whole survey as cloud-optimised GeoTIFF.
+
+    They are made in stripes from north to south: memory grows with the survey's width alone.
+    """
     target = directory / "rasters"
     target.mkdir(parents=True)
-    terrain = Window.covering(box, cell)
-    if max(math.prod(terrain.shape), math.prod(Window.covering(box, params.class_cell).shape)) > MAX_CELLS:
-        raise InputError(
-            "the survey's rasters would be too large",
-            where="rasters",
-            expected=f"at most {MAX_CELLS:,} cells",
-            got=f"{terrain.shape[1]:,} x {terrain.shape[0]:,} cells of {cell:g} m from {box.bounds}",
-            do="look for stray points with `fwclass info` and remove them, or choose larger terrain.cell and "
-            "publish.class_cell",
-        )
-    empty = {"dtm": np.nan, "dsm": np.nan}
-    heights = mosaic(desk, "terrain", blocks, terrain, ("dtm", "dsm"), empty)
-    dtm = heights["dtm"]
+    windows = Window.covering(box, cell), Window.covering(box, params.class_cell)
+    for window in windows:
+        if math.prod(window.shape) > MAX_CELLS:
+            raise InputError(
+                "the survey's rasters would be too large", where="rasters", expected=f"at most {MAX_CELLS:,} cells",
+                got=f"{window.ncols:,} x {window.nrows:,} cells of {window.cell:g} m from {box.bounds}",
+                do="look for stray points with `fwclass info` and remove them, or choose larger terrain.cell and "
+                "publish.class_cell",
+            )  # fmt: skip
     system = crs_of(crs)
-    told = {
-        "dtm": (dtm, "terrain height [m]"),
-        "dsm": (heights["dsm"], "height of the highest echo [m]"),
-        "ndsm": (heights["dsm"] - dtm, "highest echo above the terrain [m]"),
+    return {
+        "dtm_cells": _terrain_rasters(windows[0], blocks, system, params, desk, target),
+        "class_cells": _class_raster(windows[1], blocks, names, system, params, desk, target),
     }
-    for name, (raster, what) in told.items():
-        path = target / f"{name}.tif"
-        write_cog(raster, terrain, path, system, params, nodata=float("nan"), tags={"what": what})
-    tone = np.where(np.isfinite(dtm), 1 + 254 * hillshade(dtm, cell, params), 0).astype(np.uint8)
-    write_cog(
-        tone,
-        terrain,
-        target / "hillshade.tif",
-        system,
-        params,
-        nodata=0,
-        tags={"what": "shaded relief, 1 to 255"},
-    )
-    window = Window.covering(box, params.class_cell)
-    listed = [{"name": name, "code": code} for code, name in names.items()]
-    classes = mosaic(desk, "class-block", class_blocks, window, ("classes",), {"classes": 0})["classes"]
-    write_cog(
-        classes,
-        window,
-        target / "classes.tif",
-        system,
-        params,
-        nodata=0,
-        colormap=colours(listed),
-        names=dict(names),
-    )
-    return {"dtm_cells": int(np.isfinite(dtm).sum()), "class_cells": int((classes > 0).sum())}
+
+
+_TERRAIN = {
+    "dtm": "terrain height [m]", "dsm": "height of the highest echo [m]",
+    "ndsm": "highest echo above the terrain [m]",
+}  # fmt: skip
+
+
+def _terrain_rasters(
+    window: Window, blocks: tuple[Tile, ...], crs: CRS | None, params: PublishParams, desk: Desk, target: Path
+) -> int:
+    """Write heights and shaded relief; cells with terrain."""
+    nothing = np.float32(np.nan)
+    mosaic = Mosaic(desk, "terrain", blocks, window.cell, {"dtm": nothing, "dsm": nothing})
+    cells = 0
+    with ExitStack() as files:
+        put = {
+            name: files.enter_context(
+                cog(nothing.dtype, window, target / f"{name}.tif", crs, params, np.nan, tags={"what": what})
+            )
+            for name, what in _TERRAIN.items()
+        }
+        what = {"what": "shaded relief, 1 to 255"}
+        shade = files.enter_context(
+            cog(np.dtype(np.uint8), window, target / "hillshade.tif", crs, params, 0, tags=what)
+        )
+        for stripe in stripes(window, STRIPE):
+            if not mosaic.touches(stripe):
+                continue
+            around = stripe.grown(1).common(window) or stripe  # light asks for the cells beside
+            heights, inner = mosaic.laid(around), stripe.within(around)
+            dtm = heights["dtm"]
+            there = np.isfinite(dtm)
+            tone = np.where(there, 1 + 254 * hillshade(dtm, window.cell, params), 0).astype(np.uint8)
+            for name, raster in {**heights, "ndsm": heights["dsm"] - dtm}.items():
+                put[name](stripe, raster[inner])
+            shade(stripe, tone[inner])
+            cells += int(there[inner].sum())
+    return cells
+
+
+def _class_raster(
+    window: Window, blocks: tuple[Tile, ...], names: Mapping[int, str], crs: CRS | None, params: PublishParams,
+    desk: Desk, target: Path,
+) -> int:  # fmt: skip
+    """Write the class map; cells with a class."""
+    mosaic = Mosaic(desk, "class-block", blocks, window.cell, {"classes": np.uint8(0)})
+    shown = colours([{"name": name, "code": code} for code, name in names.items()])
+    cells = 0
+    with cog(np.dtype(np.uint8), window, target / "classes.tif", crs, params, 0, shown, names=names) as put:
+        for stripe in stripes(window, STRIPE):
+            if mosaic.touches(stripe):
+                classes = mosaic.laid(stripe)["classes"]
+                put(stripe, classes)
+                cells += int((classes > 0).sum())
+    return cells

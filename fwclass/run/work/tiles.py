@@ -1,4 +1,4 @@
-"""Work of the parts of tiles between ground and training: labels, features; and rasters of parts."""
+"""Work of the parts of tiles between ground and training: labels, features."""
 
 from __future__ import annotations
 
@@ -11,57 +11,16 @@ from numpy.typing import NDArray
 
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import features
-from fwclass.grid import Tile, Window
+from fwclass.grid import Tile
 from fwclass.label.stage import LabelParams, from_cloud, from_source
 from fwclass.run.desk import TABLE, Desk
 from fwclass.run.work.thin import features_of_some
 from fwclass.schema import Table
 from fwclass.stage import Chunk
-from fwclass.store.arrays import write_arrays
 from fwclass.store.cells import CELLS, by_place
 from fwclass.store.tables import write_table
 
-RASTERS = "rasters.zarr"
 _CLOUD = ("x", "y", "z", "gps_time", "source_class")
-
-
-def window_of(attributes: Mapping[str, Any]) -> Window:
-    """The window that a raster part was written for."""
-    return Window(float(attributes["cell"]), *(int(attributes[n]) for n in ("col", "row", "ncols", "nrows")))
-
-
-def write_rasters(directory: Path, arrays: Mapping[str, NDArray], window: Window) -> None:
-    """Rasters of a part with the window they cover."""
-    about = {
-        "cell": window.cell,
-        "col": window.col,
-        "row": window.row,
-        "ncols": window.ncols,
-        "nrows": window.nrows,
-    }
-    write_arrays(directory / RASTERS, arrays, about)
-
-
-def mosaic(
-    desk: Desk,
-    stage: str,
-    parts: tuple[str, ...],
-    window: Window,
-    names: tuple[str, ...],
-    empty: Mapping[str, Any],
-) -> dict[str, NDArray]:
-    """Rasters of several parts laid into one window; `empty` gives the value where no part has cells."""
-    out: dict[str, NDArray] = {}
-    for part in parts:
-        arrays, attributes = desk.arrays(stage, part, RASTERS)
-        own = window_of(attributes)
-        shared = window.common(own)
-        for name in names:
-            if name not in out:
-                out[name] = np.full(window.shape, empty[name], arrays[name].dtype)
-            if shared is not None:
-                out[name][shared.within(window)] = arrays[name][shared.within(own)]
-    return out or {n: np.full(window.shape, empty[n], np.float32) for n in names}
 
 
 def featured(

@@ -1,0 +1,110 @@
+"""Rasters of the whole survey: blocks laid together stripe by stripe, without holding them all."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from fwclass import conf
+from fwclass.grid import Box, Tile, TileGrid, Window
+from fwclass.publish.shade import hillshade
+from fwclass.run.desk import Desk
+from fwclass.run.work.outputs import delivered_rasters
+from fwclass.run.work.rasters import Mosaic, stripes, write_rasters
+from fwclass.store.run_store import Store
+
+SIZE = 32.0
+BOX = Box(512_010.0, 5_403_005.0, 512_150.0, 5_403_190.0)
+NAMES = {2: "ground", 6: "building"}
+
+
+class Counted(Desk):
+    """A desk that counts how often each part is read."""
+
+    def arrays(self, stage: str, part: str, name: str):
+        self.read[stage, part] = self.read.get((stage, part), 0) + 1
+        return super().arrays(stage, part, name)
+
+    @property
+    def read(self) -> dict:
+        return self.__dict__.setdefault("_read", {})
+
+
+def block_rasters(block: Tile, cell: float) -> tuple[dict[str, np.ndarray], Window]:
+    window = Window.covering(block.box, cell)
+    rng = np.random.default_rng((block.ix, block.iy))
+    dtm = np.where(rng.random(window.shape) < 0.1, np.nan, rng.normal(100, 3, window.shape)).astype(np.float32)
+    dsm = dtm + rng.random(window.shape, np.float32)
+    return {"dtm": dtm, "dsm": dsm, "classes": rng.choice(np.array([0, 2, 6], np.uint8), window.shape)}, window
+
+
+def written(arrays: dict[str, np.ndarray], window: Window, directory: Path) -> dict:
+    write_rasters(directory, arrays, window)
+    return {}
+
+
+@pytest.fixture(params=[1.0, 3.0])
+def laid(request, tmp_path: Path):
+    """(desk, blocks, cell): blocks with a gap of two rows of them; of 3 m cells neighbours share some."""
+    cell, store = request.param, Store(tmp_path / "run")
+    blocks = tuple(b for b in TileGrid(SIZE).touching(BOX) if b.iy % 5 not in (2, 3))
+    for block in blocks:
+        arrays, window = block_rasters(block, cell)
+        for stage, names in (("terrain", ("dtm", "dsm")), ("class-block", ("classes",))):
+            work = partial(written, {n: arrays[n] for n in names}, window)
+            store.commit(stage, block.key, "k", {}, "store", work)
+    return Counted(store), blocks, cell
+
+
+def expected(blocks: tuple[Tile, ...], cell: float, window: Window) -> dict[str, np.ndarray]:
+    """Cell by cell: what the last block that has it says."""
+    out = {n: np.full(window.shape, np.nan, np.float32) for n in ("dtm", "dsm")}
+    out["classes"] = np.zeros(window.shape, np.uint8)
+    for block in blocks:
+        arrays, own = block_rasters(block, cell)
+        for r in range(own.nrows):
+            for c in range(own.ncols):
+                row, column = own.row + r - window.row, own.col + c - window.col
+                if 0 <= row < window.nrows and 0 <= column < window.ncols:
+                    for name, raster in out.items():
+                        raster[row, column] = arrays[name][r, c]
+    return out
+
+
+@pytest.mark.parametrize("rows", [1, 7, 64, 1000])
+def test_stripes_of_any_width_make_the_whole_and_read_each_block_once(laid, rows: int) -> None:
+    desk, blocks, cell = laid
+    window, empty = Window.covering(BOX, cell), {"dtm": np.float32(np.nan), "dsm": np.float32(np.nan)}
+    whole = expected(blocks, cell, window)
+    mosaic, found = Mosaic(desk, "terrain", blocks, cell, empty), []
+    for stripe in stripes(window, rows):
+        found.append(mosaic.laid(stripe))
+        there = np.isfinite(found[-1]["dtm"]).any()
+        assert mosaic.touches(stripe) or not there
+    assert set(desk.read.values()) == {1} and len(desk.read) == len(blocks)
+    for name in empty:
+        assert np.array_equal(np.concatenate([f[name] for f in found[::-1]]), whole[name], equal_nan=True)
+
+
+def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> None:
+    """Light on a stripe's edge asks for the rows beyond it; a stripe without any block has no data."""
+    desk, blocks, cell = laid
+    params = conf.load("demo", ()).publish.model_copy(update={"class_cell": cell})
+    window = Window.covering(BOX, cell)
+    whole = expected(blocks, cell, window)
+    told = delivered_rasters(BOX, cell, blocks, NAMES, "EPSG:25832", params, desk, tmp_path)
+    there = np.isfinite(whole["dtm"])
+    assert told == {"dtm_cells": there.sum(), "class_cells": (whole["classes"] > 0).sum()}
+    tone = np.where(there, 1 + 254 * hillshade(whole["dtm"], cell, params), 0).astype(np.uint8)
+    wanted = {**whole, "ndsm": whole["dsm"] - whole["dtm"], "hillshade": tone}
+    assert sorted(p.name for p in (tmp_path / "rasters").iterdir()) == sorted(
+        ["classes.tif.aux.xml", *(f"{n}.tif" for n in wanted)]
+    )
+    for name, raster in wanted.items():
+        with rasterio.open(tmp_path / "rasters" / f"{name}.tif") as file:
+            assert file.bounds == rasterio.coords.BoundingBox(*window.box.bounds)
+            assert np.array_equal(file.read(1)[::-1], raster, equal_nan=name not in ("classes", "hillshade")), name
