@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, FwclassError, StoreError
@@ -33,6 +32,7 @@ from fwclass.run.status.look import Look
 from fwclass.run.tasks import Tasks
 from fwclass.run.work.ground import WITHIN
 from fwclass.store import outside
+from fwclass.store.home import Home, address_of
 from workflows import xiong2018
 from workflows.classification import features_of
 from workflows.echoes import Tiled, until_labels, until_tiles
@@ -50,16 +50,17 @@ class Asked:
     workflow: str = "classification"
 
 
-def seams(config: Config, root: Path, asked: Asked, display: Display) -> Found:
-    """Compute strips along tile borders, and some blocks, once more and compare; the run directory is only read."""
-    check_idle(root)
-    look = Look(root)
+def seams(config: Config, home: Home, asked: Asked, display: Display) -> Found:
+    """Compute strips along tile borders, and some blocks, once more and compare; the run is only read."""
+    check_idle(home)
+    look = Look(home)
+    where = address_of(home)
     try:
         plan = _planned(config, look, asked.workflow)
     except ConfigError:
         raise
     except FwclassError as fault:
-        raise StoreError("the run is not finished", where=root, got=fault.what, do="finish it first") from fault
+        raise StoreError("the run is not finished", where=where, got=fault.what, do="finish it first") from fault
     layout = plan.tiled.layout
     only = asked.tiles
     if isinstance(only, Area):
@@ -68,7 +69,7 @@ def seams(config: Config, root: Path, asked: Asked, display: Display) -> Found:
     check_done(look, keys, (*TILE_STAGES, "ground", "height"))
     candidates = places(keys, config.tile.size, asked.shift, config.seams.width)
     if not candidates:
-        raise ConfigError("no two tiles of this run share a border", where=root, got=f"{len(keys)} tiles")
+        raise ConfigError("no two tiles of this run share a border", where=where, got=f"{len(keys)} tiles")
     strips = chosen(candidates, asked.share, asked.length, config.seams.seed)
     total = sum(p.length for p in candidates)
     share = min(1.0, sum(p.length for p in strips) / total)
@@ -79,7 +80,7 @@ def seams(config: Config, root: Path, asked: Asked, display: Display) -> Found:
     check_unchanged(look, tiles.used, (*TILE_STAGES, "tile", "ground", "height"))
     size = layout.config.tile.size * config.seams.tile
     return Found(
-        root,
+        where,
         asked.shift,
         config.seams.width,
         total,

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, cli
+from fwclass.cli.base import JSON, OVERWRITE, PATH, RUN, SET, cli
 from fwclass.errors import ConfigError
 
 
 @cli.command()
-@click.argument("run", type=PATH)
+@click.argument("run", type=RUN)
 @click.option("--share", type=click.FloatRange(0, 1, min_open=True), help="Of the borders (default: seams.share).")
 @click.option("--length", type=click.FloatRange(0, min_open=True), help="Metres of borders instead of a share.")
 @click.option("--shift", metavar="DX,DY", help="Of the grid, metres (default: half a tile).")
@@ -22,7 +23,7 @@ from fwclass.errors import ConfigError
 @OVERWRITE
 @JSON
 def seams(
-    run: Path, share: float | None, length: float | None, shift: str | None, gpkg: Path | None,
+    run: Any, share: float | None, length: float | None, shift: str | None, gpkg: Path | None,
     settings: tuple[str, ...], overwrite: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Compute strips along tile borders of a finished run once more under a shifted grid, and compare.
@@ -35,7 +36,7 @@ def seams(
     from fwclass.run.shifted.places import shift_of
     from fwclass.run.shifted.polygons import check_free, write_gpkg
     from fwclass.run.shifted.told import as_data, as_text
-    from fwclass.store.run_store import Store
+    from fwclass.store.home import home_of, open_store
     from workflows.seams import Asked
     from workflows.seams import seams as measured
 
@@ -43,7 +44,8 @@ def seams(
         raise ConfigError("--share and --length both say how much", where="--share, --length", do="give one of them")
     if gpkg is not None:
         check_free(gpkg, overwrite)
-    request = Request.kept(Store(run, read_only=True))
+    home = home_of(run, configuration.section("store"))
+    request = Request.kept(open_store(home, read_only=True))
     config = configuration.load(request.conf, (*request.settings, *settings))
     asked = Asked(
         shift_of(shift, config.tile.size), config.seams.share if share is None else share, length, request.wanted,
@@ -51,7 +53,7 @@ def seams(
     )  # fmt: skip
     began = time.perf_counter()
     with Display() as display:
-        found = measured(config, Path(request.root), asked, display)
+        found = measured(config, home, asked, display)
     took = time.perf_counter() - began
     click.echo(as_text(found, took), err=as_json)
     if as_json:

@@ -145,7 +145,7 @@ def status(
     from fwclass.run.status.verify import as_text as damage_text
     from fwclass.run.status.verify import damages
 
-    damaged = damages(Path(request.root), looked) if verify else []
+    damaged = damages(looked) if verify else []
     if as_json:
         data = {**as_data(looked, request, writer, every), "schedule": scheduled}
         if verify:
@@ -157,6 +157,6 @@ def status(
             click.echo(f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}")
         click.echo(as_text(looked, request, writer, every))
         if verify:
-            click.echo(damage_text(Path(request.root), damaged))
+            click.echo(damage_text(damaged, looked.store.where))
     if damaged or not looked.all_done:
         sys.exit(PARTIAL)

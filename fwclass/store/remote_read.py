@@ -10,12 +10,14 @@ import itertools
 import json
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Self
 
 from fwclass.errors import StoreError
-from fwclass.store.atomic import digest_of
+from fwclass.store.atomic import digest_of, file_digest
 from fwclass.store.objects import Held, Mark, Objects, Wanted, objects_at
 from fwclass.store.params import StoreParams
 from fwclass.store.receipts import Receipt
@@ -228,6 +230,22 @@ class RemoteReader(Store):
             return {held.key[len(unit) + 1 :]: held.size for held in self.objects.list(unit)}
         keys = {name: f"{unit}/{name}" for name in receipt.outputs}
         return {name: listed[key].size for name, key in keys.items() if key in listed}
+
+    def damaged(self, receipt: Receipt) -> list[str]:
+        """As `Store.damaged`: every object is fetched, whatever copies this host has."""
+        unit, sizes, found = unit_of(receipt), self._sizes(receipt), []
+        self.root.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=self.root) as scratch:
+            for name, facts in receipt.outputs.items():
+                target = Path(scratch) / "object"
+                whole = sizes.get(name) == facts["bytes"]
+                if whole:
+                    with suppress(FileNotFoundError):  # it went just now
+                        self.objects.fetch([Wanted(f"{unit}/{name}", int(facts["bytes"]), target)])
+                if not whole or not target.exists() or file_digest(target) != facts["digest"]:
+                    found.append(name)
+                target.unlink(missing_ok=True)
+        return found
 
     def done(self, stage: str, part: str, key: str) -> Receipt | None:
         receipt = self.receipt(stage, part)

@@ -75,6 +75,31 @@ def test_a_run_on_object_storage_delivers_the_bytes_of_one_on_a_disk(s3, stored,
     _read_as_the_manual_says(s3, out)
 
 
+@pytest.mark.slow
+def test_seams_and_damage_are_seen_on_object_storage(s3, stored, survey, host):
+    """What the storage holds is looked at, not the copies of this host."""
+    place, out = stored
+    assert fwclass("run", *words(place, out), "--workers", 0).returncode == 0  # it leaves what was asked for
+    ended = fwclass("seams", out, "--share", "0.3", "--json")
+    assert ended.returncode == 0, ended.stderr
+    told = json.loads(ended.stdout)
+    assert told["equal"] and told["run"] == str(out)
+    assert sum(stage["rows"] for stage in told["bounded"]) > 1000
+    assert fwclass("status", out, "--verify").returncode == 0
+    keys = sorted(k for k in s3.read(out) if k.startswith("store/classify/") and k.endswith("table.parquet"))
+    whole = s3.read(out)[keys[0]]
+    for broken in (whole[:-40] + bytes([whole[-40] ^ 1]) + whole[-39:], whole[:-1]):
+        s3.write(out / keys[0], broken)
+        ended = fwclass("status", out, "--verify")
+        assert ended.returncode == 3, ended.stderr
+        part = "/".join(keys[0].split("/")[1:3])
+        if len(broken) == len(whole):
+            assert f"damaged  {part}: table.parquet" in ended.stdout
+            assert f"run again: what lies below {out / 'store' / part}" in ended.stdout
+    s3.write(out / keys[0], whole)
+    assert fwclass("status", out, "--verify").returncode == 0
+
+
 def _read_as_the_manual_says(s3: Server, out: Url) -> None:
     address = s3.address.removeprefix("http://")
     fs = pyarrow.fs.S3FileSystem(

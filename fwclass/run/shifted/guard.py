@@ -9,18 +9,17 @@ from fwclass.errors import StoreError
 from fwclass.grid import Tile, TileGrid
 from fwclass.run.plan.layout import Layout
 from fwclass.run.status.look import Look
-from fwclass.store.lock import holder
-from fwclass.store.run_store import Store
+from fwclass.store.home import Home, address_of, held_by, open_store
 
 
-def check_idle(root: Path) -> None:
-    """`StoreError` while a run writes to `root`; its lock is not taken."""
-    if not (root / "store").is_dir():
-        raise StoreError("this is no run directory", where=root, expected="a directory with `store`", do="name a run")
-    writer = holder(root)
+def check_idle(home: Home) -> None:
+    """`StoreError` while a run writes to `home`; its lock is not taken."""
+    where, writer = address_of(home), held_by(home)
+    if isinstance(where, Path) and not (where / "store").is_dir():
+        raise StoreError("this is no run directory", where=where, expected="a directory with `store`", do="name a run")
     if writer is not None:
         raise StoreError(
-            "a run is writing to this directory", where=root, got=f"pid {writer.get('pid')} on {writer.get('host')}",
+            "a run is writing to this directory", where=where, got=f"pid {writer.get('pid')} on {writer.get('host')}",
             do="wait for it to end",
         )  # fmt: skip
 
@@ -32,7 +31,7 @@ def check_done(look: Look, tiles: Iterable[str], stages: Sequence[str]) -> None:
     if late or not here:
         told = ", ".join(f"{'/'.join(n)} {look.states[n].standing}" for n in late[:3])
         raise StoreError(
-            "the run is not finished: nothing can be compared with what it would make now", where=look.root,
+            "the run is not finished: nothing can be compared with what it would make now", where=look.store.where,
             got=told + (f" and {len(late) - 3} more" if len(late) > 3 else ""),
             do="finish it first; `fwclass status` tells what is missing or stale, and why",
         )  # fmt: skip
@@ -52,14 +51,16 @@ def whole_blocks(stage: str, blocks: list[Tile], layout: Layout, look: Look, hal
 
 def check_unchanged(look: Look, tiles: Iterable[str], stages: Sequence[str]) -> None:
     """`StoreError` if a part that was compared with has been made anew meanwhile."""
-    check_idle(look.root)
-    now = Store(look.root, read_only=True)
-    for part in sorted(tiles):
+    check_idle(look.home)
+    now = open_store(look.home, read_only=True)
+    parts = sorted(tiles)
+    now.look_up((stage, part) for part in parts for stage in stages)
+    for part in parts:
         for stage in stages:
             before = look.store.receipt(stage, part)
             if before is not None and now.receipt(stage, part) != before:
                 raise StoreError(
                     "the run was changed while it was compared",
-                    where=f"{stage}/{part} in {look.root}",
+                    where=f"{stage}/{part} in {now.where}",
                     do="run it again",
                 )

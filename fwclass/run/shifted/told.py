@@ -10,6 +10,7 @@ from fwclass.errors import QualityError
 from fwclass.run.shifted.differ import Seam
 from fwclass.run.shifted.measure import Apart
 from fwclass.run.shifted.places import Place
+from fwclass.store.url import Url
 
 NAMED = 5
 """Columns that are named of those that differ."""
@@ -27,7 +28,7 @@ class Found:
     crs : WKT of the survey, or None.
     """
 
-    root: Path
+    where: Path | Url
     shift: tuple[float, float]
     width: float
     borders: float
@@ -51,7 +52,7 @@ class Found:
         wrong = [s for s in self.bounded if s.differ]
         if wrong:
             raise QualityError(
-                "the way the survey was cut into tiles shows in the results", where=self.root,
+                "the way the survey was cut into tiles shows in the results", where=self.where,
                 expected="no difference under a shifted grid",
                 got=", ".join(f"{s.stage}: {s.differ:,} of {s.rows:,} {s.units}" for s in wrong),
                 do="`fwclass seams --json` names them; the store is damaged (remove STAGE/PART from its store and run "
@@ -62,7 +63,7 @@ class Found:
 def as_data(found: Found, seconds: float) -> dict[str, Any]:
     """Plain data; lengths in metres, shares as fractions."""
     return {
-        "run": str(found.root), "equal": found.equal, "shift": list(found.shift), "width": found.width,
+        "run": str(found.where), "equal": found.equal, "shift": list(found.shift), "width": found.width,
         "borders": {"all": found.borders, "computed": found.length, "share": found.length / found.borders},
         "other_tile": found.other, "seconds": round(seconds, 3),
         "bounded": [s.as_json() for s in found.bounded], "unbounded": [a.as_json() for a in found.moved],
@@ -75,7 +76,7 @@ def as_data(found: Found, seconds: float) -> dict[str, Any]:
 def as_text(found: Found, seconds: float) -> str:
     """A table by stage."""
     rows = [
-        f"{found.root}: {found.length:,.0f} of {found.borders:,.0f} m of tile borders, {found.width:g} m to either "
+        f"{found.where}: {found.length:,.0f} of {found.borders:,.0f} m of tile borders, {found.width:g} m to either "
         f"side, in tiles shifted by {found.shift[0]:g}, {found.shift[1]:g} m; blocks from tiles of {found.other:g} m",
         "",
         f"{'stage':<12}{'columns':>8}{'compared':>20}{'differ':>10}{'share':>11}  worst",

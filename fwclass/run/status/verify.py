@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.run.status.look import Looked
-from fwclass.store.run_store import Store
+from fwclass.store.url import Url
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,9 @@ class Damage:
         return {"stage": self.stage, "part": self.part, "files": list(self.files)}
 
 
-def damages(root: Path, looked: Looked) -> list[Damage]:
+def damages(looked: Looked) -> list[Damage]:
     """Every part counted as done that is damaged."""
-    store, found = Store(root, read_only=True), []
+    store, found = looked.store, []
     for state in looked.states.values():
         receipt = store.receipt(state.stage, state.part) if state.standing == "done" else None
         files = store.damaged(receipt) if receipt is not None else []
@@ -34,10 +34,11 @@ def damages(root: Path, looked: Looked) -> list[Damage]:
     return found
 
 
-def as_text(root: Path, found: list[Damage]) -> str:
+def as_text(found: list[Damage], where: Path | Url) -> str:
     """One line for each damaged part, and what to do."""
     if not found:
         return "all files of all parts that are done have the bytes that were written"
     rows = [f"damaged  {d.stage}/{d.part}: {', '.join(d.files)}" for d in found]
-    places = [shlex.quote(str(root / "store" / d.stage / d.part)) for d in found]
-    return "\n".join([*rows, "to have them made again, remove them and run again: rm -r " + " ".join(places)])
+    places = [shlex.quote(str(where / "store" / d.stage / d.part)) for d in found]
+    how = "what lies below" if isinstance(where, Url) else "rm -r"
+    return "\n".join([*rows, f"to have them made again, remove them and run again: {how} " + " ".join(places)])
