@@ -20,6 +20,8 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
+from fwclass.grid import Window
+
 DPI = 150
 INK, PAPER = "#22303c", "#ffffff"
 AREA_STYLE = {"train": ("training area", (0, (4, 2))), "test": ("test area", "solid")}
@@ -40,6 +42,18 @@ class View:
     cell: float
     ncols: int
     nrows: int
+
+    @classmethod
+    def of(cls, place: Window | View, step: int = 1) -> View:
+        """Every `step`-th cell of a raster, from the south-west."""
+        if isinstance(place, Window):
+            place = cls(place.box.xmin, place.box.ymin, place.cell, place.ncols, place.nrows)
+        ncols, nrows = (math.ceil(n / step) for n in (place.ncols, place.nrows))
+        return cls(place.xmin, place.ymin, place.cell * step, ncols, nrows)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.nrows, self.ncols
 
     @property
     def width(self) -> float:

@@ -22,10 +22,10 @@ TINTS = ((0.0, (112, 144, 122)), (0.35, (186, 196, 150)), (0.65, (222, 205, 160)
 
 def class_map(
     classes: NDArray[np.uint8],
-    window: Window,
+    window: Window | View,
     names: Sequence[Mapping[str, Any]],
     params: PublishParams,
-    dtm: tuple[NDArray[np.float32], Window] | None = None,
+    dtm: tuple[NDArray[np.float32], Window | View] | None = None,
     areas: Areas | None = None,
 ) -> bytes:
     """Class raster, shaded by the terrain's relief, with legend, scale bar and the outlined areas.
@@ -46,7 +46,7 @@ def class_map(
     part = filled(part)
     image = table[part]
     if dtm is not None:
-        light = _sampled(hillshade(dtm[0], dtm[1].cell, params), dtm[1], view, flat_light(params))
+        light = _sampled(hillshade(dtm[0], dtm[1].cell, params), View.of(dtm[1]), view, flat_light(params))
         image = np.where((part > 0)[..., None], image * (0.62 + 0.48 * light[..., None]), image)
     figure, axes = frame(view)
     draw(axes, image, view)
@@ -62,7 +62,7 @@ def class_map(
 
 def relief(
     dtm: NDArray[np.float32],
-    window: Window,
+    window: Window | View,
     params: PublishParams,
     heights: tuple[float, float] | None = None,
 ) -> bytes:
@@ -104,12 +104,15 @@ def _tint(share: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([np.interp(share, stops, [c[i] for _, c in TINTS]) for i in range(3)], axis=-1)
 
 
-def thinned(array: NDArray, window: Window, pixels: int) -> tuple[NDArray, View]:
+def step_of(window: Window | View, pixels: int) -> int:
+    """Of how many cells of a row one is drawn, so that the longer edge has at most `pixels`."""
+    return max(1, math.ceil(max(window.shape) / pixels))
+
+
+def thinned(array: NDArray, window: Window | View, pixels: int) -> tuple[NDArray, View]:
     """Every k-th cell from the south-west, so that the longer edge has at most `pixels`."""
-    step = max(1, math.ceil(max(window.shape) / pixels))
-    part = array[::step, ::step]
-    box = window.box
-    return part, View(box.xmin, box.ymin, window.cell * step, part.shape[1], part.shape[0])
+    step = step_of(window, pixels)
+    return array[::step, ::step], View.of(window, step)
 
 
 def filled(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -136,12 +139,12 @@ def _around(padded: NDArray[np.uint8], shape: tuple[int, ...], shifts: list[tupl
     return np.sum([padded[i : i + rows, j : j + cols] for i, j in shifts], axis=0, dtype=np.uint8)
 
 
-def _sampled(light: NDArray[np.float32], window: Window, view: View, flat: float) -> NDArray[np.float32]:
-    """`light` of `window` at the middles of the view's cells; `flat` outside."""
+def _sampled(light: NDArray[np.float32], own: View, view: View, flat: float) -> NDArray[np.float32]:
+    """`light` of the cells of `own` at the middles of the view's cells; `flat` outside."""
     x = view.xmin + (np.arange(view.ncols) + 0.5) * view.cell
     y = view.ymin + (np.arange(view.nrows) + 0.5) * view.cell
-    col = np.floor((x - window.box.xmin) / window.cell).astype(int)
-    row = np.floor((y - window.box.ymin) / window.cell).astype(int)
-    inside = ((row >= 0) & (row < window.nrows))[:, None] & ((col >= 0) & (col < window.ncols))[None, :]
-    taken = light[np.clip(row, 0, window.nrows - 1)[:, None], np.clip(col, 0, window.ncols - 1)[None, :]]
+    col = np.floor((x - own.xmin) / own.cell).astype(int)
+    row = np.floor((y - own.ymin) / own.cell).astype(int)
+    inside = ((row >= 0) & (row < own.nrows))[:, None] & ((col >= 0) & (col < own.ncols))[None, :]
+    taken = light[np.clip(row, 0, own.nrows - 1)[:, None], np.clip(col, 0, own.ncols - 1)[None, :]]
     return np.where(inside, taken, np.float32(flat))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass import __version__
 from fwclass.assess.stage import caution
@@ -33,7 +35,7 @@ SHOWN = 4
 """Chunks that are named of those that failed."""
 
 MAP_CELLS = 4_000_000
-"""A map is drawn only up to this many cells; a larger survey has the rasters."""
+"""A map is drawn from all cells up to this many; of a larger survey's only those that it shows are taken."""
 
 
 def write_report(config: Config, road: Road, survey: Survey, layout: Layout, names: tuple[str, ...]) -> dict[str, Any]:
@@ -242,7 +244,7 @@ def _outputs(road: Road) -> dict[str, list[str]]:
 
 
 def _figures(config: Config, road: Road, layout: Layout, report: Mapping[str, Any]) -> dict[str, bytes]:
-    """Maps of classes and terrain; none where the survey is too large to draw or its rasters failed."""
+    """Maps of classes and terrain; none of what failed."""
     from fwclass.publish.figures import class_map, relief  # matplotlib is slow to load, and only a report needs it
     from fwclass.publish.sampling_map import sampling_map
 
@@ -252,17 +254,25 @@ def _figures(config: Config, road: Road, layout: Layout, report: Mapping[str, An
     desk = Desk(road.store)
     terrain = Window.covering(layout.box, config.terrain.cell)
     window = Window.covering(layout.box, config.publish.class_cell)
-    if max(np.prod(terrain.shape), np.prod(window.shape)) > MAP_CELLS:
-        return others
     grid = TileGrid(config.terrain.block)
     surfaces, blocks = ([grid.tile(r.part) for r in _made(road, stage)] for stage in ("terrain", "class-block"))
-    dtm = Mosaic(desk, "terrain", surfaces, terrain.cell, {"dtm": np.float32(np.nan)}).laid(terrain)["dtm"]
-    classes = Mosaic(desk, "class-block", blocks, window.cell, {"classes": np.uint8(0)}).laid(window)["classes"]
+    surface = drawable(Mosaic(desk, "terrain", surfaces, terrain.cell, {"dtm": np.float32(np.nan)}), terrain, config)
+    classes = drawable(Mosaic(desk, "class-block", blocks, window.cell, {"classes": np.uint8(0)}), window, config)
     return {
-        "map": class_map(classes, window, report["classes"], config.publish, (dtm, terrain), report["areas"]),
-        "relief": relief(dtm, terrain, config.publish),
+        "map": class_map(*classes, report["classes"], config.publish, surface, report["areas"]),
+        "relief": relief(*surface, config.publish),
         **others,
     }
+
+
+def drawable(mosaic: Mosaic, window: Window, config: Config) -> tuple[NDArray, Any]:
+    """A mosaic's one raster in `window`, thinned where it is too large to hold, and the place of its cells."""
+    from fwclass.publish.drawing import View
+    from fwclass.publish.figures import step_of
+
+    step = step_of(window, config.publish.figure_pixels) if math.prod(window.shape) > MAP_CELLS else 1
+    (raster,) = (mosaic.thinned(window, step) if step > 1 else mosaic.laid(window)).values()
+    return raster, View.of(window, step)
 
 
 def _plain(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import rasterio
 
 from fwclass import conf
 from fwclass.grid import Box, Tile, TileGrid, Window
+from fwclass.publish.figures import class_map
 from fwclass.publish.shade import hillshade
+from fwclass.run import report
 from fwclass.run.desk import Desk
 from fwclass.run.work.outputs import delivered_rasters
 from fwclass.run.work.rasters import Mosaic, stripes, write_rasters
@@ -88,6 +91,34 @@ def test_stripes_of_any_width_make_the_whole_and_read_each_block_once(laid, rows
     assert set(desk.read.values()) == {1} and len(desk.read) == len(blocks)
     for name in empty:
         assert np.array_equal(np.concatenate([f[name] for f in found[::-1]]), whole[name], equal_nan=True)
+
+
+@pytest.mark.parametrize("step", [1, 2, 7, 500])
+def test_a_thinned_mosaic_is_every_so_manyth_cell(laid, step: int) -> None:
+    desk, blocks, cell = laid
+    window = Window.covering(BOX, cell)
+    empty = {"dtm": np.float32(np.nan), "dsm": np.float32(np.nan)}
+    whole = expected(blocks, cell, window)
+    for name, raster in Mosaic(desk, "terrain", blocks, cell, empty).thinned(window, step).items():
+        assert np.array_equal(raster, whole[name][::step, ::step], equal_nan=True)
+
+
+def test_a_map_of_a_large_survey_is_drawn_from_the_cells_that_it_shows(laid, monkeypatch) -> None:
+    desk, blocks, cell = laid
+    config = conf.load("demo", ())
+    config = replace(config, publish=config.publish.model_copy(update={"figure_pixels": 20}))
+    window = Window.covering(BOX, cell)
+    classes = expected(blocks, cell, window)["classes"]
+    drawn, report_cells = {}, report.MAP_CELLS
+    for limit in (report_cells, 100):
+        monkeypatch.setattr(report, "MAP_CELLS", limit)
+        mosaic = Mosaic(desk, "class-block", blocks, cell, {"classes": np.uint8(0)})
+        drawn[limit] = report.drawable(mosaic, window, config)
+    assert np.array_equal(drawn[report_cells][0], classes)
+    few = drawn[100][0]
+    assert max(few.shape) <= 20 and drawn[100][1].shape == few.shape
+    pictures = {class_map(*one, [{"name": "ground", "code": 2}], config.publish) for one in drawn.values()}
+    assert len(pictures) == 1  # the same cells are shown at the same places
 
 
 def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from fwclass.grid import TileGrid, Window
 from fwclass.publish.papers.page import render_paper
 from fwclass.run.desk import Desk
 from fwclass.run.plan.layout import Layout
-from fwclass.run.report import MAP_CELLS
+from fwclass.run.report import drawable
 from fwclass.run.road import Road
 from fwclass.run.work.rasters import Mosaic
 from fwclass.store.atomic import write_json
@@ -29,16 +29,14 @@ def deliver(
     return {**report, "outputs": {**report["outputs"], **made}}
 
 
-def class_picture(config: Config, road: Road, layout: Layout, report: Mapping[str, Any]) -> bytes | None:
-    """The map of all classes; None where the survey is too large to draw."""
+def class_picture(config: Config, road: Road, layout: Layout, report: Mapping[str, Any]) -> bytes:
+    """The map of all classes."""
     from fwclass.publish.figures import class_map  # matplotlib is slow to load, and only a page needs it
 
     window = Window.covering(layout.box, config.publish.class_cell)
-    if np.prod(window.shape) > MAP_CELLS:
-        return None
     grid = TileGrid(config.terrain.block)
     blocks = sorted(
         grid.tile(part) for stage, part in road.outcomes if stage == "class-block" and road.made(stage, part)
     )
     mosaic = Mosaic(Desk(road.store), "class-block", blocks, window.cell, {"classes": np.uint8(0)})
-    return class_map(mosaic.laid(window)["classes"], window, report["classes"], config.publish, None, report["areas"])
+    return class_map(*drawable(mosaic, window, config), report["classes"], config.publish, None, report["areas"])

@@ -62,6 +62,14 @@ class Mosaic:
                     raster[shared.within(window)] = arrays[name][shared.within(own)]
         return out
 
+    def thinned(self, window: Window, step: int) -> dict[str, NDArray]:
+        """As ``raster[::step, ::step]`` of each of the rasters in `window`, without holding them."""
+        rows = [
+            self.laid(Window(window.cell, window.col, window.row + row, window.ncols, 1))
+            for row in range(0, window.nrows, step)
+        ]
+        return {name: np.concatenate([row[name][:, ::step] for row in rows]) for name in self._empty}
+
     def _within(self, window: Window) -> NDArray[np.int64]:
         low, high = (window.row, window.col), (window.row + window.nrows, window.col + window.ncols)
         return np.flatnonzero(((self._low < high) & (self._high > low)).all(axis=1))
