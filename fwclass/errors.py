@@ -146,7 +146,8 @@ def full_or(fault: Exception, where: Path) -> Exception:
             if os.strerror(code) in str(seen):
                 return OSError(code, os.strerror(code), str(where))
         seen = seen.__cause__ or seen.__context__
-    if not isinstance(fault, OSError) and where.exists() and shutil.disk_usage(where).free < _LEAST:
+    told = isinstance(fault, OSError) and fault.errno is not None
+    if not told and where.exists() and shutil.disk_usage(where).free < _LEAST:
         return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(where))
     return fault
 

@@ -12,7 +12,7 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, full_or
 from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.kernel import kernel
 from fwclass.publish.files import whole
@@ -26,7 +26,7 @@ NO_CLASS = 0
 
 
 STRIPE = 64
-"""Rows of a raster that lie together while it is being written: who puts whole stripes, from the north, writes once."""
+"""Rows of a raster that are written together, counted from the north."""
 
 Put = Callable[[Window, NDArray], None]
 
@@ -56,12 +56,14 @@ def cog(
     colormap: Mapping[int, RGB] | None = None, tags: Mapping[str, str] | None = None,
     names: Mapping[int, str] | None = None, unit: float = 1.0,
 ) -> Iterator[Put]:  # fmt: skip
-    """Write a raster north up with overviews, piece by piece; the same cells give the same bytes.
+    """Write a raster north up with overviews, in stripes of any order; the same cells give the same bytes.
 
-    ``put(piece, array)`` lays an array of ``piece.shape``, **row 0 in the south**, into the window; the outer corner of
-    the window's cell (0, 0) is the south-west corner of ``window.box``. What no piece covers has no data. The file
-    appears at the end, and only if no fault ended the block. Until then the cells lie beside it on the disk, and memory
-    holds the pieces and `params.raster_cache`.
+    ``put(stripe, array)`` lays an array of ``stripe.shape``, **row 0 in the south**, into the window; the outer corner
+    of the window's cell (0, 0) is the south-west corner of ``window.box``. A stripe is as wide as the window and one or
+    more times `STRIPE` rows high, counted from the north; the southernmost may be lower (`ValueError` for another
+    piece: GDAL would tell no fault of writing it). What no stripe covers has no data. The file appears at the end, and
+    only if no fault ended the block. Until then the cells lie beside it on the disk, and memory holds the stripes and
+    `params.raster_cache`.
 
     Parameters
     ----------
@@ -91,7 +93,7 @@ def cog(
         "predictor": _predictor(dtype, codes), "bigtiff": "IF_SAFER",
         "overview_resampling": "MODE" if codes else "AVERAGE",
     }  # fmt: skip
-    with whole(path) as beside, rasterio.Env(GDAL_CACHEMAX=params.raster_cache):
+    with whole(path) as beside, rasterio.Env(GDAL_CACHEMAX=params.raster_cache << 20):
         raw = beside.with_name(f"{beside.name}.raw")
         try:
             with rasterio.open(raw, "w", **raw_profile) as file:
@@ -100,15 +102,18 @@ def cog(
                 file.update_tags(AREA_OR_POINT="Area", TIFFTAG_SOFTWARE="fwclass", **(tags or {}))
                 file.update_tags(1, **{f"CLASS_{code}": name for code, name in known.items()})
 
-                def put(piece: Window, array: NDArray) -> None:
-                    rows, columns = piece.within(window)
-                    place = rasterio.windows.Window(
-                        columns.start, window.nrows - rows.stop, piece.ncols, piece.nrows
-                    )  # fmt: skip
+                def put(stripe: Window, array: NDArray) -> None:
+                    rows, _ = stripe.within(window)
+                    north = window.nrows - rows.stop
+                    if stripe.ncols != window.ncols or north % STRIPE or (rows.start and stripe.nrows % STRIPE):
+                        raise ValueError(f"{stripe} is no stripe of {window}")
+                    place = rasterio.windows.Window(0, north, stripe.ncols, stripe.nrows)
                     file.write(np.ascontiguousarray(array[::-1]), 1, window=place)
 
                 yield put
             copy(raw, beside, **finished)
+        except OSError as fault:  # before the cells go, and the disk has room again
+            raise full_or(fault, path.parent) from fault
         finally:
             raw.unlink(missing_ok=True)
     if known:

@@ -210,14 +210,23 @@ class Road:
         return outcome is not None and outcome.ok
 
 
+class Lacking(InputError):
+    """The part `name`, without which nothing can follow, is not done."""
+
+    def __init__(self, name: Name, *words: Any, **more: Any) -> None:
+        super().__init__(*words, **more)
+        self.name = name
+
+
 def require_all(road: Road, tasks: Sequence[Task]) -> Mapping[Name, Receipt]:
     """As `Road.do` for parts without which nothing can follow: the first failure ends the run."""
     done = road.do(tasks)
     for task in tasks:
         outcome = road.outcomes[task.name]
         if not outcome.ok and not road.goes_without(task):
-            raise InputError(
-                f"{task.stage} of part {task.part} failed", where=road.store.where, got=_first_line(outcome.message),
+            raise Lacking(
+                task.name, f"{task.stage} of part {task.part} failed", where=road.store.where,
+                got=_first_line(outcome.message),
                 do="see the whole message above, mend the cause and run the same again; what is done is kept",
             )  # fmt: skip
     return done

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import random
+import subprocess
+import sys
 import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -16,7 +20,7 @@ from hypothesis import strategies as st
 from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.grid import Window
-from fwclass.publish.cog import cog
+from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.params import PublishParams
 from fwclass.publish.stage import class_raster, write_cog
 
@@ -90,42 +94,84 @@ def test_same_array_gives_same_bytes(compression: str, params: PublishParams, tm
 
 
 @settings(max_examples=20, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_pieces_in_any_order_give_the_bytes_of_the_whole(seed: int) -> None:
-    rng, array = np.random.default_rng(seed), codes(seed)
-    window, params = WINDOW, PARAMS
-    rows, cols = (np.unique(np.r_[0, rng.integers(0, n, 3), n]) for n in window.shape)
-    pieces = [
-        (Window(window.cell, window.col + c, window.row + r, w, h), array[r : r + h, c : c + w])
-        for r, h in zip(rows[:-1], np.diff(rows), strict=True)
-        for c, w in zip(cols[:-1], np.diff(cols), strict=True)
-    ]
+@given(st.lists(st.integers(1, 9), max_size=4), st.randoms())
+def test_stripes_in_any_order_give_the_bytes_of_the_whole(cuts: list[int], order: random.Random) -> None:
+    array, top = codes(), WINDOW.row + WINDOW.nrows
+    edges = [0, *sorted(STRIPE * c for c in set(cuts)), WINDOW.nrows]  # from the north
+    pieces = []
+    for first, last in itertools.pairwise(edges):
+        low = WINDOW.nrows - last
+        pieces.append(
+            (Window(0.5, WINDOW.col, top - last, WINDOW.ncols, last - first), array[low : low + last - first])
+        )
+    order.shuffle(pieces)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_cog(array, window, folder / "a.tif", CRS, params, 0, names=NAMES)
-        with cog(array.dtype, window, folder / "b.tif", CRS, params, 0, names=NAMES) as put:
-            for k in rng.permutation(len(pieces)):
-                put(*pieces[k])
+        write_cog(array, WINDOW, folder / "a.tif", CRS, PARAMS, 0, names=NAMES)
+        with cog(array.dtype, WINDOW, folder / "b.tif", CRS, PARAMS, 0, names=NAMES) as put:
+            for piece in pieces:
+                put(*piece)
         assert (folder / "a.tif").read_bytes() == (folder / "b.tif").read_bytes()
 
 
-def test_what_no_piece_covers_has_no_data_and_a_fault_leaves_no_file(params: PublishParams, tmp_path: Path) -> None:
-    corner = Window(0.5, WINDOW.col, WINDOW.row, 3, 2)
-    with cog(np.dtype(np.float32), WINDOW, tmp_path / "d.tif", CRS, params, np.nan) as put:
-        put(corner, np.arange(6, dtype=np.float32).reshape(2, 3))
+def test_what_no_stripe_covers_has_no_data_and_a_fault_leaves_no_file(params: PublishParams, tmp_path: Path) -> None:
+    south = Window(0.5, WINDOW.col, WINDOW.row, WINDOW.ncols, WINDOW.nrows % STRIPE)
+    heights = np.arange(np.prod(south.shape), dtype=np.float32).reshape(south.shape)
+    with cog(heights.dtype, WINDOW, tmp_path / "d.tif", CRS, params, np.nan) as put:
+        put(south, heights)
     with rasterio.open(tmp_path / "d.tif") as file:
-        found = file.read(1)
-    assert found[-1, :3].tolist() == [0, 1, 2] and found[-2, :3].tolist() == [3, 4, 5]
-    assert np.isfinite(found).sum() == 6
-    with pytest.raises(ZeroDivisionError), cog(np.dtype(np.uint8), WINDOW, tmp_path / "e.tif", CRS, params, 0) as put:
-        put(corner, np.ones((2, 3), np.uint8))
+        found = file.read(1)[::-1]
+    assert np.array_equal(found[: south.nrows], heights) and np.isnan(found[south.nrows :]).all()
+    with pytest.raises(ZeroDivisionError), cog(heights.dtype, WINDOW, tmp_path / "e.tif", CRS, params, 0) as put:
+        put(south, heights)
         raise ZeroDivisionError
     assert [p.name for p in tmp_path.iterdir()] == ["d.tif"]
+
+
+@pytest.mark.parametrize(
+    ("left", "low", "wide", "high", "told"),
+    [
+        (-1, 0, 700, 24, "does not lie inside"),
+        (0, 0, 350, 600, "no stripe"),
+        (0, 0, 700, 30, "no stripe"),  # its northern edge is not one of a stripe
+        (0, 536, 700, 32, "does not lie|no stripe"),
+        (0, 24, 700, 32, "no stripe"),
+    ],
+)
+def test_what_is_no_stripe_is_refused(left, low, wide, high, told, params: PublishParams, tmp_path: Path) -> None:
+    piece = Window(0.5, WINDOW.col + left, WINDOW.row + low, wide, high)
     with (
-        pytest.raises(ValueError, match="does not lie inside"),
+        pytest.raises(ValueError, match=told),
         cog(np.dtype(np.uint8), WINDOW, tmp_path / "f.tif", CRS, params, 0) as put,
     ):
-        put(Window(0.5, WINDOW.col - 1, WINDOW.row, 3, 2), np.ones((2, 3), np.uint8))
+        put(piece, np.ones(piece.shape, np.uint8))
+    assert not list(tmp_path.iterdir())
+
+
+WIDE = """
+import sys
+import numpy as np
+from pathlib import Path
+from fwclass import conf
+from fwclass.grid import Window
+from fwclass.publish.cog import STRIPE, cog
+
+window, rows = Window(1.0, 0, 0, 20_000, 16 * STRIPE), np.random.default_rng(1)
+with cog(np.dtype(np.float32), window, Path(sys.argv[1]) / "w.tif", None, conf.section("publish"), np.nan) as put:
+    for k in range(16):
+        stripe = Window(1.0, 0, window.nrows - (k + 1) * STRIPE, window.ncols, STRIPE)
+        put(stripe, np.full(stripe.shape, k, np.float32))
+read = next(int(line.split()[1]) for line in open("/proc/self/io") if line.startswith("rchar"))
+print(read / (4 * window.ncols * window.nrows))
+"""
+
+
+def test_a_wide_raster_is_read_about_once_to_be_finished(tmp_path: Path) -> None:
+    """A cache that holds less than a row of tiles would read every stripe for every tile of it, 40 times."""
+    if not Path("/proc/self/io").exists():
+        pytest.skip("this system does not count what is read")
+    ended = subprocess.run([sys.executable, "-c", WIDE, tmp_path], capture_output=True, text=True, check=True)
+    assert 0.5 < float(ended.stdout) < 4
 
 
 def test_another_shape_is_refused(params: PublishParams, tmp_path: Path) -> None:

@@ -124,7 +124,11 @@ def test_status_tells_the_page_s_own_parts(fan, survey: Path) -> None:
     }
     assert set(looked.states) == set(Store(root).parts()) - {n for n in Store(root).parts() if n[0] in NO_STAGES}
     looked = looked_at("fan2013", survey, root, *settings, "select.trees=5")
-    assert {s for (s, _), one in looked.states.items() if one.standing != "done"} == {"select-trial", "select-cost"}
+    assert {s for (s, _), one in looked.states.items() if one.standing != "done"} == {"select-trial"}
+    assert looked.ends is not None and looked.ends.startswith("select-trial/") and looked.ends.endswith(" is stale")
+    more = SMALL[len(SETTINGS)].replace("]}]", "]}, {name: water, code: 9, codes: [9]}]")
+    looked = looked_at("fan2013", survey, root, *settings, more)  # trials of three classes tell nothing of four
+    assert looked.ends is not None and looked.ends.startswith("select-") and looked.ends.endswith(" is stale")
     looked = looked_at("fan2013", survey, root, *settings, "papers.seeds=[1, 2, 3]")
     assert not looked.all_done and "is missing" in (looked.ends or "")
 
@@ -199,8 +203,8 @@ def test_status_replay_and_seams_of_a_run_that_chooses_its_features(xiong, surve
     }
     shutil.rmtree(root / "store" / "paper-judged" / "rf")
     looked = looked_at("xiong2018", survey, root, *XIONG)
-    late = {n: s.standing for n, s in looked.states.items() if s.standing != "done"}
-    assert late.pop(("paper-judged", "rf")) == "missing" and set(late.values()) <= {"stale"}
+    assert [n for n, s in looked.states.items() if s.standing != "done"] == [("paper-judged", "rf")]
+    assert looked.ends == "paper-judged/rf is missing"
     work = task_alone(looked, "paper-judged/rf", Request("demo", str(root), workflow="xiong2018"))
     assert work.name == ("paper-judged", "rf")
     config = conf.load("demo", (*SMALL, f"survey.directory={survey}", *XIONG))

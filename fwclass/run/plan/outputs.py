@@ -13,7 +13,7 @@ from fwclass.ground.stage import TERRAIN
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Task
 from fwclass.run.plan.ground import terrain_blocks
-from fwclass.run.plan.layout import Layout, Strip, Survey, has_range, needs_of, plain, plain_classes
+from fwclass.run.plan.layout import Layout, Strip, Survey, has_range, needs_of, plain_classes
 from fwclass.run.tasks import Tasks
 from fwclass.run.work import outputs
 
@@ -25,6 +25,9 @@ DELIVERED = (
 )  # fmt: skip
 """Columns of the delivered tiles, besides the forest's features and radiometry."""
 
+NO_BYTE = {"raster_cache", "figure_pixels"}
+"""Settings that change no byte of what these parts write."""
+
 
 def output_tasks(
     layout: Layout, names: tuple[str, ...], survey: Survey,
@@ -32,7 +35,11 @@ def output_tasks(
 ) -> Tasks:  # fmt: skip
     """Tiles (LAZ, GeoParquet), strips (LAZ), class blocks and rasters."""
     config = layout.config
-    params = {**plain(config.publish), "crs": survey.crs, "classes": plain_classes(config)}
+    params = {
+        **config.publish.model_dump(mode="json", exclude=NO_BYTE),
+        "crs": survey.crs,
+        "classes": plain_classes(config),
+    }
     measured = RADIOMETRY.writes if has_range(config) else ()
     shares = probability_columns(c.code for c in config.classes) if config.classify.probabilities else ()
     wanted = tuple(dict.fromkeys((*DELIVERED, *shares, *measured, *names, *config.features.also)))

@@ -24,6 +24,8 @@ from fwclass.run.work.sources import CLOUD_ROWS
 from fwclass.store.models import load_model
 from fwclass.thin.sample import THIN
 
+MIB = 1 << 20
+
 
 @dataclass(frozen=True)
 class Amount:
@@ -197,5 +199,11 @@ def _of_delivery(config: Config, facts: SurveyFacts, counts: Counts) -> dict[str
     return {
         "publish-strip": Amount(len(counts.points), float(counts.points.sum()), largest, largest),
         "class-block": Amount(blocks, cells, min(cells, (config.terrain.block / cell) ** 2), 0.0),
-        "publish-rasters": Amount(1, cells, cells, (box.xmax - box.xmin) / cell * STRIPE),
+        "publish-rasters": Amount(1, cells, cells, _held_for_rasters(config, box.xmax - box.xmin, cells, cell)),
     }
+
+
+def _held_for_rasters(config: Config, width: float, cells: float, cell: float) -> float:
+    """Cells in memory: a stripe's, a quarter as much for those of a row of blocks, and what GDAL keeps of all."""
+    cache = min(cells, config.publish.raster_cache * MIB / config.plan.stages["publish-rasters"].held)
+    return width / cell * (STRIPE + config.terrain.block / cell / 4) + cache

@@ -12,7 +12,7 @@ from fwclass.grid import Box, TileGrid
 from fwclass.run.local import Loop
 from fwclass.run.part import Name, Outcome, Task, input_digests
 from fwclass.run.progress import Display
-from fwclass.run.road import Done, Road
+from fwclass.run.road import Done, Lacking, Road
 from fwclass.run.status.why import Reason, new_files, reasons, same, waiting
 from fwclass.run.survey import header_box
 from fwclass.store.failures import Failure
@@ -40,6 +40,10 @@ class State:
         return bool(self.reasons) and all(r.waits for r in self.reasons)
 
 
+CHOOSES = "select-"
+"""Stages that features are chosen by: what they will say when they are made anew is not what they say now."""
+
+
 class Silent(Display):
     """No progress: nothing is done."""
 
@@ -54,7 +58,10 @@ class Silent(Display):
 
 
 class Look(Road):
-    """Takes every part's receipt, stale or not, for what a run will have made: so the parts that follow are known."""
+    """Takes a part's receipt, stale or not, for what a run will have made: so the parts that follow are known.
+
+    Where a run would choose by a part that is not done, it ends.
+    """
 
     def __init__(self, home: Home) -> None:
         super().__init__(home, Loop(), Silent(), seen=open_store(home, read_only=True, lists=True))
@@ -76,9 +83,10 @@ class Look(Road):
             else:
                 self._waits[task.name] = state.standing
             receipt = self.store.receipt(*task.name)
-            if receipt is not None:
+            known = receipt is not None and (state.standing == "done" or not task.stage.startswith(CHOOSES))
+            if known:
                 receipts.append(task.name)
-            self.outcomes[task.name] = Outcome(*task.name, "skipped" if receipt else "blocked")
+            self.outcomes[task.name] = Outcome(*task.name, "skipped" if known else "blocked")
         return Done(self.store, receipts)
 
     def goes_without(self, task: Task) -> bool:
@@ -174,6 +182,7 @@ def look_at(home: Home, workflow: Callable[[Road], object]) -> Looked:
     except FwclassError as fault:
         if all(s.standing == "done" for s in look.states.values()):
             raise
-        missing = [n for n in look.states if look.store.receipt(*n) is None]
-        ends = f"{'/'.join(missing[0])} is missing" if missing else fault.what
+        ends = fault.what
+        if isinstance(fault, Lacking):
+            ends = f"{'/'.join(fault.name)} is {look.states[fault.name].standing}"
     return Looked(look.store, look.states, look.tasks, ends)

@@ -108,8 +108,7 @@ def _failed(looked: Looked, request: Request) -> list[str]:
         if s.standing == "failed":
             rows.append(f"failed   {s.stage}/{s.part}")
             rows += [f"           {line}" for line in s.message.splitlines()]
-            replay = request.replay((s.stage, s.part))
-            rows += [f"           alone: {replay}"] if replay else []
+            rows.append(f"           alone: {request.replay((s.stage, s.part))}")
     return rows
 
 

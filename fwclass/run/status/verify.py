@@ -40,5 +40,6 @@ def as_text(found: list[Damage], where: Path | Url) -> str:
         return "all files of all parts that are done have the bytes that were written"
     rows = [f"damaged  {d.stage}/{d.part}: {', '.join(d.files)}" for d in found]
     places = [shlex.quote(str(where / "store" / d.stage / d.part)) for d in found]
-    how = "what lies below" if isinstance(where, Url) else "rm -r"
-    return "\n".join([*rows, f"to have them made again, remove them and run again: {how} " + " ".join(places)])
+    if isinstance(where, Url):
+        return "\n".join([*rows, "to have them made again, remove what lies below, and run again:", *places])
+    return "\n".join([*rows, "to have them made again, remove them and run again: rm -r " + " ".join(places)])

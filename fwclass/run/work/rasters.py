@@ -52,7 +52,7 @@ class Mosaic:
     def laid(self, window: Window) -> dict[str, NDArray]:
         """The rasters in `window`, row 0 in the south."""
         keys = [self._keys[k] for k in self._within(window)]
-        self._held = {k: v for k, v in self._held.items() if k in set(keys)}
+        self._held = {k: self._held[k] for k in keys if k in self._held}
         out = {n: np.full(window.shape, value, value.dtype) for n, value in self._empty.items()}
         for key in keys:
             arrays, own = self._block(key)
