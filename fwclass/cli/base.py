@@ -35,8 +35,8 @@ class LocalPath(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if is_url(value):
             self.fail(
-                f"{value} is on object storage, and this command takes files of this host; `fwclass run --out`, "
-                "`status` and `seams` take such an address (docs/many-machines.md)", param, ctx,
+                f"{value} is on object storage, and this command takes files of this host; `fwclass run`, `status`, "
+                "`schedule`, `history` and `seams` take the address of a run (docs/many-machines.md)", param, ctx,
             )  # fmt: skip
         return super().convert(value, param, ctx)
 

@@ -9,14 +9,14 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, PATH, SCHEDULER, SET, WORKERS, cli
-from fwclass.cli.status import WORKFLOW, requested
-from fwclass.errors import ConfigError
+from fwclass.cli.base import JSON, PATH, RUN, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.status import WORKFLOW, home_of_run, requested
+from fwclass.errors import ConfigError, visible
 
 
 @cli.command()
 @click.argument("conf", type=PATH)
-@click.option("--out", type=PATH, help="Run directory (default: runs/<survey>).")
+@click.option("--out", type=RUN, help="Run directory, or s3://bucket/directory (default: runs/<survey>).")
 @click.option("--every", metavar="TIME", help="Interval between the beginnings of runs: 90s, 15m, 1h30m, 1d.")
 @click.option("--cron", metavar='"M H D M W"', help="Five fields as of crontab(5), in schedule.timezone.")
 @click.option("--inbox", type=PATH, help="Move complete files from this directory into the survey, and run.")
@@ -26,15 +26,15 @@ from fwclass.errors import ConfigError
 @SCHEDULER
 @WORKERS
 def schedule(
-    conf: Path, out: Path | None, every: str | None, cron: str | None, inbox: Path | None, once: bool,
+    conf: Path, out: Any, every: str | None, cron: str | None, inbox: Path | None, once: bool,
     settings: tuple[str, ...], workflow: str, scheduler: str | None, workers: int | None,
 ) -> None:  # fmt: skip
     """Run a survey on an interval, by a cron expression, or when files are delivered, until told to stop.
 
     Each run is what `fwclass run` does, in a process of its own, and has a line in `fwclass history`. The section
     `schedule` of the configuration has the same and more: webhook, command, how files are known to be complete. How it
-    stands is in schedule.json in the run directory. Exit code 0 when ended by SIGTERM, 130 by Ctrl-C; with --once that
-    of the run.
+    stands is in schedule.json in the run directory, or at the run's address. Exit code 0 when ended by SIGTERM, 130 by
+    Ctrl-C; with --once that of the run.
     """
     from fwclass.run.schedule.loop import Schedule
 
@@ -44,7 +44,8 @@ def schedule(
         words += ["--scheduler", scheduler]
     if workers is not None:
         words += ["--workers", str(workers)]
-    sys.exit(Schedule(config, request, tuple(words), once, lambda text: click.echo(text, err=True)).keep())
+    home = home_of_run(request, config)
+    sys.exit(Schedule(config, request, home, tuple(words), once, lambda text: click.echo(text, err=True)).keep())
 
 
 def _asked(every: str | None, cron: str | None, inbox: Path | None) -> list[str]:
@@ -66,16 +67,30 @@ def _asked(every: str | None, cron: str | None, inbox: Path | None) -> list[str]
 
 
 @cli.command()
-@click.argument("run", type=PATH)
-@click.option("--last", "count", type=click.IntRange(1), metavar="N", help="Only the last N runs.")
+@click.argument("run", type=RUN)
+@click.option(
+    "--last", "count", type=click.IntRange(1), metavar="N",
+    help="Only the last N runs (default: all; of a run on object storage, the last 200).",
+)  # fmt: skip
 @JSON
-def history(run: Path, count: int | None, as_json: bool) -> None:
-    """Tell what was run in the run directory RUN: when, why, how it ended, and how many parts were made."""
+def history(run: Any, count: int | None, as_json: bool) -> None:
+    """Tell what was run in RUN, a directory or s3://bucket/directory: when, why, how it ended, and how many parts were
+    made."""
     from fwclass.run.history import past_runs, table
-    from fwclass.run.schedule.state import NAME
+    from fwclass.store.history import is_run
 
-    if not (run / "store").is_dir() and not (run / NAME).is_file():
-        raise ConfigError("no such run directory", where=run, do="name a directory that `fwclass run` has made")
-    runs = past_runs(run)
-    runs = runs[-count:] if count is not None else runs
-    click.echo(json.dumps(runs, indent=1) if as_json else table(runs))
+    home = run if isinstance(run, Path) else _remote(run)
+    if not is_run(home):
+        raise ConfigError(
+            "no such run directory", where=run, do="name a directory, or an address, that `fwclass run` has made"
+        )
+    runs = past_runs(home, count)
+    click.echo(json.dumps(runs, indent=1) if as_json else visible(table(runs), "\n"))
+
+
+def _remote(run: Any) -> Any:
+    """The run at an address; what this loads, a directory's history is told without."""
+    from fwclass import conf as configuration
+    from fwclass.store.home import home_of
+
+    return home_of(run, configuration.section("store"))

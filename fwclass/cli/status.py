@@ -11,7 +11,7 @@ import click
 
 from fwclass.cli.base import JSON, PATH, RUN, SET, cli, little_garbage
 from fwclass.cli.road import open_road, tell_failures
-from fwclass.errors import PARTIAL, ConfigError, nearest
+from fwclass.errors import PARTIAL, ConfigError, nearest, visible
 
 TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
 AOI = click.option("--aoi", type=PATH, metavar="FILE", help="Only tiles that the polygons of FILE share area with.")
@@ -59,7 +59,7 @@ def requested(
     return config, Request.of(conf, out_directory(out, config), settings, workflow, tiles)
 
 
-def _home(request: Any, config: Any) -> Any:
+def home_of_run(request: Any, config: Any) -> Any:
     """Where the run of `request` lies."""
     from fwclass.store.home import home_of
     from fwclass.store.url import is_url, url_of
@@ -73,7 +73,7 @@ def _looked(config: Any, request: Any) -> Any:
     from fwclass.run.status.look import look_at
     from workflows import WORKFLOWS
 
-    return look_at(_home(request, config), lambda road: WORKFLOWS[request.workflow](config, road, request.wanted))
+    return look_at(home_of_run(request, config), lambda road: WORKFLOWS[request.workflow](config, road, request.wanted))
 
 
 def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: str) -> None:
@@ -83,7 +83,8 @@ def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: 
     config, request = requested(conf, out, settings, workflow, None)
     from fwclass.run.history import recorded
 
-    with recorded(request, only) as entry, open_road(_home(request, config), 0, None, config.run) as road:
+    home = home_of_run(request, config)
+    with recorded(home, request, only) as entry, open_road(home, 0, None, config.run) as road:
         entry.begin(road)
         task = task_alone(_looked(config, request), only, request)
         road.do([task])
@@ -139,8 +140,8 @@ def status(
     from fwclass.run.schedule.state import standing
     from fwclass.run.status.told import as_data, as_text
 
-    home = _home(request, config)
-    writer, scheduled = held_by(home), standing(home) if isinstance(home, Path) else None
+    home = home_of_run(request, config)
+    writer, scheduled = held_by(home), standing(home)
     looked = _looked(config, request)
     from fwclass.run.status.verify import as_text as damage_text
     from fwclass.run.status.verify import damages
@@ -154,7 +155,9 @@ def status(
     else:
         if scheduled is not None:
             when = f"next {scheduled['next']}" if scheduled.get("next") else "waits for files"
-            click.echo(f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}")
+            when += "" if isinstance(home, Path) else f", heard of {scheduled.get('heartbeat')}"
+            told = f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}"
+            click.echo(visible(told))
         click.echo(as_text(looked, request, writer, every))
         if verify:
             click.echo(damage_text(damaged, looked.store.where))

@@ -11,7 +11,7 @@ import click
 
 from fwclass.cli.base import PATH, RUN, SCHEDULER, SET, WORKERS, cli, little_garbage
 from fwclass.cli.road import open_road, report_path, tell_failures
-from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, out_directory, requested
+from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, home_of_run, out_directory, requested
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
 
 
@@ -38,17 +38,16 @@ def _run(
 
     if request.aoi is not None:
         request.wanted.check()
-    with recorded(request) as entry:
+    with recorded(home_of_run(request, config), request) as entry:
         _walk(config, request, root, replace(how, workers=count), performance, entry)
 
 
 def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
     from fwclass.assess.stage import judge
     from fwclass.run.report import REPORT, summary
-    from fwclass.store.home import home_of
     from workflows import WORKFLOWS
 
-    with open_road(home_of(root, config.store), how.workers or 0, how.scheduler, config.run, performance) as road:
+    with open_road(entry.home, how.workers or 0, how.scheduler, config.run, performance) as road:
         road.store.generations.check_links()
         request.keep(road.store)
         road.fail_fast = how.fail_fast

@@ -1,4 +1,4 @@
-"""What every `fwclass run` leaves in the history of its run directory, and the history as it is read."""
+"""What every `fwclass run` leaves in the history of its run, and the history as it is read."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import sys
 import time
 import uuid
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fwclass import __version__
 from fwclass.errors import (
@@ -32,8 +31,10 @@ from fwclass.errors import (
 from fwclass.redact import redacted, redacted_setting
 from fwclass.run.request import Request
 from fwclass.store import history
-from fwclass.store.lock import holder
-from fwclass.store.url import is_url
+from fwclass.store.refusals import Unreachable
+
+if TYPE_CHECKING:
+    from fwclass.store.home import Home  # loads what object storage needs, which a directory's history does not
 
 ORDER = "FWCLASS_ORDER"
 """Environment variable by which a schedule tells the run that it starts who it is and why: JSON of id and why."""
@@ -70,11 +71,12 @@ def why_manual() -> dict[str, Any]:
 class Entry:
     """A run's place in the history.
 
-    `generation`: number of the delivery that it made, None for none. `road`: where its parts are counted.
-    `began`, `clock`: of the wall clock and of the monotonic one [s]. `last`: the line that was written last.
+    `home`: where the run lies. `generation`: number of the delivery that it made, None for none. `road`: where its
+    parts are counted. `began`, `clock`: of the wall clock and of the monotonic one [s]. `last`: the line that was
+    written last.
     """
 
-    root: Path
+    home: Home
     request: Request
     only: str | None = None
     id: str = field(default_factory=lambda: uuid.uuid4().hex)
@@ -91,13 +93,17 @@ class Entry:
         self._write({"record": "begin", **self._facts()})
 
     def end(self, code: int, word: str, message: str = "") -> None:
+        self._write(self.ending(code, word, message))
+
+    def ending(self, code: int, word: str, message: str = "") -> dict[str, Any]:
+        """The line that tells how the run has ended."""
         counts = Counter(outcome.status for outcome in self.road.outcomes.values()) if self.road is not None else {}
-        self._write({
+        return {
             "record": "end", **self._facts(), "ended": utc(time.time()),
             "seconds": round(time.monotonic() - self.clock, 3), "exit_code": code, "word": word,
             "parts": {status: counts.get(status, 0) for status in COUNTED}, "generation": self.generation,
             "message": message,
-        })  # fmt: skip
+        }  # fmt: skip
 
     def _facts(self) -> dict[str, Any]:
         return {
@@ -109,26 +115,24 @@ class Entry:
         }  # fmt: skip
 
     def _write(self, line: Mapping[str, Any]) -> None:
-        """A history that cannot be written (disk full, no permission) is told, and stops no run."""
+        """A history that cannot be written (disk full, no permission, no network) is told, and stops no run."""
         self.last = dict(line)
-        if is_url(self.request.root):
-            self._put(line)
-            return
         try:
-            history.append(self.root, line)
-        except OSError as fault:
-            sys.stderr.write(f"the history in {self.root} could not be written: {fault.strerror or fault}\n")
-
-    def _put(self, line: Mapping[str, Any]) -> None:
-        """On object storage, where nothing can be appended, every line is an object."""
-        if self.road is not None:
-            with suppress(StoreError):
-                self.road.store.keep(f"history/{self.id}-{line['record']}.json", dict(line))
+            history.append(self.home, line)
+        except (OSError, StoreError) as fault:
+            sys.stderr.write(f"the history in {self.home} could not be written: {why_not(fault)}\n")
 
 
-def entry_of(request: Request, only: str | None = None) -> Entry:
+def why_not(fault: OSError | StoreError) -> str:
+    """Why a file or an object could not be read or written, in few words."""
+    if isinstance(fault, StoreError):
+        return fault.what
+    return fault.strerror or str(fault)
+
+
+def entry_of(home: Home, request: Request, only: str | None = None) -> Entry:
     """A new entry; what a schedule has ordered has the schedule's words."""
-    entry = Entry(Path(request.root), request, only)
+    entry = Entry(home, request, only)
     try:
         order = json.loads(os.environ.pop(ORDER, "null"))
         if order is not None:
@@ -139,12 +143,19 @@ def entry_of(request: Request, only: str | None = None) -> Entry:
 
 
 @contextmanager
-def recorded(request: Request, only: str | None = None) -> Iterator[Entry]:
-    """Write into the history how the run within ends, however it ends; `Entry.begin` says that it has begun."""
-    entry = entry_of(request, only)
+def recorded(home: Home, request: Request, only: str | None = None) -> Iterator[Entry]:
+    """Write into the history in `home` how the run within ends, however it ends; `Entry.begin` says that it has begun.
+
+    A run that ended because object storage does not answer, or by Ctrl-C, does not wait for it once more.
+    """
+    entry = entry_of(home, request, only)
     try:
         yield entry
     except BaseException as fault:
+        if isinstance(fault, (Unreachable, KeyboardInterrupt)):
+            from fwclass.store.home import hurried
+
+            entry.home = hurried(home)
         entry.end(*_ending(fault))
         raise
     entry.end(DONE, WORDS[DONE])
@@ -165,20 +176,35 @@ def _ending(fault: BaseException) -> tuple[int, str, str]:
     return FAILED, WORDS[FAILED], redacted(text or type(fault).__name__)
 
 
-def past_runs(root: Path) -> list[dict[str, Any]]:
-    """Every run in the history, oldest first, with `word` running or interrupted where no end was written."""
+def past_runs(home: Home, last: int | None = None) -> list[dict[str, Any]]:
+    """The `last` runs in the history, oldest first, with `word` running or interrupted where no end was written.
+
+    None: all of them, or as many as are read of object storage unasked.
+    """
+    runs = _joined(history.lines(home, last))
+    if any("word" not in run for run in runs):
+        from fwclass.store.home import held_by
+
+        writer = held_by(home)
+        for run in (r for r in runs if "word" not in r):
+            alive = writer is not None and (writer.get("host"), writer.get("pid")) == (run.get("host"), run.get("pid"))
+            run["word"] = RUNNING if alive else WORDS[INTERRUPTED]
+    return runs if last is None else runs[-last:]
+
+
+def past_run(home: Home, name: str) -> dict[str, Any] | None:
+    """What the history has of the run whose id is `name`, None for nothing."""
+    return next(iter(_joined(history.lines_of(home, name))), None)
+
+
+def _joined(lines: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Runs, each of all its lines."""
     found: dict[str, dict[str, Any]] = {}
-    for line in history.lines(root):
+    for line in lines:
         name = str(line.get("id"))
         if line.get("record") in ("begin", "end", "told"):
             found[name] = {**found.get(name, {}), **{k: v for k, v in line.items() if k != "record"}}
-    writer = holder(root)
-    runs = [run for run in found.values() if "began" in run]
-    for run in runs:
-        if "word" not in run:
-            alive = writer is not None and (writer.get("host"), writer.get("pid")) == (run.get("host"), run.get("pid"))
-            run["word"] = RUNNING if alive else WORDS[INTERRUPTED]
-    return runs
+    return [run for run in found.values() if "began" in run]
 
 
 def table(runs: Sequence[Mapping[str, Any]]) -> str:

@@ -1,7 +1,7 @@
-"""The history of a run directory: a line when a run begins, a line when it has ended, in ``store/history.jsonl``.
+"""The history of a run: a line when it begins, a line when it has ended, in ``store/history.jsonl``.
 
 Lines are only ever added, each by one write that is flushed. A line that was torn (power cut, disk full) is passed
-over.
+over. On object storage every line is an object (`remote_history`).
 """
 
 from __future__ import annotations
@@ -12,9 +12,13 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fwclass.store.atomic import sync
+from fwclass.store.lock import STATE
+
+if TYPE_CHECKING:
+    from fwclass.store.home import Home
 
 NAME, EARLIER = "history.jsonl", "history.1.jsonl"
 
@@ -22,8 +26,18 @@ HISTORY_BYTES = 4 << 20
 """A longer file becomes `EARLIER`, whose lines are then forgotten: some 5 000 runs stay, 10 000 at most."""
 
 
-def append(root: Path, line: Mapping[str, Any]) -> None:
-    """Add a line, whole or torn, never mixed with another writer's; `OSError` where it cannot be written."""
+def append(home: Home, line: Mapping[str, Any]) -> None:
+    """Add a line, whole or torn, never mixed with another writer's; `OSError` or `StoreError` where it cannot be
+    written."""
+    if isinstance(home, Path):
+        _append(home, line)
+        return
+    from fwclass.store import remote_history  # not at the top: a directory's history is told without what this needs
+
+    remote_history.append(home.objects, line)
+
+
+def _append(root: Path, line: Mapping[str, Any]) -> None:
     path = root / "store" / NAME
     path.parent.mkdir(parents=True, exist_ok=True)
     text = (json.dumps(line, sort_keys=True, allow_nan=False) + "\n").encode()
@@ -41,8 +55,34 @@ def append(root: Path, line: Mapping[str, Any]) -> None:
             sync(path.parent)
 
 
-def lines(root: Path) -> Iterator[dict[str, Any]]:
-    """All lines in the order they were written."""
+def lines(home: Home, last: int | None = None) -> Iterator[dict[str, Any]]:
+    """All lines in the order they were written; on object storage those of the `last` runs."""
+    if isinstance(home, Path):
+        return _lines(home)
+    from fwclass.store import remote_history
+
+    return remote_history.lines(home.objects, remote_history.LAST if last is None else last)
+
+
+def lines_of(home: Home, name: str) -> Iterator[dict[str, Any]]:
+    """The lines of the run whose id is `name`."""
+    if isinstance(home, Path):
+        return (line for line in _lines(home) if str(line.get("id")) == name)
+    from fwclass.store import remote_history
+
+    return remote_history.lines_of(home.objects, name)
+
+
+def is_run(home: Home) -> bool:
+    """A run was begun there, or a schedule."""
+    if isinstance(home, Path):
+        return (home / "store").is_dir() or (home / STATE).is_file()
+    from fwclass.store import remote_history
+
+    return remote_history.is_run(home.objects)
+
+
+def _lines(root: Path) -> Iterator[dict[str, Any]]:
     for name in (EARLIER, NAME):
         try:
             stream = (root / "store" / name).open(encoding="utf-8", errors="replace")

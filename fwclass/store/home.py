@@ -1,17 +1,20 @@
-"""Where a run lies, a local directory or a prefix of a bucket: its store, and its lock."""
+"""Where a run lies, a local directory or a prefix of a bucket: its store, its locks, and what lies at its root."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fwclass.store.lock import holder, writer
+from fwclass.errors import StoreError
+from fwclass.store.atomic import read_json, write_json
+from fwclass.store.lock import WRITER, Lock, holder, writer
 from fwclass.store.params import StoreParams
 from fwclass.store.remote import RemoteStore
-from fwclass.store.remote_lock import remote_holder, remote_writer
+from fwclass.store.remote_lock import check_token, remote_holder, remote_writer
 from fwclass.store.remote_read import Remote
 from fwclass.store.run_store import SeenStore, Store
 from fwclass.store.url import Url
@@ -30,6 +33,13 @@ def address_of(home: Home) -> Path | Url:
     return home.url if isinstance(home, Remote) else home
 
 
+def hurried(home: Home) -> Home:
+    """The same place for what shall not wait: a request that fails is not tried for long."""
+    if not isinstance(home, Remote):
+        return home
+    return replace(home, params=home.params.model_copy(update={"patience": 0.0}))
+
+
 def open_store(home: Home, read_only: bool = False, lists: bool = False) -> Store:
     """The store of a run; with `lists` for who asks about all of it, and says what was made meanwhile (`forget`)."""
     if isinstance(home, Remote):
@@ -37,17 +47,51 @@ def open_store(home: Home, read_only: bool = False, lists: bool = False) -> Stor
     return (SeenStore if lists else Store)(home, read_only)
 
 
-def held_by(home: Home) -> Mapping[str, Any] | None:
-    """Host and pid of the run that is writing there, None where there is none."""
-    return remote_holder(home.objects) if isinstance(home, Remote) else holder(home)
+def held_by(home: Home, lock: Lock = WRITER) -> Mapping[str, Any] | None:
+    """Host and pid of the run that is writing there, or of who else holds `lock`, None where there is none."""
+    return remote_holder(home.objects, lock) if isinstance(home, Remote) else holder(home, lock)
 
 
 @contextmanager
-def locked(home: Home, tell: Callable[[str], None]) -> Iterator[tuple[Home, Callable[[], None]]]:
+def locked(
+    home: Home, tell: Callable[[str], None], lock: Lock = WRITER
+) -> Iterator[tuple[Home, Callable[[], None]]]:  # fmt: skip
     """Hold the run: where parts are to be committed now, and what raises `StoreError` once the lock is lost."""
     if isinstance(home, Remote):
-        with remote_writer(home.objects, tell) as (token, beat):
+        with remote_writer(home.objects, tell, lock) as (token, beat):
             yield replace(home, token=token), beat.check
     else:
-        with writer(home) as check:
+        with writer(home, lock) as check:
             yield home, check
+
+
+def confirm(home: Home, lock: Lock) -> None:
+    """`LostRace` where `lock` is another's by now: object storage is asked, because who has slept does not know yet.
+
+    `home`: the one that `locked` gave. A kernel's lock is never taken over.
+    """
+    if isinstance(home, Remote):
+        check_token(home.objects, home.token, lock)
+
+
+def read_note(home: Home, name: str) -> Any:
+    """Plain data that lies at the run's root, None for none; `StoreError` where it cannot be read."""
+    if not isinstance(home, Remote):
+        return read_json(home / name) if (home / name).exists() else None
+    found = home.objects.get(name)
+    try:
+        return None if found is None else json.loads(found[0])
+    except (ValueError, RecursionError) as fault:
+        raise StoreError("not plain data", where=home.url / name, got=fault, do="remove the object") from fault
+
+
+def write_note(home: Home, name: str, value: Any, lock: Lock) -> None:
+    """Replace plain data at the run's root, for who holds `lock`; `OSError` or `StoreError` where it fails.
+
+    On object storage, where a lock may be lost unnoticed, `LostRace` when it is (`home` is the one that `locked` gave).
+    """
+    confirm(home, lock)
+    if isinstance(home, Remote):
+        home.objects.put(name, json.dumps(value, sort_keys=True, indent=1, allow_nan=False).encode())
+    else:
+        write_json(home / name, value)

@@ -18,17 +18,26 @@ from fwclass.errors import LockedError, StoreError, visible
 
 @dataclass(frozen=True)
 class Lock:
-    """A lock of a run directory: the name of its file, and what a second one that asks for it is told."""
+    """A lock of a run: the name of its file, what a second one that asks for it is told, whose it is, and what comes
+    of one that is lost."""
 
     name: str
     taken: str
     do: str
+    who: str
+    then: str
 
 
-WRITER = Lock("lock", "another run is writing to this directory", "wait for it to end, or choose another --out")
+WRITER = Lock(
+    "lock", "another run is writing to this directory", "wait for it to end, or choose another --out", "run",
+    "nothing more is committed",
+)  # fmt: skip
+STATE = "schedule.json"
+"""At the run's root: how the holder of `SCHEDULE` stands."""
 SCHEDULE = Lock(
     "schedule.lock", "another schedule is at work on this run directory",
-    "stop that one first (schedule.json in the run directory tells its state), or choose another --out",
+    f"stop that one first ({STATE} in the run directory tells its state), or choose another --out", "schedule",
+    "this one ends",
 )  # fmt: skip
 
 

@@ -18,7 +18,8 @@ from fwclass.store.atomic import digest_of, file_digest, files_below, staged
 from fwclass.store.objects import Mark
 from fwclass.store.receipts import Receipt, digest_of_outputs
 from fwclass.store.refusals import LostRace
-from fwclass.store.remote_lock import LOCK
+from fwclass.store.remote_history import surplus
+from fwclass.store.remote_lock import check_token
 from fwclass.store.remote_read import RECEIPT, RemoteReader, key_of_receipt, unit_of
 from fwclass.store.run_store import peak_mib
 
@@ -91,14 +92,8 @@ class RemoteStore(RemoteReader):
         return receipt
 
     def _check_token(self) -> None:
-        if not self.remote.token:
-            return
-        found = self.objects.get(LOCK)
-        if found is None or json.loads(found[0]).get("token") != self.remote.token:
-            raise LostRace(
-                "this run has lost its lock, and commits nothing more", where=self.where,
-                got=found[0].decode() if found else "no lock", do="see which other run works below this address",
-            )  # fmt: skip
+        if self.remote.token:
+            check_token(self.objects, self.remote.token)
 
     def _clear(self, receipt: Receipt, old: Receipt | None) -> None:
         gone = [f"store/{below}" for below in _besides(receipt.stage, receipt.part)]
@@ -149,11 +144,12 @@ class RemoteStore(RemoteReader):
         """What killed workers left is removed when the next run begins: to find it, everything is listed."""
 
     def clear_staging(self) -> None:
-        """Remove what interrupted writers left: marks, and objects that no receipt names (for the lock's holder)."""
+        """Remove what interrupted writers left: marks, and objects that no receipt names (for the lock's holder); and
+        what the history has too much."""
         shutil.rmtree(self.root / "store" / "staging", ignore_errors=True)
         self.generations.clear_pending()
         self.generations.clear_torn()
-        marks, below = [], _by_unit(self._all())
+        marks, below = surplus(self._all()), _by_unit(self._all())
         for key in self._all():
             if key.startswith("store/staging/"):
                 marks.append(key)

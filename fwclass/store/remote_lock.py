@@ -20,30 +20,35 @@ from typing import Any
 
 import psutil
 
-from fwclass.errors import LockedError, StoreError
-from fwclass.store.lock import named
+from fwclass.errors import LockedError, StoreError, visible
+from fwclass.store.lock import WRITER, Lock, named
 from fwclass.store.objects import Mark, Objects
 from fwclass.store.refusals import LostRace
 
-LOCK = "store/lock"
+LOCK = f"store/{WRITER.name}"
 _PROBE = "store/probe"
+
+
+def key_of(lock: Lock) -> str:
+    return f"store/{lock.name}"
 
 
 class Heartbeat:
     """Renews the lock until it is told to end; `check` raises `LostRace` once somebody else has it."""
 
-    def __init__(self, objects: Objects, facts: Mapping[str, Any], mark: Mark) -> None:
-        self._objects, self._facts, self._mark = objects, dict(facts), mark
+    def __init__(self, objects: Objects, lock: Lock, facts: Mapping[str, Any], mark: Mark) -> None:
+        self._objects, self._lock, self._facts, self._mark = objects, lock, dict(facts), mark
         self._end, self._lost = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._renew, name="lock", daemon=True)
         self._thread.start()
 
     def check(self) -> None:
         if self._lost.is_set():
+            who = self._lock.who
             raise LostRace(
-                "another run took this run's lock over; nothing more is committed", where=self._objects.url,
+                f"another {who} took this {who}'s lock over; {self._lock.then}", where=self._objects.url,
                 got="the lock was not renewed in time: this host slept, or its network was away",
-                do="see which other run works below this address; if none does, run the same again",
+                do=f"see which other {who} works below this address; if none does, run the same again",
             )  # fmt: skip
 
     def _renew(self) -> None:
@@ -51,7 +56,7 @@ class Heartbeat:
         while not self._end.wait(self._objects.params.beat):
             beat += 1
             try:
-                self._mark = self._objects.put_over(LOCK, _data(self._facts, beat), self._mark)
+                self._mark = self._objects.put_over(key_of(self._lock), _data(self._facts, beat), self._mark)
             except LostRace:
                 self._lost.set()
                 return
@@ -64,7 +69,7 @@ class Heartbeat:
         self._thread.join(self._objects.params.timeout)
         if not self._lost.is_set():
             with suppress(StoreError):
-                self._objects.put_over(LOCK, b"{}", self._mark)
+                self._objects.put_over(key_of(self._lock), b"{}", self._mark)
 
 
 def _data(facts: Mapping[str, Any], beat: int) -> bytes:
@@ -72,8 +77,10 @@ def _data(facts: Mapping[str, Any], beat: int) -> bytes:
 
 
 @contextmanager
-def remote_writer(objects: Objects, tell: Callable[[str], None]) -> Iterator[tuple[str, Heartbeat]]:
-    """Hold the run below `objects`; a second writer gets a `StoreError` naming the first one's host and pid.
+def remote_writer(
+    objects: Objects, tell: Callable[[str], None], lock: Lock = WRITER
+) -> Iterator[tuple[str, Heartbeat]]:
+    """Hold the run below `objects`; a second writer gets a `LockedError` naming the first one's host and pid.
 
     Gives the token under which parts are committed, and what tells whether the lock is still held. A lock whose holder
     does not renew it is watched for ``params.dead`` seconds, of which `tell` says so, and then taken over.
@@ -81,7 +88,7 @@ def remote_writer(objects: Objects, tell: Callable[[str], None]) -> Iterator[tup
     _check_conditional(objects)
     token = uuid.uuid4().hex
     facts = {"host": socket.gethostname(), "pid": os.getpid(), "machine": _machine(), "token": token}
-    beat = Heartbeat(objects, facts, _take(objects, _data(facts, 0), tell))
+    beat = Heartbeat(objects, lock, facts, _take(objects, lock, _data(facts, 0), tell))
     try:
         yield token, beat
     finally:
@@ -106,26 +113,27 @@ def _check_conditional(objects: Objects) -> None:
             )  # fmt: skip
 
 
-def _take(objects: Objects, data: bytes, tell: Callable[[str], None]) -> Mark:
-    found = objects.get(LOCK)
+def _take(objects: Objects, lock: Lock, data: bytes, tell: Callable[[str], None]) -> Mark:
+    key = key_of(lock)
+    found = objects.get(key)
     if found is None:
         try:
-            return objects.put_new(LOCK, data)
+            return objects.put_new(key, data)
         except LostRace:
-            found = objects.get(LOCK)
+            found = objects.get(key)
             if found is None:
                 raise
     if held := _facts(found[0]):
-        found = _watched(objects, held, found, tell)
+        found = _watched(objects, lock, held, found, tell)
     try:
-        return objects.put_over(LOCK, data, found[1])
+        return objects.put_over(key, data, found[1])
     except LostRace as fault:
-        after = objects.get(LOCK)
-        raise _refused(objects, _facts(after[0]) if after else {}) from fault
+        after = objects.get(key)
+        raise _refused(objects, lock, _facts(after[0]) if after else {}) from fault
 
 
 def _watched(
-    objects: Objects, held: Mapping[str, Any], found: tuple[bytes, Mark], tell: Callable[[str], None]
+    objects: Objects, lock: Lock, held: Mapping[str, Any], found: tuple[bytes, Mark], tell: Callable[[str], None]
 ) -> tuple[bytes, Mark]:
     """The lock as it is when its holder has been silent long enough; `StoreError` as soon as it shows life."""
     if held.get("machine") == _machine() and not psutil.pid_exists(int(held.get("pid", 0))):
@@ -139,29 +147,37 @@ def _watched(
     began = time.monotonic()
     while time.monotonic() - began < params.dead:
         time.sleep(min(params.beat, params.dead) / 2)
-        now = objects.get(LOCK)
+        now = objects.get(key_of(lock))
         if now is None or now[1] != found[1]:
             if now is not None and not _facts(now[0]):
                 return now  # it ended just now
-            raise _refused(objects, held)
+            raise _refused(objects, lock, held)
     return found
 
 
-def _refused(objects: Objects, held: Mapping[str, Any]) -> LockedError:
-    return LockedError(
-        "another run is writing to this directory", where=objects.url, got=named(held),
-        do="wait for it to end, or choose another --out",
-    )  # fmt: skip
+def _refused(objects: Objects, lock: Lock, held: Mapping[str, Any]) -> LockedError:
+    return LockedError(lock.taken, where=objects.url, got=named(held), do=lock.do)
 
 
-def remote_holder(objects: Objects) -> Mapping[str, Any] | None:
+def check_token(objects: Objects, token: str, lock: Lock = WRITER) -> None:
+    """`LostRace` where the lock does not bear `token` any more: who slept does not write over who followed."""
+    found = objects.get(key_of(lock))
+    if found is None or _facts(found[0]).get("token") != token:
+        raise LostRace(
+            f"this {lock.who} has lost its lock; {lock.then}", where=objects.url,
+            got=found[0].decode(errors="replace") if found else "no lock",
+            do=f"see which other {lock.who} works below this address",
+        )  # fmt: skip
+
+
+def remote_holder(objects: Objects, lock: Lock = WRITER) -> Mapping[str, Any] | None:
     """Host and pid of the run that holds the lock, None where there is none; one that was killed is told too, until
     somebody waits for it."""
-    found = objects.get(LOCK)
+    found = objects.get(key_of(lock))
     held = _facts(found[0]) if found else {}
     if not held or (held.get("machine") == _machine() and not psutil.pid_exists(int(held.get("pid", 0)))):
         return None
-    return {n: held[n] for n in ("host", "pid") if n in held}
+    return {n: visible(v) if isinstance(v, str) else v for n, v in held.items() if n in ("host", "pid")}
 
 
 def _facts(data: bytes) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.errors import DONE, FAILED, INTERRUPTED, ConfigError
-from fwclass.run.history import REFUSED, Entry, past_runs, utc, word_of
+from fwclass.errors import DONE, FAILED, INTERRUPTED, ConfigError, StoreError
+from fwclass.run.history import REFUSED, Entry, past_run, utc, why_not, word_of
 from fwclass.run.request import Request
 from fwclass.run.schedule import notify, state
 from fwclass.run.schedule.child import Child
@@ -24,7 +24,9 @@ from fwclass.run.schedule.signals import Signals
 from fwclass.run.schedule.state import State
 from fwclass.run.schedule.ticks import Cron, Now, Ticks, now
 from fwclass.store import history
-from fwclass.store.lock import SCHEDULE, holder, writer
+from fwclass.store.home import Home, address_of, confirm, held_by, hurried, locked
+from fwclass.store.lock import SCHEDULE
+from fwclass.store.refusals import LostRace
 
 
 def as_typed(seconds: float | None) -> str | None:
@@ -46,23 +48,20 @@ class Order:
 
 @dataclass
 class Schedule:
-    """A survey that is run again and again in one run directory.
+    """A survey that is run again and again in one place, `home`.
 
     `words`: more of ``fwclass run``, where it runs (--workers, --scheduler). `say`: a line for the user.
     """
 
     config: Config
     request: Request
+    home: Home
     words: tuple[str, ...]
     once: bool
     say: Callable[[str], None]
     signals: Signals = field(default_factory=Signals)
     _ticks: Ticks | None = None
     _intake: Intake | None = None
-
-    @property
-    def root(self) -> Path:
-        return Path(self.request.root)
 
     def keep(self) -> int:
         """Until told to stop, or for one run; the exit code.
@@ -72,9 +71,11 @@ class Schedule:
         ConfigError
             Nothing says when to run, the inbox cannot be one, or the webhook's token is not there.
         LockedError
-            Another schedule is at work on the run directory.
+            Another schedule is at work on the run.
+        LostRace
+            Another one has taken it over, because this one was not heard of (object storage).
         """
-        inbox = inbox_of(self.config)
+        inbox = inbox_of(self.config, self.home)
         if inbox is None and self.config.schedule.every is None and self.config.schedule.cron is None:
             raise ConfigError(
                 "nothing says when to run", where=f"{self.config.path}: schedule",
@@ -86,10 +87,12 @@ class Schedule:
                 f"the environment variable {token} is not set", where=f"{self.config.path}: schedule.webhook_token_env",
                 expected="the token for the webhook", do="set it where the schedule is started, or leave the key out",
             )  # fmt: skip
-        with writer(self.root, SCHEDULE), self.signals:
-            self._state = State(self.root, rules(self.config), self.config.schedule.heartbeat, self._say)
+        with locked(self.home, self._say, SCHEDULE) as (home, self._held), self.signals:
+            params = self.config.schedule
+            self._state = State(home, rules(self.config), params.heartbeat, params.look, self._say)
             self._state.resume()
-            self._intake = None if inbox is None else Intake(inbox, self.root, self._state, self._say)
+            if inbox is not None and isinstance(home, Path):
+                self._intake = Intake(inbox, home, self._state, self._say)
             self._ticks = ticks_of(self.config, self._state.last_tick, now())
             try:
                 return self._go()
@@ -104,6 +107,7 @@ class Schedule:
         while self.signals.first is None:
             moment = now()
             order = self._due(moment)
+            self._check(asked=order is not None)
             code = None if order is None else self._carry_out(order)
             if code is None:  # nothing was run
                 self._state.write(moment)
@@ -112,6 +116,20 @@ class Schedule:
                 return code
         self._say(f"told to stop by {self.signals.first.name}")
         return INTERRUPTED if self.once or self.signals.first is signal.SIGINT else DONE
+
+    def _check(self, asked: bool) -> None:
+        """`LostRace` once another schedule has taken this one over; `asked`: object storage is asked, before a run.
+
+        A store that does not answer stops nothing, and a directory that was removed is made again by the next run.
+        """
+        try:
+            self._held()
+            if asked:
+                confirm(hurried(self._state.home), SCHEDULE)
+        except LostRace:
+            raise
+        except StoreError:
+            pass
 
     def _pause(self, moment: Now) -> float:
         """Until the next look, or the tick if that comes sooner."""
@@ -134,14 +152,14 @@ class Schedule:
                 if isinstance(self._ticks, Cron):
                     self._state.last_tick = self._ticks.last
                 return Order(self._ticks.trigger, deliveries, utc(moment.wall + wait))
-        if deliveries or (self._state.owed and holder(self.root) is None):
+        if deliveries or (self._state.owed and held_by(self.home) is None):
             return Order("inbox", deliveries)
         return None
 
     def _carry_out(self, order: Order) -> int | None:
         """Deliver, run, tell; the run's exit code, None where nothing was run."""
         files = [] if self._intake is None else self._intake.deliver(order.deliveries)
-        if order.trigger == "inbox" and (not self._state.owed or holder(self.root) is not None):
+        if order.trigger == "inbox" and (not self._state.owed or held_by(self.home) is not None):
             return None
         named = {str(f["name"]) for f in files}
         files += [{"name": name} for name in self._state.owed if name not in named]
@@ -177,14 +195,24 @@ class Schedule:
             self._state.run = {"pid": child.pid, "began": utc(began), "why": dict(why)}
             code = child.wait(self.signals, params.stop_grace, params.look, self._beat)
             self._state.state, self._state.run = state.WAITING, None
-        record = next((r for r in reversed(past_runs(self.root)) if r.get("id") == order["id"]), None)
-        if record is None or "exit_code" not in record:
-            if self.signals.first is not None and code > 0:  # it was stopped before it knew how to end
-                code = INTERRUPTED
-            entry = Entry(self.root, self.request, id=str(order["id"]), why=why, began=began, clock=clock)
-            entry.end(code, word_of(code), "the run could not tell its end itself")
-            record = entry.last
-        return {**record, "run": str(self.root), "survey": self.config.survey.name}
+        record = self._record_of(
+            Entry(self.home, self.request, id=str(order["id"]), why=why, began=began, clock=clock), code
+        )
+        return {**record, "run": str(address_of(self.home)), "survey": self.config.survey.name}
+
+    def _record_of(self, entry: Entry, code: int) -> dict[str, Any]:
+        """What the run itself has told of its end, or else what is told for it in `entry`, with its exit code."""
+        try:
+            record = past_run(self.home, entry.id)
+        except StoreError as fault:
+            self._say(f"the history cannot be read: {why_not(fault)}")
+            return entry.ending(code, word_of(code), "the history could not be read")
+        if record is not None and "exit_code" in record:
+            return record
+        if self.signals.first is not None and code > 0:  # it was stopped before it knew how to end
+            code = INTERRUPTED
+        entry.end(code, word_of(code), "the run could not tell its end itself")
+        return entry.last
 
     def _beat(self) -> None:
         """While something is under way: what arrives is looked at, and the status written."""
@@ -202,9 +230,9 @@ class Schedule:
                 self._say(f"{kind} {facts['to']}: {facts['fault']} ({facts['tries']} tries)")
         self._state.last = {**record, "told": told}
         try:
-            history.append(self.root, {"record": "told", "id": record.get("id"), "told": told})
-        except OSError as fault:
-            self._say(f"the history cannot be written: {fault.strerror or fault}")
+            history.append(self.home, {"record": "told", "id": record.get("id"), "told": told})
+        except (OSError, StoreError) as fault:
+            self._say(f"the history cannot be written: {why_not(fault)}")
 
     def _say(self, text: str) -> None:
         self.say(f"{utc(time.time())} schedule: {text}")

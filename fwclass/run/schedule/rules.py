@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo
 
@@ -10,13 +11,20 @@ from fwclass.errors import ConfigError
 from fwclass.run.schedule.inbox import Inbox
 from fwclass.run.schedule.places import places_of
 from fwclass.run.schedule.ticks import Cron, Interval, Now, Ticks
+from fwclass.store.home import Home
 
 
-def inbox_of(config: Config) -> Inbox | None:
-    """The inbox that `config` names; `ConfigError` where it is no directory or cannot be one."""
+def inbox_of(config: Config, home: Home) -> Inbox | None:
+    """The inbox that `config` names for the run in `home`; `ConfigError` where it is no directory or cannot be one."""
     params = config.schedule
     if params.inbox is None:
         return None
+    if not isinstance(home, Path):
+        raise ConfigError(
+            "an inbox needs a run directory of this machine", where="schedule.inbox, --out", got=home,
+            expected="a lock that tells at once whether a run reads the survey",
+            do="give a directory for --out, or --every or --cron in the inbox's place",
+        )  # fmt: skip
     directory = (config.path.parent / params.inbox).resolve()
     if not directory.is_dir():
         raise ConfigError("the inbox is no directory", where="schedule.inbox", got=directory, do="make it first")

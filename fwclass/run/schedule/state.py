@@ -1,9 +1,10 @@
-"""``schedule.json`` in the run directory: how a schedule stands, for programs."""
+"""``schedule.json`` at the run's root: how a schedule stands, for programs."""
 
 from __future__ import annotations
 
 import os
 import socket
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,12 +13,13 @@ from typing import Any
 
 from fwclass import __version__
 from fwclass.errors import StoreError
-from fwclass.run.history import utc
+from fwclass.run.history import utc, why_not
 from fwclass.run.schedule.ticks import Now
-from fwclass.store.atomic import read_json, write_json
-from fwclass.store.lock import SCHEDULE, holder
+from fwclass.store.home import Home, address_of, held_by, read_note, write_note
+from fwclass.store.lock import SCHEDULE
+from fwclass.store.lock import STATE as NAME
+from fwclass.store.refusals import LostRace
 
-NAME = "schedule.json"
 WAITING, RUNNING, STOPPED = "waiting", "running", "stopped"
 
 
@@ -27,13 +29,16 @@ class State:
 
     Attributes
     ----------
+    home : where the run lies, as the lock of the schedule gave it.
+    patience : how long it is waited for object storage, which may answer later [s].
     last_tick : wall clock of the last tick of cron that had its run [s since the epoch], None for none.
     owed : names of files that were delivered, but not run yet.
     """
 
-    root: Path
+    home: Home
     rules: Mapping[str, Any]
     heartbeat: float
+    patience: float
     say: Callable[[str], None]
     state: str = WAITING
     next: float | None = None
@@ -47,12 +52,12 @@ class State:
     _written: tuple[Any, ...] = ()
     _at: float = float("-inf")
     _broken: bool = False
+    _writing: threading.Thread | None = None
 
     def resume(self) -> None:
-        """Take over what an earlier schedule in this directory left."""
-        path = self.root / NAME
+        """Take over what an earlier schedule of this run left."""
         try:
-            found = read_json(path) if path.exists() else {}
+            found = read_note(self.home, NAME)
         except StoreError:
             found = {}
         if isinstance(found, dict):
@@ -62,20 +67,42 @@ class State:
             self.last = last if isinstance(last, dict) else None
 
     def write(self, now: Now, always: bool = False) -> None:
-        """Where something has changed, or `heartbeat` seconds have gone by; a full disk is told, and stops nothing."""
+        """Where something has changed, or `heartbeat` seconds have gone by; the last one `always`.
+
+        A full disk, or object storage that does not answer, is told and stops nothing.
+        """
         telling = (self.state, self.next, self.last, self.last_tick, self.owed, self.waiting, self.run)
         same = telling == self._written
         if same and not always and now.steady - self._at < self.heartbeat:
             return
-        try:
-            write_json(self.root / NAME, self._data(now))
-            self._broken = False
-        except OSError as fault:
-            if not self._broken:
-                self.say(f"{self.root / NAME} cannot be written: {fault.strerror or fault}")
-            self._broken = True
+        patience = self.heartbeat if always else self.patience  # nothing comes after the last one
+        if self._writing is not None:
+            self._writing.join(patience if always else 0.0)
+            if self._writing.is_alive():
+                return  # object storage hangs: what was put before this is still on its way
+        self._put(self._data(now), patience)
         self._written = (*telling[:4], list(self.owed), list(self.waiting), self.run)
         self._at = now.steady
+
+    def _put(self, data: Mapping[str, Any], patience: float) -> None:
+        """On object storage in a thread of its own: ticks and signals do not wait for a server that hangs."""
+        if isinstance(self.home, Path):
+            self._write(data)
+            return
+        self._writing = threading.Thread(target=self._write, args=(data,), name="schedule.json", daemon=True)
+        self._writing.start()
+        self._writing.join(patience)
+
+    def _write(self, data: Mapping[str, Any]) -> None:
+        try:
+            write_note(self.home, NAME, data, SCHEDULE)
+            self._broken = False
+        except LostRace:
+            pass  # it is another schedule's by now, and this one is about to be told so
+        except (OSError, StoreError) as fault:
+            if not self._broken:
+                self.say(f"{address_of(self.home) / NAME} cannot be written: {why_not(fault)}")
+            self._broken = True
 
     def _data(self, now: Now) -> dict[str, Any]:
         return {
@@ -86,14 +113,15 @@ class State:
         }  # fmt: skip
 
 
-def standing(root: Path) -> dict[str, Any] | None:
-    """The state of the schedule that is at work on `root`, None where none is."""
-    kept = holder(root, SCHEDULE)
-    path = root / NAME
-    if kept is None or not path.exists():
+def standing(home: Home) -> dict[str, Any] | None:
+    """The state of the schedule that is at work on the run in `home`, None where none is.
+
+    On object storage one that was killed on another host counts as well, until somebody follows it: `heartbeat` tells.
+    """
+    if held_by(home, SCHEDULE) is None:
         return None
     try:
-        found = read_json(path)
+        found = read_note(home, NAME)
     except (StoreError, FileNotFoundError):
         return None
     return found if isinstance(found, dict) else None
