@@ -87,6 +87,7 @@ def test_no_range_no_radiometry(survey):
     check_features(known, ("backscatter", "reflectance"), "survey.features")
 
 
+@pytest.mark.slow
 def test_pulsewaves_go_the_whole_road(finished, tmp_path):
     """A format without returns, classified by a given forest: ranges of its own, no strips to deliver."""
     pulsewaves(tmp_path / "a.pls", pulses=300)

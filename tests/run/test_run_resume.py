@@ -90,6 +90,7 @@ def test_chosen_tiles_come_out_as_in_a_whole_run(survey, finished, tmp_path):
         walk(survey, tmp_path, tiles=frozenset({"1_1"}))
 
 
+@pytest.mark.slow
 def test_another_tiling_leaves_nothing_of_the_old_one(survey, copy, tmp_path):
     walk(survey, copy, "tile.size=1000")
     walk(survey, tmp_path / "fresh", "tile.size=1000")
