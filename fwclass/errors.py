@@ -136,16 +136,29 @@ _LEAST = 1 << 16
 """Bytes free, below which a fault while writing is put down to a full disk: some libraries do not say why."""
 
 
+def interrupted(fault: BaseException) -> bool:
+    """Ctrl-C lies behind it: compiled code tells it by a `SystemError`."""
+    return any(isinstance(one, KeyboardInterrupt) for one in _behind(fault))
+
+
+def _behind(fault: BaseException) -> list[BaseException]:
+    """A fault and what it came from; one may have been raised from itself."""
+    found: list[BaseException] = []
+    seen: BaseException | None = fault
+    while seen is not None and seen not in found:
+        found.append(seen)
+        seen = seen.__cause__ or seen.__context__
+    return found
+
+
 def full_or(fault: Exception, where: Path) -> Exception:
     """`fault`, or the `OSError` of the full disk that lies behind it; `where` is a place on the disk written to."""
-    seen: BaseException | None = fault
-    while seen is not None:
+    for seen in _behind(fault):
         if isinstance(seen, OSError) and seen.errno in FULL:
             return seen if seen.filename else OSError(seen.errno, os.strerror(seen.errno), str(where))
         for code in FULL:
             if os.strerror(code) in str(seen):
                 return OSError(code, os.strerror(code), str(where))
-        seen = seen.__cause__ or seen.__context__
     told = isinstance(fault, OSError) and fault.errno is not None
     if not told and where.exists() and shutil.disk_usage(where).free < _LEAST:
         return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(where))

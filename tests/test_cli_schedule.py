@@ -249,6 +249,7 @@ def test_what_cannot_be_scheduled(survey):
         (("--cron", "0 3 * *"), "five fields are wanted"),
         (("--cron", "0 0 30 2 *"), "no cron expression"),
         (("--every", "0s"), "greater than 0"),
+        (("--every", "9999999999999999d"), "at most 3660d"),
         (("--every", "soon"), "a time like 90s"),
         (("--inbox", survey / "none"), "the inbox is no directory"),
         (("--inbox", survey / "data" / "strips"), "where the survey looks"),

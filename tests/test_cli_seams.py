@@ -96,4 +96,4 @@ def test_what_cannot_be_is_refused(whole, tmp_path):
     stale = fwclass("seams", whole / "r", "--set", "features.cell_x=3")
     assert stale.returncode == 1 and "not finished" in stale.stderr
     nothing = fwclass("seams", tmp_path)
-    assert nothing.returncode == 1 and "configuration" in nothing.stderr
+    assert nothing.returncode == 2 and "no such run directory" in nothing.stderr

@@ -138,6 +138,14 @@ def test_fail_fast_and_keep_going(copy):
 
 def test_what_cannot_be_told(copy, tmp_path):
     (tmp_path / "empty").mkdir()
+    for command in ("status", "seams", "history"):
+        ended = fwclass(command, tmp_path / "empty")
+        assert ended.returncode == 2 and "no such run directory" in ended.stderr, ended.stderr
+        ended = fwclass(command, "")
+        assert ended.returncode == 2 and "it is empty" in ended.stderr
+        ended = fwclass(command, "s3:/bucket/run")
+        assert ended.returncode == 2 and "two slashes" in ended.stderr
+    (tmp_path / "empty" / "store").mkdir()
     ended = fwclass("status", tmp_path / "empty")
     assert ended.returncode == 1 and "nothing tells which configuration" in ended.stderr
     assert fwclass("status", copy / "r", "--set", "train.trees=6").returncode == 2

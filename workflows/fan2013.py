@@ -29,22 +29,24 @@ def fan2013(config: Config, road: Road, tiles: frozenset[str] | Area | None = No
     require_whole(config, tiles, NAME)
     printed = paper(NAME)
     used = config.features_asked
-    check_features(config, (*used, *config.features.also), f"{config.path}: survey.features, features.also")
+    computed = (*used, *config.features.also)
+    check_features(config, computed, f"{config.path}: survey.features, features.also")
     names = features_like(config, printed["selection"]["order"])
     tiled = until_tiles(config, road, used)
-    report = from_tiles(config, road, tiled, used, until_labels(tiled, (*used, *config.features.also)))
+    report = from_tiles(config, road, tiled, used, until_labels(tiled, computed))
     if road.failures:
         return report
     aside = road.beside()
     every = replace(config, select=config.select.model_copy(update={"patience": len(names)}))
     curves = {
-        "paper": selection(config, aside, names, "forward", order=names),
-        "best": selection(every, aside, names, "forward"),
+        "paper": selection(config, aside, names, "forward", order=names, computed=computed),
+        "best": selection(every, aside, names, "forward", computed=computed),
     }
     variants = fan.variants(config, names, printed)
-    made = dict(require_all(road, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants)))
+    columns = tuple(dict.fromkeys((*names, *used)))  # the run's own forest may decide by what the paper lacks
+    made = dict(require_all(road, data_tasks(tiled.layout, columns) + learn_tasks(config, columns, variants)))
     made |= require_all(road, comparison_tasks(config, fan.comparisons(config, variants)))
-    made |= require_all(road, time_tasks(config, names, fan.timed(variants)))
+    made |= require_all(road, time_tasks(config, columns, fan.timed(variants)))
 
     def page() -> dict[str, Any]:
         facts = fan.facts(config, printed, report, curves, variants, made)

@@ -23,16 +23,18 @@ from workflows.echoes import Tiled, until_labels, until_tiles
 
 
 def selection(
-    config: Config, road: Road, candidates: Names, method: str, order: Names = (), pick: str = "best"
-) -> dict[str, Any]:
+    config: Config, road: Road, candidates: Names, method: str, order: Names = (), pick: str = "best",
+    computed: Names = (),
+) -> dict[str, Any]:  # fmt: skip
     """Choose among `candidates` by `method` (forward, rffs, fscore) on the training areas alone; plain data.
 
-    `order`: forward adds the features in this order. `pick`: see `result.PICKS`. Nothing of a test area is read but the
+    `order`: forward adds the features in this order. `pick`: see `result.PICKS`. `computed`: all features that the run
+    computes, where these are more: its tables have them in any case. Nothing of a test area is read but the
     neighbours of training echoes.
     """
     began = time.perf_counter()
     _check(config, candidates, order)
-    layout, meta = training(config, road, candidates)
+    layout, meta = training(config, road, candidates, computed or candidates)
     useful = tuple(c for c in candidates if c not in meta["useless"])
     if not useful:
         raise InputError(
@@ -52,10 +54,10 @@ def selection(
     }  # fmt: skip
 
 
-def training(config: Config, road: Road, names: Names) -> tuple[Layout, dict[str, Any]]:
-    """Walk until the placed sample of the training areas is there; what it says of itself."""
+def training(config: Config, road: Road, names: Names, computed: Names) -> tuple[Layout, dict[str, Any]]:
+    """Walk until the placed sample of the training areas is there, of `names` among `computed`; what it says."""
     tiled: Tiled = until_tiles(config, road, names)
-    tasks = [*until_labels(tiled, names), *sample_tasks(tiled.layout, names)]
+    tasks = [*until_labels(tiled, computed), *sample_tasks(tiled.layout, names)]
     done = require_all(road, ancestors(tasks, [(TRAINING, "all")]))
     return tiled.layout, dict(done[TRAINING, "all"].meta)
 

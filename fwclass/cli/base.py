@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import gc
+import re
 from pathlib import Path
 from typing import Any
 
 import click
 
 from fwclass import __version__
-from fwclass.store.url import is_url, url_of
+from fwclass.store.url import SCHEMES, is_url, url_of
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
 
@@ -29,6 +30,15 @@ def little_garbage() -> None:
     gc.set_threshold(50_000, 20, 20)
 
 
+def _checked(value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    """`value`, unless it is empty, which would mean the current directory, or an address with one slash."""
+    if value == "":
+        raise click.BadParameter("it is empty; name a file or a directory (. is the current one)", ctx, param)
+    if re.match(rf"({'|'.join(SCHEMES)}):/?[^/]", str(value)):
+        raise click.BadParameter(f"{value}: an address has two slashes, as in s3://bucket/directory", ctx, param)
+    return value
+
+
 class LocalPath(click.Path):
     """A path of this host; an address on object storage is refused in words."""
 
@@ -38,14 +48,16 @@ class LocalPath(click.Path):
                 f"{value} is on object storage, and this command takes files of this host; `fwclass run`, `status`, "
                 "`schedule`, `history` and `seams` take the address of a run (docs/many-machines.md)", param, ctx,
             )  # fmt: skip
-        return super().convert(value, param, ctx)
+        return super().convert(_checked(value, param, ctx), param, ctx)
 
 
 class RunPlace(click.Path):
     """A path of this host, or an address on object storage."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return url_of(value, param.name or "" if param else "") if is_url(value) else super().convert(value, param, ctx)
+        if is_url(value):
+            return url_of(value, param.get_error_hint(ctx).strip("'") if param and ctx else "")
+        return super().convert(_checked(value, param, ctx), param, ctx)
 
 
 PATH = LocalPath(path_type=Path)

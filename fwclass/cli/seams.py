@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, OVERWRITE, PATH, RUN, SET, cli
+from fwclass.cli.status import run_at
 from fwclass.errors import ConfigError
 
 
@@ -36,7 +37,7 @@ def seams(
     from fwclass.run.shifted.places import shift_of
     from fwclass.run.shifted.polygons import check_free, write_gpkg
     from fwclass.run.shifted.told import as_data, as_text
-    from fwclass.store.home import home_of, open_store
+    from fwclass.store.home import open_store
     from workflows.seams import Asked
     from workflows.seams import seams as measured
 
@@ -44,7 +45,7 @@ def seams(
         raise ConfigError("--share and --length both say how much", where="--share, --length", do="give one of them")
     if gpkg is not None:
         check_free(gpkg, overwrite)
-    home = home_of(run, configuration.section("store"))
+    home = run_at(run, configuration.section("store"))
     request = Request.kept(open_store(home, read_only=True))
     config = configuration.load(request.conf, (*request.settings, *settings))
     asked = Asked(

@@ -68,6 +68,20 @@ def home_of_run(request: Any, config: Any) -> Any:
     return home_of(named, config.store)
 
 
+def run_at(place: Any, params: Any) -> Any:
+    """Where the run lies that a user named; `ConfigError` where none was ever begun."""
+    from fwclass.store.history import is_run
+    from fwclass.store.home import home_of
+
+    home = home_of(place, params)
+    if not is_run(home):
+        raise ConfigError(
+            "no such run directory", where=place, expected="a directory, or an address, that `fwclass run` has made",
+            do="give its path",
+        )  # fmt: skip
+    return home
+
+
 def _looked(config: Any, request: Any) -> Any:
     """The parts of the run, looked at."""
     from fwclass.run.status.look import look_at
@@ -118,7 +132,7 @@ def status(
     little_garbage()
     from fwclass import conf as configuration
     from fwclass.run.request import Request
-    from fwclass.store.home import held_by, home_of, open_store
+    from fwclass.store.home import held_by, open_store
     from fwclass.store.url import is_url
 
     if is_url(conf_or_run) or conf_or_run.is_dir():
@@ -127,7 +141,7 @@ def status(
                 "a run directory is looked at as its run was asked for", where=conf_or_run,
                 do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
             )  # fmt: skip
-        home = home_of(conf_or_run, configuration.section("store"))
+        home = run_at(conf_or_run, configuration.section("store"))
         request = Request.kept(open_store(home, read_only=True))
         config = configuration.load(request.conf, request.settings)
     else:

@@ -19,6 +19,10 @@ _UNITS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)([smhd])")
 
 
+LONGEST = 3660 * 86400.0
+"""Seconds: ten years, beyond which a calendar of the machine may not reach."""
+
+
 def seconds_of(value: Any) -> Any:
     """``90s``, ``15m``, ``1h30m``, ``1d``, or a number of seconds, as seconds; `ValueError` for anything else."""
     if isinstance(value, bool):
@@ -34,8 +38,8 @@ def seconds_of(value: Any) -> Any:
 def interval(text: str) -> float:
     """`seconds_of` a text; `ValueError` where no time goes by."""
     found = float(seconds_of(text))
-    if not 0 < found < float("inf"):
-        raise ValueError("a time greater than 0 is wanted, like 90s, 15m, 1h30m or 1d")
+    if not 0 < found <= LONGEST:
+        raise ValueError("a time greater than 0 and of at most 3660d is wanted, like 90s, 15m, 1h30m or 1d")
     return found
 
 
@@ -89,7 +93,7 @@ class ScheduleSection(Params):
     command_timeout : after which it is ended [s].
     """
 
-    every: Annotated[Seconds, Field(gt=0)] | None
+    every: Annotated[Seconds, Field(gt=0, le=LONGEST)] | None
     cron: str | None
     timezone: str
     inbox: str | None

@@ -113,7 +113,10 @@ def cog(
                 yield put
             copy(raw, beside, **finished)
         except OSError as fault:  # before the cells go, and the disk has room again
-            raise full_or(fault, path.parent) from fault
+            found = full_or(fault, path.parent)
+            if found is fault:
+                raise
+            raise found from fault
         finally:
             raw.unlink(missing_ok=True)
     if known:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from fwclass.errors import FwclassError, full_or, system_error
+from fwclass.errors import FwclassError, full_or, interrupted, system_error
 from fwclass.run.desk import Desk
 from fwclass.run.logs import Value, attempted, log_path
 from fwclass.store.cells import Within, digest_within
@@ -129,6 +129,8 @@ def execute(home: Home, task: Task, upstream: Sequence[Outcome] = (), split: int
             task.version, task.params,
         )  # fmt: skip
     except Exception as fault:
+        if interrupted(fault):
+            raise KeyboardInterrupt from fault
         outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_told(home, task, fault))
         trace = "" if isinstance(fault, (FwclassError, OSError)) else "".join(traceback.format_exception(fault))
         attempted(home, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
@@ -149,7 +151,10 @@ def _worked(task: Task, desk: Desk, directory: Path) -> Mapping[str, Any]:
     except Exception as fault:
         for file in task.external:
             file.check()
-        raise full_or(fault, directory) from fault
+        told = full_or(fault, directory)
+        if told is fault:
+            raise
+        raise told from fault
     for file in task.external:
         file.check()
     return meta

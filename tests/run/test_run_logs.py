@@ -89,6 +89,21 @@ def test_a_log_that_cannot_be_written_stops_nothing(tmp_path):
     assert execute(tmp_path, Task("one", "a", 1, {}, made)).status == "computed"
 
 
+def test_ctrl_c_in_compiled_code_is_no_fault_of_the_part(tmp_path):
+    """numba answers it by a `SystemError`: the run ends as interrupted, and no part has failed."""
+
+    def stopped(desk, directory):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as fault:
+            raise SystemError("returned a result with an exception set") from fault
+
+    with pytest.raises(KeyboardInterrupt):
+        execute(tmp_path, Task("one", "a", 1, {}, stopped))
+    assert not log_path(tmp_path, "one", "a").exists()
+    assert not list((tmp_path / "store" / "staging").iterdir())
+
+
 @pytest.mark.slow
 def test_a_worker_that_is_lost_is_in_the_log(tmp_path: Path):
     from fwclass.run.cluster import Cluster

@@ -95,7 +95,7 @@ def test_seams_and_damage_are_seen_on_object_storage(s3, stored, survey, host):
         part = "/".join(keys[0].split("/")[1:3])
         if len(broken) == len(whole):
             assert f"damaged  {part}: table.parquet" in ended.stdout
-            assert ended.stdout.rstrip().endswith(f"run again:\n{out / 'store' / part}")
+            assert ended.stdout.rstrip().endswith(f"run again:\n{out / 'store' / part}/")
     s3.write(out / keys[0], whole)
     assert fwclass("status", out, "--verify").returncode == 0
 

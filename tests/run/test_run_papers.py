@@ -214,6 +214,17 @@ def test_status_replay_and_seams_of_a_run_that_chooses_its_features(xiong, surve
 
 
 @pytest.mark.slow
+def test_features_that_the_paper_lacks_are_computed_once(survey: Path, tmp_path: Path) -> None:
+    """The selection looks at the paper's own among them, in the tables that the run has anyway."""
+    more = ("survey.features=[height_above_ground, amplitude, width, zc, height_std_r100]", "features.also=[egi_r50]")
+    road, _ = follow("fan2013", survey, tmp_path, *more, "papers.more_classes=[]")
+    assert not road.failures, road.failures
+    assert looked_at("fan2013", survey, tmp_path, *more, "papers.more_classes=[]").all_done
+    road, _ = follow("fan2013", survey, tmp_path, *more, "papers.more_classes=[]")
+    assert {o.status for o in road.outcomes.values()} == {"skipped"}
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "claims"), [("fan2013", 14), ("xiong2018", 13)])
 def test_a_survey_that_has_little_of_what_a_paper_has_gets_its_page(
     name: str, claims: int, survey: Path, tmp_path: Path

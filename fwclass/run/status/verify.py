@@ -41,5 +41,6 @@ def as_text(found: list[Damage], where: Path | Url) -> str:
     rows = [f"damaged  {d.stage}/{d.part}: {', '.join(d.files)}" for d in found]
     places = [shlex.quote(str(where / "store" / d.stage / d.part)) for d in found]
     if isinstance(where, Url):
-        return "\n".join([*rows, "to have them made again, remove what lies below, and run again:", *places])
+        how = "to have them made again, remove all objects below these addresses, and run again:"
+        return "\n".join([*rows, how, *(f"{p}/" for p in places)])
     return "\n".join([*rows, "to have them made again, remove them and run again: rm -r " + " ".join(places)])
