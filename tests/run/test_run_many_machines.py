@@ -129,8 +129,8 @@ def test_a_second_time_a_host_asks_for_lists_not_for_receipts(s3, stored, host):
 @pytest.mark.slow
 def test_status_tells_of_a_run_on_object_storage(s3, stored, host):
     ended = fwclass("status", stored[0].parent / "nothing-here")
-    assert ended.returncode == 1
-    assert "nothing tells which configuration" in ended.stderr
+    assert ended.returncode == 2
+    assert "no such run directory" in ended.stderr
     ended = fwclass("status", *words(*stored), "--json")
     assert ended.returncode == 0, ended.stderr
     told = json.loads(ended.stdout)
