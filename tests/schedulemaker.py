@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import laspy
@@ -48,3 +50,16 @@ def until(found: Callable[[], object], seconds: float = 240.0):
         assert time.monotonic() < ends, "it did not come"
         time.sleep(0.05)
     return result
+
+
+@contextmanager
+def under_way(line: Sequence[str], log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """The process of `line`, ended at the end; its standard error is in the file `log`."""
+    with log.open("w") as told:
+        process = subprocess.Popen(line, stderr=told, stdout=subprocess.DEVNULL)
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+            process.wait()

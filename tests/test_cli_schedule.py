@@ -19,7 +19,7 @@ import psutil
 import pytest
 from commandline import fwclass
 from hook import Hook
-from schedulemaker import FAILS_AT_ONCE, NOWHERE, strip, until
+from schedulemaker import FAILS_AT_ONCE, NOWHERE, strip, under_way, until
 
 from fwclass.store.lock import writer
 
@@ -48,14 +48,8 @@ def once(survey: Path, *words: object, env: dict[str, str] | None = None) -> sub
 @contextmanager
 def going(survey: Path, *words: object) -> Iterator[subprocess.Popen]:
     """A schedule under way; its standard error is in the file `log`."""
-    with (survey / "log").open("w") as log:
-        process = subprocess.Popen(line(survey, *words), stderr=log, stdout=subprocess.DEVNULL)
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
+    with under_way(line(survey, *words), survey / "log") as process:
+        yield process
 
 
 def past(survey: Path) -> list[dict]:

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from commandline import fwclass
 from objectstore import Server, Trouble, quick, serving, used
-from schedulemaker import FAILS_AT_ONCE, NOWHERE, strip, until
+from schedulemaker import FAILS_AT_ONCE, NOWHERE, strip, under_way, until
 
 from fwclass.store.home import locked
 from fwclass.store.lock import SCHEDULE
@@ -60,14 +60,8 @@ def quiet(text: str) -> None:
 def going(survey: Path, out: Url, log: str, *words: object) -> Iterator[subprocess.Popen[bytes]]:
     """A schedule under way; its standard error is in the file `log` beside the survey's."""
     line = [sys.executable, "-m", "fwclass", "schedule", str(survey), "--out", out, *map(str, words)]
-    with (survey.parent / log).open("w") as told:
-        process = subprocess.Popen(line, stderr=told, stdout=subprocess.DEVNULL)
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
+    with under_way(line, survey.parent / log) as process:
+        yield process
 
 
 def past(out: Url, *words: object) -> list[dict[str, Any]]:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, PATH, RUN, SCHEDULER, SET, WORKERS, cli
-from fwclass.cli.status import WORKFLOW, home_of_run, requested
+from fwclass.cli.status import WORKFLOW, home_of_run, requested, run_at
 from fwclass.errors import ConfigError, visible
 
 
@@ -77,20 +77,6 @@ def history(run: Any, count: int | None, as_json: bool) -> None:
     """Tell what was run in RUN, a directory or s3://bucket/directory: when, why, how it ended, and how many parts were
     made."""
     from fwclass.run.history import past_runs, table
-    from fwclass.store.history import is_run
 
-    home = run if isinstance(run, Path) else _remote(run)
-    if not is_run(home):
-        raise ConfigError(
-            "no such run directory", where=run, do="name a directory, or an address, that `fwclass run` has made"
-        )
-    runs = past_runs(home, count)
+    runs = past_runs(run_at(run), count)
     click.echo(json.dumps(runs, indent=1) if as_json else visible(table(runs), "\n"))
-
-
-def _remote(run: Any) -> Any:
-    """The run at an address; what this loads, a directory's history is told without."""
-    from fwclass import conf as configuration
-    from fwclass.store.home import home_of
-
-    return home_of(run, configuration.section("store"))

@@ -45,7 +45,7 @@ def seams(
         raise ConfigError("--share and --length both say how much", where="--share, --length", do="give one of them")
     if gpkg is not None:
         check_free(gpkg, overwrite)
-    home = run_at(run, configuration.section("store"))
+    home = run_at(run)
     request = Request.kept(open_store(home, read_only=True))
     config = configuration.load(request.conf, (*request.settings, *settings))
     asked = Asked(

@@ -68,18 +68,25 @@ def home_of_run(request: Any, config: Any) -> Any:
     return home_of(named, config.store)
 
 
-def run_at(place: Any, params: Any) -> Any:
-    """Where the run lies that a user named; `ConfigError` where none was ever begun."""
+def run_at(place: Any) -> Any:
+    """Where the run lies that a user named, a path or an address; `ConfigError` where none was ever begun."""
     from fwclass.store.history import is_run
-    from fwclass.store.home import home_of
 
-    home = home_of(place, params)
+    home = place.resolve() if isinstance(place, Path) else _remote(place)
     if not is_run(home):
         raise ConfigError(
             "no such run directory", where=place, expected="a directory, or an address, that `fwclass run` has made",
             do="give its path",
         )  # fmt: skip
     return home
+
+
+def _remote(place: Any) -> Any:
+    """The run at an address; what this loads, a directory is found without."""
+    from fwclass import conf as configuration
+    from fwclass.store.home import home_of
+
+    return home_of(place, configuration.section("store"))
 
 
 def _looked(config: Any, request: Any) -> Any:
@@ -141,7 +148,7 @@ def status(
                 "a run directory is looked at as its run was asked for", where=conf_or_run,
                 do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
             )  # fmt: skip
-        home = run_at(conf_or_run, configuration.section("store"))
+        home = run_at(conf_or_run)
         request = Request.kept(open_store(home, read_only=True))
         config = configuration.load(request.conf, request.settings)
     else:
