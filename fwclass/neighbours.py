@@ -18,15 +18,26 @@ from fwclass.kernel import kernel
 MAX_CELLS = 1 << 28
 """A grid above this many cells (2 GiB of offsets) is refused before it is allocated."""
 
+FEW_CELLS = 1 << 20
+"""So many cells (8 MiB of offsets) may always have an offset each, whatever they hold."""
+
+CELLS_PER_POINT = 16
+"""With more cells than `FEW_CELLS` and than this a point, indexed or looking, empty ones have no offset."""
+
+MAX_NUMBER = 1 << 62
+"""Cells of the widest grid whose cells can be numbered."""
+
 
 @dataclass(frozen=True)
 class CellIndex:
-    """Points sorted by square cells.
+    """Points sorted by square cells, numbered ``row * ncols + col``.
 
     Attributes
     ----------
     order : int64 (n,), input row of every sorted point.
-    start : int64 (ncols * nrows + 1,); cell (row, col) holds sorted points ``start[row * ncols + col]`` up to the next.
+    start : int64 (ncols * nrows + 1,); cell k holds sorted points ``start[k]`` up to ``start[k + 1]``.
+        With `occupied`: int64 (len(occupied) + 1,), of these cells alone.
+    occupied : int64, numbers of the cells that hold a point, rising; empty where `start` has all cells.
     x, y, z : float32 or int64 millimetres relative to (`x0`, `y0`, `z0`), sorted; exact integers.
     ncols, nrows : cells of the index.
     cell : edge of a cell [mm].
@@ -43,64 +54,87 @@ class CellIndex:
     x0: int
     y0: int
     z0: int
+    occupied: NDArray[np.int64]
 
     @classmethod
-    def build(cls, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], cell: float) -> CellIndex:
-        """Index points with coordinates in metres by cells of edge `cell` [m]."""
+    def build(
+        cls,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
+        z: NDArray[np.float64],
+        cell: float,
+        asked: int | None = None,
+    ) -> CellIndex:
+        """Index points with coordinates in metres by cells of edge `cell` [m].
+
+        With `asked`, the number of points that neighbours are looked for of, memory grows with these and the indexed
+        points alone: where most cells are empty, only the others have an offset.
+        """
         edge = round(cell * 1000)
         mx, my, mz = millimetres(x), millimetres(y), millimetres(z)
         if len(mx) == 0:
             none = np.empty(0, np.int64)
-            return cls(none, np.zeros(2, np.int64), none, none, none, 1, 1, edge, 0, 0, 0)
+            return cls(none, np.zeros(2, np.int64), none, none, none, 1, 1, edge, 0, 0, 0, none)
         col, row = mx // edge, my // edge
         col0, row0 = int(col.min()), int(row.min())
         ncols, nrows = int(col.max()) - col0 + 1, int(row.max()) - row0 + 1
-        if ncols * nrows > MAX_CELLS:
+        sparse = asked is not None and ncols * nrows > max(FEW_CELLS, CELLS_PER_POINT * (len(mx) + asked))
+        most = MAX_NUMBER if sparse else MAX_CELLS
+        if ncols * nrows > most:
             raise InputError(
                 "the points spread too far for a neighbour grid",
-                expected=f"at most {MAX_CELLS} cells of {cell} m",
+                expected=f"at most {most} cells of {cell} m",
                 got=f"{ncols} x {nrows} cells",
                 do="remove outlying points, use smaller tiles or a larger radius",
             )
         x0, y0, z0 = col0 * edge, row0 * edge, int(mz.min())
-        order, start = sort_by_cell((row - row0) * ncols + (col - col0), ncols * nrows)
+        number = (row - row0) * ncols + (col - col0)
+        if sparse:
+            order = np.argsort(number, kind="stable")
+            occupied, first = np.unique(number[order], return_index=True)
+            start = np.append(first, len(order))
+        else:
+            order, start = sort_by_cell(number, ncols * nrows)
+            occupied = np.empty(0, np.int64)
         return cls(
-            order, start, (mx - x0)[order], (my - y0)[order], (mz - z0)[order], ncols, nrows, edge, x0, y0, z0
+            order, start, (mx - x0)[order], (my - y0)[order], (mz - z0)[order], ncols, nrows, edge, x0, y0, z0, occupied
         )  # fmt: skip
 
 
 @kernel
 def sort_by_cell(cell, n_cells):  # type: ignore[no-untyped-def]
     """Stable counting sort of points by cell number: (rows in order of cells, first of every cell and one more)."""
-    start = np.zeros(n_cells + 1, np.int64)
+    start = np.zeros(n_cells + 2, np.int64)
     for c in cell:
-        start[c + 1] += 1
+        start[c + 2] += 1
     for c in range(n_cells):
-        start[c + 1] += start[c]
-    place = start[:-1].copy()
+        start[c + 2] += start[c + 1]
     order = np.empty(len(cell), np.int64)
-    for i in range(len(cell)):
+    for i in range(len(cell)):  # start[c + 1] runs from the first of cell c to the first of the next
         c = cell[i]
-        order[place[c]] = i
-        place[c] += 1
-    return order, start
+        order[start[c + 1]] = i
+        start[c + 1] += 1
+    return order, start[:-1]
 
 
 @kernel
-def _nearest(px, py, pz, x, y, z, start, ncols, nrows, cell, limit, found, distance):  # type: ignore[no-untyped-def]
+def _nearest(px, py, pz, x, y, z, start, occupied, ncols, nrows, cell, limit, found, distance):  # type: ignore[no-untyped-def]
     """Sorted row of the nearest indexed point within `limit` mm (first in walk order on a tie), -1 if none."""
+    every = len(occupied) == 0
     for i in range(len(px)):
         c, r = px[i] // cell, py[i] // cell
+        west, east = max(c - 1, 0), min(c + 2, ncols)
         best = limit * limit + 1
         at = -1
-        for row in range(max(r - 1, 0), min(r + 2, nrows)):
-            for col in range(max(c - 1, 0), min(c + 2, ncols)):
-                k = row * ncols + col
-                for j in range(start[k], start[k + 1]):
-                    dx, dy, dz = x[j] - px[i], y[j] - py[i], z[j] - pz[i]
-                    d = dx * dx + dy * dy + dz * dz
-                    if d < best:
-                        best, at = d, j
+        for row in range(max(r - 1, 0), min(r + 2, nrows) if west < east else 0):
+            first, behind = row * ncols + west, row * ncols + east
+            if not every:
+                first, behind = np.searchsorted(occupied, first), np.searchsorted(occupied, behind)
+            for j in range(start[first], start[behind]):
+                dx, dy, dz = x[j] - px[i], y[j] - py[i], z[j] - pz[i]
+                d = dx * dx + dy * dy + dz * dz
+                if d < best:
+                    best, at = d, j
         found[i] = at
         distance[i] = np.sqrt(float(best)) if at >= 0 else np.nan
 
@@ -115,13 +149,13 @@ def nearest_within(
     Ties go to the point whose cell comes first (south, then west), then to the lower row of `among`.
     Rows without one get -1 and NaN.
     """
-    index = CellIndex.build(*among, cell=limit)
+    index = CellIndex.build(*among, cell=limit, asked=len(points[0]))
     found = np.full(len(points[0]), -1, np.int64)
     distance = np.full(len(found), np.nan)
     if len(index.order) and len(found):
         _nearest(
             millimetres(points[0]) - index.x0, millimetres(points[1]) - index.y0, millimetres(points[2]) - index.z0,
-            index.x, index.y, index.z, index.start, index.ncols, index.nrows, index.cell,
+            index.x, index.y, index.z, index.start, index.occupied, index.ncols, index.nrows, index.cell,
             round(limit * 1000), found, distance,
         )  # fmt: skip
         hit = found >= 0

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
+from fwclass import neighbours
 from fwclass.errors import InputError
 from fwclass.grid import millimetres
-from fwclass.neighbours import CellIndex, nearest_within
+from fwclass.neighbours import CellIndex, nearest_within, sort_by_cell
 
 OFFSET = np.array([512_000.0, 5_403_000.0, 290.0])
 
@@ -45,6 +48,38 @@ def test_points_too_far_apart_are_refused_before_anything_is_allocated():
     far = np.array([0.0, 1e6])
     with pytest.raises(InputError, match="spread too far"):
         CellIndex.build(far, far, far, cell=1.0)
+
+
+@pytest.mark.parametrize("far", [16_300.0, 5e5, 1e9])
+def test_memory_of_the_nearest_search_does_not_grow_with_the_extent(far):
+    """Finding A8: two points a side, 16 km apart, took 4.4 GB."""
+    a = tuple(np.array([0.0, far]) for _ in range(3))
+    b = tuple(np.array([far, 0.5]) for _ in range(3))
+    nearest_within(b, a, 1.0)  # compiled, or loaded
+    tracemalloc.start()
+    found, _ = nearest_within(a, b, 1.0)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found.tolist() == [1, 0]
+    assert most < 1e6
+
+
+def test_sorted_cells_need_one_offset_each():
+    order, start = sort_by_cell(np.array([3, 0, 3, 1]), 5)
+    assert order.tolist() == [1, 3, 0, 2]
+    assert start.tolist() == [0, 1, 2, 2, 4, 4]
+
+
+@pytest.mark.parametrize("limit", [0.2, 1.0, 7.5])
+def test_offsets_of_occupied_cells_alone_give_the_same_neighbours(limit, monkeypatch):
+    queries, among = points(5, 700, 24.0), points(6, 900)
+    plain = nearest_within(queries, among, limit)
+    monkeypatch.setattr(neighbours, "FEW_CELLS", 0)
+    monkeypatch.setattr(neighbours, "CELLS_PER_POINT", 0)
+    index = CellIndex.build(*among, cell=limit, asked=700)
+    assert len(index.start) == len(index.occupied) + 1
+    for mine, other in zip(plain, nearest_within(queries, among, limit), strict=True):
+        np.testing.assert_array_equal(mine, other)
 
 
 def within(points_, among, limit):
