@@ -49,12 +49,11 @@ def write_tile_laz(
 ) -> dict[str, Any]:
     """Write the echoes of a tile, in the table's row order; the same rows give the same bytes.
 
-    Coordinates are exact millimetres. The point source is strip + 1, the return number is the echo number (15
-    at most, as the format holds four bits). Every column with a LAS name becomes an extra byte, in the type and
-    scale that the schema gives it: a whole type holds the nearest number, or the nearest end of its range (counted),
-    and its no-data number where the value is NaN; in floating-point types NaN stays NaN.
-    A missing `gps_time` is written as 0. The creation date is 0: nothing of the day or the machine
-    is in the file.
+    Coordinates are exact millimetres. The point source is the strip's number, as in every other output; the return
+    number is the echo number (15 at most, as the format holds four bits). Every column with a LAS name becomes an extra
+    byte, in the type and scale that the schema gives it: a whole type holds the nearest number, or the nearest end of
+    its range (counted), and its no-data number where the value is NaN; in floating-point types NaN stays NaN.
+    A missing `gps_time` is written as 0. The creation date is 0: nothing of the day or the machine is in the file.
 
     Parameters
     ----------
@@ -117,7 +116,7 @@ def _points(table: Table, local: list[NDArray[np.int64]]) -> tuple[NDArray, dict
     number, count = table["echo_number"], table["number_of_echoes"]
     out["returns"] = np.minimum(number, 15) | (np.minimum(count, 15) << 4)
     out["classification"] = table["classification"]
-    out["source"] = np.minimum(table["strip"].astype(np.uint32) + 1, 65535)
+    out["source"] = table["strip"]
     if "intensity" in table:
         out["intensity"] = table["intensity"]
     time = table["gps_time"] if "gps_time" in table else np.full(table.rows, np.nan)

@@ -33,7 +33,7 @@ def test_every_field_comes_back(
     assert np.array_equal(las.number_of_returns, table["number_of_echoes"])
     assert np.array_equal(las.classification, table["classification"])
     assert np.array_equal(las.intensity, table["intensity"])
-    assert np.array_equal(las.point_source_id, table["strip"] + 1)
+    assert np.array_equal(las.point_source_id, table["strip"])
     assert np.array_equal(las.gps_time, np.nan_to_num(table["gps_time"]))
     names = {
         "amplitude DN": "amplitude",

@@ -5,6 +5,7 @@ import struct
 
 import laspy
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from lasmaker import Descriptor, survey, to_laz
 
@@ -81,6 +82,24 @@ def test_every_waveform_format_goes_the_whole_road(tmp_path, point_format, where
     np.testing.assert_array_equal(before[0], after[0])
     np.testing.assert_array_equal(before[1], after[1])
     assert len(before[1]) == 401
+
+
+def test_point_source_ids_join_tiles_to_strips(tmp_path):
+    """Whatever the files are called: tiles, strips, GeoParquet and report.json mean the same file by a number."""
+    names = ("strip_07", "line_1203", "b", "a", "strip_01")
+    for k, name in enumerate(names):
+        survey(tmp_path / f"{name}.las", 40 + 10 * k, seed=k)
+    report = run(tmp_path, "'*.las'")
+    numbers = {file["path"].removesuffix(".las"): file["strip"] for file in report["input"]["files"]}
+    assert numbers["strip_07"] == 7 and numbers["strip_01"] == 1 and len(set(numbers.values())) == len(names)
+    tiles = [laspy.read(path) for path in (tmp_path / "run" / "laz" / "tiles").glob("*.laz")]
+    ids = np.concatenate([np.asarray(tile.point_source_id) for tile in tiles])
+    pulses = np.concatenate([np.asarray(tile.gps_time) for tile in tiles])
+    for k, name in enumerate(names):
+        strip = laspy.read(tmp_path / "run" / "laz" / "strips" / f"{name}.laz")
+        assert len(np.unique(pulses[ids == numbers[name]])) == len(np.unique(strip.gps_time)) == 40 + 10 * k
+    tables = [pq.read_table(path, columns=["strip"]) for path in (tmp_path / "run" / "parquet").rglob("*.parquet")]
+    assert np.array_equal(np.sort(np.concatenate([t["strip"].to_numpy() for t in tables])), np.sort(ids))
 
 
 def test_laz_in_gives_the_same_echoes_as_las(tmp_path):

@@ -48,7 +48,7 @@ def output_tasks(
 
     def delivered(tile: Tile) -> Task:
         return Task(
-            "publish-tile", tile.key, 1, of_tile,
+            "publish-tile", tile.key, 2, of_tile,
             partial(outputs.delivered_tile, tile, columns, survey.crs, survey.standard_time, config.publish),
             needs=needs_of(columns, (tile.key,)), place="deliver",
         )  # fmt: skip
