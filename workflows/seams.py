@@ -53,7 +53,7 @@ class Asked:
 def seams(config: Config, home: Home, asked: Asked, display: Display) -> Found:
     """Compute strips along tile borders, and some blocks, once more and compare; the run is only read."""
     check_idle(home)
-    look = Look(home)
+    look = Look(home, config.run.accept_libraries)
     where = address_of(home)
     try:
         plan = _planned(config, look, asked.workflow)

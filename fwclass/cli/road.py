@@ -50,6 +50,7 @@ def report_path(report: str | None, root: Any, workers: int, scheduler: str | No
 def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, report: Path | None = None) -> Iterator[Any]:
     """A run locked for writing, with its executor; `home` is its directory, or a `Remote` place; `limits` is section
     `run` of the configuration, `report` where Dask's performance report goes."""
+    from fwclass.run.libraries import announced
     from fwclass.run.local import Loop, WhenNeeded
     from fwclass.run.progress import Display
     from fwclass.run.road import Road
@@ -63,7 +64,7 @@ def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, repor
 
             cluster = Cluster(
                 scheduler, workers, limits.worker_memory_gib, limits.window, limits.retries, limits.split,
-                watched=report is not None,
+                watched=report is not None, say=display.say,
             )  # fmt: skip
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
             display.workers = cluster.workers
@@ -74,8 +75,10 @@ def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, repor
         else:
             executor = WhenNeeded(started) if workers else nullcontext(Loop())
         with executor as running:
-            road = Road(home, running, display, held=held)
+            road = Road(home, running, display, held=held, accept_libraries=limits.accept_libraries)
             road.store.clear_staging()
+            for line in announced(road.store, limits.accept_libraries):
+                display.say(f"libraries        {line}")
             with running.reported(report, display.say) if report is not None else nullcontext():
                 yield road
         road.store.sweep()

@@ -94,7 +94,10 @@ def _looked(config: Any, request: Any) -> Any:
     from fwclass.run.status.look import look_at
     from workflows import WORKFLOWS
 
-    return look_at(home_of_run(request, config), lambda road: WORKFLOWS[request.workflow](config, road, request.wanted))
+    return look_at(
+        home_of_run(request, config), lambda road: WORKFLOWS[request.workflow](config, road, request.wanted),
+        config.run.accept_libraries,
+    )  # fmt: skip
 
 
 def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: str) -> None:

@@ -96,6 +96,9 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     "--keep-going/--fail-fast", default=True, show_default=True,
     help="After a part has failed: make all that does not need it, or stop at once.",
 )  # fmt: skip
+@click.option(
+    "--accept-libraries", is_flag=True, help="Parts made with other versions of libraries are done (see `status`)."
+)
 @click.option("--only", metavar="STAGE/PART", help="Make this one part alone, in the plain loop.")
 @click.option(
     "--report", metavar="[FILE.html]", is_flag=False, flag_value="",
@@ -103,10 +106,11 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
 )  # fmt: skip
 def run(
     conf: Path, out: Any, settings: tuple[str, ...], tiles: str | None, aoi: Path | None, workflow: str,
-    scheduler: str | None, workers: int | None, keep_going: bool, only: str | None,
+    scheduler: str | None, workers: int | None, keep_going: bool, accept_libraries: bool, only: str | None,
     report: str | None,
 ) -> None:  # fmt: skip
     """Run a survey from its files to classified tiles; what is already done is skipped."""
+    settings += ("run.accept_libraries=true",) if accept_libraries else ()
     if only is None:
         _run(conf, out, settings, chosen(tiles, aoi), workflow, How(scheduler, workers, not keep_going, report))
         return

@@ -133,7 +133,8 @@ class RunSection(Section):
     `seam_check_echoes`: a survey of at most so many echoes is filtered once more as one block, to tell in the report
     what the seams between blocks changed; 0 leaves the check out. `keep_generations`: whole deliveries that stay.
     `window`: parts that the scheduler knows at a time. `retries`: times that a part whose worker was lost is tried
-    again among others, and then alone, in `split` × `split` pieces of a tile where the stage can.
+    again among others, and then alone, in `split` × `split` pieces of a tile where the stage can. `accept_libraries`:
+    parts that were made with other versions of libraries are done.
     """
 
     workers: int = Field(ge=0, le=10_000)
@@ -143,6 +144,7 @@ class RunSection(Section):
     split: int = Field(ge=1, le=100)
     keep_generations: int = Field(ge=1, le=100_000)
     seam_check_echoes: int = Field(ge=0, le=1_000_000_000)
+    accept_libraries: bool
 
 
 class SeamsSection(Section):

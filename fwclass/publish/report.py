@@ -102,6 +102,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
     return {
         "survey": report.get("survey") or "survey",
         "version": report.get("fwclass") or "",
+        "accepted": dict((report.get("libraries") or {}).get("accepted") or {}),
         "total": report.get("seconds"),
         "summary": _summary(report, classes, counts),
         "facts": _facts(report, counts),

@@ -16,6 +16,7 @@ import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -26,13 +27,13 @@ from distributed import Client, Future, LocalCluster, Nanny, WorkerPlugin, as_co
 from distributed.scheduler import KilledWorker
 from tornado.ioloop import IOLoop
 
-from fwclass import __version__
 from fwclass.errors import FwclassError
 from fwclass.run.hand import Hand
 from fwclass.run.lost import Losses, cause_of
 from fwclass.run.part import Outcome, Task, execute
-from fwclass.store.atomic import write_text
+from fwclass.store.atomic import digest_of, write_text
 from fwclass.store.home import Home
+from fwclass.store.libraries import changes, fingerprint
 from fwclass.store.scratch import worker_directory
 
 _OUTSIDE = re.compile(r'<link rel="shortcut icon" href="https?://[^">]*"[^>]*>')
@@ -52,26 +53,41 @@ _QUIET = {
 """Dask looks at itself every 10 to 500 ms in every process: 12 % of a core for two workers that have nothing to do,
 4 % with these."""
 
+TOLD_WORKERS = 10
+"""Workers that are named of those that differ."""
+
 _ENDS: dict[str, int] = {}
 """How workers of this process ended, by address: the exit code, negative for a signal."""
 
 
-def _at_worker(version: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int, topic: str) -> Outcome:
+class OtherLibraries(Exception):
+    """A worker computes by other code than the run: its address, and its `libraries.fingerprint`."""
+
+
+def _at_worker(libraries: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int, topic: str) -> Outcome:
     """A part, on whatever host the scheduler has chosen; its outcome is told under `topic` too, which asks nobody."""
     worker = get_worker()
-    outcome = _made(worker, version, home, task, upstream, split)
+    if libraries != _digest_here():
+        raise OtherLibraries(worker.address, dict(fingerprint()))
+    worker_directory(Path(worker.local_directory))
+    outcome = execute(home, task, tuple(upstream), split)
     worker.log_event(topic, {"key": worker.get_current_task(), "outcome": asdict(outcome)})
     return outcome
 
 
-def _made(worker: Any, version: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int) -> Outcome:
-    if version != __version__:
-        return Outcome(
-            *task.name, "failed", message=f"worker {worker.address} has fwclass {__version__}, the run has {version}: "
-            "install the same version on all hosts",
-        )  # fmt: skip
-    worker_directory(Path(worker.local_directory))
-    return execute(home, task, tuple(upstream), split)
+@cache
+def _digest_here() -> str:
+    return digest_of(dict(fingerprint()))
+
+
+def _fingerprint_here() -> dict[str, str]:
+    """For `Client.run`."""
+    return dict(fingerprint())
+
+
+def _apart(there: dict[str, str]) -> str:
+    """How a worker differs from this process, in words."""
+    return ", ".join(changes(fingerprint(), there))
 
 
 def steady() -> None:
@@ -124,11 +140,12 @@ class Cluster:
 
     It is given at most `window` parts at a time. A part whose worker is lost is tried `retries` times more among
     others, then alone, in `split` × `split` pieces. `watched`: for a performance report, workers note what they do.
+    `say`: told of workers that are turned away.
     """
 
     def __init__(
         self, address: str | None, workers: int, worker_memory_gib: float, window: int, retries: int = 0,
-        split: int = 1, watched: bool = False,
+        split: int = 1, watched: bool = False, say: Callable[[str], None] = print,
     ) -> None:  # fmt: skip
         steady()
         dask.config.set({
@@ -138,6 +155,7 @@ class Cluster:
         })  # fmt: skip
         self._cluster: LocalCluster | None = None
         self._heard: dict[str, Outcome] = {}
+        self._away: set[str] = set()
         self._wanted, self._memory, self._retries, self._split = workers, worker_memory_gib, retries, split
         try:
             if address is None:
@@ -155,9 +173,44 @@ class Cluster:
             raise _no_answer(address, fault) from fault
         self.address, self.dashboard = self._client.scheduler.address, self._page()
         self.workers = len(self._client.ncores())
-        self._window, self._count, self._over = window, 0, threading.Event()
+        self._window, self._count, self._over, self._say = window, 0, threading.Event(), say
+        self._check_workers()
         if self._cluster is not None:
             threading.Thread(target=self._muster, daemon=True).start()
+
+    def _check_workers(self) -> None:
+        """`FwclassError` if a worker computes by other code than this process."""
+        told = {
+            address: _apart(there) if isinstance(there, dict) else f"{type(there).__name__}: {there}"
+            for address, there in self._client.run(_fingerprint_here, on_error="return").items()
+        }  # fmt: skip
+        other = [f"{address}: {text}" for address, text in told.items() if text]
+        if other:
+            self.__exit__(None, None, None)
+            more = f"\n    and {len(other) - TOLD_WORKERS} more" if len(other) > TOLD_WORKERS else ""
+            raise FwclassError(
+                f"{len(other)} of {len(told)} workers compute by other code than this run", where=self.address,
+                expected="the same fwclass and libraries on all hosts: parts would come out otherwise on some",
+                got="\n    ".join(["", *other[:TOLD_WORKERS]]) + more,
+                do="install the same on all hosts (requirements.lock), and start the workers again",
+            )  # fmt: skip
+
+    def turned_away(self, fault: BaseException | None) -> bool:
+        """Whether `fault` is that of a worker which computes by other code; it is told, and gets no part any more."""
+        if not isinstance(fault, OtherLibraries):
+            return False
+        address, there = fault.args
+        text = f"worker {address} computes by other code than this run ({_apart(there)})"
+        if self._cluster is not None:
+            raise FwclassError(
+                "the program was changed while it ran", where=self.address, got=text,
+                do="run the same again; what is done is kept",
+            )  # fmt: skip
+        if address not in self._away:
+            self._away.add(address)
+            self._say(f"dask             {text}: it is retired")
+            self._client.retire_workers([address], close_workers=True, remove=True)
+        return True
 
     def _muster(self) -> None:
         """A worker that was killed while it started is given up by its nanny: start another."""
@@ -224,7 +277,7 @@ class Cluster:
         """Hand a part to the scheduler; one that is tried alone is made in pieces."""
         self._count += 1
         return self._client.submit(
-            _at_worker, __version__, home, task, upstream, self._split if alone else 1, self._topic,
+            _at_worker, _digest_here(), home, task, upstream, self._split if alone else 1, self._topic,
             key=f"{task.stage}-{task.part}-{self._count}", pure=False, priority=-self._count, retries=0,
         )  # fmt: skip
 

@@ -115,6 +115,9 @@ class Hand:
         if future.status == "cancelled":
             raise self._cluster.gone()
         fault, task = future.exception(), self._forget(name)
+        if self._cluster.turned_away(fault):
+            self.take(task, alone)
+            return
         worker = self._cluster.killed(fault, future.key)
         if worker is None:
             message = f"no worker could begin it: {type(fault).__name__}: {fault}"

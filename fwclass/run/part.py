@@ -16,6 +16,7 @@ from fwclass.run.logs import Value, attempted, log_path
 from fwclass.store.cells import Within, digest_within
 from fwclass.store.foreign import Foreign
 from fwclass.store.home import Home, open_store
+from fwclass.store.libraries import stale_by
 from fwclass.store.receipts import Receipt, key_of
 from fwclass.store.run_store import Store
 
@@ -36,6 +37,7 @@ class Task:
     within : what is read of those of them that have digests of pieces (`store.cells`): the rows in a box, the piece of
         a name; None for all.
     external : files read from outside; their digests enter the key by name.
+    any_libraries : the part is done if it was made with other libraries, too (`store.libraries`).
     place : "store"; "deliver" for what the user gets, in a generation, at the paths that it has in the part; "run" for
         files of the run directory itself.
     """
@@ -49,6 +51,7 @@ class Task:
     external: tuple[Foreign, ...] = ()
     place: Literal["store", "deliver", "run"] = "store"
     within: Within = None
+    any_libraries: bool = False
 
     @property
     def name(self) -> Name:
@@ -101,7 +104,13 @@ def key_now(task: Task, store: Store) -> str | None:
 def already_done(task: Task, store: Store) -> bool:
     """The part is there, made from the inputs as they are now."""
     key = key_now(task, store)
-    return key is not None and store.done(task.stage, task.part, key) is not None
+    return key is not None and holds(task, store, key)
+
+
+def holds(task: Task, store: Store, key: str) -> bool:
+    """The part is there under this key, and was made with the libraries of here, or such as do not matter."""
+    receipt = store.done(task.stage, task.part, key)
+    return receipt is not None and (task.any_libraries or not stale_by(store.libraries(receipt)))
 
 
 def execute(home: Home, task: Task, upstream: Sequence[Outcome] = (), split: int = 1) -> Outcome:
@@ -121,7 +130,7 @@ def execute(home: Home, task: Task, upstream: Sequence[Outcome] = (), split: int
         if inputs is None:
             return Outcome(*task.name, "blocked", message="a part that it needs is not done")
         key = key_of(task.stage, task.version, task.params, inputs)
-        if store.done(task.stage, task.part, key) is not None:
+        if holds(task, store, key):
             return Outcome(*task.name, "skipped")
         desk = Desk(store, external={file.name: file.digest for file in task.external}, split=split)
         receipt = store.commit(

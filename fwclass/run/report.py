@@ -16,6 +16,7 @@ from fwclass.assess.stage import caution
 from fwclass.conf import Config
 from fwclass.grid import TileGrid, Window
 from fwclass.run.desk import Desk
+from fwclass.run.libraries import reported
 from fwclass.run.plan.layout import Layout, Survey
 from fwclass.run.road import Road, Tally
 from fwclass.run.sampling import sampling
@@ -72,6 +73,7 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         ],
         "failed": [{"stage": o.stage, "part": o.part, "message": o.message} for o in road.failures],
         "config": _plain(config.raw),
+        "libraries": reported(road),
         "whole": road.whole,
         "seconds": round(max((t.ended for t in road.tallies.values()), default=0.0) - road.began, 3),
     }
@@ -89,6 +91,8 @@ def _standing(config: Config, road: Road) -> dict[str, Any] | None:
         return None
     found = read_json(report)
     if found.get("config") != _plain(config.raw) or found.get("failed") or found.get("outputs") != _outputs(road):
+        return None
+    if road.accept_libraries and (found.get("libraries") or {}).get("accepted") != reported(road)["accepted"]:
         return None
     for path in (report, page):
         link(path, road.pending / path.name)

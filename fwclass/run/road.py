@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -65,9 +65,10 @@ class Tally:
 class Road:
     """Walks batches of tasks; each batch may need parts of earlier ones.
 
-    With `fail_fast` the first part that fails ends the walk by a `PartialError`. `store` remembers receipts; two roads
-    over one run share it (`seen`). `held` raises `StoreError` when the run's lock is lost; it is asked before a failure
-    is believed and before anything is delivered.
+    With `fail_fast` the first part that fails ends the walk by a `PartialError`; with `accept_libraries` parts made
+    with other libraries are done. `store` remembers receipts; two roads over one run share it (`seen`). `held`
+    raises `StoreError` when the run's lock is lost; it is asked before a failure is believed and before anything is
+    delivered.
     """
 
     home: Home
@@ -77,6 +78,7 @@ class Road:
     tallies: dict[str, Tally] = field(default_factory=dict)
     began: float = field(default_factory=time.perf_counter)
     fail_fast: bool = False
+    accept_libraries: bool = False
     whole: bool = False
     delivered: set[str] = field(default_factory=set)
     held: Callable[[], None] = lambda: None
@@ -118,6 +120,8 @@ class Road:
     def _pending(self, tasks: Iterable[Task], names: list[Name]) -> Iterator[Task]:
         """Those of `tasks` that have to be made; `names` gets all of them."""
         for task in tasks:
+            if self.accept_libraries:
+                task = replace(task, any_libraries=True)
             names.append(task.name)
             if task.place == "deliver":
                 self.delivered.add(task.stage)
@@ -157,7 +161,10 @@ class Road:
 
     def beside(self) -> Road:
         """A road on the same run whose parts do not count in the report: what is asked for once more, or aside."""
-        return Road(self.home, self.executor, self.display, fail_fast=self.fail_fast, held=self.held, seen=self.store)
+        return Road(
+            self.home, self.executor, self.display, fail_fast=self.fail_fast, accept_libraries=self.accept_libraries,
+            held=self.held, seen=self.store,
+        )  # fmt: skip
 
     def tell(self, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         """Do what is no part: write what the run says of itself at its end."""

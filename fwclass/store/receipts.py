@@ -36,6 +36,7 @@ class Receipt:
     seconds, peak_mib : cost of making it; `keeping` of the seconds went into flushing, digests and renames.
     version : of the stage's code; None in receipts of before it was recorded.
     params : digest of the parameters, which lie in ``store/params/<digest>.json``; empty in receipts of before that.
+    libraries : digest of what it was made with, in ``store/libraries/<digest>.json``; empty in receipts of before that.
     """
 
     stage: str
@@ -51,6 +52,7 @@ class Receipt:
     keeping: float = 0.0
     version: int | None = None
     params: str = ""
+    libraries: str = ""
     format: int = FORMAT
 
     def to_text(self) -> str:
@@ -91,7 +93,7 @@ class Receipt:
         for what, name in (("stage", self.stage), ("part", self.part)):
             if name_fault(name):
                 return f"{what} {str(name)[:80]!r}: {name_fault(name)}"
-        texts = (self.key, self.digest, self.params or "0")
+        texts = (self.key, self.digest, self.params or "0", self.libraries or "0")
         if not all(isinstance(t, str) and _DIGEST.fullmatch(t) for t in texts):
             return "a key or a digest that is none"
         if self.place not in ("store", "deliver", "run"):

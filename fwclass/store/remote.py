@@ -15,16 +15,17 @@ from typing import Any
 
 from fwclass.errors import StoreError
 from fwclass.store.atomic import digest_of, file_digest, files_below, staged
+from fwclass.store.libraries import fingerprint
 from fwclass.store.objects import Mark
 from fwclass.store.receipts import Receipt, digest_of_outputs
 from fwclass.store.refusals import LostRace
 from fwclass.store.remote_history import surplus
 from fwclass.store.remote_lock import check_token
 from fwclass.store.remote_read import RECEIPT, RemoteReader, key_of_receipt, unit_of
-from fwclass.store.run_store import peak_mib
+from fwclass.store.run_store import NO_STAGES, peak_mib
 
 _kept: set[tuple[str, str]] = set()
-"""Parameters that this process has written: (address, digest)."""
+"""Parameters and libraries that this process has written: (address, digest)."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class RemoteStore(RemoteReader):
             receipt = Receipt(
                 stage=stage, part=part, key=key, inputs=dict(inputs), outputs=outputs, place=place,
                 meta=meta, digest=digest_of_outputs(outputs, meta), peak_mib=round(peak_mib(), 1), version=version,
-                params=self._keep_params(params),
+                params=self._keep_params(params), libraries=self._keep_once("libraries", dict(fingerprint())),
             )  # fmt: skip
             self._upload(receipt, directory)
         ended = time.perf_counter()
@@ -115,12 +116,10 @@ class RemoteStore(RemoteReader):
     def keep(self, name: str, value: Any) -> None:
         self.objects.put(f"store/{name}", json.dumps(value, sort_keys=True, indent=1, allow_nan=False).encode())
 
-    def _keep_params(self, params: Any) -> str:
-        if params is None:
-            return ""
-        digest = digest_of(params)
+    def _keep_once(self, kind: str, value: Any) -> str:
+        digest = digest_of(value)
         if (self.where, digest) not in _kept:
-            self.keep(f"params/{digest}.json", params)
+            self.keep(f"{kind}/{digest}.json", value)
             _kept.add((self.where, digest))
         return digest
 
@@ -167,7 +166,7 @@ def _by_unit(keys: Iterable[str]) -> dict[tuple[str, str], dict[str, list[str]]]
     found: dict[tuple[str, str], dict[str, list[str]]] = {}
     for key in keys:
         words = key.split("/")
-        if len(words) > 4 and words[1] not in ("staging", "failures", "params"):
+        if len(words) > 4 and words[1] not in NO_STAGES:
             found.setdefault((words[1], words[2]), {}).setdefault("/".join(words[:4]), []).append(key)
     return found
 

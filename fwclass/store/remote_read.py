@@ -215,6 +215,10 @@ class RemoteReader(Store):
         keys = (k.split("/") for k in self._all())
         return sorted({(k[1], k[2]) for k in keys if len(k) > 3})
 
+    def _digests(self, kind: str) -> list[str]:
+        names = (k.removeprefix(f"store/{kind}/") for k in self._all() if k.startswith(f"store/{kind}/"))
+        return sorted(n.removesuffix(".json") for n in names)
+
     # files
 
     def base(self, receipt: Receipt) -> Path:
@@ -272,9 +276,6 @@ class RemoteReader(Store):
                 do="run again; the part is made anew",
             ) from fault  # fmt: skip
         return self.root / unit / name
-
-    def params(self, receipt: Receipt) -> Any:
-        return self.recall(f"params/{receipt.params}.json") if receipt.params else None
 
     def recall(self, name: str) -> Any:
         found = self.objects.get(f"store/{name}")

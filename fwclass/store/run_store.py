@@ -37,10 +37,14 @@ from fwclass.store.atomic import (
 )
 from fwclass.store.failures import Failures
 from fwclass.store.generations import Generations
+from fwclass.store.libraries import fingerprint, known
 from fwclass.store.receipts import Receipt, digest_of_outputs
 from fwclass.store.url import Url
 
 MIB = 1 << 20
+
+NO_STAGES = ("staging", "failures", "params", "libraries")
+"""Directories of the store that hold no parts."""
 
 
 @dataclass(frozen=True)
@@ -185,6 +189,7 @@ class Store:
             digest=digest_of_outputs(outputs, meta), seconds=round(time.perf_counter() - began, 4),
             keeping=round(time.perf_counter() - worked, 4),
             peak_mib=round(peak_mib(), 1), version=version, params=self._keep_params(params),
+            libraries=self._keep_once("libraries", dict(fingerprint())),
         )  # fmt: skip
         write_text(own / "receipt.json", receipt.to_text(), flush=False)  # its seal tells whether it is whole
         self.failures.clear(stage, part)
@@ -202,24 +207,42 @@ class Store:
 
     def _keep_params(self, params: Any) -> str:
         """Keep parameters once for all parts that have them; their digest, empty for None."""
-        if params is None:
-            return ""
-        digest = digest_of(params)
-        path = self._params(digest)
+        return "" if params is None else self._keep_once("params", params)
+
+    def _keep_once(self, kind: str, value: Any) -> str:
+        """Keep what many receipts name, ``store/<kind>/<digest>.json``, once; its digest."""
+        digest = digest_of(value)
+        path = self.directory / kind / f"{digest}.json"
         if not path.exists():
-            write_json(path, params)
+            write_json(path, value)
         return digest
 
-    def _params(self, digest: str) -> Path:
-        return self.directory / "params" / f"{digest}.json"
+    def _kept(self, kind: str, digest: str) -> Any:
+        """What receipts name by `digest`; None where it was not recorded, or is damaged."""
+        try:
+            return self.recall(f"{kind}/{digest}.json") if digest else None
+        except (DamagedError, ValueError, RecursionError):
+            return None
 
     def params(self, receipt: Receipt) -> Any:
         """The parameters that a part was made with, as plain data; None where they were not recorded."""
-        path = self._params(receipt.params)
-        try:
-            return read_json(path) if receipt.params and path.exists() else None
-        except DamagedError:
-            return None
+        return self._kept("params", receipt.params)
+
+    def libraries(self, receipt: Receipt) -> Mapping[str, str] | None:
+        """What a part was made with (`libraries.fingerprint`); None where that is not known."""
+        return self.fingerprint(receipt.libraries)
+
+    def fingerprint(self, digest: str) -> Mapping[str, str] | None:
+        """What receipts name by `digest`."""
+        return known(digest, lambda: self._kept("libraries", digest))
+
+    def fingerprints(self) -> list[Mapping[str, str]]:
+        """Every fingerprint that was kept."""
+        found = (self.fingerprint(d) for d in self._digests("libraries"))
+        return [f for f in found if f is not None]
+
+    def _digests(self, kind: str) -> list[str]:
+        return sorted(p.stem for p in (self.directory / kind).glob("[!.]*.json"))
 
     def _collect(self, receipt: Receipt, old: Receipt | None) -> None:
         """Remove what no receipt names any more."""
@@ -278,7 +301,7 @@ class Store:
         for path in (self.directory / "staging").glob("*"):
             _cleared(path)
         shutil.rmtree(self.directory / "staging", ignore_errors=True)
-        for path in (*self.directory.glob(".*"), *(self.directory / "params").glob(".*")):  # what was half-written
+        for path in (p for d in ("", "params", "libraries") for p in (self.directory / d).glob(".*")):  # half-written
             path.unlink(missing_ok=True)
 
 

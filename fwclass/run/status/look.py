@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from fwclass.errors import ConfigError, FwclassError
 from fwclass.grid import Box, TileGrid
 from fwclass.run.local import Loop
-from fwclass.run.part import Name, Outcome, Task, input_digests
+from fwclass.run.part import Name, Outcome, Task, holds, input_digests
 from fwclass.run.progress import Display
 from fwclass.run.road import Done, Lacking, Road
 from fwclass.run.status.why import Reason, new_files, reasons, same, waiting
@@ -63,11 +64,13 @@ class Look(Road):
     Where a run would choose by a part that is not done, it ends.
     """
 
-    def __init__(self, home: Home) -> None:
-        super().__init__(home, Loop(), Silent(), seen=open_store(home, read_only=True, lists=True))
+    def __init__(self, home: Home, accept_libraries: bool = False) -> None:
+        store = open_store(home, read_only=True, lists=True)
+        super().__init__(home, Loop(), Silent(), accept_libraries=accept_libraries, seen=store)
         self.states: dict[Name, State] = {}
         self.tasks: dict[Name, Task] = {}
         self._waits: dict[Name, str] = {}  # what is not done, with its standing
+        self.made_with: Counter[str] = Counter()  # receipts by their `libraries`
         self.absent: dict[str, Box] = {}  # files that nothing was made of, by name
         busy = held_by(home) is not None
         self._failures: dict[Name, tuple[Failure, float]] = self.store.failures.all()
@@ -76,6 +79,7 @@ class Look(Road):
     def do(self, tasks: Sequence[Task]) -> Mapping[Name, Receipt]:
         receipts = []
         for task in tasks:
+            first = task.name not in self.tasks
             self.tasks[task.name] = task
             self.states[task.name] = state = self._state(task)
             if state.standing == "done":
@@ -83,6 +87,8 @@ class Look(Road):
             else:
                 self._waits[task.name] = state.standing
             receipt = self.store.receipt(*task.name)
+            if receipt is not None and first:
+                self.made_with[receipt.libraries] += 1
             known = receipt is not None and (state.standing == "done" or not task.stage.startswith(CHOOSES))
             if known:
                 receipts.append(task.name)
@@ -117,11 +123,12 @@ class Look(Road):
         pass
 
     def _state(self, task: Task) -> State:
+        task = replace(task, any_libraries=self.accept_libraries)
         late = {n: self._waits[n] for n in task.needs if n in self._waits}
         inputs = None if late else input_digests(task, self.store)
         key = "" if inputs is None else key_of(task.stage, task.version, task.params, inputs)
         come = self._come(task)
-        if key and not come and self.store.done(task.stage, task.part, key):
+        if key and not come and holds(task, self.store, key):
             return State(*task.name, "done")
         failure, failed_at = self._failures.get(task.name, (None, 0.0))
         if self._begun.get(task.name, 0.0) > failed_at:
@@ -148,12 +155,14 @@ class Look(Road):
 
 @dataclass(frozen=True)
 class Looked:
-    """What was seen: parts in the plan's order; why the plan is not known further, None where all of it is."""
+    """What was seen: parts in the plan's order; why the plan is not known further, None where all of it is; how many
+    receipts have which `libraries`."""
 
     store: Store
     states: dict[Name, State]
     tasks: dict[Name, Task]
     ends: str | None
+    made_with: Mapping[str, int]
 
     @property
     def waiting(self) -> int:
@@ -165,13 +174,13 @@ class Looked:
         return self.ends is None and all(s.standing == "done" for s in self.states.values())
 
 
-def look_at(home: Home, workflow: Callable[[Road], object]) -> Looked:
+def look_at(home: Home, workflow: Callable[[Road], object], accept_libraries: bool = False) -> Looked:
     """Walk `workflow` over the run in `home` without making anything.
 
     Faults of the configuration and of the input come out as they would from a run; where parts are missing that tell
     which others there will be, the plan ends there.
     """
-    look = Look(home)
+    look = Look(home, accept_libraries)
     ends = None
     try:
         workflow(look)
@@ -185,4 +194,4 @@ def look_at(home: Home, workflow: Callable[[Road], object]) -> Looked:
         ends = fault.what
         if isinstance(fault, Lacking):
             ends = f"{'/'.join(fault.name)} is {look.states[fault.name].standing}"
-    return Looked(look.store, look.states, look.tasks, ends)
+    return Looked(look.store, look.states, look.tasks, ends, look.made_with)

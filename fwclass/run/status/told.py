@@ -6,15 +6,15 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from fwclass.run.libraries import by_libraries, text_of
 from fwclass.run.part import Name
 from fwclass.run.request import Request
 from fwclass.run.status.look import STANDINGS, Looked, State
+from fwclass.store.libraries import fingerprint
+from fwclass.store.run_store import NO_STAGES
 
 NAMED = 4
 """Parts that are named of those that have one reason."""
-
-NO_STAGES = ("staging", "failures", "params")
-"""Directories of the store that hold no parts."""
 
 
 def as_data(looked: Looked, request: Request, writer: Mapping[str, Any] | None, every: bool) -> dict[str, Any]:
@@ -25,6 +25,7 @@ def as_data(looked: Looked, request: Request, writer: Mapping[str, Any] | None, 
         "running": dict(writer) if writer else None, "plan_ends": looked.ends,
         "stages": [{"stage": stage, **counts} for stage, counts in _counts(looked.states).items()],
         "parts": parts, "not_in_plan": others(looked, request),
+        "libraries": {"here": dict(fingerprint()), "parts": by_libraries(looked.made_with, looked.store)},
     }  # fmt: skip
 
 
@@ -75,6 +76,7 @@ def as_text(looked: Looked, request: Request, writer: Mapping[str, Any] | None, 
     if left:
         told = ", ".join(f"{stage} {n}" for stage, n in left.items())
         rows.append(f"besides, the store holds parts that the plan does not name (so far): {told}")
+    rows += [text_of(row) for row in by_libraries(looked.made_with, looked.store)]
     return "\n".join([*rows, _verdict(looked, request, writer)])
 
 

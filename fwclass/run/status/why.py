@@ -9,6 +9,7 @@ from typing import Any
 
 from fwclass.run.part import Name, Task
 from fwclass.store.cells import digest_within
+from fwclass.store.libraries import stale_by
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
 
@@ -38,6 +39,7 @@ def same(text: str) -> Reason:
 def reasons(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str]) -> list[Reason]:
     """Why `receipt` does not do for `task`; `waits` are parts that are not done now, with their status."""
     found = _of_version(task, receipt)
+    found += [] if task.any_libraries else [same(text) for text in stale_by(store.libraries(receipt))]
     found += _of_params(task, receipt, store)
     found += _of_files(task, receipt)
     found += _of_parts(task, receipt, store, waits)
