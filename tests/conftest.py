@@ -14,6 +14,10 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import order  # noqa: E402 - found by the path above
 
+from fwclass.isolation import kernel_cache  # noqa: E402
+
+kernel_cache()  # one for all processes of the suite, also where the user has none
+
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> order.Files:

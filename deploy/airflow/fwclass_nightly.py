@@ -28,6 +28,8 @@ with DAG(
     run = BashOperator(
         task_id="run",
         bash_command=f"exec {PROGRAM} run {CONF} --out {RUN}",  # exec: the task's SIGTERM reaches the run itself
+        env={"PYTHONSAFEPATH": "1"},  # import nothing from the directory that the task starts in
+        append_env=True,
         skip_on_exit_code=3,
         execution_timeout=timedelta(hours=20),
     )

@@ -10,6 +10,7 @@ import click
 from fwclass.cli import export, features, files, ground, model, plan, schedule, seams, select, status, survey
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
+from fwclass.isolation import isolate
 from fwclass.redact import redacted
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
 
 def main() -> None:
     """Entry point: faults of data and configuration are told in words, without a traceback."""
+    isolate()
     try:
         cli(standalone_mode=False)
     except click.exceptions.Exit as end:

@@ -28,6 +28,7 @@ from distributed.scheduler import KilledWorker
 from tornado.ioloop import IOLoop
 
 from fwclass.errors import FwclassError
+from fwclass.isolation import kernel_cache
 from fwclass.run.hand import Hand
 from fwclass.run.lost import Losses, cause_of
 from fwclass.run.part import Outcome, Task, execute
@@ -159,6 +160,7 @@ class Cluster:
         self._wanted, self._memory, self._retries, self._split = workers, worker_memory_gib, retries, split
         try:
             if address is None:
+                kernel_cache()  # one for all workers
                 self._cluster = LocalCluster(
                     n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
                     memory_limit=f"{worker_memory_gib} GiB", host="127.0.0.1", silence_logs=50,

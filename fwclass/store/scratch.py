@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from fwclass.errors import StoreError
+from fwclass.isolation import cache_home
 from fwclass.store.atomic import digest_of, file_digest, files_below
 from fwclass.store.objects import Objects, Wanted
 from fwclass.store.params import StoreParams
@@ -44,7 +45,7 @@ def scratch_directory(params: StoreParams) -> Path:
         return Path(told).expanduser().absolute()
     if _default:
         return _default[0] / "fwclass"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache").absolute() / "fwclass"
+    return cache_home() / "fwclass"
 
 
 def scratch_of(params: StoreParams) -> Scratch:

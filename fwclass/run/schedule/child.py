@@ -16,9 +16,9 @@ from fwclass.run.schedule.signals import Signals
 from fwclass.run.schedule.ticks import now
 
 
-def without(name: str | None) -> dict[str, str]:
-    """This process's environment less the variable `name`, which holds a secret."""
-    return {k: v for k, v in os.environ.items() if k not in (name, ORDER)}
+def without(name: str | None, environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """`environment` (this process's) less the variable `name`, which holds a secret."""
+    return {k: v for k, v in environment.items() if k not in (name, ORDER)}
 
 
 class Child:
@@ -29,7 +29,7 @@ class Child:
 
     def __init__(self, words: Sequence[str], order: Mapping[str, Any], secret: str | None) -> None:
         self._process = subprocess.Popen(  # noqa: S603 - our own command
-            [sys.executable, "-m", "fwclass", *words], stdin=subprocess.DEVNULL, start_new_session=True,
+            [sys.executable, "-P", "-m", "fwclass", *words], stdin=subprocess.DEVNULL, start_new_session=True,
             env={**without(secret), ORDER: json.dumps(order)},
         )  # fmt: skip
         self.pid = self._process.pid

@@ -19,6 +19,7 @@ from urllib.parse import unquote, urlsplit
 
 from fwclass import __version__
 from fwclass.conf.schedule import ScheduleSection
+from fwclass.isolation import outer_environment
 from fwclass.redact import redacted
 from fwclass.run.schedule.child import without
 from fwclass.run.schedule.signals import Signals
@@ -170,7 +171,8 @@ def command(params: ScheduleSection, record: Mapping[str, Any]) -> Told:
         "FWCLASS_RUN": record.get("run"), "FWCLASS_WORD": record.get("word"), "FWCLASS_ID": record.get("id"),
         "FWCLASS_EXIT_CODE": record.get("exit_code"), "FWCLASS_TRIGGER": record.get("why", {}).get("trigger"),
     }  # fmt: skip
-    environment = without(params.webhook_token_env) | {k: str(v) for k, v in facts.items() if v is not None}
+    environment = without(params.webhook_token_env, outer_environment())
+    environment |= {k: str(v) for k, v in facts.items() if v is not None}
     try:
         process = subprocess.Popen(  # noqa: S603 - the user's own command, without a shell
             words, stdin=subprocess.PIPE, stdout=2, env=environment, start_new_session=True

@@ -1,0 +1,185 @@
+"""The current directory decides nothing: it may be a stranger's, and what runs is this program alone.
+
+Python imports modules from there (`python -m`, `python -c`, which starts the workers), numba and matplotlib read their
+configuration from there, and numba's names a directory of compiled code, which it unpickles.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+CONFIGURATIONS = {"numba": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
+"""Files that a library reads from the current directory when it is imported."""
+
+CACHE = "NUMBA_CACHE_DIR"
+CHILDREN = {"PYTHONSAFEPATH": "1", "PROJ_NETWORK": "OFF"}
+"""For this process's own children: nothing is imported from where they start, no grid of a datum is fetched."""
+
+_before: dict[str, str | None] = {}
+"""What the variables that were set here held before."""
+
+
+def isolate() -> None:
+    """Import nothing from the current directory any more, here and in the processes that this one starts.
+
+    Called first by every entry of the command. A program that imports fwclass keeps its own import path.
+    """
+    for name, value in CHILDREN.items():
+        _set(name, value)
+    path = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    if not all(map(os.path.isabs, path)) and path != [""]:
+        _set("PYTHONPATH", os.pathsep.join(filter(os.path.isabs, path)))
+    own = str(Path(__file__).parents[1])
+    first = sys.path[0] if sys.path else ""
+    put_there = not sys.flags.safe_path and first != own and first == _here()  # `python -m`
+    sys.path[:] = filter(os.path.isabs, sys.path[put_there:])
+    if own not in sys.path:  # it was found in what was taken away
+        sys.path.append(own)
+
+
+def _set(name: str, value: str) -> None:
+    _before.setdefault(name, os.environ.get(name))
+    os.environ[name] = value
+
+
+def outer_environment() -> dict[str, str]:
+    """The environment as it was before `isolate`, for commands of the user's own."""
+    kept = {name: value for name, value in os.environ.items() if name not in _before}
+    return kept | {name: value for name, value in _before.items() if value is not None}
+
+
+def _here() -> str:
+    try:
+        return os.getcwd()  # noqa: PTH109 - compared with a text
+    except OSError:  # it was removed
+        return ""
+
+
+def cache_home() -> Path:
+    """The user's directory for what can be made again; `RuntimeError` for a user without a home."""
+    told = os.environ.get("XDG_CACHE_HOME", "")
+    return Path(told) if Path(told).is_absolute() else Path.home() / ".cache"
+
+
+def kernel_cache() -> Path:
+    """Where compiled kernels are kept, for this process and its children: below the user's cache directory.
+
+    What lies there is run. So it must belong to this user, and nobody else may write there; otherwise a fresh
+    directory is taken, which ends with this process, and standard error tells why.
+
+    Raises
+    ------
+    ConfigError
+        The user's own ``NUMBA_CACHE_DIR`` depends on the current directory.
+    """
+    told = os.environ.get(CACHE)
+    if told and not Path(told).is_absolute():
+        from fwclass.errors import ConfigError
+
+        raise ConfigError(
+            "the directory of compiled code depends on the current directory", where=f"environment variable {CACHE}",
+            expected="an absolute path", got=told, do=f"unset {CACHE}, or name a directory that is yours alone",
+        )  # fmt: skip
+    if told:
+        return Path(told)
+    try:
+        place = cache_home() / "fwclass" / "kernels"
+        fault = _not_private(place)
+    except RuntimeError as error:
+        place, fault = Path("~/.cache"), str(error)
+    if fault:
+        told = f"compiled code cannot be kept in {place}: {fault}; it is compiled anew for this command"
+        place = Path(tempfile.mkdtemp(prefix="fwclass-kernels-"))
+        atexit.register(_remove, place, os.getpid())
+        sys.stderr.write(f"fwclass: {told}\n")
+    _set(CACHE, str(place))
+    return place
+
+
+def _not_private(place: Path) -> str:
+    """Make `place`, for this user alone; why what is there cannot be trusted, "" if it can."""
+    try:
+        for directory in (place.parent, place):
+            directory.mkdir(mode=0o700, parents=directory == place.parent, exist_ok=True)
+        above, facts = place.parent.stat(), place.lstat()
+    except OSError as fault:
+        return fault.strerror or type(fault).__name__
+    if not stat.S_ISDIR(facts.st_mode):
+        return "it is a link"
+    if facts.st_uid != os.geteuid():
+        return "it belongs to another user"
+    if facts.st_mode & 0o022 or (above.st_mode & 0o002 and not above.st_mode & stat.S_ISVTX):
+        return "other users may write there"
+    return "" if os.access(place, os.W_OK | os.X_OK) else "it cannot be written to"
+
+
+def _remove(place: Path, maker: int) -> None:
+    if os.getpid() == maker:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+@contextmanager
+def _away_from(name: str) -> Iterator[None]:
+    """Elsewhere than in the current directory, where that holds a file `name`; the library asks for no other place."""
+    if not os.path.lexists(name):
+        yield
+        return
+    back = os.open(".", os.O_RDONLY)
+    os.chdir("/")
+    try:
+        yield
+    finally:
+        os.fchdir(back)
+        os.close(back)
+
+
+class _Guard(MetaPathFinder):
+    """Imports the libraries of `CONFIGURATIONS` so that they do not see those files."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:  # fmt: skip
+        if name not in CONFIGURATIONS:
+            return None
+        spec = PathFinder.find_spec(name, path, target)
+        if spec is not None and spec.loader is not None:
+            setattr(spec.loader, "exec_module", _guarded(name, spec.loader.exec_module))  # noqa: B010 - for this one
+        return spec
+
+
+def _guarded(name: str, execute: Callable[[ModuleType], None]) -> Callable[[ModuleType], None]:
+    def exec_module(module: ModuleType) -> None:
+        if name == "numba":
+            kernel_cache()
+        with _away_from(CONFIGURATIONS[name]):
+            execute(module)
+        if name == "numba":
+            _settle_numba()
+
+    return exec_module
+
+
+def _settle_numba() -> None:
+    """Compiled code goes to `kernel_cache`, also where numba was there first; its file is not looked for again."""
+    config: Any = sys.modules["numba.core.config"]
+    config.CACHE_DIR, config._config_fname = str(kernel_cache()), os.devnull
+
+
+def guard() -> None:
+    """Watch over imports of the libraries that read files of the current directory; called by ``import fwclass``."""
+    if not any(isinstance(finder, _Guard) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Guard())
+    if "numba.core.config" in sys.modules:
+        _settle_numba()
