@@ -128,7 +128,7 @@ def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: 
 @AOI
 @WORKFLOW
 @click.option("--parts", "every", is_flag=True, help="List every part, done or not.")
-@click.option("--verify", is_flag=True, help="Read all files of parts that are done, and compare their digests.")
+@click.option("--verify", is_flag=True, help="Read all files of parts and of the delivery, and compare their digests.")
 @JSON
 def status(
     conf_or_run: Any, out: Any, settings: tuple[str, ...], tiles: str | None, aoi: Path | None,
@@ -167,14 +167,13 @@ def status(
     home = home_of_run(request, config)
     writer, scheduled = held_by(home), standing(home)
     looked = _looked(config, request)
-    from fwclass.run.status.verify import as_text as damage_text
-    from fwclass.run.status.verify import damages
+    from fwclass.run.status import verify as verifying
 
-    damaged = damages(looked) if verify else []
+    verified = verifying.verify(looked.store) if verify else None
     if as_json:
         data = {**as_data(looked, request, writer, every), "schedule": scheduled}
-        if verify:
-            data["damaged"] = [d.as_data() for d in damaged]
+        if verified is not None:
+            data |= verified.as_data()
         click.echo(json.dumps(data, indent=1))
     else:
         if scheduled is not None:
@@ -183,7 +182,7 @@ def status(
             told = f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}"
             click.echo(visible(told))
         click.echo(as_text(looked, request, writer, every))
-        if verify:
-            click.echo(damage_text(damaged, looked.store.where))
-    if damaged or not looked.all_done:
+        if verified is not None:
+            click.echo(verifying.as_text(verified, request))
+    if not looked.all_done or (verified is not None and not verified.sound):
         sys.exit(PARTIAL)

@@ -17,12 +17,14 @@ from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
 
 @dataclass(frozen=True)
 class How:
-    """What `fwclass run` is told besides what to make: where it runs, and `page` for Dask's performance report."""
+    """What `fwclass run` is told besides what to make: where it runs, `page` for Dask's performance report, whether to
+    `verify` what is there first."""
 
     scheduler: str | None
     workers: int | None
     fail_fast: bool = False
     page: str | None = None
+    verify: bool = False
 
 
 def _run(
@@ -42,6 +44,21 @@ def _run(
         _walk(config, request, root, replace(how, workers=count), performance, entry)
 
 
+def _verify(road: Any) -> None:
+    """Remove what is damaged, with all that was made from it: this run makes it anew."""
+    from fwclass.run.status import verify as verifying
+
+    road.display.say("verify           all files of the store and of the delivery are read")
+    road.verify = True
+    verified = verifying.verify(road.store)
+    if verified.sound:
+        road.display.say("verify           they have the bytes that were written")
+        return
+    for line in verifying.rows(verified):
+        road.display.say(line)
+    verifying.remove(verified, road.store)
+
+
 def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
     from fwclass.assess.stage import judge
     from fwclass.run.report import REPORT, summary
@@ -52,6 +69,8 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         request.keep(road.store)
         road.fail_fast = how.fail_fast
         entry.begin(road)
+        if how.verify:
+            _verify(road)
         report: Any = None
         try:
             report = WORKFLOWS[request.workflow](config, road, request.wanted)
@@ -101,23 +120,29 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
 )
 @click.option("--only", metavar="STAGE/PART", help="Make this one part alone, in the plain loop.")
 @click.option(
+    "--verify",
+    is_flag=True,
+    help="First read all files of parts and of the delivery; make anew what is damaged, and what was made from it.",
+)
+@click.option(
     "--report", metavar="[FILE.html]", is_flag=False, flag_value="",
     help="Write Dask's performance report (default: performance.html in the run directory); needs bokeh.",
 )  # fmt: skip
 def run(
     conf: Path, out: Any, settings: tuple[str, ...], tiles: str | None, aoi: Path | None, workflow: str,
     scheduler: str | None, workers: int | None, keep_going: bool, accept_libraries: bool, only: str | None,
-    report: str | None,
+    verify: bool, report: str | None,
 ) -> None:  # fmt: skip
     """Run a survey from its files to classified tiles; what is already done is skipped."""
     settings += ("run.accept_libraries=true",) if accept_libraries else ()
     if only is None:
-        _run(conf, out, settings, chosen(tiles, aoi), workflow, How(scheduler, workers, not keep_going, report))
+        how = How(scheduler, workers, not keep_going, report, verify)
+        _run(conf, out, settings, chosen(tiles, aoi), workflow, how)
         return
-    if tiles or aoi or scheduler or workers or report is not None:
+    if tiles or aoi or scheduler or workers or verify or report is not None:
         raise ConfigError(
             "--only makes one part, in this process", where="--only",
-            do="leave --tiles, --aoi, --scheduler, --workers and --report out",
+            do="leave --tiles, --aoi, --scheduler, --workers, --verify and --report out",
         )  # fmt: skip
     alone(conf, out, settings, workflow, only)
 

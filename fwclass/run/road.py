@@ -66,9 +66,9 @@ class Road:
     """Walks batches of tasks; each batch may need parts of earlier ones.
 
     With `fail_fast` the first part that fails ends the walk by a `PartialError`; with `accept_libraries` parts made
-    with other libraries are done. `store` remembers receipts; two roads over one run share it (`seen`). `held`
-    raises `StoreError` when the run's lock is lost; it is asked before a failure is believed and before anything is
-    delivered.
+    with other libraries are done; with `verify` the generation that is there is read before it is taken for what this
+    run delivers. `store` remembers receipts; two roads over one run share it (`seen`). `held` raises `StoreError` when
+    the run's lock is lost; it is asked before a failure is believed and before anything is delivered.
     """
 
     home: Home
@@ -79,6 +79,7 @@ class Road:
     began: float = field(default_factory=time.perf_counter)
     fail_fast: bool = False
     accept_libraries: bool = False
+    verify: bool = False
     whole: bool = False
     delivered: set[str] = field(default_factory=set)
     held: Callable[[], None] = lambda: None
@@ -195,7 +196,7 @@ class Road:
                     )  # fmt: skip
                 base = self.store.base(receipt)
                 files |= {name: (base / name, str(facts["digest"])) for name, facts in receipt.outputs.items()}
-        return self.store.generations.publish(files, self.whole, keep)
+        return self.store.generations.publish(files, self.whole, keep, self.verify, self.display.say)
 
     def retire(self) -> None:
         """Remove parts of earlier runs that this run's plan does not have, with what they delivered."""

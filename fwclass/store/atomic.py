@@ -22,7 +22,12 @@ _CANONICAL = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_asci
 
 def digest_of(value: Any) -> str:
     """Digest of plain data: 32 hex digits of BLAKE2b over its canonical JSON."""
-    return hashlib.blake2b(_CANONICAL.encode(value).encode(), digest_size=16).hexdigest()
+    return bytes_digest(_CANONICAL.encode(value).encode())
+
+
+def bytes_digest(data: bytes) -> str:
+    """Digest of bytes, 32 hex digits of BLAKE2b."""
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
 
 
 def file_digest(path: Path) -> str:

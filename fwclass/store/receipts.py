@@ -55,6 +55,13 @@ class Receipt:
     libraries: str = ""
     format: int = FORMAT
 
+    def files(self, name: str) -> Mapping[str, Mapping[str, Any]]:
+        """Facts of the output `name`, under "", or of those in the directory `name`, by what follows its name."""
+        one = self.outputs.get(name)
+        if one is not None:
+            return {"": one}
+        return {n[len(name) :]: f for n, f in self.outputs.items() if n.startswith(f"{name}/")}
+
     def to_text(self) -> str:
         """JSON, a field a line, with a digest of itself."""
         plain = {f.name: getattr(self, f.name) for f in fields(self)}

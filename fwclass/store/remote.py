@@ -15,14 +15,15 @@ from typing import Any
 
 from fwclass.errors import StoreError
 from fwclass.store.atomic import digest_of, file_digest, files_below, staged
+from fwclass.store.digests import remember
 from fwclass.store.libraries import fingerprint
 from fwclass.store.objects import Mark
 from fwclass.store.receipts import Receipt, digest_of_outputs
 from fwclass.store.refusals import LostRace
 from fwclass.store.remote_history import surplus
 from fwclass.store.remote_lock import check_token
-from fwclass.store.remote_read import RECEIPT, RemoteReader, key_of_receipt, unit_of
-from fwclass.store.run_store import NO_STAGES, peak_mib
+from fwclass.store.remote_read import RemoteReader, key_of_receipt, unit_of
+from fwclass.store.run_store import NO_STAGES, RECEIPT, peak_mib
 
 _kept: set[tuple[str, str]] = set()
 """Parameters and libraries that this process has written: (address, digest)."""
@@ -75,6 +76,8 @@ class RemoteStore(RemoteReader):
         self.remote.scratch.drop(f"{self.root.name}/{unit}")
         directory.replace(target)
         self.remote.scratch.adopt(f"{self.root.name}/{unit}", sum(int(f["bytes"]) for f in receipt.outputs.values()))
+        for name, facts in receipt.outputs.items():
+            remember(target / name, str(facts["digest"]))
         self.objects.put_files({f"{unit}/{name}": target / name for name in receipt.outputs})
 
     def _written(self, receipt: Receipt, mark: Mark | None) -> Receipt:
@@ -127,17 +130,17 @@ class RemoteStore(RemoteReader):
         keep = set(parts)
         gone = sorted({part for of, part in self.parts() if of == stage} - keep)
         for part in gone:
-            self._remove(held.key for held in self.objects.list(f"store/{stage}/{part}"))
-            self.forget((stage, part))
+            self.remove(stage, part)
         failed = [key for key in self._all() if key.startswith(f"store/failures/{stage}/")]
         self.objects.delete(key for key in failed if key.split("/")[3].removesuffix(".json") not in keep)
         return gone
 
-    def _remove(self, keys: Iterable[str]) -> None:
-        """Receipts first: a part is not done from then on, whatever happens to the rest."""
-        every = list(keys)
+    def remove(self, stage: str, part: str) -> None:
+        """As `Store.remove`."""
+        every = [held.key for held in self.objects.list(f"store/{stage}/{part}")]
         self.objects.delete(k for k in every if k.endswith(f"/{RECEIPT}"))
         self.objects.delete(k for k in every if not k.endswith(f"/{RECEIPT}"))
+        self.forget((stage, part))
 
     def sweep(self) -> None:
         """What killed workers left is removed when the next run begins: to find it, everything is listed."""

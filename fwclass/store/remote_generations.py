@@ -4,16 +4,31 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
-from fwclass import __version__
-from fwclass.errors import StoreError
-from fwclass.store.atomic import digest_of, files_below
-from fwclass.store.generations import _FACTS, _PENDING, Generation, Generations
-from fwclass.store.objects import MOST_COPIED, Mark, Objects, Wanted
+from fwclass.errors import DamagedError, StoreError
+from fwclass.store.atomic import bytes_digest, digest_of, file_digest, files_below
+from fwclass.store.generations import (
+    _FACTS,
+    _PENDING,
+    MANIFEST,
+    Generation,
+    Generations,
+    Manifest,
+    Tell,
+    _manifest_of,
+    _silent,
+    _text,
+    facts_of,
+    generation_of,
+    tell_broken,
+)
+from fwclass.store.objects import MOST_COPIED, Held, Mark, Objects, Wanted
 from fwclass.store.scratch import Scratch
 from fwclass.store.url import Url
 
@@ -47,46 +62,122 @@ class RemoteGenerations(Generations):
         return self.objects.url
 
     def all(self) -> list[Generation]:
-        keys = sorted(
-            h.key for h in self.objects.list(_BELOW) if h.key.endswith(f"/{_FACTS}") and h.key.count("/") == 2
-        )
-        found = zip(keys, self.objects.many(keys), strict=True)
-        return sorted((self._read(k.split("/")[1], d[0]) for k, d in found if d), key=lambda g: g.number)
+        return self._all(list(self._listed()))
+
+    def _listed(self) -> dict[str, Held]:
+        """Every object of every generation by key."""
+        return {held.key: held for held in self.objects.list(_BELOW)}
+
+    def _all(self, keys: Iterable[str]) -> list[Generation]:
+        """The generations that are whole; a damaged one says nothing."""
+        finished = sorted(k for k in keys if k.endswith(f"/{_FACTS}") and k.count("/") == 2)
+        found = []
+        for key, data in zip(finished, self.objects.many(finished), strict=True):
+            with suppress(DamagedError):
+                found += [self._read(key.split("/")[1], data[0])] if data else []
+        return sorted(found, key=lambda g: g.number)
 
     def _read(self, name: str, data: bytes) -> Generation:
-        facts = json.loads(data)
-        path = self.directory / name
         where = self.address / _BELOW / name
-        return RemoteGeneration(int(facts["number"]), path, bool(facts["whole"]), str(facts["digest"]), where)
+        try:
+            facts = json.loads(data)
+        except (ValueError, RecursionError):
+            facts = None
+        plain = generation_of(facts, self.directory / name, where / _FACTS)
+        return RemoteGeneration(plain.number, plain.path, plain.whole, plain.digest, plain.manifest, where)
 
     def _pointer(self) -> tuple[str, Mark] | None:
+        """Name of the generation that readers see, "" where the pointer is damaged; None for no pointer."""
         found = self.objects.get(CURRENT)
-        return (str(json.loads(found[0])["generation"]), found[1]) if found else None
+        if found is None:
+            return None
+        try:
+            name = str(json.loads(found[0])["generation"])
+        except (ValueError, TypeError, KeyError, RecursionError):
+            name = ""
+        return name, found[1]
 
     def current(self) -> Generation | None:
         pointer = self._pointer()
-        facts = self.objects.get(f"{_BELOW}/{pointer[0]}/{_FACTS}") if pointer else None
-        return self._read(pointer[0], facts[0]) if pointer and facts else None
+        return self._named(pointer[0]) if pointer else None
+
+    def _named(self, name: str) -> Generation | None:
+        facts = self.objects.get(f"{_BELOW}/{name}/{_FACTS}") if name.isdigit() else None
+        try:
+            return self._read(name, facts[0]) if facts else None
+        except DamagedError:
+            return None
 
     def shown(self, name: str) -> Path | None:
-        """A copy of a file that the current generation has at its top, None where it has none."""
-        pointer = self._pointer()
-        key = f"{_BELOW}/{pointer[0]}/{name}" if pointer else ""
-        held = next((h for h in self.objects.list(f"{_BELOW}/{pointer[0]}") if h.key == key), None) if pointer else None
-        if held is None:
+        """A copy of a file that the current generation has at its top, None where it has none, or not the one it
+        should have."""
+        current = self.current()
+        facts = (self.manifest(current) or {}).get(name) if current is not None else None
+        found = self.objects.get(f"{_BELOW}/{current.name}/{name}") if current is not None and facts else None
+        if found is None or facts is None or bytes_digest(found[0]) != facts["digest"]:
             return None
-        unit = f"shown/{digest_of([key, held.mark.e_tag])}"
-        wanted = {name: Wanted(key, held.size, self.root / unit / name)}
-        self.scratch.need(self.objects, f"{self.root.name}/{unit}", wanted, {})
-        return self.root / unit / name
+        unit = f"shown/{facts['digest']}"
+        path = self.root / unit / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(found[0])
+        self.scratch.adopt(f"{self.root.name}/{unit}", len(found[0]))
+        return path
 
-    def publish(self, files: Mapping[str, tuple[Path, str]], whole: bool, keep: int) -> Generation:
+    def manifest(self, generation: Generation) -> Manifest | None:
+        found = self.objects.get(f"{_BELOW}/{generation.name}/{MANIFEST}")
+        return _manifest_of(found[0], generation) if found else None
+
+    def damage(self) -> tuple[str, list[str]]:
+        pointer = self._pointer()
+        if pointer is None:
+            return "", []
+        generation = self._named(pointer[0])
+        if generation is None:
+            return pointer[0], [_FACTS]
+        return pointer[0], self._broken(generation, self._listed(), True) if generation.manifest else []
+
+    def _broken(self, generation: Generation, listed: Mapping[str, Held], read: bool) -> list[str]:
+        """Files that are gone, of another size, or of other bytes; not `read` are those that nobody wrote over."""
+        manifest, found = self.manifest(generation), []
+        if manifest is None:
+            return [MANIFEST]
+        with TemporaryDirectory(dir=self._here()) as scratch:
+            for name, facts in manifest.items():
+                held = listed.get(f"{_BELOW}/{generation.name}/{name}")
+                there = held is not None and held.size == facts["bytes"]
+                if held is not None and there and (read or held.mark.e_tag != facts["e_tag"]):
+                    there = self._reads(held, facts, Path(scratch) / "object")
+                if not there:
+                    found.append(name)
+        return found
+
+    def _reads(self, held: Held, facts: Mapping[str, Any], target: Path) -> bool:
+        """The object has its bytes; also where it was copied, and has another mark."""
+        try:
+            self.objects.fetch([Wanted(held.key, held.size, target)])
+            return file_digest(target) == facts["digest"]
+        except FileNotFoundError:
+            return False
+        finally:
+            target.unlink(missing_ok=True)
+
+    def _here(self) -> Path:
+        self.root.mkdir(parents=True, exist_ok=True)
+        return self.root
+
+    def publish(
+        self, files: Mapping[str, tuple[Path, str]], whole: bool, keep: int, read: bool = False, tell: Tell = _silent
+    ) -> Generation:  # fmt: skip
         digest = digest_of({name: of for name, (_, of) in files.items()})
-        pointer, before, there = self._pointer(), self.current(), self.all()
-        if before is not None and before.whole == whole and before.digest == digest and self._same(before):
-            self.clear_pending()
-            return before
-        numbers = [int(n) for h in self.objects.list(_BELOW) if (n := h.key.split("/")[1]).isdigit()]
+        pointer, listed = self._pointer(), self._listed()
+        before, there = self._named(pointer[0]) if pointer else None, self._all(listed)
+        if before is not None and before.whole == whole and before.digest == digest:
+            broken = self._broken(before, listed, read)
+            tell_broken(before, broken, tell)
+            if not broken and self._reports_stand(before):
+                self.clear_pending()
+                return before
+        numbers = [int(n) for key in listed if (n := key.split("/")[1]).isdigit()]
         made = self._put(f"{1 + max(numbers, default=0):04d}", files, whole, digest)
         if whole or before is None or not before.whole:
             told = {"generation": made.name, "address": f"{_BELOW}/{made.name}", "digest": digest, "whole": whole}
@@ -98,32 +189,31 @@ class RemoteGenerations(Generations):
         self._drop([*there, made], keep)
         return made
 
-    def _same(self, generation: Generation) -> bool:
-        own = self.pending
-        for path in files_below(own):
-            there = self.objects.get(f"{_BELOW}/{generation.name}/{path.relative_to(own).as_posix()}")
-            if there is None or there[0] != path.read_bytes():
-                return False
-        return True
-
     def _put(self, name: str, files: Mapping[str, tuple[Path, str]], whole: bool, digest: str) -> Generation:
         own, below = self.pending, f"{_BELOW}/{name}"
         sizes = {held.key: held.size for held in self.objects.list("store")}
-        self._copy(sizes, {f"{below}/{to}": source for to, (source, _) in sorted(files.items())})
-        reports = files_below(own)
-        self.objects.put_files({f"{below}/{p.relative_to(own).as_posix()}": p for p in reports})
-        facts = {
-            "number": int(name), "made": datetime.now(UTC).isoformat(timespec="seconds"), "whole": whole,
-            "digest": digest, "files": len(files), "fwclass": __version__,
-        }  # fmt: skip
-        data = json.dumps(facts, sort_keys=True, indent=1).encode()
+        self._copy(sizes, {f"{below}/{to}": files[to] for to in sorted(files)})
+        reports = {p.relative_to(own).as_posix(): p for p in files_below(own)}
+        self.objects.put_files({f"{below}/{to}": p for to, p in reports.items()})
+        digests = {to: of for to, (_, of) in files.items()} | {to: file_digest(p) for to, p in reports.items()}
+        held = {h.key[len(below) + 1 :]: h for h in self.objects.list(below)}
+        lacking = sorted(digests.keys() - held.keys())
+        if lacking:
+            raise StoreError("what was just delivered is gone", where=self.address / below / lacking[0], do="run again")
+        manifest = {
+            to: {"bytes": held[to].size, "digest": of, "e_tag": held[to].mark.e_tag} for to, of in digests.items()
+        }
+        text = _text({"files": manifest})
+        self.objects.put_new(f"{below}/{MANIFEST}", text.encode())
+        data = _text(facts_of(int(name), whole, digest, text, len(files))).encode()
         self.objects.put_new(f"{below}/{_FACTS}", data)
         self.clear_pending()
         return self._read(name, data)
 
-    def _copy(self, sizes: Mapping[str, int], files: Mapping[str, Path]) -> None:
-        """Copy parts' files, named by their copies on this host, to keys; the server does it, but for large ones."""
-        pairs = [(source.relative_to(self.root).as_posix(), target) for target, source in files.items()]
+    def _copy(self, sizes: Mapping[str, int], files: Mapping[str, tuple[Path, str]]) -> None:
+        """Copy parts' files, named by their copies on this host with their digests, to keys; the server does it, but
+        for large ones."""
+        pairs = [(source.relative_to(self.root).as_posix(), target) for target, (source, _) in files.items()]
         gone = [key for key, _ in pairs if key not in sizes]
         if gone:
             raise StoreError(
@@ -133,8 +223,9 @@ class RemoteGenerations(Generations):
         for key, target in pairs:
             if sizes[key] > MOST_COPIED:
                 unit, _, name = key.rpartition("/")
-                path = self.root / key
-                self.scratch.need(self.objects, f"{self.root.name}/{unit}", {name: Wanted(key, sizes[key], path)}, {})
+                path, of = files[target]
+                wanted = {name: Wanted(key, sizes[key], path)}
+                self.scratch.need(self.objects, f"{self.root.name}/{unit}", wanted, {name: of})
                 self.objects.put_files({target: path})
 
     def _drop(self, there: list[Generation], keep: int) -> None:

@@ -23,12 +23,11 @@ from fwclass.store.params import StoreParams
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_failures import RemoteFailures
 from fwclass.store.remote_generations import RemoteGenerations
-from fwclass.store.run_store import Store
+from fwclass.store.run_store import RECEIPT, Store
 from fwclass.store.scratch import Scratch, scratch_of
 from fwclass.store.url import Url
 
 Name = tuple[str, str]
-RECEIPT = "receipt.json"
 AT_A_TIME = 256
 """Receipts that are fetched together."""
 IN_MEMORY = 1 << 27
@@ -171,7 +170,7 @@ class RemoteReader(Store):
             self._seen.listed[key] = Held(key, len(data), mark, 0.0)
             for below, facts in receipt.outputs.items():
                 key = f"{unit_of(receipt)}/{below}"
-                self._seen.listed.setdefault(key, Held(key, int(facts["bytes"]), Mark(None), 0.0))
+                self._seen.listed[key] = Held(key, int(facts["bytes"]), Mark(None), 0.0)
         if self.lists:
             path = self._copy_of(key_of_receipt(*name), mark)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -260,12 +259,12 @@ class RemoteReader(Store):
         return receipt if whole else None
 
     def path(self, stage: str, part: str, name: str) -> Path:
-        """A copy of a file or directory of a finished part, on this host."""
+        """A copy of a file or directory of a finished part, on this host; held to the receipt's digests there."""
         receipt = self.receipt(stage, part)
         if receipt is None:
             raise self._not_done(stage, part)
         unit = unit_of(receipt)
-        asked = {n: f for n, f in receipt.outputs.items() if n == name or n.startswith(f"{name}/")}
+        asked = {f"{name}{rest}": f for rest, f in receipt.files(name).items()}
         files = {n: Wanted(f"{unit}/{n}", int(f["bytes"]), self.root / unit / n) for n, f in asked.items()}
         digests = {n: str(f["digest"]) for n, f in asked.items()}
         try:

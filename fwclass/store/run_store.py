@@ -35,6 +35,7 @@ from fwclass.store.atomic import (
     write_json,
     write_text,
 )
+from fwclass.store.digests import check_file, remember
 from fwclass.store.failures import Failures
 from fwclass.store.generations import Generations
 from fwclass.store.libraries import fingerprint, known
@@ -42,6 +43,7 @@ from fwclass.store.receipts import Receipt, digest_of_outputs
 from fwclass.store.url import Url
 
 MIB = 1 << 20
+RECEIPT = "receipt.json"
 
 NO_STAGES = ("staging", "failures", "params", "libraries")
 """Directories of the store that hold no parts."""
@@ -79,7 +81,7 @@ class Store:
 
     def receipt(self, stage: str, part: str) -> Receipt | None:
         """The part's receipt, or None; a damaged one says nothing, so that the part is made again."""
-        path = self._part(stage, part) / "receipt.json"
+        path = self._part(stage, part) / RECEIPT
         return self._read(path)
 
     def look_up(self, names: Iterable[tuple[str, str]]) -> None:
@@ -133,12 +135,26 @@ class Store:
         paths = {name: base / name for name in receipt.outputs}
         return [n for n, p in paths.items() if not p.is_file() or file_digest(p) != receipt.outputs[n]["digest"]]
 
+    def remove(self, stage: str, part: str) -> None:
+        """Remove a part, its receipt first: from then on it is not done, whatever happens to the rest."""
+        receipt = self.receipt(stage, part)
+        (self._part(stage, part) / RECEIPT).unlink(missing_ok=True)
+        self.forget((stage, part))
+        if receipt is not None and receipt.place == "run":
+            for name in receipt.outputs:
+                below(self.root, name).unlink(missing_ok=True)
+        shutil.rmtree(self._part(stage, part), ignore_errors=True)
+
     def base(self, receipt: Receipt) -> Path:
         """The directory that the receipt's outputs are relative to."""
         return self.root if receipt.place == "run" else self._part(receipt.stage, receipt.part) / receipt.key
 
     def path(self, stage: str, part: str, name: str) -> Path:
-        """A file or directory of a finished part."""
+        """A file or directory of a finished part, whose bytes are those that were written.
+
+        Every file of a part is read through here. Each is held to the digest in the receipt, once in this process and
+        again if it looks changed: `DamagedError`.
+        """
         receipt = self.receipt(stage, part)
         if receipt is None:
             raise StoreError(
@@ -146,7 +162,10 @@ class Store:
                 where=f"{stage}/{part} in {self.root}",
                 do="run again; the missing parts are made",
             )
-        return self.base(receipt) / name
+        path = self.base(receipt) / name
+        for rest, facts in receipt.files(name).items():
+            check_file(f"{path}{rest}", str(facts["digest"]))
+        return path
 
     def commit(
         self,
@@ -191,7 +210,10 @@ class Store:
             peak_mib=round(peak_mib(), 1), version=version, params=self._keep_params(params),
             libraries=self._keep_once("libraries", dict(fingerprint())),
         )  # fmt: skip
-        write_text(own / "receipt.json", receipt.to_text(), flush=False)  # its seal tells whether it is whole
+        base = self.base(receipt)
+        for name, facts in outputs.items():
+            remember(base / name, str(facts["digest"]))
+        write_text(own / RECEIPT, receipt.to_text(), flush=False)  # its seal tells whether it is whole
         self.failures.clear(stage, part)
         self._collect(receipt, old)
         return receipt
@@ -262,11 +284,7 @@ class Store:
         directory = self.directory / stage
         gone = sorted(p.name for p in directory.iterdir() if p.name not in keep) if directory.is_dir() else []
         for part in gone:
-            receipt = self.receipt(stage, part)
-            if receipt is not None and receipt.place == "run":
-                for name in receipt.outputs:
-                    below(self.root, name).unlink(missing_ok=True)
-            shutil.rmtree(self._part(stage, part), ignore_errors=True)
+            self.remove(stage, part)
         self.failures.forget_others(stage, keep)
         return gone
 

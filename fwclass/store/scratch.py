@@ -19,6 +19,7 @@ from typing import IO, Any
 from fwclass.errors import StoreError
 from fwclass.isolation import cache_home
 from fwclass.store.atomic import digest_of, file_digest, files_below
+from fwclass.store.digests import MEND, digest_now, remember
 from fwclass.store.objects import Objects, Wanted
 from fwclass.store.params import StoreParams
 
@@ -119,7 +120,7 @@ class Scratch:
         with self._guard:
             busy = self._busy.setdefault(unit, threading.Lock())
         with busy:
-            lacking = {n: w for n, w in files.items() if not _there(self.root / unit / n, w.size)}
+            lacking = {n: w for n, w in files.items() if not _there(self.root / unit / n, w.size, digests.get(n))}
             if lacking:
                 self._fetch(objects, unit, lacking, digests)
             self.used(unit, sum(lacking[n].size for n in lacking))
@@ -144,13 +145,15 @@ class Scratch:
                 raise StoreError(
                     "an object is not what was written", where=objects.url / one.key,
                     expected=f"{one.size} bytes of digest {digests[name]}", got="other bytes",
-                    do="remove the object and run again; its part is made anew",
+                    do=MEND,
                 )  # fmt: skip
             self._mark(unit).write_text(unit, encoding="utf-8")
             for name in lacking:
                 target = self.root / unit / name
                 target.parent.mkdir(parents=True, exist_ok=True)
                 (beside / name).replace(target)
+                if name in digests:
+                    remember(target, digests[name])
         finally:
             shutil.rmtree(beside, ignore_errors=True)
 
@@ -189,9 +192,10 @@ class Scratch:
         return self.root / "units" / digest_of(unit)
 
 
-def _there(path: Path, size: int) -> bool:
+def _there(path: Path, size: int, digest: str | None) -> bool:
+    """The copy is there, with its size and, where that is known, its digest."""
     try:
-        return path.stat().st_size == size
+        return path.stat().st_size == size and (digest is None or digest_now(path) == digest)
     except OSError:
         return False
 

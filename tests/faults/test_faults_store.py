@@ -101,21 +101,6 @@ def test_a_damaged_generation_is_made_again(survey, copy, expected, text):
     assert delivered(copy) == expected
 
 
-def test_a_flipped_byte_is_found_by_verify(survey, copy):
-    path = next((copy / "store" / "features").rglob("table.parquet"))
-    held = bytearray(path.read_bytes())
-    held[len(held) // 2] ^= 1
-    path.write_bytes(bytes(held))
-    assert fwclass("status", copy).returncode == 0
-    told = fwclass("status", copy, "--verify")
-    assert told.returncode == 3 and f"features/{path.parent.parent.name}: table.parquet" in told.stdout
-    found = json.loads(fwclass("status", copy, "--verify", "--json").stdout)["damaged"]
-    assert found == [{"stage": "features", "part": path.parent.parent.name, "files": ["table.parquet"]}]
-    shutil.rmtree(path.parent.parent)
-    walk(survey, copy, *SMALL)
-    assert fwclass("status", copy, "--verify").returncode == 0
-
-
 def test_clocks_that_jump_make_nothing_stale(survey, copy, tmp_path):
     """Times of everything in the store in the past and in the future, in no order; sources are looked at again."""
     own, rng = tmp_path / "survey", random.Random(5)  # noqa: S311

@@ -1,0 +1,203 @@
+"""Bits that flip on a disk: no part is made of them unnoticed, and a repair leads to what a clean run delivers."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+from commandline import fwclass
+from faultmaker import SMALL
+from objectstore import quick, serving, used
+from runmaker import delivered, walk
+
+from fwclass.errors import DamagedError
+from fwclass.run.status.verify import remove, verify
+from fwclass.store.home import open_store
+from fwclass.store.remote_read import Remote
+from fwclass.store.run_store import Store
+
+pytestmark = pytest.mark.faults
+
+CHANGED = (*SMALL, "train.trees=6", "classify.probabilities=true")
+"""Makes all that is delivered anew, from features, heights and terrain that stand."""
+
+STAGES = ("height", "terrain", *(pytest.param(s, marks=pytest.mark.slow) for s in ("tile", "ground", "features")))
+
+
+@pytest.fixture
+def copy(finished, tmp_path):
+    root = tmp_path / "copy"
+    shutil.copytree(finished, root, symlinks=True)
+    return root
+
+
+@pytest.fixture(scope="module")
+def clean(survey, finished, tmp_path_factory) -> dict[str, str]:
+    """What the changed run delivers where nothing is damaged."""
+    root = tmp_path_factory.mktemp("clean") / "run"
+    shutil.copytree(finished, root, symlinks=True)
+    walk(survey, root, *CHANGED)
+    return delivered(root)
+
+
+def flip(path: Path) -> None:
+    """Turn one bit in the middle of a file; its size and times stay."""
+    facts, held = path.stat(), bytearray(path.read_bytes())
+    held[len(held) // 2] ^= 1
+    path.chmod(0o644)
+    path.write_bytes(bytes(held))
+    os.utime(path, ns=(facts.st_atime_ns, facts.st_mtime_ns))
+
+
+def a_file_of(root: Path, stage: str) -> Path:
+    """The largest file of one of the stage's parts, of those that are read for what is delivered."""
+    files = (root / "store" / stage).rglob("dtm/c/0/0" if stage == "terrain" else "table.parquet")
+    return max(files, key=lambda p: (p.stat().st_size, str(p)))
+
+
+def repaired(root: Path) -> None:
+    store = open_store(root, lists=True)
+    remove(verify(store), store)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_nothing_is_made_of_a_flipped_bit(survey, copy, clean, stage):
+    path = a_file_of(copy, stage)
+    part = path.relative_to(copy / "store" / stage).parts[0]
+    flip(path)
+    before = (copy / "current").readlink()
+    try:
+        told = [o.message for o in walk(survey, copy, *CHANGED)[0].failures]
+    except DamagedError as fault:  # the report draws the terrain
+        told = [str(fault)]
+    assert told and all("is not what was written" in m and "--verify" in m and str(path) in m for m in told)
+    assert (copy / "current").readlink() == before
+    verified = verify(Store(copy, read_only=True))
+    assert [d.name for d in verified.parts] == [(stage, part)]
+    repaired(copy)
+    road, _ = walk(survey, copy, *CHANGED)
+    assert not road.failures and delivered(copy) == clean
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_what_was_made_of_a_flipped_bit_goes_with_it(survey, copy, clean, monkeypatch, stage):
+    """As of before files were held to their digests: the receipts of all that follows look sound."""
+    flip(a_file_of(copy, stage))
+    with monkeypatch.context() as patch:
+        patch.setattr("fwclass.store.run_store.check_file", lambda path, digest: None)
+        road, _ = walk(survey, copy, *CHANGED)
+    assert not road.failures
+    verified = verify(Store(copy, read_only=True))
+    after = {s for s, _ in verified.made_from}
+    assert {"publish-tile" if stage != "terrain" else "publish-rasters"} <= after and "index" not in after
+    repaired(copy)
+    walk(survey, copy, *CHANGED)
+    assert delivered(copy) == clean and verify(Store(copy)).sound
+
+
+def test_the_advice_of_status_leads_back(survey, copy, expected):
+    path = a_file_of(copy, "features")
+    flip(path)
+    flip(next((copy / "current" / "laz" / "tiles").iterdir()).resolve())
+    assert fwclass("status", copy).returncode == 0
+    found = json.loads(fwclass("status", copy, "--verify", "--json").stdout)
+    part = path.parents[1].name
+    assert {"stage": "features", "part": part, "files": ["table.parquet"]} in found["damaged"]
+    assert {"stage": "classify", "part": part} in found["made_from_damaged"]
+    assert [n.split("/")[1:3] for n in found["damaged_delivered"]] == [["laz", "tiles"]]
+    told = fwclass("status", copy, "--verify")
+    assert told.returncode == 3
+    command = shlex.split(told.stdout.splitlines()[-1].partition(": ")[2])
+    assert command[:2] == ["fwclass", "run"] and command[-1] == "--verify"
+    ended = fwclass(*command[1:], "--workers", "0")
+    assert ended.returncode == 0 and "is not what was delivered" in ended.stderr, ended.stderr
+    assert delivered(copy) == expected and (copy / "current").readlink().name == "0002"
+    assert fwclass("status", copy, "--verify").returncode == 0
+
+
+@pytest.mark.parametrize("how", ["gone", "shorter", "report"])
+def test_a_run_restores_what_its_delivery_has_lost(survey, copy, expected, how):
+    """Copies, as on file systems without hard links."""
+    lost = (copy / "current" / "report.html" if how == "report" else next((copy / "parquet").iterdir())).resolve()
+    held = lost.read_bytes()
+    lost.unlink()
+    if how == "shorter":
+        lost.write_bytes(held[:-1])
+    if how == "report":
+        lost.write_bytes(held.replace(b"a", b"b"))
+    walk(survey, copy, *SMALL)
+    assert (copy / "current").readlink().name == "0002" and delivered(copy) == expected
+    assert how != "report" or (copy / "current" / "report.html").read_bytes() != lost.read_bytes()
+    walk(survey, copy, *SMALL)
+    assert (copy / "current").readlink().name == "0002"
+    assert verify(Store(copy)).sound
+
+
+def test_the_manifest_names_every_file(copy):
+    current = (copy / "current").resolve()
+    files = json.loads((current / "manifest.json").read_text())["files"]
+    assert set(files) == {p.relative_to(current).as_posix() for p in current.rglob("*") if p.is_file()} - {
+        "generation.json", "manifest.json"
+    }  # fmt: skip
+    assert not (copy / "manifest.json").is_symlink()
+    flip(current / "manifest.json")
+    assert verify(Store(copy)).delivered == ("manifest.json",)
+    flip(current / "generation.json")
+    assert verify(Store(copy)).delivered == ("generation.json",)
+
+
+@pytest.mark.slow
+def test_object_storage_is_watched_too(survey, expected, tmp_path, monkeypatch):
+    """A part's object and delivered ones: flipped, written over, removed."""
+    with serving() as s3:
+        for name, value in used(s3, tmp_path / "copies").items():
+            monkeypatch.setenv(name, value)
+        place, out = s3.url("survey"), s3.url()
+        s3.write_all(place, survey, "strips", "reference")
+        s3.write(place / "trajectory.csv", (survey / "trajectory.csv").read_bytes())
+        home = Remote(out, quick())
+        walk(place, home, *SMALL)
+        assert s3.delivered(out) == expected
+        keys = s3.keys(out)
+        laz = next(k for k in keys if k.startswith("generations/0001/laz"))
+        table = next(k for k in keys if k.startswith("generations/0001/parquet"))
+        s3.remove(out / laz)
+        walk(place, home, *SMALL)
+        assert json.loads(s3.read(out)["current.json"])["generation"] == "0002" and s3.delivered(out) == expected
+        s3.write(out / table.replace("0001", "0002"), bytes(len(s3.read(out)[table])))
+        walk(place, home, *SMALL)
+        assert json.loads(s3.read(out)["current.json"])["generation"] == "0003" and s3.delivered(out) == expected
+        part = next(k for k in keys if k.startswith("store/features/") and k.endswith("table.parquet"))
+        held = bytearray(s3.read(out)[part])
+        held[len(held) // 2] ^= 1
+        s3.write(out / part, bytes(held))
+        monkeypatch.setenv("FWCLASS_SCRATCH", str(tmp_path / "other"))
+        road, _ = walk(place, home, *CHANGED)
+        assert road.failures and all("not what was written" in o.message for o in road.failures)
+        store = open_store(home, lists=True)
+        verified = verify(store)
+        assert [d.stage for d in verified.parts] == ["features"] and not verified.delivered
+        remove(verified, store)
+        walk(place, home, *SMALL)
+        assert s3.delivered(out) == expected
+        assert verify(open_store(home, lists=True)).sound
+
+
+def test_a_copy_on_this_host_that_rots_is_fetched_again(tmp_path, monkeypatch):
+    with serving() as s3:
+        for name, value in used(s3, tmp_path / "copies").items():
+            monkeypatch.setenv(name, value)
+        store = open_store(Remote(s3.url(), quick()))
+
+        def work(directory: Path) -> dict:
+            (directory / "made").write_bytes(b"sound" * 100)
+            return {}
+
+        store.commit("one", "a", "k", {}, "store", work)
+        path = store.path("one", "a", "made")
+        flip(path)
+        assert store.path("one", "a", "made").read_bytes() == b"sound" * 100
