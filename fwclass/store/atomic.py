@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import DamagedError
+from fwclass.errors import DamagedError, StoreError
 
 _BLOCK = 1 << 20
 
@@ -114,3 +115,29 @@ def move_into_place(source: Path, target: Path, flush: bool = True) -> None:
     source.replace(target)
     if flush:
         sync(target.parent)
+
+
+def clear_staged(own: Path) -> None:
+    """Take a staged directory away, at one stroke: who still writes there cannot commit what is left of it."""
+    gone = own.with_name(f"cleared-{uuid.uuid4().hex}")
+    with contextlib.suppress(OSError):
+        own.rename(gone)
+    shutil.rmtree(gone, ignore_errors=True)
+
+
+@contextmanager
+def watched(directory: Path) -> Iterator[Callable[[], None]]:
+    """What raises `StoreError` where `directory` was taken away since, also if its writer has made it again."""
+    handle = os.open(directory, os.O_RDONLY)  # while it is open, no other directory can be taken for this one
+
+    def check() -> None:
+        if not directory.is_dir() or not os.path.samestat(directory.stat(), os.fstat(handle)):
+            raise StoreError(
+                "another run cleared away what was being made", where=directory,
+                do="see which runs work in this directory, then run the same again",
+            )  # fmt: skip
+
+    try:
+        yield check
+    finally:
+        os.close(handle)

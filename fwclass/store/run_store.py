@@ -13,7 +13,6 @@ import re
 import shutil
 import stat
 import time
-import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -25,6 +24,7 @@ import psutil
 from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import below, name_fault
 from fwclass.store.atomic import (
+    clear_staged,
     digest_of,
     file_digest,
     files_below,
@@ -32,6 +32,7 @@ from fwclass.store.atomic import (
     read_json,
     staged,
     sync,
+    watched,
     write_json,
     write_text,
 )
@@ -187,7 +188,7 @@ class Store:
         """
         began = time.perf_counter()
         own, old = self._part(stage, part), self.receipt(stage, part)
-        with staged(self.directory / "staging", stage, part) as directory, _watched(directory) as check:
+        with staged(self.directory / "staging", stage, part) as directory, watched(directory) as check:
             meta = dict(work(directory))
             worked = time.perf_counter()
             outputs = {}
@@ -306,7 +307,7 @@ class Store:
         """Remove what a lost worker left of one part; whether there was something, so that the part had begun."""
         left = list((self.directory / "staging").glob(f"*/{stage}/{part}"))
         for path in left:
-            _cleared(path.parent.parent)
+            clear_staged(path.parent.parent)
         return bool(left)
 
     def clear_staging(self) -> None:
@@ -317,7 +318,7 @@ class Store:
     def sweep(self) -> None:
         """Remove what killed workers left of parts, when a run has ended or before it begins."""
         for path in (self.directory / "staging").glob("*"):
-            _cleared(path)
+            clear_staged(path)
         shutil.rmtree(self.directory / "staging", ignore_errors=True)
         for path in (p for d in ("", "params", "libraries") for p in (self.directory / d).glob(".*")):  # half-written
             path.unlink(missing_ok=True)
@@ -367,32 +368,6 @@ def _inside(directory: Path) -> list[Path]:
         return list(directory.iterdir())
     except (FileNotFoundError, NotADirectoryError):
         return []
-
-
-def _cleared(own: Path) -> None:
-    """Take a staged directory away, at one stroke: who still writes there cannot commit what is left of it."""
-    gone = own.with_name(f"cleared-{uuid.uuid4().hex}")
-    with contextlib.suppress(OSError):
-        own.rename(gone)
-    shutil.rmtree(gone, ignore_errors=True)
-
-
-@contextlib.contextmanager
-def _watched(directory: Path) -> Iterator[Callable[[], None]]:
-    """What raises `StoreError` where `directory` was taken away since, also if its writer has made it again."""
-    handle = os.open(directory, os.O_RDONLY)  # while it is open, no other directory can be taken for this one
-
-    def check() -> None:
-        if not directory.is_dir() or not os.path.samestat(directory.stat(), os.fstat(handle)):
-            raise StoreError(
-                "another run cleared away what was being made", where=directory,
-                do="see which runs work in this directory, then run the same again",
-            )  # fmt: skip
-
-    try:
-        yield check
-    finally:
-        os.close(handle)
 
 
 def peak_mib() -> float:
