@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,6 +78,11 @@ class Box:
     def bounds(self) -> tuple[float, float, float, float]:
         return self.xmin, self.ymin, self.xmax, self.ymax
 
+    @property
+    def area(self) -> float:
+        """[m²]."""
+        return (self.xmax - self.xmin) * (self.ymax - self.ymin)
+
 
 @dataclass(frozen=True, order=True)
 class Tile:
@@ -131,6 +136,28 @@ class TileGrid:
         for ix in range(low_x // mm, (high_x - 1) // mm + 1):
             for iy in range(low_y // mm, (high_y - 1) // mm + 1):
                 yield Tile(ix, iy, self.size, self.origin)
+
+
+def groups(tiles: Iterable[Tile]) -> tuple[tuple[Tile, ...], ...]:
+    """Tiles of one grid that touch each other, by a side or a corner, directly or through others; all in order."""
+    left = {(t.ix, t.iy): t for t in sorted(tiles)}
+    out = []
+    while left:
+        first = next(iter(left))
+        group, todo = [left.pop(first)], [first]
+        while todo:
+            ix, iy = todo.pop()
+            near = [(ix + a, iy + b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (ix + a, iy + b) in left]
+            group += [left.pop(n) for n in near]
+            todo += near
+        out.append(tuple(sorted(group)))
+    return tuple(out)
+
+
+def joint_box(boxes: Iterable[Box]) -> Box:
+    """The smallest box that holds all `boxes`, at least one."""
+    low_x, low_y, high_x, high_y = zip(*(b.bounds for b in boxes), strict=True)
+    return Box(min(low_x), min(low_y), max(high_x), max(high_y))
 
 
 @dataclass(frozen=True)

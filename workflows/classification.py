@@ -10,7 +10,7 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.run.model_fit import check_model
 from fwclass.run.part import Task
-from fwclass.run.plan import forest, ground, outputs
+from fwclass.run.plan import forest, ground, outputs, sites
 from fwclass.run.plan.layout import Layout, check_features
 from fwclass.run.plan.sampling import sampling_tasks
 from fwclass.run.report import write_report
@@ -59,6 +59,9 @@ def from_tiles(
     tasks += forest.classify_tasks(layout, names, model)
     tasks += forest.assess_tasks(layout, names) if labelled else []
     tasks += outputs.output_tasks(layout, names, survey, *tiled.where)
+    words = sites.told(sites.sites(layout), survey.strips, tiled.where[1])
+    if words:
+        road.display.say(words)
     if tiles is not None:
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, tiles)))
     road.do(tasks)

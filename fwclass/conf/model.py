@@ -131,7 +131,8 @@ class RunSection(Section):
     """Where it runs; never changes a result.
 
     `seam_check_echoes`: a survey of at most so many echoes is filtered once more as one block, to tell in the report
-    what the seams between blocks changed; 0 leaves the check out. `keep_generations`: whole deliveries that stay.
+    what the seams between blocks changed; 0 leaves the check out. `seam_check_cells`: of the survey's places those
+    whose box has more cells are left out of it. `keep_generations`: whole deliveries that stay.
     `window`: parts that the scheduler knows at a time. `retries`: times that a part whose worker was lost is tried
     again among others, and then alone, in `split` × `split` pieces of a tile where the stage can. `accept_libraries`:
     parts that were made with other versions of libraries are done.
@@ -145,6 +146,7 @@ class RunSection(Section):
     keep_generations: int = Field(ge=1, le=100_000)
     seam_check_echoes: int = Field(ge=0, le=1_000_000_000)
     accept_libraries: bool
+    seam_check_cells: int = Field(ge=0, le=1_000_000_000)
 
 
 class SeamsSection(Section):

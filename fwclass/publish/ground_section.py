@@ -43,6 +43,12 @@ def _seams(made: Mapping[str, Any]) -> list[str]:
     seams = made.get("seams")
     if not seams:
         return ["The seams between blocks were not measured: the survey is larger than run.seam_check_echoes."]
+    left_out = seams.get("left_out", 0)
+    if left_out and not seams["echoes"]:
+        return [
+            "The seams between blocks were not measured: the survey's places are single blocks, or have more cells "
+            "than run.seam_check_cells."
+        ]
     share = seams["flags_differ"] / max(seams["echoes"], 1)
     off = (seams["cells_off"] + seams["cells_one_sided"]) / max(seams["cells"], 1)
     notes = [
@@ -50,6 +56,11 @@ def _seams(made: Mapping[str, Any]) -> list[str]:
         f"changes {number(seams['flags_differ'])} flags ({100 * share:.4f} % of the echoes) and moves the terrain by "
         f"more than {100 * seams['within']:g} cm in {100 * off:.3f} % of the cells."
     ]
+    if left_out:
+        notes.append(
+            f"{number(left_out)} echoes took no part: they lie in places of a single block, or in places with more "
+            "cells than run.seam_check_cells."
+        )
     if share > FLAGS_LIMIT.get(made["method"], RASTER_LIMIT) or off > CELLS_LIMIT:
         notes.append("That is more than it should be: choose larger blocks or a wider halo (ground.block, block_halo).")
     return notes

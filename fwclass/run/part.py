@@ -36,6 +36,7 @@ class Task:
     needs : parts read; their digests enter the key.
     within : what is read of those of them that have digests of pieces (`store.cells`): the rows in a box, the piece of
         a name; None for all.
+    check : it only judges: nothing that is delivered is made from it, and a delivery is whole though it failed.
     external : files read from outside; their digests enter the key by name.
     any_libraries : the part is done if it was made with other libraries, too (`store.libraries`).
     place : "store"; "deliver" for what the user gets, in a generation, at the paths that it has in the part; "run" for
@@ -52,6 +53,7 @@ class Task:
     place: Literal["store", "deliver", "run"] = "store"
     within: Within = None
     any_libraries: bool = False
+    check: bool = False
 
     @property
     def name(self) -> Name:

@@ -32,6 +32,9 @@ REPORT, PAGE = "report.json", "report.html"
 SOURCES = ("index", "read", "pulse", "decompose", "split")
 """Stages whose failed parts leave tiles without some of their echoes."""
 
+JUDGING = ("label", "confusion", "assess")
+"""Stages without which there is no accuracy."""
+
 SHOWN = 4
 """Chunks that are named of those that failed."""
 
@@ -316,7 +319,9 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         )
     elif report["training"]:
         none = "unknown: no labelled echo lies in a test area (areas.test, areas.gap)"
-        rows.append(f"accuracy    {none if report['whole'] else 'not assessed: not all of the survey is made'}")
+        failed = any(f["stage"] in JUDGING for f in report["failed"])
+        lacking = "not assessed: parts of the assessment failed" if failed else none
+        rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
     rows += [f"{kind:<11} {root / kind}  ({len(names)} files)" for kind, names in report["outputs"].items() if names]
     rows.append(f"report      {root / 'report.html'}")

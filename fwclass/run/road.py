@@ -82,6 +82,7 @@ class Road:
     verify: bool = False
     whole: bool = False
     delivered: set[str] = field(default_factory=set)
+    checks: set[str] = field(default_factory=set)
     held: Callable[[], None] = lambda: None
     seen: InitVar[Store | None] = None
 
@@ -126,6 +127,8 @@ class Road:
             names.append(task.name)
             if task.place == "deliver":
                 self.delivered.add(task.stage)
+            if task.check:
+                self.checks.add(task.stage)
             bad = [self.outcomes[n] for n in task.needs if n in self.outcomes and not self.outcomes[n].ok]
             if bad:
                 self._take(Outcome(*task.name, "blocked", message=f"{bad[0].stage}/{bad[0].part} {bad[0].status}"))
@@ -172,8 +175,11 @@ class Road:
         return work()
 
     def finish(self, whole: bool) -> None:
-        """All parts of the plan have been walked; a `whole` one without failures forgets parts of earlier plans."""
-        self.whole = whole and not self.failures
+        """All parts of the plan have been walked; a `whole` one forgets parts of earlier plans.
+
+        It is whole without failures, those of parts that only judge aside: what is delivered is the same with them.
+        """
+        self.whole = whole and all(o.ok or o.stage in self.checks for o in self.outcomes.values())
         if self.whole:
             self.retire()
 

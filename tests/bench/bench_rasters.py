@@ -48,7 +48,15 @@ def one(kilometres: float) -> None:
     with tempfile.TemporaryDirectory() as folder:
         before, began = peak_mib(), time.process_time()
         told = delivered_rasters(
-            box, 1.0, tuple(GRID.touching(box)), names, "EPSG:25832", conf.section("publish"), Noise(), Path(folder)
+            box,
+            1.0,
+            tuple(GRID.touching(box)),
+            names,
+            "EPSG:25832",
+            conf.section("publish"),
+            "rasters",
+            Noise(),
+            Path(folder),
         )
         took = time.process_time() - began
         size = sum(p.stat().st_size for p in Path(folder).rglob("*.tif"))

@@ -127,7 +127,7 @@ def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> N
     params = conf.load("demo", ()).publish.model_copy(update={"class_cell": cell})
     window = Window.covering(BOX, cell)
     whole = expected(blocks, cell, window)
-    told = delivered_rasters(BOX, cell, blocks, NAMES, "EPSG:25832", params, desk, tmp_path)
+    told = delivered_rasters(BOX, cell, blocks, NAMES, "EPSG:25832", params, "rasters", desk, tmp_path)
     there = np.isfinite(whole["dtm"])
     assert told == {"dtm_cells": there.sum(), "class_cells": (whole["classes"] > 0).sum()}
     tone = np.where(there, 1 + 254 * hillshade(whole["dtm"], cell, params), 0).astype(np.uint8)

@@ -138,13 +138,13 @@ def assess_tasks(layout: Layout, names: tuple[str, ...]) -> Tasks:
             forest.judged, tile, columns, names, train, test, config.areas.gap, config.assess.block, config.classes
         )
         needs = needs_of({**columns, "a": "label", "b": "classify", "c": "ground"}, (tile.key,))
-        return Task("confusion", tile.key, 4, params, work, needs=needs)
+        return Task("confusion", tile.key, 4, params, work, needs=needs, check=True)
 
     keys = tuple(t.key for t in layout.tiles)
     whole = Task(
         "assess", "all", 4, {**params, "quantiles": list(config.assess.quantiles)},
         partial(forest.assessed, keys, names, config.classes, config.assess.quantiles),
-        needs=tuple(("confusion", k) for k in keys),
+        needs=tuple(("confusion", k) for k in keys), check=True,
     )  # fmt: skip
     return Tasks.of("confusion", layout.tiles, judged) + Tasks.held([whole])
 

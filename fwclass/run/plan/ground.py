@@ -11,7 +11,7 @@ from fwclass.run.plan.layout import Layout, needs_of, plain
 from fwclass.run.tasks import Tasks
 from fwclass.run.work import ground
 
-SEAMS_VERSION = 1
+SEAMS_VERSION = 2
 
 
 def ground_tasks(layout: Layout) -> Tasks:
@@ -79,10 +79,11 @@ def seam_tasks(layout: Layout) -> list[Task]:
     columns = layout.columns(tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))))
     keys = tuple(t.key for t in layout.tiles)
     blocks = terrain_blocks(layout)
-    params = {"ground": plain(config.ground), "terrain": plain(config.terrain)}
-    work = partial(ground.measured_seams, keys, columns, blocks, layout.box, config.ground, config.terrain)
+    most = config.run.seam_check_cells
+    params = {"ground": plain(config.ground), "terrain": plain(config.terrain), "cells": most}
+    work = partial(ground.measured_seams, keys, columns, blocks, layout.box, config.ground, config.terrain, most)
     needs = (*needs_of(columns, keys), *((TERRAIN.name, b.key) for b in blocks))
-    return [Task("seams", "all", SEAMS_VERSION, params, work, needs=needs)]
+    return [Task("seams", "all", SEAMS_VERSION, params, work, needs=needs, check=True)]
 
 
 def terrain_blocks(layout: Layout) -> tuple[Tile, ...]:

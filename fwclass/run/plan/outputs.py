@@ -14,6 +14,7 @@ from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.run.part import Task
 from fwclass.run.plan.ground import terrain_blocks
 from fwclass.run.plan.layout import Layout, Strip, Survey, has_range, needs_of, plain_classes
+from fwclass.run.plan.sites import WHOLE, Site, sites
 from fwclass.run.tasks import Tasks
 from fwclass.run.work import outputs
 
@@ -67,12 +68,19 @@ def output_tasks(
     made += Tasks.of("class-block", owned, classes)
     cell = config.terrain.cell
     codes = {c.code: c.name for c in config.survey.classes}
-    rasters = Task(
-        "publish-rasters", "all", 3, {**params, "box": list(layout.box.bounds), "cell": cell},
-        partial(outputs.delivered_rasters, layout.box, cell, owned, codes, survey.crs, config.publish),
-        needs=tuple((stage, b.key) for stage in (TERRAIN.name, "class-block") for b in owned), place="deliver",
-    )  # fmt: skip
-    return made + Tasks.held([rasters])
+
+    def rasters(site: Site) -> Task:
+        folder = "rasters" if site.name == WHOLE else f"rasters/{site.name}"
+        return Task(
+            "publish-rasters", site.name, 3, {**params, "box": list(site.box.bounds), "cell": cell},
+            partial(
+                outputs.delivered_rasters, site.box, cell, site.blocks, codes, survey.crs, config.publish, folder
+            ),
+            needs=tuple((stage, b.key) for stage in (TERRAIN.name, "class-block") for b in site.blocks),
+            place="deliver",
+        )  # fmt: skip
+
+    return made + Tasks.of("publish-rasters", sites(layout), rasters)
 
 
 def _strip_tasks(

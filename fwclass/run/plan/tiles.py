@@ -18,6 +18,7 @@ from fwclass.run.work import reference, tiles
 def label_tasks(layout: Layout) -> Tasks:
     config = layout.config
     params = {**plain(config.label), "kind": config.survey.reference.kind}
+    judges = config.survey.model is not None  # nothing is trained by the labels
 
     def made(tile: Tile) -> Task:
         needs: tuple[Name, ...] = (("tile", tile.key),)
@@ -32,7 +33,7 @@ def label_tasks(layout: Layout) -> Tasks:
             clouds = layout.around(within, layout.clouds)
             work = partial(tiles.labelled_by_cloud, tile, clouds, config.label)
             needs += tuple(("reference", c) for c in clouds)
-        return Task("label", tile.key, LABEL.version, params, work, needs=needs, within=within)
+        return Task("label", tile.key, LABEL.version, params, work, needs=needs, within=within, check=judges)
 
     return Tasks.of("label", layout.tiles, made)
 

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.features.params import Asked, is_feature
+from fwclass.grid import Box, TileGrid, groups, joint_box
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN
 from fwclass.label.stage import LABEL
 from fwclass.publish.cog import STRIPE
 from fwclass.radiometry.stage import OVERLAP
 from fwclass.run.plan.forest import TREES_PER_PART
 from fwclass.run.plan.layout import has_range
+from fwclass.run.plan.sites import in_sites
 from fwclass.run.plan.thin import thins
 from fwclass.run.planning.headers import SurveyFacts
 from fwclass.run.planning.spread import Piece, Spread, spread_of
@@ -65,7 +67,12 @@ class Counts:
         return cls(points, pulses, np.where(waves, points * plan.echoes_per_return, points), waves)
 
     def pieces(self, facts: SurveyFacts) -> tuple[Piece, ...]:
-        return tuple((s.bounds, float(n)) for s, n in zip(facts.sources, self.echoes, strict=True))
+        """Bounds and echoes of every file, or of every place that one of them lies in."""
+        return tuple(
+            (box, float(n) * part / s.records)
+            for s, n in zip(facts.sources, self.echoes, strict=True)
+            for box, part in s.where
+        )
 
 
 def features_of(config: Config) -> tuple[str, ...]:
@@ -191,16 +198,32 @@ def _of_training(config: Config) -> dict[str, Amount]:
 
 
 def _of_delivery(config: Config, facts: SurveyFacts, counts: Counts) -> dict[str, Amount]:
-    box = facts.box
-    area = (box.xmax - box.xmin) * (box.ymax - box.ymin)
-    cell = min(config.terrain.cell, config.publish.class_cell)
-    cells, blocks = area / cell**2, math.ceil(area / config.terrain.block**2)
+    cell, edge = min(config.terrain.cell, config.publish.class_cell), config.terrain.block
+    boxes = raster_boxes(config, facts, counts)
+    sizes = [b.area / cell**2 for b in boxes]
+    cells, most = sum(sizes), max(sizes)
+    held = max(_held_for_rasters(config, b.xmax - b.xmin, n, cell) for b, n in zip(boxes, sizes, strict=True))
+    blocks = sum(math.ceil(b.area / edge**2) for b in boxes)
     largest = float(counts.points.max())
     return {
         "publish-strip": Amount(len(counts.points), float(counts.points.sum()), largest, largest),
-        "class-block": Amount(blocks, cells, min(cells, (config.terrain.block / cell) ** 2), 0.0),
-        "publish-rasters": Amount(1, cells, cells, _held_for_rasters(config, box.xmax - box.xmin, cells, cell)),
+        "class-block": Amount(blocks, cells, min(cells, (edge / cell) ** 2), 0.0),
+        "publish-rasters": Amount(len(boxes), cells, most, held),
     }
+
+
+def raster_boxes(config: Config, facts: SurveyFacts, counts: Counts) -> list[Box]:
+    """Where rasters are made: the survey's box, or those of its places where most of it is empty (`plan.sites`)."""
+    cell, edge = min(config.terrain.cell, config.publish.class_cell), config.terrain.block
+    blocks = spread_of(counts.pieces(facts), edge)
+    if not in_sites(facts.box.area / cell**2, blocks.number * (edge / cell) ** 2):
+        return [facts.box]
+    found = groups(dict.fromkeys(t for b in blocks.squares() for t in TileGrid(edge).touching(b.box.grown(edge))))
+    boxes = []
+    for part in found:
+        around = joint_box(t.box for t in part)
+        boxes.append([shared for box, _ in counts.pieces(facts) if (shared := box.common(around)) is not None])
+    return [joint_box(some) for some in boxes if some] or [facts.box]
 
 
 def _held_for_rasters(config: Config, width: float, cells: float, cell: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ from fwclass.conf.planning import StageCost
 from fwclass.grid import TileGrid
 from fwclass.run.planning.amounts import Amount, amounts
 from fwclass.run.planning.headers import SurveyFacts
-from fwclass.run.planning.spread import MOST_SQUARES
+from fwclass.run.planning.spread import MOST_SQUARES, held_squares
 
 MIB = 1 << 20
 NEAR = 0.1
@@ -110,9 +111,9 @@ class Choice:
 
 def choices(config: Config, facts: SurveyFacts, workers: int, costs: Costs, allowed_mib: float) -> list[Choice]:
     """All sizes of ``plan.sizes`` and the one that is set; sizes with too many tiles for this extent are left out."""
-    box, found = facts.box, []
+    boxes, found = [box for s in facts.sources for box, _ in s.where], []
     for size in sorted({*config.plan.sizes, config.tile.size}):
-        if (box.xmax - box.xmin) / size * ((box.ymax - box.ymin) / size) > MOST_SQUARES / 2:
+        if math.prod(map(len, held_squares(boxes, size))) > MOST_SQUARES / 2:
             continue
         TileGrid(size)
         made = estimated(config, facts, size, workers, costs)

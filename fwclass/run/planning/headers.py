@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.grid import Box
+from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
 from fwclass.read.source import PulseSource, Source, open_source
@@ -19,8 +19,16 @@ from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.road import Road
 from fwclass.run.survey import common_crs, directory_of, opened_all
+from fwclass.run.work.sources import CLOUD_ROWS
 from fwclass.simulate.params import SimulateParams
 from fwclass.store.outside import local
+
+SPARSE = 0.01
+"""Points/m2 over its header's bounds below which a file is read to see where its points lie: the sparsest surveys have
+0.1."""
+
+PLACE = 1000.0
+"""Squares [m] that points lie in the same place in, where they touch."""
 
 PER_CELL = 16.0
 """Points that a cell of the sampled part holds on average: hardly any is empty by chance."""
@@ -37,6 +45,8 @@ class SourceFacts:
     waves : it has waveforms.
     wave_bytes : of them [bytes].
     bounds : of its points [m].
+    places : (bounds [m], records) of each of the places far apart that its points lie in; empty where they were not
+        looked for.
     """
 
     path: Path
@@ -45,10 +55,16 @@ class SourceFacts:
     waves: bool
     wave_bytes: int
     bounds: Box
+    places: tuple[tuple[Box, float], ...] = ()
 
     @property
     def records(self) -> int:
         return self.points or self.pulses
+
+    @property
+    def where(self) -> tuple[tuple[Box, float], ...]:
+        """Bounds and records of its places, or of the file."""
+        return self.places or ((self.bounds, float(self.records)),)
 
 
 @dataclass(frozen=True)
@@ -59,7 +75,7 @@ class Sample:
     ----------
     points : of it.
     density : mean over its points of how dense others lie around them [1/m²].
-    even : what the header alone gives, points over bounds [1/m²].
+    even : what the header alone gives, points over bounds, or over those of its places [1/m²].
     returns_per_pulse : mean.
     """
 
@@ -123,9 +139,10 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
             config.survey.reference.files, directory, "survey.reference.files", config.path, config.store
         )
         reference = sum(open_source(local(p)).n_points for p in files)
-    largest = max(full, key=lambda s: s.n_points)
-    sample = sampled(largest, config.plan.sample_points) if isinstance(largest, LasSource) else None
-    return SurveyFacts(tuple(facts_of(s) for s in full), reference, crs, sample)
+    sources = tuple(_with_places(facts_of(s), s) for s in full)
+    largest, of_it = max(zip(full, sources, strict=True), key=lambda pair: pair[0].n_points)
+    sample = sampled(largest, config.plan.sample_points, of_it) if isinstance(largest, LasSource) else None
+    return SurveyFacts(sources, reference, crs, sample)
 
 
 def facts_of(source: Source) -> SourceFacts:
@@ -143,14 +160,35 @@ def facts_of(source: Source) -> SourceFacts:
     return SourceFacts(source.path, source.n_points, pulses, waves, source.waves.available if waves else 0, box)
 
 
-def sampled(source: LasSource, points: int) -> Sample:
+def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:
+    """`facts` with the places that the file's points lie in, where its bounds are far too wide for so many."""
+    if not isinstance(source, LasSource) or facts.bounds.area * SPARSE <= max(facts.points, SPARSE * PLACE**2):
+        return facts
+    grid = TileGrid(PLACE)
+    found: dict[Tile, tuple[Box, int]] = {}
+    with PointReader(source) as reader:
+        for first in range(0, source.n_points, CLOUD_ROWS):
+            x, y, _ = coordinates(source, reader.read(first, min(source.n_points, first + CLOUD_ROWS)))
+            tiles, inverse = np.unique(np.stack(grid.indices(x, y), axis=1), axis=0, return_inverse=True)
+            order = np.argsort(inverse.reshape(-1), kind="stable")
+            starts = np.flatnonzero(np.r_[True, np.diff(inverse.reshape(-1)[order]) > 0])
+            low, high_ = ([f.reduceat(v[order], starts).tolist() for v in (x, y)] for f in (np.minimum, np.maximum))
+            counts = np.diff(np.r_[starts, len(x)]).tolist()
+            for (cx, cy), x0, y0, x1, y1, n in zip(tiles.tolist(), *low, *high_, counts, strict=True):
+                tile, box = Tile(cx, cy, PLACE), Box(x0, y0, x1 + 0.001, y1 + 0.001)
+                before, number = found.get(tile, (box, 0))
+                found[tile] = (joint_box((before, box)), number + n)
+    places = (([found[t][0] for t in part], sum(found[t][1] for t in part)) for part in groups(found))
+    return replace(facts, places=tuple((joint_box(boxes), float(n)) for boxes, n in places))
+
+
+def sampled(source: LasSource, points: int, facts: SourceFacts | None = None) -> Sample:
     """The middle `points` of a file."""
     first = max(0, (source.n_points - points) // 2)
     with PointReader(source) as reader:
         read = reader.read(first, min(source.n_points, first + points))
     x, y, _ = coordinates(source, read)
-    box = facts_of(source).bounds
-    even = source.n_points / max(1.0, (box.xmax - box.xmin) * (box.ymax - box.ymin))
+    even = source.n_points / max(1.0, sum(b.area for b, _ in (facts or facts_of(source)).where))
     edge = math.sqrt(PER_CELL / even)
     _, held = np.unique(np.c_[np.floor(x / edge), np.floor(y / edge)], axis=0, return_counts=True)
     others = float((held * (held - 1)).sum()) / len(x)  # as points meet it: rims count little, chance nothing

@@ -8,6 +8,7 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from fwclass.publish.drawing import INK, View, draw, frame, legend, outline, png
+from fwclass.run.planning.spread import Spread
 from fwclass.run.planning.whole import Plan
 
 STEPS = ((226, 238, 229), (168, 209, 186), (105, 172, 153), (56, 124, 122), (27, 75, 90))
@@ -20,11 +21,13 @@ MOST_PIXELS = 2000
 
 def plan_picture(plan: Plan) -> bytes:
     """PNG."""
-    counts = plan.tiles.counts
-    step = max(1, -(-max(counts.shape) // MOST_PIXELS))
-    drawn = _coarser(counts, step)
-    size = plan.tiles.size * step
-    view = View(plan.tiles.col * plan.tiles.size, plan.tiles.row * plan.tiles.size, size, *drawn.shape)
+    tiles = plan.tiles
+    col, row = int(tiles.cols[0]), int(tiles.rows[0])
+    shape = int(tiles.cols[-1]) - col + 1, int(tiles.rows[-1]) - row + 1
+    step = max(1, -(-max(shape) // MOST_PIXELS))
+    drawn = _coarser(tiles, shape, step)
+    size = tiles.size * step
+    view = View(col * tiles.size, row * tiles.size, size, *drawn.shape)
     edges = _edges(drawn)
     image = np.full((*drawn.T.shape, 3), 255, np.uint8)
     there = drawn.T >= 0.5
@@ -43,14 +46,12 @@ def plan_picture(plan: Plan) -> bytes:
     return png(figure)
 
 
-def _coarser(counts: NDArray[np.float64], step: int) -> NDArray[np.float64]:
-    """Sums of `step` x `step` squares."""
-    if step == 1:
-        return counts
-    rows, cols = (-(-n // step) * step for n in counts.shape)
-    whole = np.zeros((rows, cols))
-    whole[: counts.shape[0], : counts.shape[1]] = counts
-    return whole.reshape(rows // step, step, cols // step, step).sum(axis=(1, 3))
+def _coarser(tiles: Spread, shape: tuple[int, int], step: int) -> NDArray[np.float64]:
+    """Sums of `step` x `step` squares of the `shape` (columns, rows) that the tiles span."""
+    whole = np.zeros((-(-shape[0] // step), -(-shape[1] // step)))
+    at = np.ix_((tiles.cols - tiles.cols[0]) // step, (tiles.rows - tiles.rows[0]) // step)
+    np.add.at(whole, at, tiles.counts)
+    return whole
 
 
 def _edges(counts: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -47,7 +47,7 @@ def write_gpkg(plan: Plan, path: Path) -> None:
 
 def keys(spread: Spread, at: tuple[NDArray, ...]) -> NDArray:
     """Names of squares as the store has them."""
-    cols, rows = (at[0] + spread.col).tolist(), (at[1] + spread.row).tolist()
+    cols, rows = spread.cols[at[0]].tolist(), spread.rows[at[1]].tolist()
     return np.array([f"{c}_{r}" for c, r in zip(cols, rows, strict=True)], object)
 
 
@@ -55,9 +55,9 @@ def squares(spread: Spread, at: tuple[NDArray, ...], by: float) -> NDArray:
     """Polygons of squares, grown by `by` [m], as well-known binary (n,)."""
     made = np.zeros(len(at[0]), _SQUARE)
     made["order"], made["kind"], made["rings"], made["corners"] = 1, 3, 1, 5
-    for axis, first in enumerate((spread.col, spread.row)):
-        low = (at[axis] + first) * spread.size - by
-        high = (at[axis] + first + 1) * spread.size + by
+    for axis, numbers in enumerate((spread.cols, spread.rows)):
+        low = numbers[at[axis]] * spread.size - by
+        high = (numbers[at[axis]] + 1) * spread.size + by
         turns = (low, high, high, low, low) if axis == 0 else (low, low, high, high, low)
         for corner, values in enumerate(turns):
             made["xy"][:, corner, axis] = values

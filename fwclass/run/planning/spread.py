@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,30 +16,32 @@ from fwclass.grid import Box, Tile, whole_millimetres
 MOST_SQUARES = 20_000_000
 """Squares of a survey's extent that are held in memory, 8 bytes each."""
 
+KEPT = 1000.0
+"""Metres of a gap between files that are held as empty squares: further than any stage reads."""
+
 Piece = tuple[Box, float]
 """Bounds of a file [m], and how many echoes lie within."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Echoes of the squares of edge `size` [m] from column `col` and row `row` of the global grid on.
+    """Echoes of the squares of edge `size` [m] in `cols` and `rows` of the global grid, both rising.
 
-    `counts` has shape (columns, rows).
+    `counts` has shape (columns, rows). Of wide stretches without a file only `KEPT` metres are held.
     """
 
     size: float
-    col: int
-    row: int
+    cols: NDArray[np.int64]
+    rows: NDArray[np.int64]
     counts: NDArray[np.float64]
 
     @classmethod
-    def of(cls, pieces: Iterable[Piece], size: float) -> Spread:
+    def of(cls, pieces: Sequence[Piece], size: float) -> Spread:
         """`ConfigError` where the extent has too many squares of this size."""
         whole_millimetres(size, "tile size")
         rows = [(*box.bounds, number) for box, number in pieces]
-        low = [math.floor(min(r[k] for r in rows) / size) for k in range(2)]
-        high = [math.ceil(max(r[k] for r in rows) / size) for k in range(2, 4)]
-        shape = (max(1, high[0] - low[0]), max(1, high[1] - low[1]))
+        cols, lines = held_squares([box for box, _ in pieces], size)
+        shape = (len(cols), len(lines))
         if shape[0] * shape[1] > MOST_SQUARES:
             raise ConfigError(
                 "the survey's extent has too many tiles of this size", where="tile.size",
@@ -48,10 +50,11 @@ class Spread:
             )  # fmt: skip
         counts = np.zeros(shape)
         for xmin, ymin, xmax, ymax, number in rows:
-            at_x, along = shares(xmin, xmax, size, low[0])
-            at_y, up = shares(ymin, ymax, size, low[1])
+            first_x, along = shares(xmin, xmax, size, 0)
+            first_y, up = shares(ymin, ymax, size, 0)
+            at_x, at_y = int(np.searchsorted(cols, first_x)), int(np.searchsorted(lines, first_y))
             counts[at_x : at_x + len(along), at_y : at_y + len(up)] += number * np.outer(along, up)
-        return cls(size, low[0], low[1], counts)
+        return cls(size, cols, lines, counts)
 
     def grown(self, halo: float) -> NDArray[np.float64]:
         """Echoes of every square and `halo` [m] around it, evenly spread within each square."""
@@ -78,13 +81,37 @@ class Spread:
         return tuple(self.tile(*map(int, np.unravel_index(k, self.counts.shape))) for k in order if flat[k] >= 0.5)
 
     def tile(self, i: int, j: int) -> Tile:
-        return Tile(self.col + i, self.row + j, self.size)
+        return Tile(int(self.cols[i]), int(self.rows[j]), self.size)
+
+    def squares(self) -> list[Tile]:
+        """Those that are occupied."""
+        return [self.tile(i, j) for i, j in np.argwhere(self.occupied).tolist()]
 
 
 @lru_cache(maxsize=4)
 def spread_of(pieces: tuple[Piece, ...], size: float) -> Spread:
     """`Spread.of`, remembered: blocks are the same whatever the tiles."""
     return Spread.of(pieces, size)
+
+
+def held_squares(boxes: Sequence[Box], size: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Columns and rows of the squares of edge `size` [m] that are held for `boxes`."""
+    return tuple(_held([(b.bounds[k], b.bounds[k + 2]) for b in boxes], size) for k in range(2))  # type: ignore[return-value]
+
+
+def _held(spans: Iterable[tuple[float, float]], size: float) -> NDArray[np.int64]:
+    """Numbers of the squares of edge `size` along one axis that `spans` [m] touch, and those of gaps between them:
+    of the first `KEPT` metres of a wider one."""
+    kept = math.ceil(KEPT / size) + 1
+    pieces, end = [], None
+    for low, high in sorted(spans):
+        first, last = math.floor(low / size), max(math.floor(low / size) + 1, math.ceil(high / size))
+        if end is not None:
+            pieces.append(np.arange(end, min(max(first, end), end + kept)))
+            first = max(first, end)
+        pieces.append(np.arange(first, max(first, last)))
+        end = last if end is None else max(end, last)
+    return np.concatenate(pieces).astype(np.int64)
 
 
 def shares(low: float, high: float, size: float, first: int) -> tuple[int, list[float]]:

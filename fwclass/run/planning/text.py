@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fwclass.run.planning.headers import SourceFacts
 from fwclass.run.planning.whole import Plan
 
 
@@ -49,6 +50,7 @@ def _head(plan: Plan) -> list[str]:
             f"sampled     {s.points:,} points of {s.path.name}: {s.density:.2f} points/m² where it was flown "
             f"({s.even:.2f} by its header), {s.returns_per_pulse:.2f} returns a pulse"
         )
+    lines += [_places(s) for s in facts.sources if len(s.places) > 1]
     if plan.measured:
         m = plan.measured
         lines.append(
@@ -60,6 +62,15 @@ def _head(plan: Plan) -> list[str]:
             "costs       from section `plan` of the configuration, measured on another survey; --dry-run N measures"
         )
     return lines
+
+
+def _places(source: SourceFacts) -> str:
+    """A file whose points lie in places far apart, as stray points do, and the smallest of them."""
+    box, number = min(source.places, key=lambda p: p[1])
+    return (
+        f"far apart   {source.path.name}: its points lie in {len(source.places):,} places, {number:,.0f} of them at "
+        f"x {box.xmin:.2f} to {box.xmax:.2f}, y {box.ymin:.2f} to {box.ymax:.2f}: stray points?"
+    )
 
 
 def _stages(plan: Plan) -> list[str]:

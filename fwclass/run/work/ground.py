@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import StoreError
-from fwclass.grid import Box, Tile, TileGrid, Window
+from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
 from fwclass.ground.params import GroundParams
 from fwclass.ground.stage import GROUND_FILTER, filtered
 from fwclass.ground.terrain.params import TerrainParams
@@ -134,26 +136,67 @@ def gathered_columns(
 
 def measured_seams(
     tiles: tuple[str, ...], columns: Mapping[str, str], blocks: tuple[Tile, ...], box: Box, ground: GroundParams,
-    terrain_params: TerrainParams, desk: Desk, directory: Path,
+    terrain_params: TerrainParams, most_cells: int, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
-    """The survey filtered once more as a single block, against what its blocks say."""
+    """The survey filtered once more as a single block, against what its blocks say.
+
+    Where it lies in several places, each of them is one: blocks that do not touch know nothing of each other. A place
+    whose box has more than `most_cells` cells of the terrain is left out, and so is a single block among several.
+    """
     table = Table.concat([desk.rows(key, columns).select(columns) for key in tiles])
-    whole = filtered(table, ground)
-    window = Window.covering(box, terrain_params.cell)
-    nobody = np.zeros(table.rows, bool)
-    place = (table["x"], table["y"], table["z"])
-    surface = terrain(*place, whole.ground, whole.noise, nobody, window, terrain_params).dtm
-    dtm = Mosaic(desk, "terrain", blocks, window.cell, {"dtm": np.float32(np.nan)}).laid(window)["dtm"]
-    differs = (table["ground"] != whole.ground) | (table["noise"] != whole.noise)
-    both = np.isfinite(dtm) & np.isfinite(surface)
-    off = np.abs(dtm - surface)[both]
-    return {
-        "echoes": table.rows,
-        "flags_differ": int(differs.sum()),
-        "cells": int((np.isfinite(dtm) | np.isfinite(surface)).sum()),
-        "cells_one_sided": int((np.isfinite(dtm) != np.isfinite(surface)).sum()),
-        "cells_off": int((off > WITHIN).sum()),
-        "within": WITHIN,
-        "dtm_p999": float(np.quantile(off, 0.999)) if off.size else None,
-        "dtm_worst": float(off.max()) if off.size else None,
-    }
+    mosaic = Mosaic(desk, "terrain", blocks, terrain_params.cell, {"dtm": np.float32(np.nan)})
+    grid = TileGrid(ground.block)
+    ix, iy = grid.indices(table["x"], table["y"])
+    owned, block_of = np.unique(np.stack([ix, iy], axis=1), axis=0, return_inverse=True)
+    parts = groups(Tile(int(cx), int(cy), ground.block) for cx, cy in owned)
+    part_of = {(t.ix, t.iy): k for k, part in enumerate(parts) for t in part}
+    place = np.array([part_of[cx, cy] for cx, cy in owned.tolist()], np.int64)[block_of.reshape(-1)]
+    seen, left_out = _Seams(), 0
+    for k, part in enumerate(parts):
+        inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
+        window = Window.covering(inside or box, terrain_params.cell)
+        if math.prod(window.shape) > most_cells or (len(part) == 1 < len(parts)):
+            left_out += int((place == k).sum())
+            continue
+        echoes = table if len(parts) == 1 else table.take(place == k)
+        seen.add(echoes, mosaic.laid(window)["dtm"], window, ground, terrain_params)
+    return {**seen.told(), "left_out": left_out}
+
+
+@dataclass
+class _Seams:
+    """What differs, place by place."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    off: list[NDArray[np.float32]] = field(default_factory=list)
+
+    def add(
+        self, table: Table, dtm: NDArray[np.float32], window: Window, ground: GroundParams, params: TerrainParams
+    ) -> None:
+        """Filter the echoes of one place as one block, and hold the answer against their flags and the `dtm`."""
+        whole = filtered(table, ground)
+        nobody = np.zeros(table.rows, bool)
+        place = (table["x"], table["y"], table["z"])
+        surface = terrain(*place, whole.ground, whole.noise, nobody, window, params).dtm
+        differs = (table["ground"] != whole.ground) | (table["noise"] != whole.noise)
+        both = np.isfinite(dtm) & np.isfinite(surface)
+        off = np.abs(dtm - surface)[both]
+        self.off.append(off)
+        self.counts.update(
+            echoes=table.rows,
+            flags_differ=int(differs.sum()),
+            cells=int((np.isfinite(dtm) | np.isfinite(surface)).sum()),
+            cells_one_sided=int((np.isfinite(dtm) != np.isfinite(surface)).sum()),
+            cells_off=int((off > WITHIN).sum()),
+        )
+
+    def told(self) -> dict[str, Any]:
+        """Counts, and how far heights are apart [m]."""
+        off = np.concatenate([np.empty(0, np.float32), *self.off])
+        names = ("echoes", "flags_differ", "cells", "cells_one_sided", "cells_off")
+        return {
+            **{n: self.counts[n] for n in names},
+            "within": WITHIN,
+            "dtm_p999": float(np.quantile(off, 0.999)) if off.size else None,
+            "dtm_worst": float(off.max()) if off.size else None,
+        }

@@ -120,13 +120,13 @@ def class_block(
 
 def delivered_rasters(
     box: Box, cell: float, blocks: tuple[Tile, ...], names: Mapping[int, str], crs: str | None, params: PublishParams,
-    desk: Desk, directory: Path,
+    folder: str, desk: Desk, directory: Path,
 ) -> dict[str, Any]:  # fmt: skip
-    """Terrain, surface, their difference, hillshade and class map of the whole survey as cloud-optimised GeoTIFF.
+    """Terrain, surface, their difference, hillshade and class map of `box` as cloud-optimised GeoTIFF in `folder`.
 
-    They are made in stripes from north to south: memory grows with the survey's width alone.
+    They are made in stripes from north to south: memory grows with the box's width alone.
     """
-    target = directory / "rasters"
+    target = directory / folder
     target.mkdir(parents=True)
     windows = Window.covering(box, cell), Window.covering(box, params.class_cell)
     for window in windows:

@@ -63,12 +63,21 @@ class Mosaic:
         return out
 
     def thinned(self, window: Window, step: int) -> dict[str, NDArray]:
-        """As ``raster[::step, ::step]`` of each of the rasters in `window`, without holding them."""
-        rows = [
-            self.laid(Window(window.cell, window.col, window.row + row, window.ncols, 1))
-            for row in range(0, window.nrows, step)
-        ]
-        return {name: np.concatenate([row[name][:, ::step] for row in rows]) for name in self._empty}
+        """As ``raster[::step, ::step]`` of each of the rasters in `window`, without holding them: block by block."""
+        shape = (-(-window.nrows // step), -(-window.ncols // step))
+        out = {n: np.full(shape, value, value.dtype) for n, value in self._empty.items()}
+        for k in self._within(window):
+            arrays, own = self._read(self._keys[k])
+            shared = window.common(own)
+            if shared is None:
+                continue
+            row, col = -(-(shared.row - window.row) // step), -(-(shared.col - window.col) // step)
+            first_r, first_c = window.row + row * step - own.row, window.col + col * step - own.col
+            for name, raster in out.items():
+                rows, cols = shared.within(own)
+                piece = arrays[name][first_r : rows.stop : step, first_c : cols.stop : step]
+                raster[row : row + piece.shape[0], col : col + piece.shape[1]] = piece
+        return out
 
     def _within(self, window: Window) -> NDArray[np.int64]:
         low, high = (window.row, window.col), (window.row + window.nrows, window.col + window.ncols)
@@ -76,9 +85,12 @@ class Mosaic:
 
     def _block(self, key: str) -> tuple[dict[str, NDArray], Window]:
         if key not in self._held:
-            arrays, attributes = self._desk.arrays(self._stage, key, RASTERS)
-            self._held[key] = {n: arrays[n] for n in self._empty}, window_of(attributes)
+            self._held[key] = self._read(key)
         return self._held[key]
+
+    def _read(self, key: str) -> tuple[dict[str, NDArray], Window]:
+        arrays, attributes = self._desk.arrays(self._stage, key, RASTERS)
+        return {n: arrays[n] for n in self._empty}, window_of(attributes)
 
 
 def stripes(window: Window, rows: int) -> Iterator[Window]:

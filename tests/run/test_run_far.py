@@ -1,0 +1,154 @@
+"""Surveys in places far apart, and with a point that strayed: work and memory follow what is there, not its extent."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+import rasterio
+
+from fwclass import conf
+from fwclass.errors import InputError
+from fwclass.grid import Tile, TileGrid, Window, groups
+from fwclass.run.local import Loop
+from fwclass.run.plan import ground as ground_plan
+from fwclass.run.planning.headers import survey_facts
+from fwclass.run.planning.limits import Room
+from fwclass.run.planning.text import describe
+from fwclass.run.planning.whole import planned
+from fwclass.run.progress import Display
+from fwclass.run.road import Road
+from fwclass.store.home import locked
+from workflows import WORKFLOWS
+
+SETTINGS = (
+    "train.trees=2", "train.samples_per_class=100", "publish.figure_pixels=200", "ground.block=64", "terrain.block=64",
+    "ground.block_halo=16",
+)  # fmt: skip
+SURVEY = """
+survey:
+  name: far
+  directory: .
+  sources: ["*.las"]
+  crs: EPSG:25832
+  reference: {kind: source}
+  features: [height_above_ground]
+  classes: [{name: ground, code: 2, codes: [2]}, {name: building, code: 6, codes: [6]}]
+areas:
+  train: [[500000, 5400000, 500034, 5400040]]
+  gap: 0
+"""
+
+
+def cluster(x0: float, y0: float, n: int = 600, size: float = 40.0):
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(0, size, (2, n))
+    house = (x > 25) & (y > 20)
+    return x + x0, y + y0, 100 + 0.02 * x + np.where(house, 6.0, 0.0), np.where(house, 6, 2)
+
+
+def write(path: Path, *clouds) -> None:
+    x, y, z, codes = (np.concatenate(v) for v in zip(*clouds, strict=True))
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.001] * 3, [500_000.0, 5_400_000.0, 0.0]
+    las = laspy.LasData(header)
+    las.x, las.y, las.z, las.classification = x, y, z, codes.astype(np.uint8)
+    las.return_number = las.number_of_returns = np.ones(len(x), np.uint8)
+    las.write(path)
+
+
+STRAY = tuple(np.array([v]) for v in (1_000_000.0, 5_900_000.0, 100.0, 2))
+
+
+@pytest.fixture(scope="module")
+def far(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of one place, and one with a point 700 km away."""
+    root = tmp_path_factory.mktemp("far")
+    write(root / "a.las", cluster(500_000.0, 5_400_000.0))
+    write(root / "b.las", cluster(500_030.0, 5_400_030.0), STRAY)
+    (root / "S.yaml").write_text(SURVEY)
+    return root
+
+
+def walked(survey: Path, root: Path, *settings: str):
+    config = conf.load(survey / "S.yaml", (*SETTINGS, *settings))
+    with Display() as display, locked(root, display.say) as (own, held):
+        road = Road(own, Loop(), display, held=held)
+        report = WORKFLOWS["classification"](config, road, None)
+        made = road.publish(config.run.keep_generations)
+        return road, report, made
+
+
+def test_a_stray_point_leaves_the_delivery_whole_and_is_named(far, tmp_path, capsys):
+    """Finding A8: 1.8 GB, exit 3, never whole."""
+    road, report, made = walked(far, tmp_path / "run")
+    assert not road.failures, road.failures
+    assert made.whole
+    said = capsys.readouterr().err
+    assert "2 places far apart" in said
+    assert "x 1000000.00 to 1000000.00, y 5900000.00 to 5900000.00, echoes of b.las" in said
+    rasters = sorted((tmp_path / "run" / "rasters").resolve().rglob("*.tif"))
+    assert {p.parent.name for p in rasters} == {"5000_54000", "10000_59000"}
+    cells = 0
+    for path in rasters:
+        with rasterio.open(path) as raster:
+            cells += raster.width * raster.height
+    assert cells < 5 * 2 * 200**2
+    with rasterio.open(next(p for p in rasters if p.parent.name == "5000_54000" and p.stem == "dtm")) as raster:
+        assert np.isfinite(raster.read(1)).sum() > 1000
+    assert report["ground"]["seams"]["echoes"] == 1200
+    assert report["ground"]["seams"]["left_out"] == 1
+
+
+def test_a_plan_counts_the_places_that_a_run_makes(far, tmp_path):
+    config = conf.load(far / "S.yaml", SETTINGS)
+    plan = planned(config, survey_facts(config, tmp_path), 0, Room(16_000.0, 1e12))
+    stages = {s.name: s.amount for s in plan.made.stages}
+    assert plan.tiles.number == 2
+    assert stages["publish-rasters"].parts == 2
+    assert stages["publish-rasters"].units < 10_000
+    assert plan.fits
+    assert "b.las: its points lie in 2 places, 1 of them at x 1000000.00" in describe(plan)
+
+
+@pytest.mark.parametrize("stage", ["seams", "confusion"])
+def test_a_failed_check_leaves_the_delivery_whole(stage, far, tmp_path, monkeypatch):
+    def broken(*_):
+        raise InputError("this check cannot be made", where=stage)
+
+    if stage == "seams":
+        monkeypatch.setattr(ground_plan.ground, "measured_seams", broken)
+    else:
+        monkeypatch.setattr("fwclass.run.plan.forest.forest.judged", broken)
+    road, _, made = walked(far, tmp_path / "run", "survey.sources=[a.las]")
+    assert {o.stage for o in road.failures} == {stage}
+    assert made.whole
+    assert (tmp_path / "run" / "current").readlink().name == made.name
+
+
+def test_a_failed_part_of_the_delivery_is_not_whole(far, tmp_path, monkeypatch):
+    def broken(*_):
+        raise InputError("no")
+
+    monkeypatch.setattr("fwclass.run.plan.outputs.outputs.delivered_rasters", broken)
+    road, _, made = walked(far, tmp_path / "run", "survey.sources=[a.las]")
+    assert road.failures
+    assert not made.whole
+
+
+def test_places_wider_than_the_check_holds_are_left_out_of_it(far, tmp_path):
+    _, report, made = walked(far, tmp_path / "run", "run.seam_check_cells=1000", "survey.sources=[a.las]")
+    assert made.whole
+    seams = report["ground"]["seams"]
+    assert (seams["echoes"], seams["left_out"], seams["dtm_worst"]) == (0, 600, None)
+
+
+def test_tiles_that_touch_are_one_group():
+    grid = TileGrid(10.0)
+    keys = ("0_0", "1_1", "5_5", "5_6", "-3_0")
+    found = groups(grid.tile(k) for k in keys)
+    assert [[t.key for t in part] for part in found] == [["-3_0"], ["0_0", "1_1"], ["5_5", "5_6"]]
+    assert groups(()) == ()
+    assert Window.covering(Tile(5, 5, 10.0).box, 1.0).shape == (10, 10)
