@@ -17,28 +17,29 @@ MEND = (
     "that anew"
 )
 
-_Looks = tuple[int, int, int]
-"""Size [bytes], times of the last change of bytes and of the entry [ns]: what no writer leaves alone. Not the inode:
-some network file systems number a file anew every time they are asked."""
+Looks = tuple[int, int, int]
+"""Size [bytes], when the bytes and when anything of the file was changed [ns since the epoch, for equality alone]. The
+second time no program can set. The inode tells no more, and some network file systems number a file anew whenever they
+are asked."""
 
-_known: dict[str, tuple[_Looks, str]] = {}
+_known: dict[str, tuple[Looks, str]] = {}
 _guard = threading.Lock()
 
 
 def digest_now(path: Path | str) -> str:
     """Digest of a file's bytes; they are not read where this process has, and the file looks as it did then."""
     known = _known.get(str(path))
-    looks = _looks(path)
-    if known is not None and known[0] == looks:
+    now = looks(path)
+    if known is not None and known[0] == now:
         return known[1]
     digest = file_digest(Path(path))
-    _remember(str(path), looks, digest)
+    _remember(str(path), now, digest)
     return digest
 
 
 def remember(path: Path, digest: str) -> None:
     """This process has just written or read the file, and it lies where it stays."""
-    _remember(str(path), _looks(path), digest)
+    _remember(str(path), looks(path), digest)
 
 
 def check_file(path: str, digest: str) -> None:
@@ -56,13 +57,14 @@ def check_file(path: str, digest: str) -> None:
         )  # fmt: skip
 
 
-def _looks(path: Path | str) -> _Looks:
+def looks(path: Path | str) -> Looks:
+    """What tells without reading whether a file is another one."""
     facts = os.stat(path)  # noqa: PTH116 (half the time of Path.stat, for every file that a part reads)
     return facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns
 
 
-def _remember(path: str, looks: _Looks, digest: str) -> None:
+def _remember(path: str, now: Looks, digest: str) -> None:
     with _guard:
         if len(_known) >= REMEMBERED:
             _known.pop(next(iter(_known)))
-        _known[path] = looks, digest
+        _known[path] = now, digest

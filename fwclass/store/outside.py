@@ -9,6 +9,7 @@ from pathlib import Path
 
 from fwclass.errors import InputError, StoreError
 from fwclass.store.atomic import digest_of
+from fwclass.store.digests import looks
 from fwclass.store.objects import Held, Wanted, objects_at
 from fwclass.store.params import StoreParams
 from fwclass.store.refusals import LostRace
@@ -79,14 +80,13 @@ def local(place: Place, digests: Mapping[str, str] | None = None) -> Path:
     return place.fetched(digests or {}) if isinstance(place, Outside) else place
 
 
-def seen_as(path: Path, place: Place | None = None) -> tuple[str, int, int | str]:
-    """What tells a file apart without reading it: name, bytes, and time of change [ns]; of a copy from object storage
-    the object's address and e-tag, whatever host it was copied to."""
+def seen_as(path: Path, place: Place | None = None) -> tuple[str, list[int | str]]:
+    """Name of a file, and what tells without reading it whether it is another: its `looks`; of a copy from object
+    storage the object's address, its bytes and e-tag, whatever host it was copied to."""
     if isinstance(place, Outside):
         size, mark = next((size, mark) for name, size, mark in place.held if name == path.name)
-        return str(place.url.parent / path.name), size, mark
-    facts = path.stat()
-    return str(path), facts.st_size, facts.st_mtime_ns
+        return str(place.url.parent / path.name), [size, mark]
+    return str(path), [*looks(path)]
 
 
 def found_outside(pattern: str, directory: Url, params: StoreParams) -> list[Outside]:

@@ -18,7 +18,7 @@ from runmaker import SETTINGS, delivered, walk
 
 from fwclass import conf
 from fwclass.cli.road import open_road
-from fwclass.errors import StoreError
+from fwclass.errors import InputError, StoreError
 from fwclass.run.desk import Desk
 from fwclass.run.local import Loop
 from fwclass.run.part import Task, execute
@@ -163,6 +163,24 @@ def test_a_part_has_no_receipt_for_bytes_that_a_file_has_lost(tmp_path, when):
     assert Digests(Store(tmp_path)).of([source])[0].digest != digests[0].digest
 
 
+def test_a_source_with_other_bytes_of_its_old_size_and_time_is_another_one(tmp_path):
+    """As `touch -r`, `cp -p` and `rsync -t` leave it; a second name, which a backup gives, changes nothing."""
+    source = tmp_path / "a.las"
+    source.write_bytes(b"x" * 100)
+    facts = source.stat()
+    digests = Digests(Store(tmp_path))
+    before = digests.of([source])
+    (tmp_path / "backup.las").hardlink_to(source)
+    before[0].check()
+    digests.save()
+    assert Digests(Store(tmp_path)).of([source])[0].digest == before[0].digest
+    source.write_bytes(b"y" * 100)
+    os.utime(source, ns=(facts.st_atime_ns, facts.st_mtime_ns))
+    with pytest.raises(InputError, match="was changed while"):
+        before[0].check()
+    assert Digests(Store(tmp_path)).of([source])[0].digest != before[0].digest
+
+
 def test_a_removed_store_is_told_as_that(tmp_path):
     with pytest.raises(StoreError, match="was removed while"), writer(tmp_path) as check:
         check()
@@ -222,7 +240,7 @@ def test_what_workers_left_that_were_killed_goes_at_the_end_of_the_run(tmp_path)
         (tmp_path / "store" / "staging" / "left" / "one").mkdir(parents=True)
         return {}
 
-    with open_road(tmp_path, 0, None, None) as road:
+    with open_road(tmp_path, 0, None, conf.load("demo", ()).run) as road:
         road.do([Task("one", "a", 1, {}, work)])
         assert list((tmp_path / "store").glob("staging/*"))
     assert not road.failures and not list((tmp_path / "store").glob("staging/*"))

@@ -44,7 +44,7 @@ _SAVED_EVERY = 30.0
 
 
 class Digests:
-    """Digests of foreign files, remembered by size and modification time in ``store/inputs.json``.
+    """Digests of foreign files, remembered by what they look like (`seen_as`) in ``store/inputs.json``.
 
     For a store that is only read, a file of a size that it has not under this name is not read: it is another one.
     """
@@ -62,15 +62,16 @@ class Digests:
         """
         found = []
         for path in paths:
-            name, size, stamp = seen_as(path, place)
+            name, now = seen_as(path, place)
             seen = self._known.get(name)
-            if seen is None or seen[:2] != [size, stamp]:
-                seen = [size, stamp, self._digest(path, size)]
+            if seen is None or seen[:-1] != now:
+                seen = [*now, self._digest(path, int(now[0]))]
                 self._known[name], self._changed = seen, True
-            if isinstance(place, Outside) or not isinstance(stamp, int):
-                found.append(Foreign(path.name, str(seen[2])))
+            if isinstance(place, Outside):
+                found.append(Foreign(path.name, str(seen[-1])))
             else:
-                found.append(Foreign(path.name, str(seen[2]), path, size, stamp))
+                size, changed, entered = (int(n) for n in now)
+                found.append(Foreign(path.name, str(seen[-1]), path, (size, changed, entered)))
         if time.monotonic() - self._saved > _SAVED_EVERY:
             self.save()
         return tuple(found)
@@ -93,7 +94,7 @@ def _remembered(store: Store) -> dict[str, Any]:
         known = store.recall(_INPUTS)
     except DamagedError:
         return {}
-    usable = isinstance(known, dict) and all(isinstance(v, list) and len(v) == 3 for v in known.values())
+    usable = isinstance(known, dict) and all(isinstance(v, list) and len(v) >= 3 for v in known.values())
     return known if usable else {}
 
 
