@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import stat
 from pathlib import Path
+from typing import BinaryIO
 
 from fwclass.errors import InputError, is_control
 
@@ -51,3 +55,40 @@ def below(directory: Path, name: str) -> Path:
             do="remove what has that name, or give the file another one",
         )  # fmt: skip
     return path
+
+
+_KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
+
+
+def strange_kind(path: str | Path) -> str:
+    """What `path` is in words where it is neither file nor directory: whoever opens a pipe may wait for ever.
+
+    "" for files, directories, and what is not there.
+    """
+    try:
+        return _KINDS.get(stat.S_IFMT(os.stat(path).st_mode), "")  # noqa: PTH116 - a text of the command line
+    except (OSError, ValueError):
+        return ""
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a file for reading, without waiting.
+
+    Raises
+    ------
+    InputError
+        It is a pipe, a device or a socket.
+    OSError
+        As `open`.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    kind = stat.S_IFMT(os.fstat(handle).st_mode)
+    if kind == stat.S_IFREG:
+        return os.fdopen(handle, "rb")
+    os.close(handle)
+    if kind == stat.S_IFDIR:
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise InputError(
+        "this is no file", where=path, expected="a file on a disk", got=_KINDS.get(kind, "something else"),
+        do="name a file; what comes through a pipe has to be written to one first",
+    )  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from fwclass import __version__
+from fwclass.paths import strange_kind
 from fwclass.store.url import SCHEMES, is_url, url_of
 
 CONTEXT = {"help_option_names": ["-h", "--help"], "max_content_width": 110}
@@ -34,6 +35,8 @@ def _checked(value: Any, param: click.Parameter | None, ctx: click.Context | Non
     """`value`, unless it is empty, which would mean the current directory, or an address with one slash."""
     if value == "":
         raise click.BadParameter("it is empty; name a file or a directory (. is the current one)", ctx, param)
+    if kind := strange_kind(value):
+        raise click.BadParameter(f"{value} is {kind}; name a file or a directory", ctx, param)
     if re.match(rf"({'|'.join(SCHEMES)}):/?[^/]", str(value)):
         raise click.BadParameter(f"{value}: an address has two slashes, as in s3://bucket/directory", ctx, param)
     return value

@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from fwclass.errors import ConfigError, nearest
+from fwclass.paths import open_regular
 from fwclass.redact import redacted_setting
 
 _SIZE_LIMIT = 1 << 18
@@ -151,7 +152,9 @@ def read(path: Path) -> dict[str, Any]:
                 "a configuration this large is not one", where=path, expected=f"at most {_SIZE_LIMIT} bytes",
                 got=f"{path.stat().st_size} bytes", do="check the path",
             )  # fmt: skip
-        value = plain(path.read_text(encoding="utf-8"), path.resolve().is_relative_to(conf_directory()))
+        with open_regular(path) as file:
+            text = file.read().decode("utf-8")
+        value = plain(text, path.resolve().is_relative_to(conf_directory()))
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as fault:
         told = _told(fault, path.name)
         tabs = "indent with spaces: YAML knows no tabs" if "\\t" in told else "mend the YAML at the place named"

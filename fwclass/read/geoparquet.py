@@ -11,6 +11,7 @@ from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError
 from fwclass.later import Later
+from fwclass.paths import open_regular
 from fwclass.read.vector import Header
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ def column(path: Path, name: str) -> list[Any]:
 
 def _opened(path: Path) -> Any:
     try:
+        open_regular(path).close()  # Arrow would wait for a pipe
         return pq.ParquetFile(path)
     except (pa.ArrowException, OSError) as fault:
         raise _foreign(path, str(fault).splitlines()[0]) from fault

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from fwclass.errors import InputError
+from fwclass.paths import open_regular
 from fwclass.read.checks import check_length, check_scales
 
 WAVE_OFFSET = {4: 28, 5: 34, 9: 30, 10: 38}
@@ -92,7 +93,7 @@ def read_header(path: Path) -> Header:
     """Parse the header of `path`; `InputError` if it is no LAS file or cannot be used."""
     try:
         size = path.stat().st_size
-        stream = path.open("rb")
+        stream = open_regular(path)
     except OSError as error:
         raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
     with stream:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO, NoReturn
 
 from fwclass.errors import InputError
+from fwclass.paths import open_regular
 from fwclass.read.checks import check_length, check_scales
 from fwclass.read.header import MAX_EVLR_BODY, Record
 
@@ -68,7 +69,7 @@ def read_pulse_header(path: Path) -> PulseHeader:
     """Parse the header of `path`; `InputError` if it is no Pulse file of version 0.3 or cannot be used."""
     try:
         size = path.stat().st_size
-        stream = path.open("rb")
+        stream = open_regular(path)
     except OSError as error:
         raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
     with stream:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fwclass.errors import InputError
+from fwclass.paths import open_regular
 from fwclass.read.base import Source, WaveStore
 from fwclass.read.crs import crs_of
 from fwclass.read.pls_header import SIGNATURE, PulseHeader, read_pulse_header
@@ -122,9 +123,9 @@ def is_pulse_file(path: Path) -> bool:
     if path.suffix.lower() in (".pls", ".plz", ".wvs", ".wvz"):
         return True
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             return stream.read(16) == SIGNATURE
-    except OSError:
+    except (OSError, InputError):
         return False
 
 

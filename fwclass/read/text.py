@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pyarrow import csv
 
 from fwclass.errors import InputError
+from fwclass.paths import open_regular
 from fwclass.read.text_kernels import tidy
 from fwclass.read.text_layout import NULLS, SHOWN, Layout, is_number, layout_of, refused, shown, words_of
 
@@ -98,7 +99,8 @@ def read_text(path: str | Path) -> TextCloud:
 
 def _text_of(path: Path) -> bytes:
     try:
-        data = path.read_bytes()
+        with open_regular(path) as file:
+            data = file.read()
     except OSError as fault:
         raise InputError("cannot open the file", where=path, got=fault, do="check the path and its rights") from fault
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):

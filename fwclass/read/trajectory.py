@@ -15,6 +15,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from fwclass.errors import InputError
+from fwclass.paths import open_regular
 from fwclass.schema import Table
 
 RECORD = np.dtype("<f8")
@@ -74,7 +75,7 @@ def read_trajectory(path: Path, crs: Any = None, undulation: float = 0.0) -> Tab
     size = path.stat().st_size
     if size == 0 or size > MAX_BYTES:
         raise InputError("an empty or too large file", where=path, expected=f"1 to {MAX_BYTES} bytes", got=size)
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         head = file.read(min(size, HEAD_BYTES))
     time, a, b, z, geographic = _text(path, head) if _CONTROL.search(head) is None else _sbet(path, size)
     known = np.isfinite(time) & np.isfinite(a) & np.isfinite(b) & np.isfinite(z)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,8 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.read.gdal import offline
+from fwclass.read.polygon_magic import check_format
 
 FORMATS = {".gpkg": "GeoPackage", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "Shapefile"}
 BESIDE = (".shx", ".dbf", ".prj", ".cpg")
@@ -22,13 +24,18 @@ Header = dict[str, Any]
 
 def layers(path: Path) -> list[str]:
     """Names of the layers that hold geometries; `InputError` for a file that cannot be read or is cut short."""
-    check_whole(path)
-    import pyogrio  # loads GDAL, which only a survey with polygons needs
+    check_format(path)
+    found = _asked(path, lambda gdal: gdal.list_layers(path.absolute()))
+    return [str(name) for name, kind in found if kind is not None]
 
-    try:
-        return [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
-    except Exception as fault:  # pyogrio's errors share no base that it exports
-        raise _unreadable(path, fault) from fault
+
+def _asked(path: Path, question: Callable[[Any], Any]) -> Any:
+    """What GDAL says of `path`; `InputError` where it finds a fault."""
+    with offline() as gdal:
+        try:
+            return question(gdal)
+        except Exception as fault:  # pyogrio's errors share no base that it exports
+            raise _unreadable(path, fault) from fault
 
 
 def header(path: Path, layer: str | None) -> Header:
@@ -41,8 +48,6 @@ def header(path: Path, layer: str | None) -> Header:
     ConfigError
         No such layer, or several and none is named.
     """
-    import pyogrio
-
     known = layers(path)
     if not known:
         raise InputError("the file holds no layer with geometries", where=path, do="check the export of the polygons")
@@ -56,10 +61,7 @@ def header(path: Path, layer: str | None) -> Header:
             "the file has no such layer", where=path, expected=", ".join(known), got=layer, do=nearest(layer, known)
         )
     chosen = layer or known[0]
-    try:
-        about = pyogrio.read_info(path, layer=chosen, force_feature_count=True)
-    except Exception as fault:
-        raise _unreadable(path, fault) from fault
+    about = _asked(path, lambda gdal: gdal.read_info(path.absolute(), layer=chosen, force_feature_count=True))
     types = [str(np.dtype(t)) if t != "object" else "text" for t in about["dtypes"]]
     return {
         "layer": chosen,
@@ -72,12 +74,8 @@ def header(path: Path, layer: str | None) -> Header:
 
 def rows(path: Path, layer: str, field: str | None) -> tuple[list[Any], list[bytes | None]]:
     """Values of a field and geometries as well-known binary, in the file's order; no values without a field."""
-    from pyogrio import raw
-
-    try:
-        found = raw.read(path, layer=layer, columns=[field] if field else [], read_geometry=True, force_2d=True)
-    except Exception as fault:
-        raise _unreadable(path, fault) from fault
+    columns = [field] if field else []
+    found = _asked(path, lambda gdal: gdal.raw.read(path.absolute(), layer=layer, columns=columns, force_2d=True))
     geometries, fields = found[2], found[3]
     values = fields[0].tolist() if field else []
     return values, list(geometries)
@@ -85,12 +83,8 @@ def rows(path: Path, layer: str, field: str | None) -> tuple[list[Any], list[byt
 
 def column(path: Path, layer: str, field: str) -> list[Any]:
     """Values of one field, in the file's order."""
-    from pyogrio import raw
-
-    try:
-        return list(raw.read(path, layer=layer, columns=[field], read_geometry=False)[3][0].tolist())
-    except Exception as fault:
-        raise _unreadable(path, fault) from fault
+    found = _asked(path, lambda gdal: gdal.raw.read(path.absolute(), layer=layer, columns=[field], read_geometry=False))
+    return list(found[3][0].tolist())
 
 
 def files_of(path: Path) -> list[Path]:
@@ -99,24 +93,6 @@ def files_of(path: Path) -> list[Path]:
         return [path]
     beside = [q for q in sorted(path.parent.glob("*")) if q.stem == path.stem and q.suffix.lower() in BESIDE]
     return [path, *beside]
-
-
-def check_whole(path: Path) -> None:
-    """`InputError` where a Shapefile or GeoPackage is shorter than its header says: GDAL would read what is left."""
-    size = path.stat().st_size if path.is_file() else 0
-    with path.open("rb") if size else io.BytesIO() as file:
-        head = file.read(32)
-    promised = 0
-    if path.suffix.lower() == ".shp" and len(head) == 32:
-        promised = 2 * int.from_bytes(head[24:28], "big")
-    elif head.startswith(b"SQLite format 3\0"):
-        page = int.from_bytes(head[16:18], "big")
-        promised = (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")
-    if promised > size:
-        raise InputError(
-            "the polygon file is cut short", where=path, expected=f"{promised} bytes", got=f"{size} bytes",
-            do="copy the file again",
-        )  # fmt: skip
 
 
 def _crs(text: str | None) -> CRS | None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.model import FORMAT, KINDS, Forest, Model
+from fwclass.paths import open_regular
 from fwclass.store.atomic import digest_of, file_digest, files_below
 
 CARD = "card.json"
@@ -80,7 +81,8 @@ def load_forest(directory: Path) -> Forest:
 def _card(path: Path) -> dict[str, Any]:
     if path.stat().st_size > _CARD_LIMIT:
         raise ValueError(f"{path.name} has {path.stat().st_size} bytes")
-    card = json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_number)
+    with open_regular(path) as stream:
+        card = json.loads(stream.read().decode("utf-8"), parse_constant=_no_number)
     if not isinstance(card, dict):
         raise ValueError(f"{path.name} is no JSON object")
     if card.get("format") != FORMAT:
@@ -107,7 +109,7 @@ def _no_number(text: str) -> NoReturn:
 
 def _array(path: Path, kind: str, dimensions: int) -> NDArray:
     """One array; memory-mapped first, so that a header cannot make us allocate more than the file holds."""
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         head = stream.read(len(_NPY))
     if head != _NPY:  # later versions let a header be as long as it says
         raise ValueError(f"{path.name} begins with {head!r}, not with {_NPY!r} (version 1 of the format)")

@@ -11,6 +11,7 @@ import numpy as np
 
 from fwclass.errors import ConfigError
 from fwclass.grid import Box
+from fwclass.read.gdal import vector_gdal
 from fwclass.run.shifted.told import Found
 from fwclass.store.atomic import move_into_place, staged
 
@@ -58,10 +59,8 @@ def _polygon(box: Box) -> bytes:
 def _layer(
     path: Path, name: str, kind: str, shapes: Sequence[bytes], fields: Mapping[str, Sequence[Any]], crs: str | None
 ) -> None:
-    from pyogrio import raw  # loads GDAL
-
     values = [np.array(v, object if isinstance(v[0], str) else np.int64) for v in fields.values()]
-    raw.write(
+    vector_gdal().raw.write(
         str(path), np.array([*shapes, None], object)[:-1], values, np.array(list(fields), object), layer=name,
         driver="GPKG", geometry_type=kind, crs=crs,
     )  # fmt: skip

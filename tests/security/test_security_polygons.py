@@ -1,0 +1,210 @@
+"""A file of polygons is read by the driver of its own format: it reaches no host, no other file and no other driver."""
+
+from __future__ import annotations
+
+import http.server
+import json
+import shutil
+import sqlite3
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commandline import fwclass
+
+from fwclass.errors import FwclassError, InputError
+from fwclass.read.gdal import DRIVERS, vector_gdal
+from fwclass.read.polygons import open_polygons, read_polygons
+from fwclass.run.restrict import Area
+
+SQUARE = [[[0, 0], [10, 0], [10, 10], [0, 0]]]
+
+
+class Hosts(http.server.ThreadingHTTPServer):
+    """Counts what is asked of it."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        super().__init__(("127.0.0.1", 0), _Answer)
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.server_port}"
+
+
+class _Answer(http.server.BaseHTTPRequestHandler):
+    def do_GET(self) -> None:
+        self.server.asked.append(f"{self.command} {self.path}")  # type: ignore[attr-defined]
+        self.send_response(200)
+        self.end_headers()
+        self.wfile.write(json.dumps(collection()).encode())
+
+    do_HEAD = do_POST = do_GET
+
+    def log_message(self, *words: object) -> None:
+        pass
+
+
+def collection(crs: object = None, key: str = "crs") -> dict[str, Any]:
+    shape = {"type": "Polygon", "coordinates": SQUARE}
+    features = [{"type": "Feature", "properties": {"class": "a"}, "geometry": shape}]
+    return {"type": "FeatureCollection", "features": features} | ({key: crs} if crs else {})
+
+
+@pytest.fixture
+def host(monkeypatch: pytest.MonkeyPatch) -> Iterator[Hosts]:
+    """A host that no proxy stands before."""
+    monkeypatch.setenv("no_proxy", "127.0.0.1")
+    server = Hosts()
+    threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture
+def sound(tmp_path: Path) -> Path:
+    """A directory with a sound file of each format, named ``good``."""
+    shape = np.array([struct.pack("<BIII8d", 1, 3, 1, 4, 0, 0, 10, 0, 10, 10, 0, 0)], object)
+    for driver, ending in (("GPKG", "gpkg"), ("ESRI Shapefile", "shp")):
+        vector_gdal().raw.write(
+            str(tmp_path / f"good.{ending}"), shape, [np.array(["a"], object)], np.array(["class"], object),
+            layer="good", driver=driver, geometry_type="Polygon", crs="EPSG:25832",
+        )  # fmt: skip
+    (tmp_path / "good.geojson").write_text(json.dumps(collection()))
+    return tmp_path
+
+
+def vrt(url: str) -> str:
+    return (
+        "<OGRVRTDataSource><OGRVRTLayer name='x'><SrcDataSource>/vsicurl/"
+        f"{url}/evil.geojson</SrcDataSource><SrcLayer>evil</SrcLayer></OGRVRTLayer></OGRVRTDataSource>"
+    )
+
+
+CONTENTS: dict[str, Callable[[str], str]] = {
+    "virtual layer": vrt,
+    "web feature service": lambda url: f"<OGRWFSDataSource><URL>{url}/wfs</URL></OGRWFSDataSource>",
+    "pipeline": lambda url: json.dumps(
+        {"type": "gdal_streamed_alg", "command_line": f"gdal vector pipeline ! read {url}/a.geojson ! filter"}
+    ),
+    "topology": lambda url: json.dumps({"type": "Topology", "objects": {}, "arcs": [], "url": url}),
+    "Esri": lambda url: json.dumps({"geometryType": "esriGeometryPoint", "features": [], "fields": [], "url": url})[:9],
+    "service": lambda url: json.dumps({"stac_version": "1.0.0", "href": url, "links": [{"href": url}]}),
+    "mbtiles": lambda url: json.dumps({"tilejson": "2.0", "tiles": [f"{url}/{{z}}"]}),
+    "map service": lambda url: f"<GDAL_WMS><Service name='TMS'><ServerUrl>{url}</ServerUrl></Service></GDAL_WMS>",
+    "table": lambda url: f"WKT,url\n\"POINT (0 0)\",{url}\n",
+    "text of a database": lambda url: f"PG:host=127.0.0.1 port={url.rsplit(':', 1)[1]}",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", ["gpkg", "geojson", "json", "shp"])
+@pytest.mark.parametrize("content", CONTENTS)
+def test_another_formats_text_under_the_name_of_polygons_is_refused(
+    content: str, ending: str, tmp_path: Path, host: Hosts
+) -> None:
+    path = tmp_path / f"a.{ending}"
+    path.write_text(CONTENTS[content](host.url))
+    ended = fwclass("info", path)
+    assert ended.returncode == 1 and "not what its name says" in ended.stderr and not host.asked
+    with pytest.raises(InputError, match="not what its name says"):
+        Area(path).check()
+    assert not host.asked
+
+
+@pytest.mark.parametrize("kind", ["link", "url"])
+@pytest.mark.parametrize("key", ["crs", "\\u0063rs"])
+def test_a_coordinate_system_is_not_fetched(kind: str, key: str, tmp_path: Path, host: Hosts) -> None:
+    """Written with an escape, it passes as none, and nothing is fetched either."""
+    member = {"link": "href", "url": "url"}[kind]
+    text = json.dumps(
+        collection({"type": kind, "properties": {member: f"{host.url}/crs.wkt", "type": "ogcwkt"}}, "KEY")
+    )
+    (tmp_path / "a.geojson").write_text(text.replace("KEY", key))
+    if key == "crs":
+        with pytest.raises(InputError, match="not what its name says"):
+            open_polygons(tmp_path / "a.geojson")
+    else:
+        read_polygons(open_polygons(tmp_path / "a.geojson"), "class")
+    assert not host.asked
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["/vsicurl/{}/a.geojson", "/vsizip//vsicurl/{}/a.zip/a.gpkg", "{}/a.geojson", "PG:host=127.0.0.1 dbname=a.gpkg",
+     "WFS:{}/a.gpkg", "/vsimem/a.gpkg", "GPKG:{}.gpkg", "zip://{}/a.geojson", "/vsistdin/a.json"],
+)  # fmt: skip
+def test_a_name_that_gdal_would_understand_is_the_name_of_a_file(name: str, host: Hosts) -> None:
+    for path in (Path(name.format(host.url)), Path(name.format(f"/vsicurl/{host.url}"))):
+        with pytest.raises((FwclassError, OSError)):
+            Area(path).check()
+    assert not host.asked
+
+
+def changed(sound: Path, *statements: str) -> Path:
+    path = sound / "changed.gpkg"
+    shutil.copy(sound / "good.gpkg", path)
+    database = sqlite3.connect(path)
+    for statement in statements:
+        database.execute(statement)
+    database.commit()
+    database.close()
+    return path
+
+
+LISTED = "insert into gpkg_contents(table_name, data_type, identifier, srs_id) values('v', 'features', 'v', 25832)"
+GEOMETRY = "insert into gpkg_geometry_columns values('v', '{}', 'POLYGON', 25832, 0, 0)"
+
+
+@pytest.mark.parametrize(
+    "expression",
+    ["load_extension('/tmp/none.so')", "ogr_geocode('x', 'y')", "ogr_datasource_load_layers('{}/a.geojson')",
+     "readfile('/etc/passwd')"],
+)  # fmt: skip
+def test_a_view_of_a_geopackage_calls_nothing(expression: str, sound: Path, host: Hosts) -> None:
+    view = f"create view v as select fid, geom, {expression.format(host.url)} as class from good"  # noqa: S608 - made here
+    path = changed(sound, view, LISTED, GEOMETRY.format("geom"))
+    with pytest.raises(InputError, match="cannot be read"):
+        read_polygons(open_polygons(path, "v"), "class")
+    assert not host.asked
+
+
+@pytest.mark.parametrize(
+    "table", ["VirtualOGR('{}/a.geojson')", "VirtualShape('{}', 'UTF-8', 25832)", "VirtualText('{}', 'UTF-8')"]
+)
+def test_a_geopackage_opens_no_other_file(table: str, sound: Path, host: Hosts) -> None:
+    text = f"CREATE VIRTUAL TABLE v USING {table.format(sound / 'good')}".replace("'", "''")
+    path = changed(
+        sound, "pragma writable_schema = 1", LISTED, GEOMETRY.format("geometry"),
+        f"insert into sqlite_master(type, name, tbl_name, rootpage, sql) values('table', 'v', 'v', 0, '{text}')",
+    )  # fmt: skip
+    with pytest.raises(InputError, match="not what its name says") as fault:
+        open_polygons(path, "v")
+    assert "reads other files" in str(fault.value)
+
+
+def test_three_drivers_are_left_and_sound_files_are_read(sound: Path) -> None:
+    assert set(vector_gdal().list_drivers()) <= DRIVERS
+    for ending in ("gpkg", "shp", "geojson"):
+        values, shapes = read_polygons(open_polygons(sound / f"good.{ending}"), "class")
+        assert values == ["a"] and shapes.parts == 1
+    late = {"name": "x" * 100, "features": collection()["features"], "type": "FeatureCollection"}
+    bare = {"coordinates": SQUARE, "type": "Polygon"}
+    for content in (late, bare, collection({"type": "name", "properties": {"name": "EPSG:25832"}})):
+        (sound / "a.json").write_text("\ufeff\n" + json.dumps(content, indent=1), encoding="utf-8")
+        assert read_polygons(open_polygons(sound / "a.json"), None)[1].parts == 1
+
+
+def test_gdal_that_cannot_be_restricted_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    from pyogrio import _ogr
+
+    from fwclass.read import gdal
+
+    monkeypatch.setattr(gdal, "DRIVERS", {"GPKG"})
+    monkeypatch.setattr(_ogr, "_register_drivers", lambda: None)
+    with pytest.raises(FwclassError, match="cannot be kept from opening"):
+        gdal.vector_gdal.__wrapped__()
