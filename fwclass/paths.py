@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import BinaryIO
 
@@ -55,6 +57,38 @@ def below(directory: Path, name: str) -> Path:
             do="remove what has that name, or give the file another one",
         )  # fmt: skip
     return path
+
+
+def path_matches(parts: Sequence[str], pattern: Sequence[str], hidden: bool = False) -> bool:
+    """`glob` would find the path of `parts` by `pattern`, part by part; ``**`` stands for any number of directories.
+
+    Names that begin with a dot match a pattern that does, or any if `hidden`. Takes time in proportion to the product
+    of the two lengths, however many ``**`` there are.
+    """
+    places = _with_none(pattern, {0})
+    for part in parts:
+        shown = hidden or not part.startswith(".")
+        step = {
+            at if pattern[at] == "**" else at + 1
+            for at in places
+            if at < len(pattern) and (shown or pattern[at].startswith(".")) and _fits(part, pattern[at])
+        }
+        places = _with_none(pattern, step)
+    return len(pattern) in places
+
+
+def _fits(part: str, pattern: str) -> bool:
+    return pattern == "**" or fnmatchcase(part, pattern)
+
+
+def _with_none(pattern: Sequence[str], places: set[int]) -> set[int]:
+    """`places` in a pattern, and those that follow where each ``**`` stands for no directory."""
+    all_of_them = set(places)
+    for at in places:
+        while at < len(pattern) and pattern[at] == "**":
+            at += 1
+            all_of_them.add(at)
+    return all_of_them
 
 
 _KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}

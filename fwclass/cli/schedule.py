@@ -21,13 +21,19 @@ from fwclass.errors import ConfigError, visible
 @click.option("--cron", metavar='"M H D M W"', help="Five fields as of crontab(5), in schedule.timezone.")
 @click.option("--inbox", type=PATH, help="Move complete files from this directory into the survey, and run.")
 @click.option("--once", is_flag=True, help="End after one run, with its exit code.")
+@click.option(
+    "--allow-command",
+    is_flag=True,
+    envvar="FWCLASS_ALLOW_COMMAND",
+    help="Run the command that the configuration names.",
+)
 @SET
 @WORKFLOW
 @SCHEDULER
 @WORKERS
 def schedule(
     conf: Path, out: Any, every: str | None, cron: str | None, inbox: Path | None, once: bool,
-    settings: tuple[str, ...], workflow: str, scheduler: str | None, workers: int | None,
+    allow_command: bool, settings: tuple[str, ...], workflow: str, scheduler: str | None, workers: int | None,
 ) -> None:  # fmt: skip
     """Run a survey on an interval, by a cron expression, or when files are delivered, until told to stop.
 
@@ -39,6 +45,13 @@ def schedule(
     from fwclass.run.schedule.loop import Schedule
 
     config, request = requested(conf, out, (*settings, *_asked(every, cron, inbox)), workflow, None)
+    own = any(setting.strip().startswith("schedule.command") for setting in settings)
+    if config.schedule.command and not (allow_command or own):
+        raise ConfigError(
+            "the configuration names a command, which would be run with your rights",
+            where=f"{config.path}: schedule.command", expected="--allow-command, or FWCLASS_ALLOW_COMMAND=1",
+            do="read the configuration, then give --allow-command; or leave it out: --set schedule.command=[]",
+        )  # fmt: skip
     words: list[str] = []
     if scheduler is not None:
         words += ["--scheduler", scheduler]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from fwclass.errors import InputError
 from fwclass.grid import Box
+from fwclass.paths import path_matches
 from fwclass.store.outside import Place, found_outside
 from fwclass.store.params import StoreParams
 from fwclass.store.url import Url
@@ -38,8 +40,31 @@ def found_files(
 def _matches(pattern: str, directory: Path | Url, params: StoreParams) -> list[Place]:
     if isinstance(directory, Url):
         return sorted(found_outside(pattern, directory, params), key=str)
+    parts = Path(pattern).parts
+    fixed = list(itertools.takewhile(lambda part: not glob.has_magic(part), parts))
+    wild = parts[len(fixed) :]
+    if "**" in wild and ".." not in wild:
+        base = directory.joinpath(*fixed)
+        return [p for p in sorted(_below(base)) if path_matches(p.relative_to(base).parts, wild)]
     wanted = str(Path(glob.escape(str(directory))) / pattern)
     return [p for p in sorted(map(Path, glob.glob(wanted, recursive=True))) if p.is_file()]  # noqa: PTH207
+
+
+def _below(directory: Path) -> Iterator[Path]:
+    """Every file below `directory`, also through links, but no directory twice: links may lead back."""
+    waiting, seen = [directory], set()
+    while waiting:
+        path = waiting.pop()
+        try:
+            facts = path.stat()
+            if (facts.st_dev, facts.st_ino) in seen:
+                continue
+            seen.add((facts.st_dev, facts.st_ino))
+            entries = sorted(path.iterdir(), reverse=True)
+        except OSError:  # as `glob` does: what cannot be read holds nothing
+            continue
+        yield from (p for p in entries if p.is_file())
+        waiting += [p for p in entries if p.is_dir()]
 
 
 def joint_bounds(bounds: Iterable[tuple[float, ...]]) -> Box:

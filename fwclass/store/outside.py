@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fwclass.errors import InputError, StoreError
+from fwclass.paths import path_matches
 from fwclass.store.atomic import digest_of
 from fwclass.store.digests import looks
 from fwclass.store.objects import Held, Wanted, objects_at
@@ -94,8 +95,9 @@ def found_outside(pattern: str, directory: Url, params: StoreParams) -> list[Out
     fixed = re.match(r"(?:[^*?\[/]+/)*", pattern)
     below = fixed[0].strip("/") if fixed else ""
     held = list(objects_at(directory, params).list(below))
-    wanted = re.compile(_expression(pattern))
-    return [_with_beside(h, held, directory, params) for h in held if wanted.fullmatch(h.key)]
+    wanted = pattern.split("/")
+    found = (h for h in held if path_matches(h.key.split("/"), wanted, hidden=True))
+    return [_with_beside(h, held, directory, params) for h in found]
 
 
 def directory_outside(url: Url, params: StoreParams) -> Outside:
@@ -124,21 +126,3 @@ _BESIDE = {
 
 def _goes_with(name: str, other: str) -> bool:
     return Path(other).suffix.lower() in _BESIDE.get(Path(name).suffix.lower(), ())
-
-
-def _expression(pattern: str) -> str:
-    """A regular expression for a pattern of file names."""
-    made, at = "", 0
-    while at < len(pattern):
-        if pattern.startswith("**/", at):
-            made, at = made + "(?:[^/]+/)*", at + 3
-        elif pattern[at] == "*":
-            made, at = made + "[^/]*", at + 1
-        elif pattern[at] == "?":
-            made, at = made + "[^/]", at + 1
-        elif pattern[at] == "[" and (end := pattern.find("]", at + 2)) > 0:
-            inner = re.sub(r"([\\\[&~|^])", r"\\\1", pattern[at + 1 : end].removeprefix("!"))
-            made, at = made + ("[^" if pattern[at + 1] == "!" else "[") + f"{inner}]", end + 1
-        else:
-            made, at = made + re.escape(pattern[at]), at + 1
-    return made

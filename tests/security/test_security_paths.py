@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import glob
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from fwclass import paths
 from fwclass.errors import InputError, StoreError
-from fwclass.paths import below
+from fwclass.paths import below, path_matches
+from fwclass.run.files import _matches
 from fwclass.run.request import Request
 from fwclass.run.survey import _distinct
+from fwclass.store.params import StoreParams
 from fwclass.store.run_store import Store
 
 NAMES = [
@@ -43,6 +48,44 @@ def test_a_link_below_the_directory_leads_nowhere_else(tmp_path: Path) -> None:
     assert below(inside, "alias/a.laz").parent.resolve() == inside / "own"
     (tmp_path / "entry").symlink_to(inside)  # the directory itself may be reached by a link
     assert below(tmp_path / "entry", "own/a.laz").is_relative_to(tmp_path / "entry")
+
+
+@pytest.mark.parametrize("hidden", [False, True])
+def test_patterns_of_many_stars_take_steps_in_proportion(hidden: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six to twelve ``**`` took 0.2 to 47 s; steps are counted."""
+    steps: list[str] = []
+    fits = paths._fits
+    monkeypatch.setattr(paths, "_fits", lambda part, pattern: bool(steps.append(part)) or fits(part, pattern))
+    parts, pattern = ["d"] * 30 + ["a.txt"], ["**", "d"] * 20 + ["**", "*.las"]
+    assert not path_matches(parts, pattern, hidden) and len(steps) <= len(parts) * (len(pattern) + 1)
+    assert path_matches([*parts[:-1], "a.las"], pattern, hidden)
+
+
+TREE = ("a.las", "x/a.las", "x/y/b.las", "x/y/z/c.LAS", ".h/d.las", "x/.h/e.las", "x/y/[1].las", "x/..a/f.las")
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    ["**/*.las", "**/**/*.las", "x/**/*.las", "**/y/**/*.las", "**/y/*.[lL][aA][sS]", "**/.h/*.las", "*/**/b.las",
+     "**/[[]1].las", "**", "x/**", "../s/**/*.las", "**/x/../*.las", "*.las", "none/**/*.las"],
+)  # fmt: skip
+def test_patterns_find_what_glob_finds(pattern: str, tmp_path: Path, base: dict[str, Any]) -> None:
+    root = tmp_path / "s"
+    for name in TREE:
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).touch()
+    there = glob.glob(f"{root}/{pattern}", recursive=True)  # noqa: PTH207 - what surveys were found by
+    wanted = sorted({Path(p) for p in there if Path(p).is_file()})
+    assert sorted(_matches(pattern, root, StoreParams(**base["store"]))) == wanted
+
+
+def test_links_that_lead_back_are_walked_once(tmp_path: Path, base: dict[str, Any]) -> None:
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "a.las").touch()
+    for name in "bcdefgh":
+        (tmp_path / "d" / name).symlink_to(tmp_path)
+    found = _matches("**/*.las", tmp_path, StoreParams(**base["store"]))
+    assert found == [tmp_path / "d" / "a.las"]
 
 
 def committed(root: Path) -> tuple[Store, Path]:

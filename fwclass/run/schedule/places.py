@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path, PurePath
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
+from fwclass.paths import path_matches
 
 COMPANIONS = {".las": ".wdp", ".laz": ".wdp", ".pls": ".wvs"}
 """The file of waveforms that goes with a file of points or pulses, by ending."""
@@ -36,7 +35,7 @@ class Places:
 
     def finds(self, path: Path) -> bool:
         """The survey takes `path` for one of its sources."""
-        return any(matches(path.parts, PurePath(p).parts) for p in self.patterns)
+        return any(path_matches(path.parts, PurePath(p).parts) for p in self.patterns)
 
 
 def places_of(config: Config, inbox: Path) -> Places:
@@ -59,25 +58,12 @@ def places_of(config: Config, inbox: Path) -> Places:
     patterns = tuple(str(Path(glob.escape(str(directory))) / p) for p in config.survey.sources)
     into = None if config.schedule.into is None else (directory / config.schedule.into).resolve()
     for pattern in patterns:
-        if matches(inbox.parts, PurePath(pattern).parts[:-1]):
+        if path_matches(inbox.parts, PurePath(pattern).parts[:-1]):
             raise ConfigError(
                 "the inbox lies where the survey looks for its sources: half a file would be classified",
                 where=inbox, expected=f"a directory that {pattern} does not reach", do="choose another inbox",
             )  # fmt: skip
     return Places(patterns, into)
-
-
-def matches(parts: Sequence[str], pattern: Sequence[str]) -> bool:
-    """`glob` would find the path of `parts`; ``**`` stands for any number of directories."""
-    if not pattern:
-        return not parts
-    if pattern[0] == "**" and matches(parts, pattern[1:]):
-        return True
-    if not parts or (parts[0].startswith(".") and not pattern[0].startswith(".")):
-        return False
-    if pattern[0] == "**":
-        return matches(parts[1:], pattern)
-    return fnmatchcase(parts[0], pattern[0]) and matches(parts[1:], pattern[1:])
 
 
 def _wild(part: str) -> bool:
