@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.read.packets import VECTOR_RANGE
 from fwclass.read.pls_header import PULSE
+from fwclass.read.points import ZEROS
 from fwclass.read.pulsewaves import RETURNING, WAVES_HEADER, PulseSource, Sampling
 from fwclass.read.wave_kernels import CUT_SHORT, NO_WAVES, PAST_END, SEGMENT_COLUMNS, SOUND, TOO_MANY, walk
 from fwclass.units import METRES_PER_NS
@@ -49,6 +50,10 @@ RECORD = np.dtype(
 """A pulse of format 0; attributes and extra bytes behind it are not read."""
 
 
+ANCHORS = RECORD.fields["intensity"][1] if RECORD.fields else PULSE
+"""Bytes of a record before intensity and class: time, place of the waves, anchor, target, descriptor."""
+
+
 def read_records(source: PulseSource, first: int, last: int) -> NDArray[Any]:
     """The stored pulses [first, last)."""
     length = source.header.pulse_size
@@ -58,6 +63,14 @@ def read_records(source: PulseSource, first: int, last: int) -> NDArray[Any]:
     if len(raw) != (last - first) * length:
         raise InputError("the file is cut short", where=source.path, do="copy the file again")
     rows = np.frombuffer(raw, np.uint8).reshape(last - first, length)[:, :PULSE]
+    empty = np.flatnonzero(~rows[:, :ANCHORS].any(axis=1))
+    if len(empty) > ZEROS:
+        raise InputError(
+            "a part of the file was never written: its pulses are nothing but zeros", where=source.path,
+            expected=f"at most {ZEROS} such pulses in {last - first}",
+            got=f"{len(empty)}, the first of them pulse {first + int(empty[0])}",
+            do="wait for the end of the upload, or copy the file again",
+        )  # fmt: skip
     return np.ascontiguousarray(rows).view(RECORD).reshape(-1)
 
 

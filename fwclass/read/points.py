@@ -18,6 +18,10 @@ from fwclass.read.laz import varies_chunks
 BLOCK = 200_000
 """Points that a streaming pass holds at a time."""
 
+ZEROS = 16
+"""Points without any value, right on the file's offset, that a block may hold; a page of a disk that was never written
+is 4096 bytes, 60 to 200 points."""
+
 _BROKEN = (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError, InputError)
 
 WAVE_FIELDS = DecompressionSelection.XY_RETURNS_CHANNEL | DecompressionSelection.WAVEPACKET
@@ -99,12 +103,31 @@ class PointReader:
                 got=f"{len(points)} points",
                 do="copy the file again",
             )
+        _check_written(self.source, first, points)
         return points
 
     def blocks(self) -> Iterator[tuple[int, Any]]:
         """(first point, record) of consecutive runs over the whole file."""
         for first in range(0, self.source.n_points, BLOCK):
             yield first, self.read(first, min(first + BLOCK, self.source.n_points))
+
+
+def _check_written(source: LasSource, first: int, points: Any) -> None:
+    """`InputError` for records of nothing but zeros: parts of a file that were set aside and never written."""
+    if source.compressed:
+        return
+    stored = points.array
+    empty = np.flatnonzero((stored["X"] == 0) & (stored["Y"] == 0) & (stored["Z"] == 0))
+    if len(empty) > ZEROS:
+        rows = np.ascontiguousarray(stored[empty]).view(np.uint8).reshape(len(empty), -1)
+        empty = empty[~rows.any(axis=1)]
+    if len(empty) > ZEROS:
+        raise InputError(
+            "a part of the file was never written: its points are nothing but zeros", where=source.path,
+            expected=f"at most {ZEROS} such points in {len(stored)}",
+            got=f"{len(empty)}, the first of them point {first + int(empty[0])}",
+            do="wait for the end of the upload, or copy the file again",
+        )  # fmt: skip
 
 
 def coordinates(source: LasSource, points: Any) -> tuple[NDArray[np.float64], ...]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from fwclass.run.schedule.inbox import REPLACED, Delivery
 from fwclass.run.schedule.places import COMPANIONS, Places
+from fwclass.run.schedule.watch import mark_of
 from fwclass.store.atomic import sync
 
 
@@ -74,12 +75,15 @@ def move(source: Path, target: Path) -> None:
 
 def _copy(source: Path, target: Path) -> None:
     beside = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
+    before = mark_of(source)
     try:
         shutil.copyfile(source, beside)
         shutil.copystat(source, beside)
         sync(beside)
         if beside.stat().st_size != source.stat().st_size:
             raise OSError(errno.EIO, "the copy has another size", str(source))
+        if mark_of(source) != before:  # what is still to come would go to a file that is removed
+            raise OSError(errno.EAGAIN, "it was written to while it was copied", str(source))
         beside.rename(target)
     finally:
         beside.unlink(missing_ok=True)

@@ -13,12 +13,16 @@ from fwclass.errors import InputError
 from fwclass.read.header import Header
 from fwclass.run.schedule.places import COMPANIONS, Places
 from fwclass.run.schedule.ticks import Now
+from fwclass.run.schedule.watch import writers
 
 REPLACED = "replaced"
 """Directory in the inbox where older versions of files that came again are kept."""
 
 EXTERNAL, INTERNAL = 4, 2
 """Bits of a LAS file's global encoding: its waveforms lie beside it, or in it."""
+
+LAST = 1000
+"""Points at the end of a file that are looked at before it is taken."""
 
 Mark = tuple[int, int, int]
 """Size [bytes], time of change [ns] and inode of a file."""
@@ -83,7 +87,10 @@ class Inbox:
                 complete.append(found)
             else:
                 waiting.append(found)
-        return Look(tuple(complete), tuple(waiting))
+        open_ones = writers(p for delivery in complete if not delivery.markers for p in delivery.files)
+        busy = {d.name: open_ones[p] for d in complete for p in d.files if p in open_ones}
+        waiting += [Waiting(n, f"process {pid} has it open for writing", changing=True) for n, pid in busy.items()]
+        return Look(tuple(d for d in complete if d.name not in busy), tuple(waiting))
 
     def ready(self, look: Look, now: Now) -> tuple[Delivery, ...]:
         """The complete ones, once no other is on its way, or after `hold` seconds at most."""
@@ -146,6 +153,7 @@ def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -
     More bytes than the header tells of are the end of a file whose header was not written last, unless it is `marked`.
     """
     from fwclass.read.las import LasSource
+    from fwclass.read.points import PointReader
     from fwclass.read.source import open_source
 
     try:
@@ -153,6 +161,9 @@ def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -
         faults = [f for f in source.faults if "cut short" in f or "extended records" in f]
         if isinstance(source, LasSource) and not marked:
             faults += _surplus(source.header)
+        if isinstance(source, LasSource) and source.n_points:
+            with PointReader(source) as reader:  # what was never written is zeros, mostly at the end
+                reader.read(max(0, source.n_points - LAST), source.n_points)
         if faults:
             return faults[0]
         if source.has_waves and source.waves.kind == "none" and not _moved_ahead(head, target):

@@ -12,6 +12,7 @@ from fwclass.run.schedule.delivery import take
 from fwclass.run.schedule.inbox import Delivery, Inbox
 from fwclass.run.schedule.state import State
 from fwclass.run.schedule.ticks import Now, now
+from fwclass.run.schedule.watch import Watch
 from fwclass.store.lock import writer
 
 
@@ -25,6 +26,19 @@ class Intake:
     say: Callable[[str], None]
     _told: dict[str, str] = field(default_factory=dict)
     _trouble: str = ""
+
+    def __post_init__(self) -> None:
+        self._watch = Watch(self.inbox.params.settle)
+
+    def look_again(self, moment: Now, settled: bool = True) -> None:
+        """Owe a run for files that were written to after they had been moved: what was run was not all of them.
+
+        Those that still change are left for later, unless `settled` is False.
+        """
+        names = sorted({path.name for path in self._watch.changed(moment, settled)})
+        if names:
+            self.say(f"{', '.join(names)}: changed after the move into the survey: run again")
+            self.state.owed = sorted({*self.state.owed, *names})
 
     def deliveries(self, moment: Now) -> tuple[Delivery, ...]:
         """Those that are complete and wait for no other."""
@@ -71,6 +85,7 @@ class Intake:
 
     def _take(self, delivery: Delivery) -> dict[str, Any]:
         facts = take(delivery, self.inbox.directory, self.inbox.places, self.inbox.params.keep_replaced)
+        self._watch.begin(delivery.target / path.name for path in delivery.files)
         kept = f"; the older one is kept as {', '.join(facts['replaced'])}" if facts["replaced"] else ""
         self.say(f"{delivery.name}: moved to {delivery.target}, {facts['bytes']} bytes{kept}")
         return facts

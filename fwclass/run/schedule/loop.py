@@ -142,6 +142,8 @@ class Schedule:
     def _due(self, moment: Now) -> Order | None:
         """The run that is due now. A tick is taken by it, whatever comes of the run."""
         deliveries = self._deliveries(moment)
+        if self._intake is not None:
+            self._intake.look_again(moment)
         if self._ticks is not None:
             self._ticks = self._ticks.seen(moment)
             wait = self._ticks.wait(moment)
@@ -167,6 +169,8 @@ class Schedule:
         record = self._run(why | ({"files": files} if files else {}))
         if not self._still_owed(record):
             self._state.owed = []
+        if self._intake is not None and (self.once or self.signals.first is not None):  # nobody looks later
+            self._intake.look_again(now(), settled=False)
         self._say(f"run ended: {record['word']}, {record.get('seconds', 0):g} s")
         self._state.last = record
         self._tell_ended(record)
