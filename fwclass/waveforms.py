@@ -25,6 +25,9 @@ ECHO_COLUMNS = (
 )  # fmt: skip
 """Columns of the echoes that decomposition makes of them."""
 
+IMPLAUSIBLE = 128
+"""Value of `fit_flags` of an echo that cannot be; neither ground filters nor terrain see it."""
+
 
 @dataclass(frozen=True)
 class Waveforms:

@@ -9,6 +9,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -279,3 +280,43 @@ def survey(
         pulse=cols["pulse"], location=cols["location"], step=cols["step"], **options,
     )  # fmt: skip
     return Truth(written, cols["pulse"], cols["a"], cols["t"], cols["w"], cols["xyz"], waveforms)
+
+
+def correlated(rows: int, samples: int, lag1: float, wander: float = 0.0, seed: int = 0) -> NDArray:
+    """Noise of a receiver that is not white, (rows, samples): AR(1) of unit variance whose neighbours correlate by
+    `lag1`, and a baseline that wanders slowly (over some 40 samples) by `wander`."""
+    rng = np.random.default_rng(seed)
+
+    def process(share: float) -> NDArray:
+        out = rng.standard_normal((rows, samples))
+        for k in range(1, samples):
+            out[:, k] = share * out[:, k - 1] + np.sqrt(1.0 - share**2) * out[:, k]
+        return out
+
+    return process(lag1) + wander * process(0.975)
+
+
+def flat_survey(path: str | Path, pulses: int, lag1: float, *, wander: float = 0.0, noise: float = 0.8, extra: int = 0,
+                samples: int = 256, seed: int = 0, **options: Any) -> Path:  # fmt: skip
+    """Single returns of gently sloping ground at 265 m, 0.7 m apart, in long records of `correlated` noise.
+
+    `extra` weak but clear echoes a pulse, 3 m apart, stand above the ground, as of leaves that the vendor has not.
+    """
+    rng = np.random.default_rng([seed, 1])
+    side = int(np.ceil(np.sqrt(pulses)))
+    row = np.arange(pulses)
+    x, y = 0.7 * (row % side), 0.7 * (row // side)
+    z = 265.0 + 0.01 * x + rng.normal(0.0, 0.02, pulses)
+    at = 100.0 + rng.uniform(-0.5, 0.5, pulses)
+    height = rng.uniform(60.0, 150.0, pulses)
+    quiet = noise * correlated(pulses, samples, lag1, wander, seed)
+    leaves = [(12.0, -3.0 * (k + 1) / METRES_PER_NS, 4.0) for k in range(extra)]
+    waveforms = [
+        digitise(gaussian(samples, [(h, t, 4.0), *((a, t + d, w) for a, d, w in leaves)], 12.0) + q)
+        for h, t, q in zip(height, at, quiet, strict=True)
+    ]
+    options.setdefault("descriptors", {1: Descriptor(8, samples, 1000)})
+    return write_las(
+        path, np.column_stack([500000.0 + x, 5400000.0 + y, z]), waveforms=waveforms, pulse=row, location=at,
+        gps_time=1000.0 + 1e-5 * row, classification=np.where(row % 5, 2, 5), **options,
+    )  # fmt: skip

@@ -75,4 +75,9 @@ SET = click.option(
 SCHEDULER = click.option("--scheduler", metavar="ADDR", help="Dask scheduler, e.g. tcp://host:8786.")
 WORKERS = click.option("--workers", type=click.IntRange(0), help="Processes on this machine; 0 runs a plain loop.")
 JSON = click.option("--json", "as_json", is_flag=True, help="JSON on standard output.")
+ACCEPT_IMPLAUSIBLE = click.option(
+    "--accept-implausible",
+    is_flag=True,
+    help="Do not end with exit code 4 where echoes are implausible (plausibility).",
+)
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, cli
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, SET, cli
 from fwclass.errors import FAILED, FwclassError
 
 
@@ -84,14 +84,20 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
 @click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
 @SET
 @OVERWRITE
+@ACCEPT_IMPLAUSIBLE
 def decompose(
     source: Path, output: Path, trajectory: Path | None, undulation: float, crs: str | None, settings: tuple[str, ...],
-    overwrite: bool,
+    overwrite: bool, accept_implausible: bool,
 ) -> None:  # fmt: skip
     """One file: waveforms to echoes with extra bytes (LAZ)."""
+    from fwclass import conf
     from fwclass.run.decompose_file import decompose_file
+    from fwclass.run.plausibility import judge
 
-    click.echo(decompose_file(source, output, settings, overwrite, trajectory, undulation, crs), err=True)
+    settings += ("plausibility.accept=true",) if accept_implausible else ()
+    told, judged = decompose_file(source, output, settings, overwrite, trajectory, undulation, crs)
+    click.echo(told, err=True)
+    judge(judged, conf.section("plausibility", settings))
 
 
 @cli.command()

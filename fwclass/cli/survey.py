@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import PATH, RUN, SCHEDULER, SET, WORKERS, cli, little_garbage
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, PATH, RUN, SCHEDULER, SET, WORKERS, cli, little_garbage
 from fwclass.cli.road import open_road, report_path, tell_failures
 from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, home_of_run, out_directory, requested
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
@@ -61,6 +61,7 @@ def _verify(road: Any) -> None:
 
 def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
     from fwclass.assess.stage import judge
+    from fwclass.run import plausibility
     from fwclass.run.report import REPORT, summary
     from workflows import WORKFLOWS
 
@@ -98,6 +99,8 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     if failures:
         tell_failures(failures, request)
         sys.exit(PARTIAL)
+    if report.get("plausibility"):
+        plausibility.judge(report["plausibility"]["strips"], config.plausibility)
     if report["accuracy"]:
         judge(report["accuracy"], config.assess)
 
@@ -118,6 +121,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
 @click.option(
     "--accept-libraries", is_flag=True, help="Parts made with other versions of libraries are done (see `status`)."
 )
+@ACCEPT_IMPLAUSIBLE
 @click.option("--only", metavar="STAGE/PART", help="Make this one part alone, in the plain loop.")
 @click.option(
     "--verify",
@@ -130,11 +134,12 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
 )  # fmt: skip
 def run(
     conf: Path, out: Any, settings: tuple[str, ...], tiles: str | None, aoi: Path | None, workflow: str,
-    scheduler: str | None, workers: int | None, keep_going: bool, accept_libraries: bool, only: str | None,
-    verify: bool, report: str | None,
+    scheduler: str | None, workers: int | None, keep_going: bool, accept_libraries: bool, accept_implausible: bool,
+    only: str | None, verify: bool, report: str | None,
 ) -> None:  # fmt: skip
     """Run a survey from its files to classified tiles; what is already done is skipped."""
     settings += ("run.accept_libraries=true",) if accept_libraries else ()
+    settings += ("plausibility.accept=true",) if accept_implausible else ()
     if only is None:
         how = How(scheduler, workers, not keep_going, report, verify)
         _run(conf, out, settings, chosen(tiles, aoi), workflow, how)

@@ -8,8 +8,14 @@ ECHOES = (
     # who an echo is; (strip, pulse, echo_number) is unique and the canonical order
     Column("strip", "u2", "", "number of the source file, which follows from its name; report.json lists them"),
     Column("pulse", "u4", "", "index of the pulse in its strip, in order of first appearance in the file"),
-    Column("echo_number", "u1", "", "place of the echo in its pulse, 1 is nearest to the sensor", low=1),
-    Column("number_of_echoes", "u1", "", "echoes of the pulse", low=1),
+    Column(
+        "echo_number",
+        "u1",
+        "",
+        "place of the echo in its pulse, 1 is nearest to the sensor; implausible echoes come last",
+        low=1,
+    ),
+    Column("number_of_echoes", "u1", "", "echoes of the pulse; a plausible echo counts those alone", low=1),
     Column("origin", "u1", "", "0 fitted to a waveform, 1 vendor return without usable packet, 2 read as an echo"),
     # where it is
     Column("x", "f8", "m", "easting in the survey's CRS, whole millimetres"),
@@ -148,11 +154,16 @@ ECHOES = (
         "u1",
         "",
         "1 saturated, 2 overlapping, 4 poor fit, 8 at the segment's edge, 16 vendor return kept, "
-        "32 far from the vendor's returns, 64 not fitted for want of a usable waveform",
+        "32 far from the vendor's returns, 64 not fitted for want of a usable waveform, 128 implausible",
         las="fit flags",
         las_about="bits, see docs/waveforms.md",
     ),
-    Column("source_class", "u1", "", "class code of the nearest return of the pulse in the source file"),
+    Column(
+        "source_class",
+        "u1",
+        "",
+        "class code of the nearest return of the pulse in the source file; 0 of an implausible echo",
+    ),
     Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
     # returns, as read
     Column("return_number", "u1", "", "vendor's return number; 0 occurs in faulty files"),

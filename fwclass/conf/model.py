@@ -15,7 +15,7 @@ from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sets import feature_set, listed_once
-from fwclass.decompose.params import DecomposeParams, PulseParams
+from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams
 from fwclass.errors import visible
 from fwclass.features.params import FeaturesParams
 from fwclass.grid import Box
@@ -201,6 +201,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "read": ReadParams,
     "pulse": PulseParams,
     "decompose": DecomposeParams,
+    "plausibility": PlausibilityParams,
     "tile": TileParams,
     "label": LabelParams,
     "ground": GroundParams,
@@ -240,6 +241,7 @@ class Config:
     read: ReadParams
     pulse: PulseParams
     decompose: DecomposeParams
+    plausibility: PlausibilityParams
     tile: TileParams
     label: LabelParams
     ground: GroundParams

@@ -1,4 +1,4 @@
-"""Parameters of the system's pulse and of the decomposition."""
+"""Parameters of the system's pulse, of the decomposition, and of what it may give."""
 
 from __future__ import annotations
 
@@ -59,6 +59,10 @@ class DecomposeParams(Params):
         jitters by half a sample.
     tail_share, tail_reach : an echo lower than this share of an earlier one, up to this long after it [ns], is the
         receiver's ringing and is left out; a share of 0 keeps all.
+    envelope_cell, envelope_margin : an echo that no return explains is implausible this far below [m] the lowest return
+        in the 3 x 3 cells of this edge [m] around it, or outside of the heights of the strip's returns by as much.
+    white_noise : correlation of neighbouring quiet samples up to which noise counts as white; above it the last echoes
+        of a pulse that no return explains must stand out of the noise as it is.
     iterations, tolerance : end of the fit: steps, and gain of chi-square in one step.
     """
 
@@ -74,5 +78,25 @@ class DecomposeParams(Params):
     register_within: float = Field(ge=0.0)
     tail_share: float = Field(ge=0.0, lt=1.0)
     tail_reach: float = Field(ge=0.0)
+    envelope_cell: float = Field(ge=1.0, le=10_000.0)
+    envelope_margin: float = Field(ge=0.0, le=10_000.0)
+    white_noise: float = Field(ge=0.0, le=1.0)
     iterations: int = Field(ge=1, le=10_000)
     tolerance: float = Field(gt=0.0)
+
+
+class PlausibilityParams(Params):
+    """What a strip's echoes may be before the command ends with exit code 4; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    max_implausible : share of the echoes that returns could explain.
+    max_unmatched_returns : share of the returns without an echo within `decompose.vendor_tolerance`.
+    least : echoes, or returns, of that kind below which nothing is refused.
+    accept : deliver all the same, and end as if nothing were wrong; it is still told.
+    """
+
+    max_implausible: float = Field(ge=0.0, le=1.0)
+    max_unmatched_returns: float = Field(ge=0.0, le=1.0)
+    least: int = Field(ge=0, le=1_000_000_000)
+    accept: bool

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,7 @@ from fwclass.decompose.fitting import SATURATED, fit_waveforms
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, outgoing_times
+from fwclass.decompose.plausible import UNKNOWN, Surroundings, judge, renumbered
 from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import quantised
@@ -28,7 +31,9 @@ MOST = 255
 """Echoes of a pulse at most, all its segments together: `echo_number` has one byte. Later ones are left out."""
 
 
-def decompose(waves: Waveforms, strip: int, params: DecomposeParams, pulse: SystemPulse) -> tuple[Table, Table]:
+def decompose(
+    waves: Waveforms, strip: int, params: DecomposeParams, pulse: SystemPulse, around: Surroundings = UNKNOWN
+) -> tuple[Table, Table, dict[str, int]]:
     """Echoes of a chunk, and the echo that every return belongs to.
 
     Fitted echoes are placed along the beam from the anchor of their segment: P(t) = P_anchor + (anchor_time - t) step,
@@ -42,11 +47,13 @@ def decompose(waves: Waveforms, strip: int, params: DecomposeParams, pulse: Syst
     strip : index of the source file in the survey.
     params : `DecomposeParams`.
     pulse : the system's pulse.
+    around : what the echoes are held against, see `plausible`.
 
     Returns
     -------
     echoes : `ECHO_COLUMNS`, one row per echo in canonical order (pulse, echo_number).
     links : `LINK_COLUMNS`, one row per return, in file order: the nearest echo of its pulse.
+    counts : `plausible.COUNTS`.
     """
     echoes = _fitted(waves, params, pulse)
     kept = _kept(waves, echoes["pulse"])
@@ -54,11 +61,34 @@ def decompose(waves: Waveforms, strip: int, params: DecomposeParams, pulse: Syst
         echoes = {name: np.concatenate([echoes[name], kept[name]]) for name in echoes}
         order = np.lexsort((echoes["echo_number"], echoes["pulse"]))
         echoes = {name: values[order] for name, values in echoes.items()}
+    echoes, judged = _judged(echoes, waves, around, params)
     links = _tie(waves.returns, echoes)
     echoes["strip"] = np.full(len(echoes["pulse"]), strip)
     for axis in "xyz":
         echoes[axis] = quantised(echoes[axis])
-    return Table({name: echoes[name] for name in ECHO_COLUMNS}), links
+    table = Table({name: echoes[name] for name in ECHO_COLUMNS})
+    lone = returns_without_echo(waves, table, links, params)
+    return table, links, {**judged, "returns_without_echo": lone}
+
+
+def _judged(
+    echoes: dict[str, NDArray], waves: Waveforms, around: Surroundings, params: DecomposeParams
+) -> tuple[dict[str, NDArray], dict[str, int]]:
+    """`echoes` with the implausible ones flagged, `source_class` and `intensity` of the nearest return; the counts."""
+    order = np.lexsort((waves.returns["return_number"], waves.returns["pulse"]))
+    pulse = waves.returns["pulse"][order]
+    nearest = np.empty(len(echoes["pulse"]), np.int64)
+    nearest_of_pulse(echoes["pulse"], _places(echoes), pulse, _places(waves.returns)[order], nearest)
+    row = np.where(nearest >= 0, order[nearest], -1) if len(order) else nearest
+    for name in ("source_class", "intensity"):
+        values = waves.returns[name]
+        echoes[name] = np.where(row >= 0, values[row], 0) if len(values) else np.zeros(len(row), np.uint8)
+    judged = judge(echoes, row, waves, around, params)
+    return renumbered(echoes, judged.implausible), dict(judged.counts)
+
+
+def _places(columns: Mapping[str, NDArray]) -> NDArray[np.float64]:
+    return np.stack([columns[axis] for axis in "xyz"], axis=1)
 
 
 def returns_without_echo(waves: Waveforms, echoes: Table, links: Table, params: DecomposeParams) -> int:
@@ -177,29 +207,19 @@ def _among(values: NDArray, known: NDArray) -> NDArray[np.bool_]:
 
 
 def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
-    """Add `source_class` and `intensity` of the nearest return to `echoes`; the links of the returns."""
+    """Pulse and echo number of the echo nearest to every return in its pulse."""
     order = np.lexsort((returns["return_number"], returns["pulse"]))
-    pulse = returns["pulse"][order]
-    places = np.stack([returns[axis][order] for axis in "xyz"], axis=1)
-    targets = np.stack([echoes[axis] for axis in "xyz"], axis=1)
-    to_return = np.empty(len(targets), np.int64)
-    nearest_of_pulse(echoes["pulse"], targets, pulse, places, to_return)
-    for name in ("source_class", "intensity"):
-        if returns.rows:
-            echoes[name] = np.where(to_return >= 0, returns[name][order][to_return], 0)
-        else:
-            echoes[name] = np.zeros(len(targets), np.uint8)
-    to_echo = np.empty(len(places), np.int64)
-    nearest_of_pulse(pulse, places, echoes["pulse"], targets, to_echo)
-    number = np.empty(len(places), np.uint8)
+    to_echo = np.empty(returns.rows, np.int64)
+    nearest_of_pulse(returns["pulse"][order], _places(returns)[order], echoes["pulse"], _places(echoes), to_echo)
+    number = np.empty(returns.rows, np.uint8)
     number[order] = echoes["echo_number"][to_echo]
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Stage(name="pulse", version=2, kind="gather", function=estimate_pulse, params=PulseParams, reads=PULSE_COLUMNS)
+PULSE = Stage(name="pulse", version=3, kind="gather", function=estimate_pulse, params=PulseParams, reads=PULSE_COLUMNS)
 DECOMPOSE = Stage(
     name="decompose",
-    version=4,
+    version=5,
     kind="chunk",
     function=decompose,
     params=DecomposeParams,

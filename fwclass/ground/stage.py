@@ -11,6 +11,7 @@ from fwclass.ground.terrain.params import HEIGHTS, TerrainParams
 from fwclass.ground.terrain.terrain import terrain
 from fwclass.schema import Table, require
 from fwclass.stage import Stage
+from fwclass.waveforms import IMPLAUSIBLE
 
 
 def filtered(table: Table, params: GroundParams) -> Flags:
@@ -18,10 +19,18 @@ def filtered(table: Table, params: GroundParams) -> Flags:
 
     Parameters
     ----------
-    table : ``x, y, z`` [m], ``echo_number, number_of_echoes``, in any order.
+    table : ``x, y, z`` [m], ``echo_number, number_of_echoes, fit_flags``, in any order. Implausible echoes are noise,
+        and the filter does not see them.
     """
     require(table, GROUND_FILTER.reads, "ground filter")
-    return ground_points(table["x"], table["y"], table["z"], last_of(table), params)
+    sound = (table["fit_flags"] & IMPLAUSIBLE) == 0
+    seen = table if sound.all() else table.take(sound)
+    flags = ground_points(seen["x"], seen["y"], seen["z"], last_of(seen), params)
+    if seen is table:
+        return flags
+    ground, noise = np.zeros(table.rows, bool), np.ones(table.rows, bool)
+    ground[sound], noise[sound] = flags.ground, flags.noise
+    return Flags(ground, noise)
 
 
 def last_of(table: Table) -> NDArray[np.bool_]:
@@ -31,11 +40,11 @@ def last_of(table: Table) -> NDArray[np.bool_]:
 
 GROUND_FILTER = Stage(
     name="ground-filter",
-    version=1,
+    version=2,
     kind="block",
     function=filtered,
     params=GroundParams,
-    reads=("x", "y", "z", "echo_number", "number_of_echoes"),
+    reads=("x", "y", "z", "echo_number", "number_of_echoes", "fit_flags"),
     writes=("ground", "noise"),
     halo=lambda params: float(params.halo),
 )

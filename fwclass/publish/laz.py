@@ -24,9 +24,12 @@ from fwclass.publish.lazwriter import assemble, point_writer, record
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Table, require
 from fwclass.units import QUANTUM
+from fwclass.waveforms import IMPLAUSIBLE
 
 NEEDED = ("strip", "echo_number", "number_of_echoes", "x", "y", "z", "classification")
 STANDARD_GPS_TIME = 1
+WITHHELD = 4
+"""Classification flag of point format 6: not to be used for anything; other programs leave such points out."""
 OFFSET_STEP = 1_000_000
 """The stored coordinates count from a whole kilometre [mm]."""
 
@@ -117,6 +120,8 @@ def _points(table: Table, local: list[NDArray[np.int64]]) -> tuple[NDArray, dict
     out["returns"] = np.minimum(number, 15) | (np.minimum(count, 15) << 4)
     out["classification"] = table["classification"]
     out["source"] = table["strip"]
+    if "fit_flags" in table:
+        out["flags"] = np.where(table["fit_flags"] & IMPLAUSIBLE, WITHHELD, 0)
     if "intensity" in table:
         out["intensity"] = table["intensity"]
     time = table["gps_time"] if "gps_time" in table else np.full(table.rows, np.nan)

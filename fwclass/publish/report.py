@@ -13,6 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from fwclass.publish.files import whole
 from fwclass.publish.ground_section import ground
+from fwclass.publish.plausibility_section import plausibility
 from fwclass.publish.sampling_section import sampling
 from fwclass.publish.sections import (
     accuracy,
@@ -50,7 +51,8 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     Parameters
     ----------
     report : ``survey, fwclass, input {files, faults}, counts, stages, classes, accuracy, training, sampling,
-        distribution, waveforms, areas, outputs, config, seconds``; plain data, any key may be missing.
+        distribution, waveforms, plausibility, remarks, areas, outputs, config, seconds``; plain data, any key may be
+        missing.
     figures : PNG by name; ``map`` and ``relief`` come first, others follow under their names; ``pulse`` stands with
         the waveforms, ``sampling`` with the labels.
 
@@ -71,6 +73,7 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
             "sampling",
             "distribution",
             "waveforms",
+            "plausibility",
             "ground",
             "stages",
             "outputs",
@@ -107,7 +110,9 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "summary": _summary(report, classes, counts),
         "facts": _facts(report, counts),
         "maps": _images({n: f for n, f in figures.items() if n not in (PULSE, SAMPLING)}),
+        "remarks": [str(text) for text in report.get("remarks") or ()],
         "waveforms": waveforms(report.get("waveforms")),
+        "plausibility": plausibility(report.get("plausibility")),
         "ground": ground(report.get("ground")),
         "pulse": data_uri(figures[PULSE]) if PULSE in figures else "",
         "sampling": sampling(report.get("sampling")),

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fwclass import conf
+from fwclass.decompose.envelope import Envelope
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.plausible import UNKNOWN, Surroundings, added
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
-from fwclass.decompose.stage import VENDOR_KEPT, decompose, returns_without_echo
+from fwclass.decompose.quiet import quiet_noise
+from fwclass.decompose.stage import VENDOR_KEPT, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
 from fwclass.features.params import NORMAL, FeaturesParams
@@ -22,12 +26,17 @@ from fwclass.read.source import Source, open_source
 from fwclass.read.spans import Span
 from fwclass.read.stage import ReadParams, check_source, index_source, read_span
 from fwclass.read.trajectory import in_survey_time, read_trajectory
+from fwclass.run.plausibility import of_strip, remarks
 from fwclass.run.survey import given_crs
 from fwclass.schema import Table
 from fwclass.stage import Chunk
+from fwclass.waveforms import IMPLAUSIBLE
 
-SECTIONS = ("read", "pulse", "decompose", "features", "radiometry", "publish")
+SECTIONS = ("read", "pulse", "decompose", "plausibility", "features", "radiometry", "publish")
 """Sections of the configuration that the command obeys."""
+
+LOW_NOISE = 7
+"""Class code of LAS 1.4."""
 
 DOUBTFUL = 1.0
 """Angle between beams and trajectory [deg] that is told as a fault."""
@@ -53,8 +62,8 @@ def refuse_existing(output: Path, overwrite: bool) -> None:
 def decompose_file(
     source: Path, output: Path, settings: tuple[str, ...], overwrite: bool, trajectory: Path | None = None,
     undulation: float = 0.0, crs: str | None = None,
-) -> str:  # fmt: skip
-    """Waveforms of one file to echoes in one LAZ file; returns the summary.
+) -> tuple[str, list[dict[str, Any]]]:  # fmt: skip
+    """Waveforms of one file to echoes in one LAZ file; returns the summary, and what `run.plausibility` judges.
 
     `settings` are ``section.key=value`` of `SECTIONS`. The echoes of the whole file are held in memory. Where
     something tells how far the sensor was (`trajectory`, ``radiometry.platform_altitude``, the format itself), the
@@ -67,13 +76,14 @@ def decompose_file(
     system = given_crs(crs, "--crs") if crs is not None else opened.crs
     check_source(opened, params["read"])
     spans = index_source(opened, params["read"])
-    pulse = pulse_of_file(opened, spans, params["read"], params["pulse"])
-    tables, faults, lone = [], dict[str, int](), 0
+    fit = params["decompose"]
+    pulse, around = strip_of_file(opened, spans, params["read"], params["pulse"], fit)
+    tables, faults, counts = [], dict[str, int](), []
     for span in spans:
         waves = read_span(opened, span, params["read"])
-        echoes, links = decompose(waves, 0, params["decompose"], pulse)
+        echoes, _, counted = decompose(waves, 0, fit, pulse, around)
         tables.append(echoes)
-        lone += returns_without_echo(waves, echoes, links, params["decompose"])
+        counts.append(counted)
         for name, count in waves.faults.items():
             faults[name] = faults.get(name, 0) + int(count)
     if not tables:
@@ -85,20 +95,23 @@ def decompose_file(
     table = Table.concat(tables)
     flown = flown_over(table, trajectory, system, undulation) if trajectory is not None else None
     whole, notes = ranged(table, flown, params, trajectory)
-    delivered = whole.with_columns({"classification": table["source_class"]})
+    implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
+    delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
     write_tile_laz(delivered, output, system, params["publish"], standard_time=opened.standard_gps_time)
-    near = params["decompose"].vendor_tolerance
+    near, judged = fit.vendor_tolerance, of_strip(source.stem, opened.n_points, added(counts), around.noise.told)
+    lone = judged["returns_without_echo"]
     pulses = sum(s.n_pulses for s in spans)
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
     rows = [
         *_told(table, read_from),
         *([_pulse_words(pulse)] if opened.has_waves else []),
         *([f"{lone:,} returns have no echo within {near:g} ns (decompose.vendor_tolerance)"] if lone else []),
+        *(f"plausibility: {text}" for text in remarks([judged], fit)),
         *notes,
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
         f"written: {output}",
     ]
-    return "\n".join(rows)
+    return "\n".join(rows), [judged]
 
 
 def _params(settings: tuple[str, ...]) -> dict[str, Any]:
@@ -175,10 +188,21 @@ def flown_over(table: Table, path: Path, crs: Any, undulation: float) -> Table:
     return in_survey_time(read_trajectory(path, crs, undulation), *ends, where=path)
 
 
-def pulse_of_file(source: Source, spans: Sequence[Span], read: ReadParams, params: PulseParams) -> SystemPulse:
-    """The system's pulse as a file's own waveforms show it; a first pass over the file."""
-    total = sum(s.n_pulses for s in spans)
-    samples = [sample_pulses(read_span(source, s, read), 0, total, params) for s in spans]
+def strip_of_file(
+    source: Source, spans: Sequence[Span], read: ReadParams, pulse: PulseParams, params: DecomposeParams
+) -> tuple[SystemPulse, Surroundings]:
+    """The system's pulse as a file's own waveforms show it, and what its echoes are held against; a first pass."""
+    total, samples = sum(s.n_pulses for s in spans), []
+
+    def returns() -> Iterator[Table]:
+        for span in spans:
+            waves = read_span(source, span, read)
+            samples.append(sample_pulses(waves, 0, total, pulse))
+            yield waves.returns.select("xyz")
+
+    envelope = Envelope.of(returns(), params.envelope_cell)
     if not samples:
-        return SystemPulse.gaussian(params.fallback_width)
-    return estimate_pulse(join_samples(samples), params)
+        return SystemPulse.gaussian(pulse.fallback_width), UNKNOWN
+    sample = join_samples(samples)
+    found = estimate_pulse(sample, pulse)
+    return found, Surroundings(envelope, quiet_noise(sample, found, pulse.tail))

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from fwclass import __version__
 from fwclass.assess.stage import caution
 from fwclass.conf import Config
+from fwclass.decompose.plausible import added
 from fwclass.grid import TileGrid, Window
 from fwclass.run.desk import Desk
 from fwclass.run.libraries import reported
 from fwclass.run.plan.layout import Layout, Survey
+from fwclass.run.plausibility import of_strip, remarks
 from fwclass.run.road import Road, Tally
 from fwclass.run.sampling import sampling
 from fwclass.run.work.rasters import Mosaic
@@ -66,6 +68,8 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         "sampling": sampling(config, *(_made(road, s) for s in ("census", "taken", "label", "polygons"))),
         "distribution": _distribution(road),
         "waveforms": _waveforms(road, survey),
+        "plausibility": (plausible := _plausibility(road, survey, config)),
+        "remarks": [*(plausible or {}).get("remarks", ())],
         "ground": _ground(road, config),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(road),
@@ -215,6 +219,26 @@ def _waveforms(road: Road, survey: Survey) -> dict[str, Any] | None:
     }
 
 
+def _plausibility(road: Road, survey: Survey, config: Config) -> dict[str, Any] | None:
+    """What the echoes of every strip with waveforms look like beside its returns; None without waveforms."""
+    noise = {r.part: r.meta for r in _made(road, "pulse") if r.meta["sampled"]}
+    counts: dict[str, list[dict[str, int]]] = {}
+    for receipt in _made(road, "decompose"):
+        counts.setdefault(receipt.part.split("-")[0], []).append(receipt.meta["plausibility"])
+    returns = Counter[str]()
+    for receipt in _made(road, "read"):
+        returns[receipt.part.split("-")[0]] += receipt.meta["returns"]
+    parts = [(s.path.stem, f"{s.number:05d}") for s in survey.strips]
+    strips = [
+        of_strip(name, returns[part], added(counts[part]), {n: noise[part][n] for n in ("lag1", "inflation")})
+        for name, part in parts
+        if part in noise and part in counts
+    ]
+    if not strips:
+        return None
+    return {"strips": strips, "remarks": remarks(strips, config.decompose), "accepted": config.plausibility.accept}
+
+
 def _ground(road: Road, config: Config) -> dict[str, Any]:
     """The filter, what it found, and what cutting the survey into blocks changed."""
     blocks = [r.meta for r in _made(road, "ground-filter")]
@@ -305,6 +329,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(
             f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"
         )
+    rows += [f"remark      {text}" for text in report.get("remarks", ())]
     rows += [f"fault       {name}: {n:,}" for name, n in report["input"]["faults"].items()]
     accuracy, model = report["accuracy"], report.get("model") or {}
     if model.get("path"):

@@ -21,7 +21,7 @@ from fwclass.publish.waveplot import WavePicture, draw_waveforms
 from fwclass.read.source import open_source
 from fwclass.read.spans import Span
 from fwclass.read.stage import ReadParams, check_source, index_source, read_span
-from fwclass.run.decompose_file import pulse_of_file
+from fwclass.run.decompose_file import strip_of_file
 from fwclass.run.pulse_picture import pulse_picture
 from fwclass.run.waveforms_seen import Seen, see
 
@@ -82,7 +82,7 @@ def look(
         raise InputError("the file has no waveforms", where=path, do="name a file with waveform packets (fwclass info)")
     check_source(source, read)
     spans = index_source(source, read)
-    pulse = pulse_of_file(source, spans, read, conf.section("pulse", settings))
+    pulse, _ = strip_of_file(source, spans, read, conf.section("pulse", settings), params)
     wanted = spans if not pulses else _with(spans, pulses, path)
     views = (see(read_span(source, span, read), params, pulse, pulses) for span in wanted)
     chosen, counts = _named(views, pulses, pulse, path) if pulses else _telling(views, pulse)

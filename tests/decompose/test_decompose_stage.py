@@ -165,7 +165,7 @@ def test_real_riegl_file(shared_data, base):
     (waves,) = spans(path, base)
     pulse = estimate_pulse(waves, PulseParams(**base["pulse"]))
     assert pulse.shape == "measured" and 4.3 < pulse.fwhm < 4.5
-    echoes, links = decompose(waves, 3, DecomposeParams(**base["decompose"]), pulse)
+    echoes, links, _ = decompose(waves, 3, DecomposeParams(**base["decompose"]), pulse)
     check_sound(echoes, links)
     returns = waves.returns
     at = np.searchsorted(canonical_key(echoes), key_of(links))
@@ -224,8 +224,8 @@ def test_the_outgoing_pulse_is_the_time_origin(tmp_path, base, delay):
     truth = survey(tmp_path / "a.las", pulses=100, noise=0.7)
     (waves,) = spans(truth.path, base)
     params = DecomposeParams(**{**base["decompose"], "tail_share": 0.0, "register_within": 0.0})
-    plain, _ = decompose(waves, 3, params, SystemPulse.gaussian(3.5))
-    echoes, links = decompose(sensor_view(waves, delay), 3, params, SystemPulse.gaussian(3.5))
+    plain, _, _ = decompose(waves, 3, params, SystemPulse.gaussian(3.5))
+    echoes, links, _ = decompose(sensor_view(waves, delay), 3, params, SystemPulse.gaussian(3.5))
     check_sound(echoes, links)
     assert links.rows == 0 and echoes.rows == plain.rows
     for axis in "xyz":
@@ -245,7 +245,7 @@ def test_segments_of_a_pulse_are_numbered_together(tmp_path, base):
     truth = survey(tmp_path / "a.las", pulses=240, noise=0.7, n_samples=120)
     (waves,) = spans(truth.path, base)
     params = DecomposeParams(**{**base["decompose"], "tail_share": 0.0, "register_within": 0.0})
-    whole, _ = decompose(waves, 3, params, SystemPulse.gaussian(3.5))
+    whole, _, _ = decompose(waves, 3, params, SystemPulse.gaussian(3.5))
     cut = 60
     twice = waves.pulses.take(np.repeat(np.arange(240), 2))
     later = np.arange(480) % 2 == 1
@@ -253,7 +253,7 @@ def test_segments_of_a_pulse_are_numbered_together(tmp_path, base):
         {"segment_start": np.where(later, cut, 0.0), "anchor_time": twice["anchor_time"] - np.where(later, cut, 0.0)}
     )
     offsets = np.sort(np.r_[waves.offsets, waves.offsets[:-1] + cut])
-    parts, links = decompose(
+    parts, links, _ = decompose(
         Waveforms(pulses, waves.returns, waves.samples, offsets), 3, params, SystemPulse.gaussian(3.5)
     )
     check_sound(parts, links)

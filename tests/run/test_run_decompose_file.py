@@ -26,7 +26,7 @@ def flight(path, source, east=0.0, swap=False):
 
 def test_ranges_from_a_trajectory(tmp_path):
     truth = survey(tmp_path / "a.las", pulses=60)
-    told = decompose_file(truth.path, tmp_path / "b.laz", (), False, flight(tmp_path / "t.csv", truth.path))
+    told, _ = decompose_file(truth.path, tmp_path / "b.laz", (), False, flight(tmp_path / "t.csv", truth.path))
     assert "0 echoes without a range" in told and "beams point at it to" in told
     made = laspy.read(tmp_path / "b.laz")
     assert (np.abs(made["range"] - HEIGHT) < 100.0).all()
@@ -70,7 +70,7 @@ def test_returns_that_no_echo_explains_are_told(tmp_path):
         waveforms=[digitise(y) for y in rows], pulse=pulse, return_number=late / 10.0 + 1, number_of_returns=2,
         location=20.0 + late, gps_time=pulse * 1e-5,
     )  # fmt: skip
-    told = decompose_file(path, tmp_path / "b.laz", (), False)
+    told, _ = decompose_file(path, tmp_path / "b.laz", (), False)
     assert f"{n} returns have no echo within 5 ns" in told
-    wide = decompose_file(path, tmp_path / "c.laz", ("decompose.vendor_tolerance=12",), False)
+    wide, _ = decompose_file(path, tmp_path / "c.laz", ("decompose.vendor_tolerance=12",), False)
     assert "no echo within" not in wide

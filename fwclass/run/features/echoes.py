@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
+from fwclass.decompose.plausible import UNKNOWN, added
 from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import InputError
@@ -22,11 +23,13 @@ from fwclass.read.linear_units import LinearUnits, linear_units
 from fwclass.read.source import Source, open_source
 from fwclass.read.stage import check_source, index_source, read_span
 from fwclass.read.text import is_text
-from fwclass.run.decompose_file import flown_over, pulse_of_file, ranged
+from fwclass.run.decompose_file import flown_over, ranged, strip_of_file
 from fwclass.run.ground.file import GROUND, HIGH_NOISE, LOW_NOISE
 from fwclass.run.ground.params import ground_params
 from fwclass.run.ground.steps import Tell
+from fwclass.run.plausibility import of_strip, remarks
 from fwclass.schema import IDENTITY, Table
+from fwclass.waveforms import IMPLAUSIBLE
 
 PLACE = (*IDENTITY, "number_of_echoes", "x", "y", "z", "gps_time", "source_class")
 """Columns that are written whatever is asked for."""
@@ -96,15 +99,16 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     check_source(source, read)
     spans = index_source(source, read)
     params = conf.section("pulse", settings)
-    pulse = SystemPulse.gaussian(params.fallback_width)
+    pulse, around = SystemPulse.gaussian(params.fallback_width), UNKNOWN
+    fit, faults, tables, links, counts = conf.section("decompose", settings), dict[str, int](), [], [], []
     if source.has_waves:
         tell("system pulse")
-        pulse = pulse_of_file(source, spans, read, params)
-    fit, faults, tables, links = conf.section("decompose", settings), dict[str, int](), [], []
+        pulse, around = strip_of_file(source, spans, read, params, fit)
     for k, span in enumerate(spans, 1):
         tell(f"echoes: part {k} of {len(spans)}")
         waves = read_span(source, span, read)
-        echoes, tied = decompose(waves, 0, fit, pulse)
+        echoes, tied, counted = decompose(waves, 0, fit, pulse, around)
+        counts.append(counted)
         links.append(tied.select(("pulse", "echo_number")))
         tables.append(echoes.select(dict.fromkeys(n for n in columns if n in echoes)))
         for name, count in waves.faults.items():
@@ -113,6 +117,7 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
         raise InputError("the file has no points and no pulses", where=source.path, do="check the delivery")
     table = Table.concat(tables)
     told = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
+    told += remarks([of_strip(source.path.stem, source.n_points, added(counts), around.noise.told)], fit)
     told += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
     if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():
         told.append("every intensity is 0: features of amplitude and intensity say nothing")
@@ -151,18 +156,26 @@ def with_heights(found: FileEchoes, path: Path, by: GroundChoice, settings: tupl
     """
     table = found.table
     x, y, z = (table[a] for a in "xyz")
+    sound = (table["fit_flags"] & IMPLAUSIBLE) == 0 if "fit_flags" in table else np.ones(table.rows, bool)
     if by.method is not None or by.preset is not None or by.assignments:
         params = ground_params(by.method, by.preset, by.assignments, _of_ground(settings))
         last = np.ones(table.rows, bool)
         if "number_of_echoes" in table:
             last = table["echo_number"] >= table["number_of_echoes"]
+        rows = np.flatnonzero(sound)
         flags = ground_by_blocks(
-            x, y, z, last, params, lambda k, of: tell(f"filter {params.method}: block {k} of {of}")
-        )
-        ground, noise, told = flags.ground, flags.noise, f"ground by {params.method}"
+            x[rows], y[rows], z[rows], last[rows], params,
+            lambda k, of: tell(f"filter {params.method}: block {k} of {of}"),
+        )  # fmt: skip
+        ground, noise, told = np.zeros(table.rows, bool), ~sound, f"ground by {params.method}"
+        ground[rows], noise[rows] = flags.ground, flags.noise
     else:
         codes = table["source_class"] if "source_class" in table else np.zeros(table.rows, np.uint8)
-        ground, noise, told = codes == GROUND, np.isin(codes, (LOW_NOISE, HIGH_NOISE)), "ground by class 2 of the file"
+        ground, noise, told = (
+            codes == GROUND,
+            np.isin(codes, (LOW_NOISE, HIGH_NOISE)) | ~sound,
+            "ground by class 2 of the file",
+        )
         if not ground.any() and by.optional:
             return found
         if not ground.any():

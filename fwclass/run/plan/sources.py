@@ -88,11 +88,11 @@ def _strip_tasks(config: Config, strip: Strip, spans: list[Span], pulses: int) -
 
 
 def _pulse_task(config: Config, strip: Strip, pulses: int, spans: int) -> Task:
-    parts = tuple(chunk_name(strip.number, k) for k in range(spans))
+    parts, cell = tuple(chunk_name(strip.number, k) for k in range(spans)), config.decompose.envelope_cell
     return Task(
         "pulse", f"{strip.number:05d}", PULSE.version,
-        {**plain(config.pulse), "strip": strip.number},
-        partial(sources.measured_pulse, strip.number, pulses, parts, config.pulse),
+        {**plain(config.pulse), "strip": strip.number, "cell": cell},
+        partial(sources.measured_pulse, strip.number, pulses, parts, config.pulse, cell),
         needs=tuple(("read", p) for p in parts),
     )  # fmt: skip
 

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fwclass.decompose.envelope import Envelope
 from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.plausible import UNKNOWN, Surroundings
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
-from fwclass.decompose.stage import decompose, returns_without_echo
+from fwclass.decompose.quiet import QuietNoise, quiet_noise
+from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import DamagedError
 from fwclass.grid import TileGrid, quantised
@@ -31,6 +35,7 @@ from fwclass.tile.stage import assemble, assemble_points, split
 from fwclass.waveforms import RETURN_COLUMNS, Waveforms
 
 PULSE = "pulse.json"
+ENVELOPE = "envelope.zarr"
 CLOUD_ROWS = 2_000_000
 """Points of a reference cloud read at a time."""
 
@@ -140,16 +145,31 @@ def _waveforms(part: str, desk: Desk, returns: bool = True) -> Waveforms:
 
 
 def measured_pulse(
-    strip: int, pulses: int, parts: tuple[str, ...], params: PulseParams, desk: Desk, directory: Path
+    strip: int, pulses: int, parts: tuple[str, ...], params: PulseParams, cell: float, desk: Desk, directory: Path
 ) -> dict[str, Any]:
-    """The system's pulse and the receiver of a strip, from a sample of its waveforms."""
+    """The system's pulse and the receiver of a strip, from a sample of its waveforms; the envelope of its returns."""
     samples = [sample_pulses(_waveforms(part, desk, returns=False), strip, pulses, params) for part in parts]
-    pulse = estimate_pulse(join_samples(samples), params) if samples else SystemPulse.gaussian(params.fallback_width)
+    sampled, noise, pulse = (
+        sum(s.pulses.rows for s in samples),
+        UNKNOWN.noise,
+        SystemPulse.gaussian(params.fallback_width),
+    )
+    if samples:
+        sample = join_samples(samples)
+        pulse = estimate_pulse(sample, params)
     write_json(directory / PULSE, pulse.to_json())
+    if sampled:
+        noise = quiet_noise(sample, pulse, params.tail)
+        returns = (desk.table("read", part, "xyz", "returns.parquet") for part in parts)
+        envelope = Envelope.of(returns, cell)
+        ends = {n: v if np.isfinite(v) else None for n, v in (("bottom", envelope.bottom), ("top", envelope.top))}
+        attributes = {"cell": cell, **ends, **asdict(noise)}
+        write_arrays(directory / ENVELOPE, {"keys": envelope.keys, "lowest": envelope.lowest}, attributes)
     return {
         "pulse": describe(pulse),
         "noise": max((c.noise for c in pulse.channels), default=None),
-        "sampled": sum(s.pulses.rows for s in samples),
+        "sampled": sampled,
+        **noise.told,
     }
 
 
@@ -158,15 +178,27 @@ def pulse_of(strip: int, desk: Desk) -> SystemPulse:
     return SystemPulse.from_json(read_json(desk.store.path("pulse", f"{strip:05d}", PULSE)))
 
 
+def surroundings_of(strip: int, desk: Desk) -> Surroundings:
+    """What the echoes of a strip are held against, as `measured_pulse` stored it."""
+    part = f"{strip:05d}"
+    if not desk.meta("pulse", part)["sampled"]:
+        return UNKNOWN
+    arrays, facts = desk.arrays("pulse", part, ENVELOPE)
+    bottom, top = (np.nan if facts[n] is None else facts[n] for n in ("bottom", "top"))
+    envelope = Envelope(facts["cell"], arrays["keys"], arrays["lowest"], bottom, top)
+    return Surroundings(envelope, QuietNoise(facts["lag1"], facts["inflation"], facts["samples"]))
+
+
 def decomposed(part: str, strip: int, params: DecomposeParams, desk: Desk, directory: Path) -> dict[str, Any]:
     """Echoes of a chunk, and the echo of every return."""
     waves = _waveforms(part, desk)
-    echoes, links = decompose(waves, strip, params, pulse_of(strip, desk))
+    echoes, links, counts = decompose(waves, strip, params, pulse_of(strip, desk), surroundings_of(strip, desk))
     write_table(directory / TABLE, echoes)
     write_table(directory / "links.parquet", links)
     origin = echoes["origin"]
     return {
-        "returns_without_echo": returns_without_echo(waves, echoes, links, params),
+        "returns_without_echo": counts["returns_without_echo"],
+        "plausibility": counts,
         "echoes": echoes.rows,
         "fitted": int((origin == 0).sum()),
         "kept_returns": int((origin == 1).sum()),

@@ -1,0 +1,107 @@
+"""Echoes that cannot be are counted, told, kept from the terrain, and end a command unless the user accepts them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+import rasterio
+from commandline import fwclass
+from lasmaker import flat_survey, survey
+
+REAL = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "waveform"
+CONFIG = """
+survey:
+  name: t
+  directory: .
+  sources: ["*.las"]
+  reference: {kind: source}
+  features: [height_above_ground, zc, amplitude]
+  classes: [{name: ground, code: 2, codes: [2]}, {name: vegetation, code: 5, codes: [1, 3, 4, 5]}]
+areas: {train: [[499000, 5390000, 500008.0, 5410000]], gap: 0.1}
+train: {trees: 3}
+publish: {figure_pixels: 200}
+"""
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory):
+    """Flat ground at 265 m by a receiver whose noise hangs together, as a Leica's does."""
+    return flat_survey(tmp_path_factory.mktemp("noisy") / "strip_01.las", 900, 0.6, wander=0.8)
+
+
+def implausible(path):
+    las = laspy.read(path)
+    return las, (np.asarray(las["fit flags"]) & 128) > 0
+
+
+def test_decompose_tells_and_ends_with_4(noisy, tmp_path):
+    ended = fwclass("decompose", noisy, tmp_path / "o.laz")
+    assert ended.returncode == 4 and "echoes are implausible" in ended.stderr
+    assert "have no return within 5 ns" in ended.stderr and "the noise is correlated" in ended.stderr
+    las, bad = implausible(tmp_path / "o.laz")
+    assert bad.mean() > 0.05 and (las.z[~bad] > 262.0).all(), "what is far below the ground is flagged"
+    assert (las.withheld == bad).all() and (las.classification[bad] == 7).all()
+    last = ~bad & (np.asarray(las.return_number) >= np.asarray(las.number_of_returns))
+    assert len(np.unique(las.gps_time[last])) == last.sum() == len(np.unique(las.gps_time)), "one last echo a pulse"
+    assert fwclass("decompose", noisy, tmp_path / "o.laz", "--overwrite", "--accept-implausible").returncode == 0
+    settings = ("--set", "plausibility.accept=true")
+    assert fwclass("decompose", noisy, tmp_path / "o.laz", "--overwrite", *settings).returncode == 0
+
+
+def test_ground_of_a_decomposed_file_does_not_see_them(noisy, tmp_path):
+    fwclass("decompose", noisy, tmp_path / "o.laz")
+    assert fwclass("ground", tmp_path / "o.laz", tmp_path / "g.laz", "--dtm", tmp_path / "dtm.tif").returncode == 0
+    with rasterio.open(tmp_path / "dtm.tif") as raster:
+        assert raster.read(1, masked=True).min() > 264.0
+
+
+def test_a_run_tells_keeps_its_terrain_and_ends_with_4(noisy, tmp_path):
+    (tmp_path / "strip_01.las").write_bytes(noisy.read_bytes())
+    (tmp_path / "strip_01.wdp").write_bytes(noisy.with_suffix(".wdp").read_bytes())
+    (tmp_path / "c.yaml").write_text(CONFIG)
+    ended = fwclass("run", tmp_path / "c.yaml", "--out", tmp_path / "r", "--workers", 0)
+    assert ended.returncode == 4, ended.stderr
+    assert "implausible" in ended.stderr and "where: strip_01" in ended.stderr
+    made = json.loads((tmp_path / "r" / "report.json").read_text())["plausibility"]
+    strip = made["strips"][0]
+    assert strip["implausible"] > 45 and strip["lag1"] > 0.4 and strip["inflation"] > 1.3 and made["remarks"]
+    assert strip["implausible"] <= strip["below"] + strip["weak"]
+    page = (tmp_path / "r" / "report.html").read_text()
+    assert "neither ground filter nor terrain sees them" in page and 'id="plausibility"' in page
+    with rasterio.open(tmp_path / "r" / "rasters" / "dtm.tif") as raster:
+        assert raster.read(1, masked=True).min() > 264.0, "the ground is at 265 m"
+    tiles = [implausible(path) for path in (tmp_path / "r" / "laz" / "tiles").glob("*.laz")]
+    assert sum(bad.sum() for _, bad in tiles) == strip["implausible"]
+    words = ("run", tmp_path / "c.yaml", "--out", tmp_path / "r", "--workers", 0)
+    accepted = fwclass(*words, "--accept-implausible")
+    assert accepted.returncode == 0 and "implausible" in accepted.stderr
+    other = fwclass(*words, "--accept-implausible", "--set", "tile.size=9", "--set", "read.chunk_pulses=200")
+    again = json.loads((tmp_path / "r" / "report.json").read_text())["plausibility"]
+    assert other.returncode == 0 and again["strips"] == made["strips"], "whatever the tiles and chunks"
+
+
+def test_leaves_that_the_vendor_has_not_are_no_fault(tmp_path):
+    """Three of four echoes have no return, all of them above the ground."""
+    path = flat_survey(tmp_path / "a.las", 300, 0.0, extra=3)
+    assert fwclass("decompose", path, tmp_path / "o.laz").returncode == 0
+    las, bad = implausible(tmp_path / "o.laz")
+    assert len(las) > 3.5 * 300 and bad.mean() < 0.01
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_white_noise_is_found_white(tmp_path, seed):
+    survey(tmp_path / "a.las", 300, seed=seed)
+    ended = fwclass("decompose", tmp_path / "a.las", tmp_path / "o.laz")
+    assert ended.returncode == 0 and "plausibility" not in ended.stderr
+    assert not implausible(tmp_path / "o.laz")[1].any()
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="needs ../shared/data")
+@pytest.mark.parametrize("name", ["riegl_q680i.las"])
+def test_sound_files_are_not_refused(tmp_path, name):
+    assert fwclass("decompose", REAL / name, tmp_path / "o.laz").returncode == 0
+    assert implausible(tmp_path / "o.laz")[1].sum() <= 3
