@@ -54,10 +54,10 @@ def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, repor
     from fwclass.run.local import Loop, WhenNeeded
     from fwclass.run.progress import Display
     from fwclass.run.road import Road
-    from fwclass.store.home import locked
+    from fwclass.store.home import locked, unmade_again
 
     home = home.resolve() if isinstance(home, Path) else home
-    with Display() as display, locked(home, display.say) as (home, held):
+    with unmade_again(home), Display() as display, locked(home, display.say) as (home, held):
 
         def started() -> Any:
             from fwclass.run.cluster import Cluster

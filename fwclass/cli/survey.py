@@ -40,7 +40,10 @@ def _run(
 
     if request.aoi is not None:
         request.wanted.check()
-    with recorded(home_of_run(request, config), request) as entry:
+    from fwclass.store.home import unmade_again
+
+    home = home_of_run(request, config)
+    with unmade_again(home), recorded(home, request) as entry:
         _walk(config, request, root, replace(how, workers=count), performance, entry)
 
 
@@ -174,8 +177,9 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | No
     if config.simulate is None:
         raise ConfigError(
             "this survey has files of its own",
-            where=f"{conf}: survey.directory",
-            do="name a configuration without survey.directory",
+            where=f"{conf}: survey.simulated",
+            expected="survey.simulated: true, and no survey.directory",
+            do="name a configuration that simulates, as demo",
         )
     count = config.run.workers if workers is None else workers
     with open_road(out, count, None, config.run) as road:

@@ -86,7 +86,7 @@ def build(path: Path, raw: dict[str, Any], where: str = "") -> Config:
         if name not in PARAMS:
             raise ConfigError(f"unknown section {name!r}", where=where, got=name, do=nearest(str(name), PARAMS))
     values = {n: _build(n, raw.get(n), where) for n in PARAMS if n != "simulate"}
-    simulated = values["survey"].directory is None
+    simulated = values["survey"].simulated and values["survey"].directory is None
     simulate = _build("simulate", raw.get("simulate"), where) if simulated else None
     told = {name: value for name, value in raw.items() if name != "schedule"}  # it may hold secrets
     config = Config(path=path, raw=told, simulate=simulate, **values)

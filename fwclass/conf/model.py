@@ -89,13 +89,15 @@ class ReferenceSection(Section):
 class SurveySection(Section):
     """What is classified.
 
-    `directory` is relative to the survey's file; null: simulated into the run directory. `crs`, if given, is used for
+    `directory` is relative to the survey's file; null: beside it, or, of a `simulated` survey, in the run directory,
+    into which it is simulated. `crs`, if given, is used for
     all files, whatever they name; `none` goes without. `features`: what the classifier decides by, a list of columns or
     the name or file of a feature set. `model`: directory of a trained model to use instead of training, or null.
     """
 
     name: str = Field(pattern=r"^\w[\w .-]*$", max_length=100)
     directory: str | None
+    simulated: bool
     sources: tuple[str, ...] = Field(min_length=1)
     crs: str | None
     reference: ReferenceSection
@@ -274,4 +276,4 @@ class Config:
     @property
     def simulated(self) -> bool:
         """The survey has no files of its own: it is simulated into the run directory."""
-        return self.survey.directory is None
+        return self.survey.simulated and self.survey.directory is None

@@ -31,7 +31,7 @@ def found_files(
                 where=f"{setting} in {where}",
                 expected=f"files like {pattern}",
                 got=f"none in {directory}",
-                do=f"check {setting} and survey.directory (--set survey.directory=...)",
+                do=f"check {setting} and survey.directory (left out: the directory of the survey's file)",
             )
         found |= dict.fromkeys(matches)
     return sorted(found, key=lambda p: (p.name, str(p)))

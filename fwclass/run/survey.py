@@ -93,11 +93,12 @@ def simulate_tasks(params: SimulateParams, prefix: str) -> list[Task]:
 
 def directory_of(config: Config, root: Path) -> Path | Url:
     """Where the survey's files lie."""
-    if config.survey.directory is None:
+    if config.simulated:
         return root / SIMULATED
-    if is_url(config.survey.directory):
-        return url_of(config.survey.directory, f"{config.path}: survey.directory")
-    path = Path(config.survey.directory)
+    named = config.survey.directory or "."
+    if is_url(named):
+        return url_of(named, f"{config.path}: survey.directory")
+    path = Path(named)
     return path if path.is_absolute() else (config.path.parent / path).resolve()
 
 
@@ -126,13 +127,13 @@ def gather(config: Config, road: Road) -> Survey:
         )
     crs = common_crs(config, {s.path: s.crs for s in full}, road)
     numbered = numbers(s.path.stem for s in opened)
+    box = joint_bounds([_true_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records])
+    check_areas(config, box)  # before all files are read for their digests
     strips = tuple(
         Strip(numbered[p.stem], p, digests.of(_files_of(_here(p, s)), p), s.point_format)
         for p, s in zip(places, opened, strict=True)
     )
     _different(strips)
-    box = joint_bounds([_true_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records])
-    check_areas(config, box)
     standard = all(s.standard_gps_time for s in opened)
     flown = found_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
     _distinct([local(p) for p in flown])

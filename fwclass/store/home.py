@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import StoreError
+from fwclass.errors import FwclassError, StoreError
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.lock import WRITER, Lock, holder, writer
 from fwclass.store.params import StoreParams
@@ -95,3 +96,30 @@ def write_note(home: Home, name: str, value: Any, lock: Lock) -> None:
         home.objects.put(name, json.dumps(value, sort_keys=True, indent=1, allow_nan=False).encode())
     else:
         write_json(home / name, value)
+
+
+@contextmanager
+def unmade_again(home: Home) -> Iterator[None]:
+    """A run directory that is not there yet is taken away again, with its new parents, where a refusal leaves it
+    without a single part; nothing that was there before is touched. On object storage nothing is."""
+    if isinstance(home, Remote) or home.exists():
+        yield
+        return
+    parents = [p for p in home.parents if not p.exists()]
+    try:
+        yield
+    except FwclassError:
+        if _without_parts(home) and held_by(home) is None:
+            shutil.rmtree(home)
+            for path in parents:
+                with suppress(OSError):  # somebody else's by now
+                    path.rmdir()
+        raise
+
+
+def _without_parts(root: Path) -> bool:
+    """There is nothing in a run directory but what every run writes before its first part."""
+    if not root.is_dir() or {p.name for p in root.iterdir()} - {"store", "generations"}:
+        return False
+    inside = [p for p in (root / "generations").rglob("*") if not p.is_dir()]
+    return not inside and not any(p.is_dir() for p in (root / "store").glob("*"))

@@ -46,8 +46,8 @@ def places_of(config: Config, inbox: Path) -> Places:
     ConfigError
         A survey without files of its own, or an inbox that lies where the survey looks for its sources.
     """
-    named = config.survey.directory
-    if named is None or "://" in named:
+    named = "" if config.simulated else config.survey.directory or "."
+    if not named or "://" in named:
         raise ConfigError(
             "an inbox needs a survey with files in a directory of this machine",
             where=f"{config.path}: survey.directory",

@@ -1,0 +1,79 @@
+"""A command that refuses what it was asked for leaves nothing behind; and nothing is simulated unasked."""
+
+from __future__ import annotations
+
+import pytest
+from commandline import fwclass
+from lasmaker import survey
+
+CONFIG = """
+survey:
+  name: mine
+{more}
+  sources: ["*.las"]
+  reference: {{kind: source}}
+  classes: [{{name: ground, code: 2, codes: [2]}}, {{name: vegetation, code: 5, codes: [3, 4, 5]}}]
+areas: {{train: [{area}], gap: 0.1}}
+train: {{trees: 3}}
+publish: {{figure_pixels: 200}}
+"""
+HERE, ELSEWHERE = "[499000, 5390000, 500005.0, 5410000]", "[0, 0, 1, 1]"
+
+
+def write(folder, area=HERE, more=""):
+    path = folder / "mine.yaml"
+    path.write_text(CONFIG.format(area=area, more=more))
+    return path
+
+
+def left(folder):
+    return sorted(p.name for p in folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("settings", "code"),
+    [
+        ((), 1),  # no file matches
+        (("survey.sources=[a.las]", f"areas.train=[{ELSEWHERE}]"), 2),
+        (("survey.sources=[a.las]", "survey.reference={kind: cloud, files: [b.laz]}"), 1),
+        (("survey.sources=[a.las]", "survey.features=[nonsense]"), 2),
+        (("survey.sources=[a.las]", "survey.model=nowhere"), 1),
+    ],
+)
+def test_a_refused_run_leaves_no_directory(tmp_path, settings, code):
+    survey(tmp_path / "a.las", 20)
+    path = write(tmp_path, more="" if settings else "  directory: empty")
+    (tmp_path / "empty").mkdir()
+    before = left(tmp_path)
+    words = [word for text in settings for word in ("--set", text)]
+    for out in (("--out", tmp_path / "r" / "s"), ()):
+        ended = fwclass("run", path, *out, *words, "--workers", 0, cwd=tmp_path)
+        assert ended.returncode == code, ended.stderr
+        assert left(tmp_path) == before
+
+
+def test_a_directory_that_was_there_stays(tmp_path):
+    path = write(tmp_path)
+    (tmp_path / "r" / "store").mkdir(parents=True)
+    assert fwclass("run", path, "--out", tmp_path / "r", "--workers", 0).returncode == 1
+    assert (tmp_path / "r" / "store").is_dir()
+
+
+def test_a_directory_left_out_is_the_configuration_s_own(tmp_path):
+    survey(tmp_path / "a.las", 120)
+    ended = fwclass("run", write(tmp_path), "--out", tmp_path / "r", "--workers", 0)
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "r" / "laz" / "strips" / "a.laz").exists() and not (tmp_path / "r" / "survey").exists()
+
+
+def test_a_survey_is_simulated_only_by_a_key(tmp_path):
+    path = write(tmp_path)
+    refused = fwclass("run", path, "--out", tmp_path / "r", "--workers", 0)
+    assert refused.returncode == 1 and "no file matches" in refused.stderr and str(tmp_path) in refused.stderr
+    assert "left out: the directory of the survey's file" in refused.stderr
+    assert fwclass("simulate", path, "--out", tmp_path / "s", "--workers", 0).returncode == 2
+    assert not (tmp_path / "s").exists() and not (tmp_path / "r").exists()
+    small = ("--set", "simulate.size=40", "--set", "simulate.strips=1", "--workers", 0)
+    write(tmp_path, more="  simulated: true")
+    assert fwclass("simulate", path, "--out", tmp_path / "s", *small).returncode == 0
+    assert list((tmp_path / "s" / "strips").glob("*.las"))
