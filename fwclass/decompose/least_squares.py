@@ -20,12 +20,20 @@ FROZEN = 1e30
 """Added to the information of a parameter that stands at its bound and wants beyond."""
 LONGEST_STEP = 2.0
 """Samples that an echo moves in one step at most."""
+OUTSIDE = 2.0
+"""Samples that an echo's time may lie before the first sample or past the last: buffers are padded for no more."""
+
+
+@inlined
+def held(t, n):  # type: ignore[no-untyped-def]
+    """The time `t`, or the bound it lies beyond, of an echo of a waveform of `n` samples; the first bound for NaN."""
+    return min(max(-OUTSIDE, t), n - 1.0 + OUTSIDE)
 
 
 @inlined
 def place(look, t, s):  # type: ignore[no-untyped-def]
     """(row of the table, cell in width, whole sample, rest in time, rest in width) of an echo."""
-    k = min(max(int((s - look.low) / look.step), 0), len(look.first) - 1)
+    k = int(min(max(0.0, (s - look.low) / look.step), len(look.first) - 1.0))
     cell = int(math.floor(t * look.phases + 0.5))
     whole = int(math.floor(cell / look.phases))
     dt = t - cell / look.phases
@@ -85,7 +93,7 @@ def moments(y, weight, pad, n):  # type: ignore[no-untyped-def]
 def fit_one(p, y, weight, pad, n, prior, limits, look, sums):  # type: ignore[no-untyped-def]
     """`fit` for a single echo: the same steps, all in registers. `sums` is `moments`. (chi-square, steps)."""
     narrow, wide, iterations, tolerance, highest = limits
-    b, a, t, s = p[0], p[1], p[2], p[3]
+    b, a, t, s = p[0], p[1], held(p[2], n), p[3]
     damping = FIRST_DAMPING
     tb, ta, tt, ts = b, a, t, s
     chi = np.inf
@@ -150,7 +158,7 @@ def fit_one(p, y, weight, pad, n, prior, limits, look, sums):  # type: ignore[no
         x0 = (x0 - l10 * x1 - l20 * x2 - l30 * x3) * l00
         tb = b + x0
         ta = min(max(a + x1, 0.1 * a), 4.0 * a, highest)
-        tt = min(max(t + min(max(x2, -LONGEST_STEP), LONGEST_STEP), -2.0), n + 1.0)
+        tt = held(t + min(max(x2, -LONGEST_STEP), LONGEST_STEP), n)
         ts = min(max(s + x3, 0.5 * s, narrow), wide)
     p[0], p[1], p[2], p[3] = b, a, t, s
     return chi, steps
@@ -191,11 +199,11 @@ def evaluate(p, count, y, weight, pad, n, look, residual, basis, window):  # typ
     """(sum of w r^2, sum of w r) of parameters `p` with `count` echoes.
 
     Fills ``residual``, ``window[k]`` (first, past the last sample of echo k, in the padded buffer; its cell in width
-    and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window.
+    and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window. Times count as `held`.
     """
     _less(y, p[0], pad, n, residual)
     for k in range(count):
-        row, cell, whole, dt, ds = place(look, p[3 * k + 2], p[3 * k + 3])
+        row, cell, whole, dt, ds = place(look, held(p[3 * k + 2], n), p[3 * k + 3])
         start = pad + whole + look.first[cell]
         length = look.length[cell]
         window[k, 0], window[k, 1], window[k, 2], window[k, 3] = start, start + length, cell, row
@@ -325,7 +333,7 @@ def _bounded_step(p, move, count, n, narrow, wide, highest, trial):  # type: ign
         a = 3 * k + 1
         trial[a] = min(max(p[a] + move[a], 0.1 * p[a]), 4.0 * p[a], highest)
         shift = min(max(move[a + 1], -LONGEST_STEP), LONGEST_STEP)
-        trial[a + 1] = min(max(p[a + 1] + shift, -2.0), n + 1.0)
+        trial[a + 1] = held(p[a + 1] + shift, n)
         trial[a + 2] = min(max(p[a + 2] + move[a + 2], 0.5 * p[a + 2], narrow), wide)
 
 

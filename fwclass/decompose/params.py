@@ -68,7 +68,7 @@ class DecomposeParams(Params):
 
     detection: float = Field(gt=0.0)
     split_gain: float = Field(gt=0.0)
-    narrowest: float = Field(gt=0.0, le=1.0)
+    narrowest: float = Field(ge=0.05, le=1.0)
     widest: float = Field(ge=1.0, le=100.0)
     separation: float = Field(ge=0.0)
     max_echoes: int = Field(ge=1, le=64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fwclass.decompose.least_squares import evaluate, fit
+from fwclass.decompose.least_squares import evaluate, fit, held
 from fwclass.decompose.peaks import is_peak, match_filter, surer
 from fwclass.kernel import inlined, vectorised
 
@@ -77,16 +77,18 @@ def _worst_shape(count, weight, residual, window, look, tried):  # type: ignore[
 
 
 @inlined
-def _split_start(p, count, k, later, sigma, trial):  # type: ignore[no-untyped-def]
-    """``trial`` = `p` with echo k as two system pulses of the same mean and variance, `later` the second's share."""
+def _split_start(p, count, k, later, sigma, n, trial):  # type: ignore[no-untyped-def]
+    """``trial`` = `p` with echo k as two system pulses of the same mean and variance, `later` the second's share,
+    both held to where an echo of `n` samples may lie."""
     _copy(p, 3 * count + 1, trial)
     a, b = 3 * k + 1, 3 * count + 1
     narrow = 1.02 * sigma
     spread = max(p[a + 2] ** 2 - sigma * sigma, 0.14 * sigma * sigma)
     apart = max(math.sqrt(spread / (later * (1.0 - later))), 0.8 * sigma)
     whole = p[a] * p[a + 2] / narrow
-    trial[a], trial[a + 1], trial[a + 2] = whole * (1.0 - later), p[a + 1] - later * apart, narrow
-    trial[b], trial[b + 1], trial[b + 2] = whole * later, p[a + 1] + (1.0 - later) * apart, narrow
+    first, second = held(p[a + 1] - later * apart, n), held(p[a + 1] + (1.0 - later) * apart, n)
+    trial[a], trial[a + 1], trial[a + 2] = whole * (1.0 - later), first, narrow
+    trial[b], trial[b + 1], trial[b + 2] = whole * later, second, narrow
 
 
 @inlined
@@ -167,7 +169,7 @@ def second_look(  # type: ignore[no-untyped-def]
             tried[k] = True
             for attempt in range(2):
                 later = 0.5 if attempt == 1 else (0.28 if skew > 0.0 else 0.72)
-                _split_start(p, count, k, later, settings.sigma, trial)
+                _split_start(p, count, k, later, settings.sigma, n, trial)
                 new = fit(trial, count + 1, y, weight, pad, n, prior, limits, look, sums, work)
                 if _pays(chi, new, left, gain, known) and _sound(trial, count, least, settings.separation):
                     found, best_chi = True, new
