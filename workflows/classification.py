@@ -11,6 +11,7 @@ from fwclass.errors import ConfigError
 from fwclass.run.model_fit import check_model
 from fwclass.run.part import Task
 from fwclass.run.plan import forest, ground, outputs, sites
+from fwclass.run.plan import tiles as of_tiles
 from fwclass.run.plan.layout import Layout, check_features
 from fwclass.run.plan.sampling import sampling_tasks
 from fwclass.run.report import write_report
@@ -59,9 +60,9 @@ def from_tiles(
     tasks += forest.classify_tasks(layout, names, model)
     tasks += forest.assess_tasks(layout, names) if labelled else []
     tasks += outputs.output_tasks(layout, names, survey, *tiled.where)
-    words = sites.told(sites.sites(layout), survey.strips, tiled.where[1])
-    if words:
-        road.display.say(words)
+    for words in (sites.told(sites.sites(layout), survey.strips, tiled.where[1]), of_tiles.small_tiles(layout)):
+        if words:
+            road.display.say(words)
     if tiles is not None:
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, tiles)))
     road.do(tasks)

@@ -14,6 +14,7 @@ from fwclass.errors import InputError
 from fwclass.grid import Tile, TileGrid, Window, groups
 from fwclass.run.local import Loop
 from fwclass.run.plan import ground as ground_plan
+from fwclass.run.plan import tiles as of_tiles
 from fwclass.run.planning.headers import survey_facts
 from fwclass.run.planning.limits import Room
 from fwclass.run.planning.text import describe
@@ -152,3 +153,21 @@ def test_tiles_that_touch_are_one_group():
     assert [[t.key for t in part] for part in found] == [["-3_0"], ["0_0", "1_1"], ["5_5", "5_6"]]
     assert groups(()) == ()
     assert Window.covering(Tile(5, 5, 10.0).box, 1.0).shape == (10, 10)
+
+
+def test_a_file_without_waveforms_costs_few_parts_and_files(far, tmp_path):
+    """Finding on 2 000 files of 60 points: what is not there was written, flushed and read again for each of them."""
+    road, _, _ = walked(far, tmp_path / "run", "survey.sources=[a.las]")
+    assert "pulse" not in road.tallies
+    store = tmp_path / "run" / "store"
+    assert [p.name for p in sorted((store / "read").rglob("*")) if p.is_file()] == ["returns.parquet", "receipt.json"]
+    one = {p.name for p in (store / "params").iterdir()}
+    both, _, _ = walked(far, tmp_path / "both", "survey.sources=[a.las, b.las]")
+    assert both.tallies["decompose"].parts == 2
+    assert len({p.name for p in (tmp_path / "both" / "store" / "params").iterdir()}) <= len(one) + 2  # not by file
+
+
+def test_tiles_that_hold_hardly_anything_are_told(far, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(of_tiles, "MANY", 2)
+    walked(far, tmp_path / "run", "survey.sources=[a.las]", "tile.size=20")
+    assert "tiles of 20 m hold" in capsys.readouterr().err

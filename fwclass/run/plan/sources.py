@@ -57,7 +57,9 @@ def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, 
 
 def _strip_tasks(config: Config, strip: Strip, spans: list[Span], pulses: int) -> Tasks:
     grid, reading, sizes = TileGrid(config.tile.size), plain(config.read), plain(config.tile)
-    decomposing = {**plain(config.decompose), "strip": strip.number}
+    decomposing = plain(config.decompose)  # of the strip that the part is named after
+    estimated = (("pulse", f"{strip.number:05d}"),) if pulses else ()
+    width = None if pulses else config.pulse.width or config.pulse.fallback_width  # changes nothing without waveforms
 
     def read(k: int) -> Task:
         span = spans[k]
@@ -71,8 +73,8 @@ def _strip_tasks(config: Config, strip: Strip, spans: list[Span], pulses: int) -
         part = chunk_name(strip.number, k)
         return Task(
             "decompose", part, DECOMPOSE.version, decomposing,
-            partial(sources.decomposed, part, strip.number, config.decompose),
-            needs=(("read", part), ("pulse", f"{strip.number:05d}")),
+            partial(sources.decomposed, part, strip.number, width, config.decompose),
+            needs=(("read", part), *estimated),
         )  # fmt: skip
 
     def split(k: int) -> Task:
@@ -81,7 +83,7 @@ def _strip_tasks(config: Config, strip: Strip, spans: list[Span], pulses: int) -
         return Task("split", part, SPLIT.version, sizes, work, needs=(("decompose", part),))
 
     each = range(len(spans))
-    pulse = Tasks.held([_pulse_task(config, strip, pulses, len(spans))])
+    pulse = Tasks.held([_pulse_task(config, strip, pulses, len(spans))] if pulses else ())
     return (
         Tasks.of("read", each, read) + pulse + Tasks.of("decompose", each, decompose) + Tasks.of("split", each, split)
     )
@@ -91,7 +93,7 @@ def _pulse_task(config: Config, strip: Strip, pulses: int, spans: int) -> Task:
     parts, cell = tuple(chunk_name(strip.number, k) for k in range(spans)), config.decompose.envelope_cell
     return Task(
         "pulse", f"{strip.number:05d}", PULSE.version,
-        {**plain(config.pulse), "strip": strip.number, "cell": cell},
+        {**plain(config.pulse), "cell": cell},
         partial(sources.measured_pulse, strip.number, pulses, parts, config.pulse, cell),
         needs=tuple(("read", p) for p in parts),
     )  # fmt: skip

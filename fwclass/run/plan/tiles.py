@@ -14,6 +14,21 @@ from fwclass.run.plan.thin import thin_columns, thins
 from fwclass.run.tasks import Tasks
 from fwclass.run.work import reference, tiles
 
+MANY, FEW = 1000, 1000
+"""A run of so many tiles with fewer echoes than this in each, on average, spends its time on opening files."""
+
+
+def small_tiles(layout: Layout) -> str:
+    """What a user should know of tiles that hold hardly anything; nothing of others."""
+    number, size = len(layout.tiles), layout.config.tile.size
+    each = layout.echoes / number
+    if number < MANY or each >= FEW:
+        return ""
+    return (
+        f"note: {number:,} tiles of {size:g} m hold {each:,.0f} echoes each on average: larger ones (tile.size) take "
+        "less time and change no result; `fwclass plan` compares sizes"
+    )
+
 
 def label_tasks(layout: Layout) -> Tasks:
     config = layout.config

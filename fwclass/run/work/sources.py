@@ -32,7 +32,7 @@ from fwclass.store.outside import Outside, Place, seen_as
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, write_groups, write_table
 from fwclass.tile.stage import assemble, assemble_points, split
-from fwclass.waveforms import RETURN_COLUMNS, Waveforms
+from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 PULSE = "pulse.json"
 ENVELOPE = "envelope.zarr"
@@ -118,10 +118,10 @@ def index(path: Place, params: ReadParams, desk: Desk, directory: Path) -> dict[
 def read(path: Place, span: Span, params: ReadParams, desk: Desk, directory: Path) -> dict[str, Any]:
     """Pulses, returns and waveforms of one span."""
     waves = read_span(open_source(desk.local(path)), span, params)
-    write_table(directory / "pulses.parquet", waves.pulses)
     write_table(directory / "returns.parquet", waves.returns)
-    arrays = {name: getattr(waves, name) for name in _ARRAYS}
-    write_arrays(directory / "waveforms.zarr", arrays)
+    if waves.pulses.rows:
+        write_table(directory / "pulses.parquet", waves.pulses)
+        write_arrays(directory / "waveforms.zarr", {name: getattr(waves, name) for name in _ARRAYS})
     without = int((~waves.returns["has_packet"]).sum())
     return {
         "returns": waves.returns.rows,
@@ -133,15 +133,15 @@ def read(path: Place, span: Span, params: ReadParams, desk: Desk, directory: Pat
 
 def _waveforms(part: str, desk: Desk, returns: bool = True) -> Waveforms:
     """A chunk as it was read; on request without its returns."""
+    points = desk.table("read", part, name="returns.parquet") if returns else Table.empty(RETURN_COLUMNS)
+    if not desk.meta("read", part)["waveforms"]:
+        return Waveforms(Table.empty(PULSE_COLUMNS), points, np.empty(0, np.uint8), np.zeros(1, np.int64))
     arrays, _ = desk.arrays("read", part, "waveforms.zarr")
+    pulses = desk.table("read", part, name="pulses.parquet")
     return Waveforms(
-        desk.table("read", part, name="pulses.parquet"),
-        desk.table("read", part, name="returns.parquet") if returns else Table.empty(RETURN_COLUMNS),
-        arrays["samples"],
-        arrays["offsets"],
-        outgoing=arrays["outgoing"],
+        pulses, points, arrays["samples"], arrays["offsets"], outgoing=arrays["outgoing"],
         outgoing_offsets=arrays["outgoing_offsets"],
-    )
+    )  # fmt: skip
 
 
 def measured_pulse(
@@ -189,10 +189,19 @@ def surroundings_of(strip: int, desk: Desk) -> Surroundings:
     return Surroundings(envelope, QuietNoise(facts["lag1"], facts["inflation"], facts["samples"]))
 
 
-def decomposed(part: str, strip: int, params: DecomposeParams, desk: Desk, directory: Path) -> dict[str, Any]:
-    """Echoes of a chunk, and the echo of every return."""
+def decomposed(
+    part: str, strip: int, width: float | None, params: DecomposeParams, desk: Desk, directory: Path
+) -> dict[str, Any]:
+    """Echoes of a chunk, and the echo of every return.
+
+    `width`: of the pulse of a strip that has no waveforms to estimate it from [ns]; None for one that has.
+    """
     waves = _waveforms(part, desk)
-    echoes, links, counts = decompose(waves, strip, params, pulse_of(strip, desk), surroundings_of(strip, desk))
+    if width is None:
+        pulse, around = pulse_of(strip, desk), surroundings_of(strip, desk)
+    else:
+        pulse, around = SystemPulse.gaussian(width), UNKNOWN
+    echoes, links, counts = decompose(waves, strip, params, pulse, around)
     write_table(directory / TABLE, echoes)
     write_table(directory / "links.parquet", links)
     origin = echoes["origin"]
