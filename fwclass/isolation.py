@@ -12,6 +12,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.abc import MetaPathFinder
@@ -32,12 +33,16 @@ _before: dict[str, str | None] = {}
 
 
 def isolate() -> None:
-    """Import nothing from the current directory any more, here and in the processes that this one starts.
+    """Import nothing from the current directory any more, and print no warnings of libraries: here and in the processes
+    that this one starts.
 
     Called first by every entry of the command. A program that imports fwclass keeps its own import path.
     """
     for name, value in CHILDREN.items():
         _set(name, value)
+    if not sys.warnoptions:  # of libraries, with paths of the installation; what is wrong is told in words
+        warnings.simplefilter("ignore")
+        _set("PYTHONWARNINGS", "ignore")
     path = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     if not all(map(os.path.isabs, path)) and path != [""]:
         _set("PYTHONPATH", os.pathsep.join(filter(os.path.isabs, path)))

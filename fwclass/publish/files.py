@@ -3,16 +3,36 @@
 from __future__ import annotations
 
 import os
+import re
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+import psutil
+
+
+def _host() -> str:
+    """This host, as part of a file's name."""
+    return re.sub(r"[^A-Za-z0-9]+", "_", socket.gethostname())[:20]
+
+
+def _sweep(path: Path) -> None:
+    """Remove what processes of this host that are gone have left beside `path` of an output of its name."""
+    left = re.compile(re.escape(f".{path.name}.{_host()}-") + r"(\d+)\.part")
+    with os.scandir(path.parent) as entries:
+        found = [(entry.path, match) for entry in entries if (match := left.match(entry.name))]
+    for name, match in found:
+        if not psutil.pid_exists(int(match[1])):
+            Path(name).unlink(missing_ok=True)
 
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
     """A path beside `path` to write to; it becomes `path` when the block ends well, else it is removed."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part{path.suffix}")
+    _sweep(path)
+    beside = path.with_name(f".{path.name}.{_host()}-{os.getpid()}.part{path.suffix}")
     try:
         yield beside
         with beside.open("rb") as file:

@@ -66,7 +66,7 @@ def column(path: Path, name: str) -> list[Any]:
     with _opened(path) as file:
         try:
             return list(file.read([name]).column(name).to_pylist())
-        except (pa.ArrowException, OSError) as fault:
+        except (pa.ArrowException, OSError, UnicodeDecodeError) as fault:
             raise _foreign(path, str(fault)) from fault
 
 

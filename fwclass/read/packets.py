@@ -56,10 +56,11 @@ class References:
     def of(cls, points: Any) -> References:
         """From a laspy record of point format 4, 5, 9 or 10."""
         a = points.array
-        step = np.stack([np.asarray(a[n], np.float64) for n in ("x_t", "y_t", "z_t")], axis=1)
+        with np.errstate(invalid="ignore"):  # a NaN that signals stays a NaN: no packet of it is usable
+            step = np.stack([np.asarray(a[n], np.float64) for n in ("x_t", "y_t", "z_t")], axis=1)
+            location = a["return_point_wave_location"].astype(np.float64)
         return cls(
-            a["wavepacket_index"], a["wavepacket_offset"], a["wavepacket_size"],
-            a["return_point_wave_location"].astype(np.float64) * 1e-3, step * 1e3,
+            a["wavepacket_index"], a["wavepacket_offset"], a["wavepacket_size"], location * 1e-3, step * 1e3,
         )  # fmt: skip
 
 

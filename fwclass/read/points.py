@@ -73,7 +73,8 @@ class PointReader:
         """
         by_name = {n.strip().lower(): n for n in self.extra_names}
         name = next((by_name[w.lower()] for w in wanted if w.lower() in by_name), None)
-        values = np.asarray(points[name], np.float32) if name is not None else np.empty((0, 0), np.float32)
+        with np.errstate(invalid="ignore", over="ignore"):
+            values = np.asarray(points[name], np.float32) if name is not None else np.empty((0, 0), np.float32)
         if name is None or values.ndim != 1:
             return np.full(len(points), np.nan, np.float32)
         no_data = self._no_data(name)

@@ -17,6 +17,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import cache
+from multiprocessing import resource_tracker
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -97,9 +98,34 @@ def steady() -> None:
     They wait until a time of the wall clock (`distributed.batched`, tornado's `IOLoop.time`): where that is set back by
     an hour, nothing is sent for one.
     """
+    _settle_tracker()
     ahead = time.time() - time.monotonic()
     setattr(IOLoop, "time", lambda loop: time.monotonic() + ahead)  # noqa: B010 (a method of theirs, on purpose)
     distributed.batched.time = lambda: time.monotonic() + ahead
+
+
+def _settle_tracker() -> None:
+    """Let Python's tracker of semaphores hear of those alone that it was told of.
+
+    One that was killed is started again, and prints a traceback for every name that only the first one knew.
+    """
+    tracker: Any = resource_tracker._resource_tracker
+    if "_send" in vars(tracker):  # done before
+        return
+    send, known = tracker._send, set[tuple[object, ...]]()
+
+    def told(command: str, name: str, kind: str) -> None:
+        tracker.ensure_running()
+        thing = (tracker._pid, name, kind)
+        if command == "REGISTER":
+            known.add(thing)
+        elif thing not in known:
+            return
+        else:
+            known.remove(thing)
+        send(command, name, kind)
+
+    tracker._send = told
 
 
 class Unheeding(WorkerPlugin):  # type: ignore[misc]
