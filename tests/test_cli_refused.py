@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import html
+import json
+
 import pytest
 from commandline import fwclass
 from lasmaker import survey
@@ -77,3 +80,25 @@ def test_a_survey_is_simulated_only_by_a_key(tmp_path):
     write(tmp_path, more="  simulated: true")
     assert fwclass("simulate", path, "--out", tmp_path / "s", *small).returncode == 0
     assert list((tmp_path / "s" / "strips").glob("*.las"))
+
+
+def test_a_small_test_near_the_training_area_is_told_beside_the_accuracy(tmp_path):
+    survey(tmp_path / "a.las", 120)
+    ended = fwclass("run", write(tmp_path), "--out", tmp_path / "r", "--workers", 0)
+    report = json.loads((tmp_path / "r" / "report.json").read_text())
+    told = report["accuracy"]["remarks"]
+    assert told == report["remarks"] and len(told) == 2, told
+    assert "squares of 25 m" in told[0] and "--set areas.gap=" in told[1]
+    lines = ended.stderr.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("accuracy "))
+    assert [line.removeprefix("remark      ") for line in lines[at + 1 : at + 3]] == told
+    page = html.unescape((tmp_path / "r" / "report.html").read_text())
+    assert all(page.count(text) == 2 for text in told), "at the top, and with the matrix"
+
+
+def test_a_training_without_anything_left_to_test_says_so(tmp_path):
+    survey(tmp_path / "a.las", 120)
+    path = write(tmp_path, area="[499000, 5390000, 500050.0, 5410000]")
+    ended = fwclass("train", path, "--model", tmp_path / "m", "--workers", 0, "--set", "areas.gap=0.2", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert "Nothing is left to test on" in ended.stderr

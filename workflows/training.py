@@ -7,6 +7,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
+from fwclass.run.accuracy_remarks import accuracy_remarks
 from fwclass.run.compare import compared
 from fwclass.run.part import Task
 from fwclass.run.plan import forest
@@ -15,12 +16,18 @@ from fwclass.run.road import Road, ancestors, require_all
 from fwclass.run.tasks import Tasks
 from workflows.echoes import Tiled, until_labels, until_tiles
 
+NOTHING_TESTED = (
+    "Nothing is left to test on: no labelled echo lies in a test area, or further than areas.gap from every training "
+    "area: the accuracy is unknown: give smaller training areas."
+)
+
 
 def training(config: Config, road: Road, assess: bool) -> dict[str, Any]:
     """Train the model of `config` on `road`, and with `assess` judge it on the test areas; plain data.
 
     ``card`` is the model's; ``accuracy`` the figures of `figures`, or None where nothing was judged; ``ambiguous`` how
-    many echoes of the tiles that were looked at lie in polygons of different classes. The parts are those of
+    many echoes of the tiles that were looked at lie in polygons of different classes; ``remarks`` what is to be said
+    beside the accuracy, or why there is none. The parts are those of
     `classification`: a run in the same directory takes them over.
     """
     _check_labelled(config)
@@ -28,13 +35,16 @@ def training(config: Config, road: Road, assess: bool) -> dict[str, Any]:
     tasks += forest.training_tasks(tiled.layout)
     require_all(road, ancestors(tasks, [("train", "model")]))
     receipt = road.store.receipt("train", "model")
-    made: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None, "ambiguous": 0}
+    made: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
+    made |= {"ambiguous": 0, "remarks": []}
     if assess:
         names, layout = config.features_asked, tested_layout(tiled.layout)
         tasks += forest.classify_tasks(layout, names, None) + forest.assess_tasks(layout, names)
         require_all(road, ancestors(tasks, [("assess", "all")]))
         judged = road.store.receipt("assess", "all")
-        made["accuracy"] = judged.meta["accuracy"] if judged else None
+        found = judged.meta["accuracy"] if judged else None
+        told = accuracy_remarks(found, config, names, tiled.layout.echoes) if found else [NOTHING_TESTED]
+        made |= {"accuracy": found, "remarks": told}
     labelled = (road.store.receipt(*name) for name in road.outcomes if name[0] == "label")
     made["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
     return made

@@ -112,7 +112,7 @@ def accuracy(made: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]
     totals += [(label, percent(made[key]) + " %") for label, key in two.items() if made.get(key) is not None]
     return {
         "names": names, "rows": rows, "totals": totals, "intervals": _intervals(made.get("intervals")),
-        "area": made.get("area") or "", "any_lost": any(lost),
+        "area": made.get("area") or "", "any_lost": any(lost), "remarks": list(made.get("remarks") or ()),
         "count": number(sum(map(sum, made["confusion"])) + sum(lost)),
     }  # fmt: skip
 

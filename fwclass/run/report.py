@@ -16,6 +16,7 @@ from fwclass.assess.stage import caution
 from fwclass.conf import Config
 from fwclass.decompose.plausible import added
 from fwclass.grid import TileGrid, Window
+from fwclass.run.accuracy_remarks import accuracy_remarks
 from fwclass.run.desk import Desk
 from fwclass.run.libraries import reported
 from fwclass.run.plan.layout import Layout, Survey
@@ -62,14 +63,14 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         "counts": _counts(road),
         "stages": [_stage(road, name, tally) for name, tally in road.tallies.items()],
         "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
-        "accuracy": _accuracy(road, config),
+        "accuracy": (accuracy := _accuracy(road, config)),
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(road, names),
-        "sampling": sampling(config, *(_made(road, s) for s in ("census", "taken", "label", "polygons"))),
+        "sampling": (counted := sampling(config, *(_made(road, s) for s in ("census", "taken", "label", "polygons")))),
         "distribution": _distribution(road),
         "waveforms": _waveforms(road, survey),
         "plausibility": (plausible := _plausibility(road, survey, config)),
-        "remarks": [*(plausible or {}).get("remarks", ())],
+        "remarks": [*_of_accuracy(accuracy, counted, config, names), *(plausible or {}).get("remarks", ())],
         "ground": _ground(road, config),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(road),
@@ -163,6 +164,18 @@ def _accuracy(road: Road, config: Config) -> dict[str, Any] | None:
     if found.get("intervals"):
         found["intervals"] = {**found["intervals"], "caution": caution(found["intervals"]["blocks"])}
     return {**found, "area": f"{area} further than {gap:g} m from every training area"}
+
+
+def _of_accuracy(
+    accuracy: dict[str, Any] | None, counted: Mapping[str, Any] | None, config: Config, names: tuple[str, ...]
+) -> list[str]:
+    """Remarks on the accuracy, which are kept with it too."""
+    if accuracy is None or counted is None:
+        return []
+    nearest = counted["gap"]["found"]
+    told = accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest)
+    accuracy["remarks"] = told
+    return told
 
 
 def _training(road: Road, names: tuple[str, ...]) -> dict[str, Any] | None:
@@ -329,7 +342,6 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(
             f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"
         )
-    rows += [f"remark      {text}" for text in report.get("remarks", ())]
     rows += [f"fault       {name}: {n:,}" for name, n in report["input"]["faults"].items()]
     accuracy, model = report["accuracy"], report.get("model") or {}
     if model.get("path"):
@@ -347,6 +359,7 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         failed = any(f["stage"] in JUDGING for f in report["failed"])
         lacking = "not assessed: parts of the assessment failed" if failed else none
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
+    rows += [f"remark      {text}" for text in report.get("remarks", ())]
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
     rows += [f"{kind:<11} {root / kind}  ({len(names)} files)" for kind, names in report["outputs"].items() if names]
     rows.append(f"report      {root / 'report.html'}")

@@ -26,6 +26,7 @@ def describe(made: dict[str, Any]) -> str:
         lines.append(f"note        {ambiguous_text(made['ambiguous'])}")
     if made["accuracy"]:
         lines += ["", confusion_table(made["accuracy"]), ""]
+    lines += [f"remark      {text}" for text in made.get("remarks", ())]
     return "\n".join(lines)
 
 

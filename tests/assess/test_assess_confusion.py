@@ -158,6 +158,7 @@ def test_the_table_for_a_terminal():
 def test_a_missed_threshold_is_a_quality_error():
     made = figures(np.array([[8, 2], [2, 8]]), NAMES[:2])
     asked = {"block": 25.0, "quantiles": (0.5,), "min_overall_accuracy": None, "min_kappa": None}
+    asked |= {"pure": 0.9, "tested": 0.1, "unscored": 0.01}
     judge(made, AssessParams(**asked))
     judge(made, AssessParams(**asked | {"min_overall_accuracy": 0.8, "min_kappa": 0.59}))
     with pytest.raises(QualityError, match="kappa"):

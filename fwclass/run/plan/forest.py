@@ -142,7 +142,7 @@ def assess_tasks(layout: Layout, names: tuple[str, ...]) -> Tasks:
 
     keys = tuple(t.key for t in layout.tiles)
     whole = Task(
-        "assess", "all", 4, {**params, "quantiles": list(config.assess.quantiles)},
+        "assess", "all", 5, {**params, "quantiles": list(config.assess.quantiles)},
         partial(forest.assessed, keys, names, config.classes, config.assess.quantiles),
         needs=tuple(("confusion", k) for k in keys), check=True,
     )  # fmt: skip

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.assess.remarks import pure_share
 from fwclass.assess.stage import BlockCounts, confusion, figures, intervals, packed, summary, unclassified, unpacked
 from fwclass.classify.stage import classify, filled
 from fwclass.errors import InputError
@@ -237,7 +238,11 @@ def assessed(
     write_arrays(directory / COUNTS, {"place": blocks.place, "blocks": blocks.counts})
     histograms = unpacked(counted, names, n)
     called = [c.name for c in classes]
-    accuracy = figures(matrix, called, lost) | {"intervals": intervals(blocks.counts)}
+    accuracy = figures(matrix, called, lost) | {
+        "intervals": intervals(blocks.counts),
+        "blocks": int(blocks.counts.any(axis=(1, 2)).sum()),
+        "pure_share": pure_share(blocks.counts),
+    }
     return {
         "accuracy": accuracy if matrix.any() or lost.any() else None,
         "distribution": summary(histograms, called, shares),

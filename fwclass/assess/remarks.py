@@ -1,0 +1,90 @@
+"""What stands beside an accuracy whose test says less than the figure does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.assess.intervals import FEW, LEAST
+from fwclass.assess.params import AssessParams
+
+ONE_CLASS = 0.99
+"""A block is of one class from this share of its echoes on: a few strays make no border."""
+
+
+@dataclass(frozen=True)
+class Extent:
+    """What was tested, and where.
+
+    Attributes
+    ----------
+    echoes : of the survey; scored : with a reference class, in the test areas.
+    others : echoes of the survey whose reference is a code that no class counts, by code.
+    apart : distance of the nearest tested echo from a training area [m], at least; None where none trained.
+    reach : of the widest feature [m].
+    """
+
+    echoes: int
+    scored: int
+    others: Mapping[str, int]
+    apart: float | None
+    reach: float
+
+
+def pure_share(blocks: NDArray[np.int64]) -> float | None:
+    """Share of the echoes in blocks of one class; `blocks` are the counts of `BlockCounts`. None without any."""
+    reference = blocks.sum(axis=2)
+    whole = reference.sum(axis=1)
+    if not whole.sum():
+        return None
+    return float(whole[reference.max(axis=1) >= ONE_CLASS * whole].sum() / whole.sum())
+
+
+def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -> list[str]:
+    """Sentences, each with why and what to do; none for a test that is large, mixed and apart.
+
+    Parameters
+    ----------
+    accuracy : with ``blocks``, how many hold a tested echo, and ``pure_share``.
+    """
+    told, blocks, pure = [], int(accuracy["blocks"]), accuracy["pure_share"]
+    edge = f"{params.block:g} m"
+    if blocks < FEW:
+        without = f", and no interval is told below {LEAST}" if blocks < LEAST else ""
+        told.append(
+            f"Tested in {blocks} squares of {edge} (assess.block); echoes of a square are right or wrong together, so "
+            f"the figure is uncertain{without}: test on {FEW} squares or more."
+        )
+    if pure is not None and pure >= params.pure:
+        told.append(
+            f"{100 * pure:.0f} % of the tested echoes lie in squares of {edge} with one class: borders between "
+            "classes, where most errors are, were hardly tested, and the survey's accuracy is lower: label whole "
+            "places, not the inside of objects."
+        )
+    if tested.apart is not None and tested.apart < tested.reach:
+        told.append(
+            f"Tested {tested.apart:.3g} m from the training areas, and the widest feature reaches {tested.reach:g} m: "
+            f"the classifier has seen part of what it is tested on: --set areas.gap={tested.reach:g} or more."
+        )
+    share = tested.scored / tested.echoes if tested.echoes else 0.0
+    if share < params.tested:
+        told.append(
+            f"{_percent(share)} of the echoes were tested, the others never: the figure holds where the survey is like "
+            "the tested places: label places of every kind."
+        )
+    lost = sum(tested.others.values())
+    if tested.echoes and lost > params.unscored * tested.echoes:
+        codes = ", ".join(f"{code} ({n:,} echoes)" for code, n in tested.others.items())
+        told.append(
+            f"{_percent(lost / tested.echoes)} of the echoes have a reference that no class counts, codes {codes}: "
+            "they are classified, and not scored: add the codes to survey.classes, or know that they are missing here."
+        )
+    return told
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if share >= 0.001 else f"{100 * share:.2g} %"
