@@ -158,6 +158,8 @@ class Generations:
             tell_broken(before, broken, tell)
             if not broken and self._reports_stand(before):
                 self.clear_pending()
+                self._show(before)  # the run that made it may have ended before it was
+                self._collect(keep)
                 return before
         number = 1 + max((int(p.name) for p in self.directory.glob("[0-9]*") if p.name.isdigit()), default=0)
         made = self._write(number, files, whole, digest)
@@ -180,7 +182,7 @@ class Generations:
             target = below(own, name)
             if target.parent not in made:
                 target.parent.mkdir(parents=True, exist_ok=True)
-                made.add(target.parent)
+                made.update(d for d in target.parents if own in d.parents)
             if before is None or not _same_file(source, before.path / name):
                 check_file(str(source), of)
             link(source, target)
@@ -193,6 +195,7 @@ class Generations:
         target = self.directory / f"{number:04d}"
         own.rename(target)
         sync(self.directory)
+        sync(self.root)  # before a link leads there
         return _read(target)
 
     def _show(self, generation: Generation) -> None:
@@ -208,13 +211,13 @@ class Generations:
         sync(self.root)
 
     def _collect(self, keep: int) -> None:
+        """Remove earlier generations, and what is left of some that were never finished, or not removed to the end."""
         current = self.current()
         there = self.all()
-        wholes = [g.number for g in there if g.whole][-max(1, keep) :]
-        for generation in there[:-1]:
-            shown = current is not None and generation.number == current.number
-            if generation.number not in wholes and not shown:
-                shutil.rmtree(generation.path, ignore_errors=True)
+        stay = {g.name for g in [g for g in there if g.whole][-max(1, keep) :] + there[-1:]}
+        for path in self.directory.glob("[0-9]*"):
+            if path.name not in stay and (current is None or path.name != current.name):
+                shutil.rmtree(path, ignore_errors=True)
 
     def check_links(self) -> None:
         """`StoreError` where something else stands in a place that a delivery needs."""
@@ -245,6 +248,8 @@ def _point(path: Path, target: Path) -> None:
     """Make `path` a link to `target`, in place of the link that it was."""
     beside = path.with_name(f".{path.name}.link")
     beside.unlink(missing_ok=True)
+    if path.is_symlink() and path.readlink() == target:
+        return
     beside.symlink_to(target)
     beside.replace(path)
 

@@ -131,8 +131,7 @@ class RemoteStore(RemoteReader):
         gone = sorted({part for of, part in self.parts() if of == stage} - keep)
         for part in gone:
             self.remove(stage, part)
-        failed = [key for key in self._all() if key.startswith(f"store/failures/{stage}/")]
-        self.objects.delete(key for key in failed if key.split("/")[3].removesuffix(".json") not in keep)
+        self.objects.delete(key for key in self._all() if key.startswith(f"store/failures/{stage}/"))
         return gone
 
     def remove(self, stage: str, part: str) -> None:
@@ -141,6 +140,10 @@ class RemoteStore(RemoteReader):
         self.objects.delete(k for k in every if k.endswith(f"/{RECEIPT}"))
         self.objects.delete(k for k in every if not k.endswith(f"/{RECEIPT}"))
         self.forget((stage, part))
+
+    def remove_all(self, names: Iterable[tuple[str, str]]) -> None:
+        for stage, part in names:
+            self.remove(stage, part)
 
     def sweep(self) -> None:
         """What killed workers left is removed when the next run begins: to find it, everything is listed."""

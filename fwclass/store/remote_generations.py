@@ -176,6 +176,7 @@ class RemoteGenerations(Generations):
             tell_broken(before, broken, tell)
             if not broken and self._reports_stand(before):
                 self.clear_pending()
+                self._drop(there, keep)
                 return before
         numbers = [int(n) for key in listed if (n := key.split("/")[1]).isdigit()]
         made = self._put(f"{1 + max(numbers, default=0):04d}", files, whole, digest)

@@ -146,6 +146,14 @@ class Store:
                 below(self.root, name).unlink(missing_ok=True)
         shutil.rmtree(self._part(stage, part), ignore_errors=True)
 
+    def remove_all(self, names: Iterable[tuple[str, str]]) -> None:
+        """Remove parts, so that no power cut brings one back."""
+        gone = list(names)
+        for stage, part in gone:
+            self.remove(stage, part)
+        for stage in sorted({stage for stage, _ in gone}):
+            sync(self.directory / stage)
+
     def base(self, receipt: Receipt) -> Path:
         """The directory that the receipt's outputs are relative to."""
         return self.root if receipt.place == "run" else self._part(receipt.stage, receipt.part) / receipt.key
@@ -215,8 +223,9 @@ class Store:
         for name, facts in outputs.items():
             remember(base / name, str(facts["digest"]))
         write_text(own / RECEIPT, receipt.to_text(), flush=False)  # its seal tells whether it is whole
-        self.failures.clear(stage, part)
-        self._collect(receipt, old)
+        with contextlib.suppress(OSError):  # it is done, whatever is left beside it
+            self.failures.clear(stage, part)
+            self._collect(receipt, old)
         return receipt
 
     def keep(self, name: str, value: Any) -> None:
@@ -280,13 +289,14 @@ class Store:
                 path.unlink(missing_ok=True)
 
     def forget_others(self, stage: str, parts: Iterable[str]) -> list[str]:
-        """Remove parts of `stage` that the plan no longer has, with what they delivered; return their names."""
+        """All `parts` of `stage` are done: remove others, with what they delivered, and what any said when it failed;
+        return the names of those that are gone."""
         keep = set(parts)
         directory = self.directory / stage
         gone = sorted(p.name for p in directory.iterdir() if p.name not in keep) if directory.is_dir() else []
         for part in gone:
             self.remove(stage, part)
-        self.failures.forget_others(stage, keep)
+        self.failures.forget_others(stage, ())
         return gone
 
     def under_way(self) -> dict[tuple[str, str], float]:

@@ -72,8 +72,8 @@ def verify(store: Store) -> Verified:
 
 def remove(verified: Verified, store: Store) -> None:
     """Remove damaged parts and all that was made from them, for the holder of the run's lock."""
-    for name in (*verified.made_from, *(d.name for d in verified.parts)):  # until the last is gone, all of it is known
-        store.remove(*name)
+    store.remove_all(verified.made_from)  # until the damaged ones are gone, all that was made of them is known
+    store.remove_all(d.name for d in verified.parts)
 
 
 def _receipts(store: Store) -> Iterator[Receipt]:
