@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import atexit
 import os
-import shutil
 import stat
 import sys
-import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
@@ -106,6 +103,8 @@ def kernel_cache() -> Path:
         place, fault = Path("~/.cache"), str(error)
     if fault:
         told = f"compiled code cannot be kept in {place}: {fault}; it is compiled anew for this command"
+        import tempfile  # loads much that most commands do not need
+
         place = Path(tempfile.mkdtemp(prefix="fwclass-kernels-"))
         atexit.register(_remove, place, os.getpid())
         sys.stderr.write(f"fwclass: {told}\n")
@@ -131,6 +130,8 @@ def _not_private(place: Path) -> str:
 
 
 def _remove(place: Path, maker: int) -> None:
+    import shutil
+
     if os.getpid() == maker:
         shutil.rmtree(place, ignore_errors=True)
 
@@ -150,8 +151,8 @@ def _away_from(name: str) -> Iterator[None]:
         os.close(back)
 
 
-class _Guard(MetaPathFinder):
-    """Imports the libraries of `CONFIGURATIONS` so that they do not see those files."""
+class _Guard:
+    """Finder of `sys.meta_path` that imports the libraries of `CONFIGURATIONS` so that they do not see those files."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None

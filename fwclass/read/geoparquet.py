@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     import pyarrow.parquet as pq
 else:
     pa, pq = Later("pyarrow"), Later("pyarrow.parquet")
+
+_CODE = re.compile(r"[A-Za-z]+:[A-Za-z0-9]+")
+"""Authority and code."""
 
 WITHOUT_CRS = "OGC:CRS84"
 """What a column that does not speak of its CRS is in (GeoParquet 1.1)."""
@@ -98,6 +102,8 @@ def _root(path: Any) -> str:
 def _crs(path: Path, own: dict[str, Any]) -> CRS | None:
     """PROJJSON of the column; longitude and latitude where it says nothing, None where it says null."""
     told = own.get("crs", WITHOUT_CRS)
+    if isinstance(told, str) and not _CODE.fullmatch(told):  # PROJ's own words could name files
+        raise _foreign(path, "a coordinate system that is neither PROJJSON nor a code")
     try:
         return CRS.from_user_input(told) if told is not None else None
     except (CRSError, TypeError) as fault:

@@ -18,6 +18,7 @@ from commandline import process
 from fwclass.errors import InputError
 from fwclass.publish import files
 from fwclass.publish.files import whole
+from fwclass.read import geoparquet
 from fwclass.read.packets import References
 from fwclass.read.polygons import open_polygons, values_of
 
@@ -70,6 +71,14 @@ def test_text_of_a_geoparquet_that_is_none_is_refused(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"roofs", b"\xff\xfe\xff\xfe\xff"))
     with pytest.raises(InputError, match="no GeoParquet file"):
         values_of(open_polygons(path), "k")
+
+
+@pytest.mark.parametrize(
+    "crs", ["+init=/etc/passwd:1", "+proj=utm +zone=32 +nadgrids=/etc/passwd", "https://h/crs.wkt"]
+)
+def test_a_coordinate_system_of_a_geoparquet_names_no_file(crs: str) -> None:
+    with pytest.raises(InputError, match="no GeoParquet file"):
+        geoparquet._crs(Path("a.parquet"), {"crs": crs})
 
 
 def gone() -> int:
