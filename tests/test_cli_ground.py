@@ -175,6 +175,20 @@ def test_degrees_are_refused(tmp_path, fwclass):
     assert code == 0 and "look like degrees" in err
 
 
+def test_longitudes_without_a_system_are_refused_at_once_and_told_by_info(tmp_path, fwclass):
+    """They were taken for metres, all of them in one cell: the filter looked at every pair."""
+    r = np.random.default_rng(0)
+    n = 40_000
+    xyz = np.column_stack([r.uniform(5.99, 5.993, n), r.uniform(45.11, 45.113, n), r.normal(500, 1, n)])
+    source = write_las(tmp_path / "a.las", xyz, point_format=6, keys=None, scale=1e-6)
+    code, _, err = fwclass("ground", source, tmp_path / "b.laz")
+    assert code == 1 and "look like degrees" in err and "a.las" in err and not (tmp_path / "b.laz").exists()
+    code, out, _ = fwclass("info", source)
+    assert "look like degrees" in out
+    code, _, err = fwclass("ground", source, tmp_path / "c.laz", "--crs", "EPSG:25832")
+    assert code == 0
+
+
 def test_waveform_packets_survive(tmp_path, fwclass):
     xyz, _ = scene(500)
     waves = [np.full(20, 10 + i % 90) for i in range(len(xyz))]

@@ -16,6 +16,7 @@ from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
 from fwclass.paths import name_fault
+from fwclass.read.crs import not_degrees
 from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.source import Source, open_source
@@ -127,7 +128,10 @@ def gather(config: Config, road: Road) -> Survey:
         )
     crs = common_crs(config, {s.path: s.crs for s in full}, road)
     numbered = numbers(s.path.stem for s in opened)
-    box = joint_bounds([_true_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records])
+    bounds = {s.path: _true_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
+    for source in full:
+        not_degrees(crs, bounds[source.path], source.n_records, source.path)
+    box = joint_bounds(bounds.values())
     check_areas(config, box)  # before all files are read for their digests
     strips = tuple(
         Strip(numbered[p.stem], p, digests.of(_files_of(_here(p, s)), p), s.point_format)

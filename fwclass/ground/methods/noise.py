@@ -221,6 +221,12 @@ def _sigma_rule(x, y, z, start, ncols, nrows, radius, sigma, least, fewest, abov
                 if high - z[i] <= least and not (above and z[i] - low > least):
                     continue
                 n, total, square, lonely = -1, 0, 0, True
+                # the points beside it in its cell, near it in most files, tell soonest that it is not alone
+                for j in range(max(i - 1, first), min(i + 2, last)):
+                    dx, dy = x[j] - x[i], y[j] - y[i]
+                    lonely &= j == i or abs(z[j] - z[i]) > least or dx * dx + dy * dy > radius * radius
+                if not lonely:
+                    continue
                 for row in range(r0, r1):
                     for j in range(start[row * ncols + c0], start[row * ncols + c1]):
                         dx, dy, dz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
@@ -229,6 +235,8 @@ def _sigma_rule(x, y, z, start, ncols, nrows, radius, sigma, least, fewest, abov
                             total += dz
                             square += dz * dz
                             lonely &= j == i or abs(dz) > least
+                            if not lonely:
+                                break
                     if not lonely:
                         break
                 if n < fewest or not lonely:
