@@ -40,11 +40,28 @@ def _run(
 
     if request.aoi is not None:
         request.wanted.check()
+    _check_apart(request.root, config)
     from fwclass.store.home import unmade_again
 
     home = home_of_run(request, config)
     with unmade_again(home), recorded(home, request) as entry:
         _walk(config, request, root, replace(how, workers=count), performance, entry)
+
+
+def _check_apart(root: str, config: Any) -> None:
+    """`ConfigError` for a run directory that is the sources' own: what it delivers would be found among them."""
+    from fwclass.run.survey import directory_of
+    from fwclass.store.url import is_url, url_of
+
+    if config.simulated:
+        return
+    where: Any = url_of(root, "--out") if is_url(root) else Path(root).resolve()
+    there = directory_of(config, Path(root))
+    if where == (there.resolve() if isinstance(there, Path) else there):
+        raise ConfigError(
+            "the run directory is the directory of the sources", where="--out", got=root,
+            expected="a directory for this run alone", do="name another, for example one beside it",
+        )  # fmt: skip
 
 
 def _verify(road: Any) -> None:

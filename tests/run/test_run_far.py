@@ -8,9 +8,11 @@ import laspy
 import numpy as np
 import pytest
 import rasterio
+from click.testing import CliRunner
 
 from fwclass import conf
-from fwclass.errors import InputError
+from fwclass.cli import cli
+from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Tile, TileGrid, Window, groups
 from fwclass.run.local import Loop
 from fwclass.run.plan import ground as ground_plan
@@ -171,3 +173,11 @@ def test_tiles_that_hold_hardly_anything_are_told(far, tmp_path, monkeypatch, ca
     monkeypatch.setattr(of_tiles, "MANY", 2)
     walked(far, tmp_path / "run", "survey.sources=[a.las]", "tile.size=20")
     assert "tiles of 20 m hold" in capsys.readouterr().err
+
+
+def test_the_directory_of_the_sources_is_no_run_directory(far):
+    before = sorted(p.name for p in far.iterdir())
+    done = CliRunner().invoke(cli, ["run", str(far / "S.yaml"), "--out", str(far), "--workers", "0"])
+    assert isinstance(done.exception, ConfigError)
+    assert "directory of the sources" in str(done.exception)
+    assert sorted(p.name for p in far.iterdir()) == before
