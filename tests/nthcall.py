@@ -30,7 +30,8 @@ class PowerCut(BaseException):
 
 @dataclass
 class Calls:
-    """Counts the calls that change something below `root`; `at` the number of one, from 0, `strike` is asked.
+    """Counts the calls that change something below `root`; at number `at`, from 0, `strike` is asked, and where it
+    `stays` at all that follow.
 
     `strike(name, do)` returns what the call returns.
     """
@@ -38,6 +39,7 @@ class Calls:
     root: Path
     at: int | None = None
     strike: Callable[[str, Callable[[], Any]], Any] = lambda name, do: do()
+    stays: bool = False
     names: list[str] = field(default_factory=list)
     after: Callable[[str, tuple[Any, ...]], None] = lambda name, words: None
     _guard: Any = field(default_factory=threading.RLock)
@@ -45,7 +47,7 @@ class Calls:
     def met(self, name: str, do: Callable[[], Any], *words: Any) -> Any:
         with self._guard:
             self.names.append(name)
-            if len(self.names) - 1 == self.at:
+            if len(self.names) - 1 == self.at or (self.stays and self.at is not None and len(self.names) > self.at):
                 return self.strike(name, do)
             self.after(name, words)
             return do()
@@ -88,6 +90,28 @@ class Calls:
             for name in (*names, "open"):
                 setattr(os, name, REAL[name])
             io.open = builtins.open = REAL["io"]  # type: ignore[assignment]
+
+
+REQUESTS = ("get", "put", "list", "delete", "copy")
+
+
+@contextlib.contextmanager
+def counted_requests(calls: Calls) -> Iterator[Calls]:
+    """Within, what is asked of object storage is counted."""
+    import obstore
+
+    real = {name: getattr(obstore, name) for name in REQUESTS}
+
+    def wrapped(name: str) -> Callable[..., Any]:
+        return lambda *words, **more: calls.met(name, lambda: real[name](*words, **more))
+
+    try:
+        for name in REQUESTS:
+            setattr(obstore, name, wrapped(name))
+        yield calls
+    finally:
+        for name in REQUESTS:
+            setattr(obstore, name, real[name])
 
 
 class Stream:
