@@ -64,7 +64,7 @@ def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, repor
 
             cluster = Cluster(
                 scheduler, workers, limits.worker_memory_gib, limits.window, limits.retries, limits.split,
-                watched=report is not None, say=display.say,
+                watched=report is not None, say=display.say, part_hours=limits.part_hours,
             )  # fmt: skip
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
             display.workers = cluster.workers
@@ -73,7 +73,7 @@ def open_road(home: Any, workers: int, scheduler: str | None, limits: Any, repor
         if scheduler is not None or report is not None:
             executor = started()
         else:
-            executor = WhenNeeded(started) if workers else nullcontext(Loop())
+            executor = WhenNeeded(started) if workers else nullcontext(Loop(limits.part_hours, display.say))
         with executor as running:
             road = Road(home, running, display, held=held, accept_libraries=limits.accept_libraries)
             road.store.clear_staging()

@@ -136,7 +136,8 @@ class RunSection(Section):
     what the seams between blocks changed; 0 leaves the check out. `seam_check_cells`: of the survey's places those
     whose box has more cells are left out of it. `keep_generations`: whole deliveries that stay.
     `window`: parts that the scheduler knows at a time. `retries`: times that a part whose worker was lost is tried
-    again among others, and then alone, in `split` × `split` pieces of a tile where the stage can. `accept_libraries`:
+    again among others, and then alone, in `split` × `split` pieces of a tile where the stage can. `part_hours`: a
+    part that takes longer has failed, and its worker is ended; the plain loop only says so. `accept_libraries`:
     parts that were made with other versions of libraries are done.
     """
 
@@ -144,6 +145,7 @@ class RunSection(Section):
     worker_memory_gib: float = Field(gt=0, le=100_000)
     window: int = Field(ge=1, le=10_000_000)
     retries: int = Field(ge=0, le=100)
+    part_hours: float = Field(gt=0, le=10_000)
     split: int = Field(ge=1, le=100)
     keep_generations: int = Field(ge=1, le=100_000)
     seam_check_echoes: int = Field(ge=0, le=1_000_000_000)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import math
 import re
 import signal
 import threading
 import time
 import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from functools import cache
 from multiprocessing import resource_tracker
@@ -31,6 +32,7 @@ from tornado.ioloop import IOLoop
 from fwclass.errors import FwclassError
 from fwclass.isolation import kernel_cache
 from fwclass.run.hand import Hand
+from fwclass.run.limit import ended_after
 from fwclass.run.lost import Losses, cause_of
 from fwclass.run.part import Outcome, Task, execute
 from fwclass.store.atomic import digest_of, write_text
@@ -66,13 +68,16 @@ class OtherLibraries(Exception):
     """A worker computes by other code than the run: its address, and its `libraries.fingerprint`."""
 
 
-def _at_worker(libraries: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int, topic: str) -> Outcome:
+def _at_worker(
+    libraries: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int, topic: str, seconds: float
+) -> Outcome:
     """A part, on whatever host the scheduler has chosen; its outcome is told under `topic` too, which asks nobody."""
     worker = get_worker()
     if libraries != _digest_here():
         raise OtherLibraries(worker.address, dict(fingerprint()))
     worker_directory(Path(worker.local_directory))
-    outcome = execute(home, task, tuple(upstream), split)
+    with ended_after(seconds) if math.isfinite(seconds) else nullcontext():
+        outcome = execute(home, task, tuple(upstream), split)
     worker.log_event(topic, {"key": worker.get_current_task(), "outcome": asdict(outcome)})
     return outcome
 
@@ -166,13 +171,14 @@ class Cluster:
     """Executor on a Dask scheduler: at `address`, or on `workers` processes of one thread each on this machine.
 
     It is given at most `window` parts at a time. A part whose worker is lost is tried `retries` times more among
-    others, then alone, in `split` × `split` pieces. `watched`: for a performance report, workers note what they do.
+    others, then alone, in `split` × `split` pieces. One that takes longer than `part_hours` has failed, and its worker
+    is ended. `watched`: for a performance report, workers note what they do.
     `say`: told of workers that are turned away.
     """
 
     def __init__(
         self, address: str | None, workers: int, worker_memory_gib: float, window: int, retries: int = 0,
-        split: int = 1, watched: bool = False, say: Callable[[str], None] = print,
+        split: int = 1, watched: bool = False, say: Callable[[str], None] = print, part_hours: float = math.inf,
     ) -> None:  # fmt: skip
         steady()
         dask.config.set({
@@ -202,6 +208,7 @@ class Cluster:
         self.address, self.dashboard = self._client.scheduler.address, self._page()
         self.workers = len(self._client.ncores())
         self._window, self._count, self._over, self._say = window, 0, threading.Event(), say
+        self._seconds = 3600.0 * part_hours
         self._check_workers()
         if self._cluster is not None:
             threading.Thread(target=self._muster, daemon=True).start()
@@ -306,6 +313,7 @@ class Cluster:
         self._count += 1
         return self._client.submit(
             _at_worker, _digest_here(), home, task, upstream, self._split if alone else 1, self._topic,
+            self._seconds,
             key=f"{task.stage}-{task.part}-{self._count}", pure=False, priority=-self._count, retries=0,
         )  # fmt: skip
 

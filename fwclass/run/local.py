@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from itertools import chain
 from types import TracebackType
 from typing import TYPE_CHECKING
 
+from fwclass.run.limit import told_after
 from fwclass.run.part import Outcome, Task, execute
 from fwclass.store.home import Home
 
@@ -20,10 +21,17 @@ class Loop:
 
     address = ""
 
+    def __init__(self, part_hours: float | None = None, say: Callable[[str], None] = print) -> None:
+        """`say` is told of a part that takes longer than `part_hours` [h]; it goes on."""
+        self._seconds, self._say = 3600.0 * part_hours if part_hours else None, say
+
     def run(self, home: Home, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes in order; a task comes after every task that it needs."""
         for task in tasks:
-            yield execute(home, task)
+            watch = told_after(self._seconds, task.name, self._say) if self._seconds else nullcontext()
+            with watch:
+                outcome = execute(home, task)
+            yield outcome
 
 
 class WhenNeeded:

@@ -21,6 +21,10 @@ from fwclass.store.home import Home
 from fwclass.store.run_store import Store
 
 MEMORY = "its worker grew beyond its memory"
+TIME = "it took longer than run.part_hours"
+
+ALARM = int(getattr(signal, "SIGALRM", 0))
+"""What ends a worker whose part takes too long (`limit`)."""
 
 Verdict = Literal["again", "alone", "failed"]
 
@@ -50,6 +54,8 @@ class Losses:
         causes = self._causes.setdefault(name, [])
         causes.append(cause)
         attempted(self.home, *name, {"status": "lost", "message": cause})
+        if cause.startswith(TIME):
+            return "failed"
         if alone:
             self._alone[name] = self._alone.get(name, 0) + 1
             over = cause.startswith(MEMORY) or self._alone[name] > self.retries
@@ -59,6 +65,13 @@ class Losses:
     def message(self, name: Name) -> str:
         """For the user, of a part that is given up."""
         causes = self._causes.get(name, [""])
+        if causes[-1].startswith(TIME):
+            fault = FwclassError(
+                "the part was ended", where="/".join(name), got=causes[-1],
+                do="look for points crowded in one place, or a damaged file (`fwclass info`); if the part is only "
+                "large, raise run.part_hours or make tiles smaller (tile.size): no result changes",
+            )  # fmt: skip
+            return str(fault)
         memory = causes[-1].startswith(MEMORY)
         more = "give workers more memory (run.worker_memory_gib) or make tiles smaller (tile.size): no result changes"
         crash = (
@@ -85,6 +98,8 @@ def cause_of(bytes_held: int | None, limit_gib: float | None, exit_code: int | N
         return "its worker was lost, it is not known why"
     if exit_code >= 0:
         return f"its worker ended with exit code {exit_code}"
+    if exit_code == -ALARM:
+        return f"{TIME}, and its worker was ended"
     name = signal.Signals(-exit_code).name if -exit_code in signal.valid_signals() else "an unknown signal"
     meaning = {
         signal.SIGKILL: ": by hand, or by the system for want of memory",

@@ -8,11 +8,10 @@ import laspy
 import numpy as np
 import pytest
 import rasterio
-from click.testing import CliRunner
+from commandline import fwclass
 
 from fwclass import conf
-from fwclass.cli import cli
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import InputError
 from fwclass.grid import Tile, TileGrid, Window, groups
 from fwclass.run.local import Loop
 from fwclass.run.plan import ground as ground_plan
@@ -177,7 +176,7 @@ def test_tiles_that_hold_hardly_anything_are_told(far, tmp_path, monkeypatch, ca
 
 def test_the_directory_of_the_sources_is_no_run_directory(far):
     before = sorted(p.name for p in far.iterdir())
-    done = CliRunner().invoke(cli, ["run", str(far / "S.yaml"), "--out", str(far), "--workers", "0"])
-    assert isinstance(done.exception, ConfigError)
-    assert "directory of the sources" in str(done.exception)
+    done = fwclass("run", far / "S.yaml", "--out", far, "--workers", "0")
+    assert done.returncode == 2
+    assert "directory of the sources" in done.stderr
     assert sorted(p.name for p in far.iterdir()) == before

@@ -74,6 +74,13 @@ def limits(config: Config, made: Estimate, workers: int, room: Room, best: Choic
             "another --out with more room, or free some",
         ),
     ]  # fmt: skip
+    longest = max(made.stages, key=lambda s: s.longest)
+    found.append(
+        Limit(
+            f"time of a part ({longest.name})", longest.longest, config.run.part_hours * 3600.0, "s",
+            f"{_KEYS.get(longest.name, 'smaller tile.size')}, or a larger run.part_hours",
+        )
+    )  # fmt: skip
     cells = next((s.amount.units for s in made.stages if s.name == "publish-rasters"), 0.0)
     found.append(
         Limit(
