@@ -31,7 +31,7 @@ def classification(config: Config, road: Road, tiles: frozenset[str] | Area | No
     areas) is made too, so that they come out as in a whole run.
     """
     names, model = features_of(config)
-    tiled = until_tiles(config, road, names)
+    tiled = until_tiles(config, road, names, load_model(local(model[0])).card if model else None)
     keys = tiles.tiles(tiled.layout, tiled.survey.crs) if isinstance(tiles, Area) else tiles
     return from_tiles(config, road, tiled, names, until_labels(tiled, (*names, *config.features.also)), model, keys)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from fwclass.conf import Config
 from fwclass.run.plan import ground, sources
@@ -11,6 +12,7 @@ from fwclass.run.plan import tiles as of_tiles
 from fwclass.run.plan.layout import Layout, Survey
 from fwclass.run.plan.radiometry import Flown, flown_by, radiometry_tasks, trajectory_tasks
 from fwclass.run.plan.thin import thin_tasks
+from fwclass.run.quantities import check_learned, joint
 from fwclass.run.reference import check_polygons
 from fwclass.run.road import Road, require_all, stop_if_nothing
 from fwclass.run.survey import check_widths, gather
@@ -30,9 +32,15 @@ class Tiled:
     flown: Flown
 
 
-def until_tiles(config: Config, road: Road, names: tuple[str, ...]) -> Tiled:
-    """Walk the road up to the tiles; `names` are the columns that will be decided by."""
+def until_tiles(
+    config: Config, road: Road, names: tuple[str, ...], learned: Mapping[str, Any] | None = None
+) -> Tiled:  # fmt: skip
+    """Walk the road up to the tiles; `names` are the columns that will be decided by, `learned` the card of the model
+    that does."""
     survey = gather(config, road)
+    quantities = joint(survey.quantities, names, f"{config.path}: survey.sources")
+    for note in check_learned(learned, survey.quantities, config.survey.model) if learned else ():
+        road.display.say(f"note: {note}")
     polygons = require_all(road, sources.polygon_tasks(config, survey))
     indexed = require_all(road, sources.index_tasks(config, survey.strips))
     survey = replace(survey, strips=tuple(s for s in survey.strips if sources.index_name(s) in indexed))
@@ -41,7 +49,7 @@ def until_tiles(config: Config, road: Road, names: tuple[str, ...]) -> Tiled:
     check_widths(config, names, splits, road.store)
     tiled = road.do(sources.tile_tasks(config, splits))
     stop_if_nothing(road, {name: receipt for name, receipt in tiled.items() if name[0] == "tile"})
-    layout = Layout.of(config, {**tiled, **polygons})
+    layout = replace(Layout.of(config, {**tiled, **polygons}), quantities=quantities)
     check_polygons(config, polygons.values(), layout.box)
     flights = trajectory_tasks(layout, survey)
     return Tiled(survey, layout, sources.where(chunks, splits), flown_by(flights, road.do(flights)))

@@ -16,6 +16,7 @@ from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import is_polygon_file
 from fwclass.read.polygons_info import describe_polygons, polygon_info
+from fwclass.read.quantities import WORDS, quantities_of
 from fwclass.read.source import PulseSource, las_of, open_source
 
 Z_MARGIN = 100.0
@@ -115,6 +116,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         if held
         else None,
         "extra_bytes": extra_names,
+        "quantities": quantities_of(source)._asdict(),
         "waveforms": _waveforms(source, tally) if source.has_waves else None,
         "faults": [*source.faults, *_faults(source, tally, step)],
     }
@@ -241,6 +243,8 @@ def _describe_points(found: dict[str, Any]) -> list[tuple[str, str]]:
         ("returns", _counts_text(found["returns"])),
         ("classes", _counts_text(found["classes"])),
         ("extra bytes", ", ".join(found["extra_bytes"]) or "none"),
+        ("amplitudes", WORDS[found["quantities"]["amplitude"]]),
+        ("echo widths", WORDS[found["quantities"]["width"]]),
     ]
     if waves:
         where = f"{waves['where']}, {waves['bytes']:,} bytes" if waves["where"] != "none" else waves["why_not"]

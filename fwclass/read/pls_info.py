@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.read.pls_waves import FAULTS, SILENT, Found, Samplings, blocks_of, reach
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
+from fwclass.read.quantities import WORDS, quantities_of
 
 _MOST_COUNTED = 16
 
@@ -69,6 +70,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
         "classes": {},
         "intensity": None,
         "extra_bytes": [],
+        "quantities": quantities_of(source)._asdict(),
         "segments": {str(i): int(n) for i, n in enumerate(tally.segments) if n},
         "outgoing": tally.outgoing,
         "waveforms": {
@@ -138,6 +140,8 @@ def describe_pulses(found: dict[str, Any]) -> list[tuple[str, str]]:
         ("outgoing", f"{found['outgoing']:,} pulses with a recorded outgoing pulse"),
         ("segments", f"{counts}  (of a pulse)"),
         ("waveforms", where),
+        ("amplitudes", WORDS[found["quantities"]["amplitude"]]),
+        ("echo widths", WORDS[found["quantities"]["width"]]),
     ]
     for d in waves["descriptors"]:
         rows.append(("descriptor", f"{d['index']}: {d['pulses']:,} pulses"))

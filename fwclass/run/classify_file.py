@@ -21,11 +21,13 @@ from fwclass.model import ClassDef, Model, sample_matrix
 from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
+from fwclass.read.quantities import quantities_of
 from fwclass.read.source import open_source
 from fwclass.run.features.echoes import FileEchoes, Flight, GroundChoice, read_echoes, with_heights, with_radiometry
 from fwclass.run.ground.output import LAS, check_output
 from fwclass.run.ground.steps import Tell, quiet
 from fwclass.run.model_fit import check_computed, check_names, ground_note
+from fwclass.run.quantities import check_learned
 from fwclass.run.survey import given_crs
 from fwclass.schema import Table
 from fwclass.stage import Chunk
@@ -85,6 +87,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     model = load_model(job.model)
     check_output(job.source, job.output, job.overwrite)
     check_computed(model, conf.section("features", job.settings), job.model)
+    notes = check_learned(model.card, {source.path.name: quantities_of(source)}, job.model)
     codes = legal_codes(job, model, source)
     asked = Asked.of(n for n in model.features if is_feature(n))
     found = _echoes(job, model, asked, tell)
@@ -101,7 +104,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "classes": {str(c): int(n) for c, n in zip(used, counts, strict=True)},
         "names": {str(int(codes[c.code])): c.name for c in model.classes},
         "confidence": float(made["confidence"].mean()), "without_value": without, "filled": medians,
-        "waveforms": wrote.get("wdp"), "notes": [*found.told, *(str(n) for n in wrote.get("notes", ()))],
+        "waveforms": wrote.get("wdp"), "notes": [*found.told, *notes, *(str(n) for n in wrote.get("notes", ()))],
         "seconds": round(time.perf_counter() - began, 3),
     }  # fmt: skip
 

@@ -10,12 +10,17 @@ from fwclass.errors import ConfigError
 from fwclass.features.params import Asked, FeaturesParams, is_feature
 from fwclass.model import ClassDef, Model
 from fwclass.radiometry.stage import RADIOMETRY
+from fwclass.read.quantities import Quantities
+from fwclass.run.quantities import quantities_by_feature
 
 
-def computed(names: Iterable[str], params: FeaturesParams, ground: str | None = None) -> dict[str, Any]:
+def computed(
+    names: Iterable[str], params: FeaturesParams, ground: str | None = None, quantities: Quantities | None = None
+) -> dict[str, Any]:
     """Of the section `features` what the values of `names` depend on, besides their own scales; plain data.
 
-    With height above ground among them also the `ground` filter that made it, where it is known.
+    With height above ground among them also the `ground` filter that made it, and with features of amplitudes or echo
+    widths which `quantities` these are, where it is known.
     """
     names = tuple(names)
     asked = Asked.of(n for n in names if is_feature(n))
@@ -30,7 +35,9 @@ def computed(names: Iterable[str], params: FeaturesParams, ground: str | None = 
     }
     plain = params.model_dump(mode="json")
     made = {name: plain[name] for name, yes in needed.items() if yes}
-    return {**made, "ground": ground} if ground and "height_above_ground" in names else made
+    made |= {"ground": ground} if ground and "height_above_ground" in names else {}
+    by_feature = quantities_by_feature(names, quantities) if quantities else {}
+    return {**made, "quantities": by_feature} if by_feature else made
 
 
 def check_computed(model: Model, params: FeaturesParams, where: object) -> None:

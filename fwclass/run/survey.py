@@ -19,6 +19,7 @@ from fwclass.paths import name_fault
 from fwclass.read.crs import not_degrees
 from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
+from fwclass.read.quantities import quantities_of
 from fwclass.read.source import Source, open_source
 from fwclass.read.stage import check_source, read_cloud
 from fwclass.run.desk import Desk
@@ -146,7 +147,8 @@ def gather(config: Config, road: Road) -> Survey:
     polygons = reference_polygons(config, directory, digests, crs, given)
     clouds = reference_clouds(config, directory, digests, box)
     digests.save()
-    return Survey(strips, clouds, crs, standard, trajectory, polygons)
+    quantities = {s.path.name: quantities_of(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
+    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities)
 
 
 def opened_all(places: Sequence[Place], config: Config) -> list[Source]:

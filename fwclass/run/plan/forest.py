@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.classify.stage import CLASSIFY
-from fwclass.conf import Config
 from fwclass.grid import Tile
 from fwclass.run.model_fit import computed
 from fwclass.run.part import Name, Task
@@ -49,8 +48,8 @@ def training_tasks(layout: Layout) -> list[Task]:
         )
     )  # fmt: skip
     if config.train.method != "forest":
-        return [*made, _other_task(config, names, params)]
-    params["computed"] = computed(names, config.features, config.ground.method)
+        return [*made, _other_task(layout, names, params)]
+    params["computed"] = computed(names, config.features, config.ground.method, layout.quantities)
     batches = []
     for first in range(0, config.train.trees, TREES_PER_PART):
         count = min(TREES_PER_PART, config.train.trees - first)
@@ -81,12 +80,13 @@ def training_tasks(layout: Layout) -> list[Task]:
     return made
 
 
-def _other_task(config: Config, names: tuple[str, ...], params: dict[str, Any]) -> Task:
+def _other_task(layout: Layout, names: tuple[str, ...], params: dict[str, Any]) -> Task:
     """train, of a classifier that is no forest."""
+    config = layout.config
     params = {
         **params,
         "compare": plain(config.compare),
-        "computed": computed(names, config.features, config.ground.method),
+        "computed": computed(names, config.features, config.ground.method, layout.quantities),
     }
     work = partial(others.fitted, names, config.train, config.compare, config.classes, params["computed"])
     return Task("train", "model", VERSION, params, work, needs=(("training", "all"),), place="deliver")

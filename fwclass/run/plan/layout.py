@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -18,6 +18,7 @@ from fwclass.features.params import NO_FEATURE, NORMAL, Asked, check_scale, is_f
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN
 from fwclass.radiometry.stage import RADIOMETRY
+from fwclass.read.quantities import Quantities
 from fwclass.run.part import Name
 from fwclass.store.foreign import Foreign
 from fwclass.store.outside import Place
@@ -56,7 +57,7 @@ class Survey:
 
     `strips` by name; `reference` is (file, digests, points); `crs` is WKT or None;
     `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests); `polygons` are the
-    reference's files of polygons.
+    reference's files of polygons; `quantities`: what amplitudes and widths are, by name of the file.
     """
 
     strips: tuple[Strip, ...]
@@ -65,6 +66,7 @@ class Survey:
     standard_time: bool
     trajectory: tuple[tuple[Place, FileDigests], ...] = ()
     polygons: tuple[PolygonFile, ...] = ()
+    quantities: Mapping[str, Quantities] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Layout:
 
     `occupied` has for every size of block [m] those that own an echo; `times` is (first, last) GPS time [s], NaN
     without any; `passes` the same of every tile, for each strip that has times there; `lowest` the least z [m];
-    `polygons` are parts of the reference that are no tiles.
+    `polygons` are parts of the reference that are no tiles; `quantities`: what amplitudes and widths are.
     """
 
     config: Config
@@ -86,6 +88,7 @@ class Layout:
     lowest: float
     echoes: int
     polygons: tuple[str, ...] = ()
+    quantities: Quantities | None = None
 
     @classmethod
     def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
