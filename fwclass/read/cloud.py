@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantised
 from fwclass.read.crs import not_degrees
+from fwclass.read.flat import refuse_unless_flat
 from fwclass.read.las import LasSource
 from fwclass.read.linear_units import LinearUnits, linear_units
 from fwclass.read.packets import FAULTS, References, judge
@@ -88,7 +89,7 @@ def read_point_cloud(path: str | Path, crs: Any = None) -> PointCloud:
     ConfigError
         No known kind of file.
     InputError
-        No such file, damaged, without points, in degrees, or without a single usable coordinate.
+        No such file, damaged, without points, in degrees, geocentric, or without a single usable coordinate.
     """
     path = Path(path)
     if not path.is_file():
@@ -148,6 +149,11 @@ def _cloud(
     usable = finite.copy()
     for values, limit in zip(xyz, (FAR, FAR, HIGH), strict=True):
         usable &= np.abs(values) <= limit
+    told = usable if usable.any() else finite
+    if told.any():
+        ends = [[float(f(a[told])) for a in xyz] for f in (np.min, np.max)]
+        step = None if isinstance(source, TextCloud) else max(source.scales[:2])
+        refuse_unless_flat(crs, ends[0], ends[1], path, step)
     if not usable.any():
         raise InputError(
             "no point has usable coordinates",

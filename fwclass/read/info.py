@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import visible
+from fwclass.read.flat import flat_faults
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
 from fwclass.read.pls_info import describe_pulses, pulse_info
@@ -118,7 +119,11 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         "extra_bytes": extra_names,
         "quantities": quantities_of(source)._asdict(),
         "waveforms": _waveforms(source, tally) if source.has_waves else None,
-        "faults": [*source.faults, *_faults(source, tally, step)],
+        "faults": [
+            *source.faults,
+            *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
+            *_faults(source, tally, step),
+        ],
     }
 
 

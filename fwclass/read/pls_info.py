@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.read.flat import flat_faults
 from fwclass.read.pls_waves import FAULTS, SILENT, Found, Samplings, blocks_of, reach
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
 from fwclass.read.quantities import WORDS, quantities_of
@@ -90,7 +91,11 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
                 for i, d in sorted(source.descriptors.items())
             ],
         },
-        "faults": [*source.faults, *_faults(source, tally)],
+        "faults": [
+            *source.faults,
+            *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
+            *_faults(source, tally),
+        ],
     }
 
 

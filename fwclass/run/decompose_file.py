@@ -22,6 +22,7 @@ from fwclass.features.stage import features
 from fwclass.grid import Tile
 from fwclass.publish.laz import write_tile_laz
 from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
+from fwclass.read.flat import refuse_source, refuse_unless_flat
 from fwclass.read.source import Source, open_source
 from fwclass.read.spans import Span
 from fwclass.read.stage import ReadParams, check_source, index_source, read_span
@@ -74,6 +75,7 @@ def decompose_file(
     params = _params(settings)
     opened = open_source(source)
     system = given_crs(crs, "--crs") if crs is not None else opened.crs
+    refuse_source(opened, system)
     check_source(opened, params["read"])
     spans = index_source(opened, params["read"])
     fit = params["decompose"]
@@ -93,6 +95,8 @@ def decompose_file(
             do="check the delivery; there is nothing to decompose",
         )
     table = Table.concat(tables)
+    ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
+    refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
     flown = flown_over(table, trajectory, system, undulation) if trajectory is not None else None
     whole, notes = ranged(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0

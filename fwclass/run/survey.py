@@ -17,6 +17,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
 from fwclass.paths import name_fault
 from fwclass.read.crs import not_degrees
+from fwclass.read.flat import refuse_source
 from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.quantities import quantities_of
@@ -127,7 +128,7 @@ def gather(config: Config, road: Road) -> Survey:
             where=", ".join(str(s.path) for s in opened[:3]),
             do="check the delivery; there is nothing to classify",
         )
-    crs = common_crs(config, {s.path: s.crs for s in full}, road)
+    crs = common_crs(config, full, road)
     numbered = numbers(s.path.stem for s in opened)
     bounds = {s.path: _true_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
     for source in full:
@@ -143,8 +144,8 @@ def gather(config: Config, road: Road) -> Survey:
     flown = found_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
     _distinct([local(p) for p in flown])
     trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
-    given = given_crs(config.survey.reference.crs, "survey.reference.crs")
-    polygons = reference_polygons(config, directory, digests, crs, given)
+    of_labels = given_crs(config.survey.reference.crs, "survey.reference.crs")
+    polygons = reference_polygons(config, directory, digests, crs, of_labels)
     clouds = reference_clouds(config, directory, digests, box)
     digests.save()
     quantities = {s.path.name: quantities_of(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
@@ -241,13 +242,15 @@ def _true_bounds(source: Source) -> tuple[float, ...]:
     return (*least.tolist(), *most.tolist())
 
 
-def common_crs(config: Config, found: Mapping[Path, CRS | None], road: Road) -> str | None:
+def common_crs(config: Config, opened: Sequence[Source], road: Road) -> str | None:
     """The survey's CRS as text (WKT), None where the configuration says `none`; what the user names wins."""
     given = given_crs(config.survey.crs, "survey.crs")
+    for source in opened:
+        refuse_source(source, given or source.crs)
     if config.survey.crs is not None and given is None:
         return None
     systems: dict[str, Path] = {}
-    for path, crs in found.items():
+    for path, crs in ((source.path, source.crs) for source in opened):
         if given is not None and crs is not None and not crs.equals(given, ignore_axis_order=True):
             road.display.say(f"note: survey.crs ({given.name}) is used for {path.name}, which names {crs.name}")
         crs = given or crs
@@ -258,14 +261,6 @@ def common_crs(config: Config, found: Mapping[Path, CRS | None], road: Road) -> 
                 expected="a CRS in the file, or survey.crs in the configuration",
                 got="neither",
                 do="--set survey.crs=EPSG:<code>, or --set survey.crs=none to go without",
-            )
-        if crs.is_geographic:
-            raise InputError(
-                "the coordinates are in degrees",
-                where=path,
-                expected="a projected CRS in metres: every distance here is one",
-                got=crs.name,
-                do="reproject the files (for example with PDAL's filters.reprojection) and run again",
             )
         units = sorted({a.unit_name for a in crs.axis_info if abs(a.unit_conversion_factor - 1.0) > 1e-9})
         if units:

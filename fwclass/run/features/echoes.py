@@ -19,6 +19,7 @@ from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.cloud import read_point_cloud
+from fwclass.read.flat import refuse_source
 from fwclass.read.linear_units import LinearUnits, linear_units
 from fwclass.read.source import Source, open_source
 from fwclass.read.stage import check_source, index_source, read_span
@@ -94,6 +95,7 @@ def _of_text(path: Path, crs: Any) -> FileEchoes:
 
 def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
     crs = crs if crs is not None else source.crs
+    refuse_source(source, crs)
     _check_metres(linear_units(crs, getattr(source, "header", None), source.path), crs, source.path)
     read = conf.section("read", settings)
     check_source(source, read)

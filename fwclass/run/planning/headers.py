@@ -132,7 +132,7 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
             do="check the delivery; there is nothing to classify",
         )  # fmt: skip
     with Display() as display:
-        crs = common_crs(config, {s.path: s.crs for s in full}, Road(root, Loop(), display))
+        crs = common_crs(config, full, Road(root, Loop(), display))
     reference = 0
     if config.survey.reference.kind == "cloud":
         files = found_files(
