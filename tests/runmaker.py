@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import json
+from collections.abc import Callable
 from pathlib import Path
 
 import laspy
@@ -13,7 +15,10 @@ from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.road import Road
 from fwclass.run.status.look import Looked, look_at
+from fwclass.schema import Table
+from fwclass.store.atomic import file_digest
 from fwclass.store.home import Home, locked
+from fwclass.store.tables import read_table, write_table
 from workflows import WORKFLOWS
 
 SETTINGS = (
@@ -53,6 +58,16 @@ def delivered(root: Path) -> dict[str, str]:
             if path.is_file():
                 found[path.relative_to(base).as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
+
+
+def rewrite_table(place: Path, change: Callable[[Table], Table]) -> None:
+    """Put ``change(table)`` in place of the table of the part that lies in `place`, with a receipt that names it."""
+    receipt = json.loads((place / "receipt.json").read_text())
+    table = place / receipt["key"] / "table.parquet"
+    write_table(table, change(read_table(table)))
+    receipt["outputs"]["table.parquet"] = {"bytes": table.stat().st_size, "digest": file_digest(table)}
+    del receipt["seal"]
+    (place / "receipt.json").write_text(json.dumps(receipt))
 
 
 def shifted_reference(survey: Path, output: Path) -> None:
