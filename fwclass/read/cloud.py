@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import quantised
-from fwclass.read.crs import not_degrees
 from fwclass.read.flat import refuse_unless_flat
 from fwclass.read.las import LasSource
 from fwclass.read.linear_units import LinearUnits, linear_units
@@ -162,8 +161,6 @@ def _cloud(
             got=f"{int((~finite).sum())} of {len(finite)} are not finite, the others are larger",
             do="check the file's scale and offset (fwclass info), or its columns",
         )
-    bounds = [float(f(a[usable])) for f in (np.min, np.max) for a in xyz]
-    not_degrees(crs, bounds, int(usable.sum()), path)
     x, y, z = (np.where(usable, quantised(np.where(usable, a, 0.0)), np.nan) for a in xyz)
     return PointCloud(
         path, source, crs, units, x, y, z, usable, last, classes, flagged, int((~finite).sum()),

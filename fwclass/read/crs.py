@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from typing import Any, Protocol
 
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from fwclass.errors import InputError
 from fwclass.read.header import Record
 
 _USERS = ("LASF_Projection", "LAS_Projection", "liblas", "PulseWaves_Proj")
@@ -25,13 +23,6 @@ class Records(Protocol):
     def global_encoding(self) -> int: ...
 
     def records(self, number: int, users: tuple[str, ...]) -> list[Record]: ...
-
-
-MANY = 100
-"""So many points within a metre are no survey."""
-
-STEEP = 10.0
-"""Heights of so many times the width are no survey either."""
 
 
 def crs_of(header: Records, faults: list[str]) -> Any:
@@ -50,29 +41,6 @@ def crs_of(header: Records, faults: list[str]) -> Any:
     elif crs.is_geographic:
         faults.append("the CRS is in degrees: project the file to metres first")
     return crs
-
-
-def like_degrees(crs: Any, bounds: Sequence[float], points: int) -> bool:
-    """No system, and bounds [xmin, ymin, zmin, xmax, ymax, zmax] of longitudes and latitudes beside heights in metres.
-
-    A survey is less than a degree wide, and its heights differ by far more than these numbers do.
-    """
-    west, south, low, east, north, high = bounds
-    wide = max(east - west, north - south)
-    earth = -180.0 <= west <= east <= 180.0 and -90.0 <= south <= north <= 90.0
-    return bool(crs is None and points >= MANY and earth and wide < 1.0 and high - low > STEEP * wide)
-
-
-def not_degrees(crs: Any, bounds: Sequence[float], points: int, where: object) -> None:
-    """`InputError` for what is `like_degrees`: taken for metres, all of it lies in a cell or two."""
-    if like_degrees(crs, bounds, points):
-        west, south, low, east, north, high = bounds
-        raise InputError(
-            "the coordinates look like degrees, and every distance here is in metres", where=where,
-            expected="a projected system, in metres", got=f"x {west:.4f} to {east:.4f}, y {south:.4f} to {north:.4f}, "
-            f"z {low:.1f} to {high:.1f}, and no system named",
-            do="reproject the file (for example with PDAL's filters.reprojection), or name the system if it is metres",
-        )  # fmt: skip
 
 
 def _from_wkt(header: Records, faults: list[str]) -> CRS | None:

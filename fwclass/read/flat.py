@@ -14,9 +14,14 @@ from fwclass.errors import InputError
 from fwclass.read.base import Source
 
 DEGREES, GEOCENTRIC = "in degrees", "geocentric"
-WORDS = {
+
+_WORDS = {
     DEGREES: "the coordinates are in degrees",
     GEOCENTRIC: "the coordinates are geocentric: they count from the middle of the earth, and z is not up",
+}
+_LIKE = {
+    DEGREES: "the coordinates look like degrees",
+    GEOCENTRIC: "the coordinates look geocentric, as if they counted from the middle of the earth",
 }
 
 LONGEST, HIGHEST = 360.0, 90.0
@@ -29,8 +34,8 @@ FINEST = 2e-5
 """Step of stored coordinates up to which they may be degrees (2 m); lengths are stored in coarser ones, of 1e-4 and
 more, and degrees in such steps would be places 10 m and more apart."""
 
-STEEP = 3.0
-"""Where no step is known (text): a file that is so many times as high as wide is no piece of land in metres."""
+STEEP = 10.0
+"""Heights of so many times the width are no piece of land in metres, whatever the step."""
 
 RADIUS, ABOUT = 6.371e6, 6e4
 """Of the earth [m], and how far a place on it or above it is from that."""
@@ -61,8 +66,13 @@ def not_flat(crs: Any, low: Sequence[float], high: Sequence[float], step: float 
     small = max(abs(low[0]), abs(high[0])) <= LONGEST and max(abs(low[1]), abs(high[1])) <= HIGHEST
     if crs is not None or not small or not 0.0 < max(wide, deep) <= WIDEST:
         return ""
-    fine = up > STEEP * max(wide, deep) if step is None else step <= FINEST
-    return DEGREES if fine else ""
+    fine = step is not None and step <= FINEST
+    return DEGREES if fine or up > STEEP * max(wide, deep) else ""
+
+
+def words(kind: str, crs: Any) -> str:
+    """What `not_flat` told, in words: certain where the system says it."""
+    return (_LIKE if crs is None else _WORDS)[kind]
 
 
 def refuse_unless_flat(
@@ -73,7 +83,7 @@ def refuse_unless_flat(
     if kind:
         x, y, z = (f"{a} {u:.10g} to {v:.10g}" for a, u, v in zip("xyz", low, high, strict=True))
         raise InputError(
-            WORDS[kind], where=where,
+            words(kind, crs), where=where,
             expected="a projected coordinate system in metres: every distance here is a length, and z is up",
             got=f"{crs.name}; {x}, {y}, {z}" if crs is not None else f"no coordinate system named; {x}, {y}, {z}",
             do="reproject the file first (for example with PDAL's filters.reprojection)"
@@ -91,5 +101,4 @@ def flat_faults(source: Source, low: Sequence[float], high: Sequence[float]) -> 
     kind = not_flat(source.crs, low, high, max(source.scales[:2]))
     if not kind or (source.crs is not None and source.crs.is_geographic):
         return []
-    looks = "" if source.crs is not None else " (by their numbers)"
-    return [f"{WORDS[kind]}{looks}: reproject the file to metres first"]
+    return [f"{words(kind, source.crs)}: reproject the file to metres first"]

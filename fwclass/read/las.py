@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fwclass.read.base import Source, WaveStore
-from fwclass.read.crs import crs_of, like_degrees
+from fwclass.read.crs import crs_of
 from fwclass.read.header import (
     EVLR_HEADER,
     SPEC_USERS,
@@ -94,8 +94,6 @@ def open_las(path: Path) -> LasSource:
         check_laz(header)
     faults = list(header.faults)
     crs = crs_of(header, faults)
-    if like_degrees(crs, header.bounds, header.n_points):
-        faults.append("the coordinates look like degrees: reproject the file to metres first")
     found = _descriptors(header, faults)
     waves = _find_waves(header, faults)
     if header.n_points == 0:

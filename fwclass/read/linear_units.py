@@ -9,7 +9,7 @@ from typing import Any
 
 from fwclass.errors import InputError
 from fwclass.read.crs import Records
-from fwclass.read.flat import DEGREES, GEOCENTRIC, WORDS
+from fwclass.read.flat import DEGREES, GEOCENTRIC, words
 from fwclass.read.header import Record
 
 _KEYS, _VERTICAL_UNITS = 34735, 4099
@@ -53,7 +53,7 @@ def linear_units(crs: Any, header: Records | None, where: object) -> LinearUnits
         return LinearUnits(1.0, 1.0, "no coordinate system: metres are assumed")
     if crs.is_geographic or crs.is_geocentric:
         raise InputError(
-            WORDS[DEGREES if crs.is_geographic else GEOCENTRIC],
+            words(DEGREES if crs.is_geographic else GEOCENTRIC, crs),
             where=where,
             expected="a projected coordinate system: every distance here is a length",
             got=crs.name,

@@ -16,8 +16,7 @@ from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
 from fwclass.paths import name_fault
-from fwclass.read.crs import not_degrees
-from fwclass.read.flat import refuse_source
+from fwclass.read.flat import refuse_source, refuse_unless_flat
 from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.quantities import quantities_of
@@ -128,11 +127,12 @@ def gather(config: Config, road: Road) -> Survey:
             where=", ".join(str(s.path) for s in opened[:3]),
             do="check the delivery; there is nothing to classify",
         )
-    crs = common_crs(config, full, road)
+    given, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, road)
     numbered = numbers(s.path.stem for s in opened)
     bounds = {s.path: _true_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
     for source in full:
-        not_degrees(crs, bounds[source.path], source.n_records, source.path)
+        own, ends = given or source.crs, bounds[source.path]
+        refuse_unless_flat(own, ends[:3], ends[3:], source.path, max(source.scales[:2]))
     box = joint_bounds(bounds.values())
     check_areas(config, box)  # before all files are read for their digests
     strips = tuple(

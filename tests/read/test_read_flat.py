@@ -18,7 +18,7 @@ LONLAT = np.column_stack(
 )
 EARTH = np.array([4_201_000.0, 170_000.0, 4_780_000.0]) + RNG.uniform(0.0, 60.0, (200, 3))
 KINDS = {
-    "degrees without a system": (LONLAT, {"keys": None, "scale": 1e-7}, "in degrees"),
+    "degrees without a system": (LONLAT, {"keys": None, "scale": 1e-7}, "like degrees"),
     "degrees": (LONLAT, {"keys": {2048: 4326}, "scale": 1e-7}, "in degrees"),
     "geocentric without a system": (EARTH, {"keys": None}, "geocentric"),
     "geocentric": (EARTH, {"keys": None, "wkt": CRS(4978).to_wkt("WKT1_GDAL")}, "geocentric"),
@@ -75,7 +75,7 @@ def test_waveforms_in_degrees_are_refused_before_they_are_fitted(tmp_path):
 def test_text_in_degrees(tmp_path):
     np.savetxt(tmp_path / "a.xyz", LONLAT, fmt="%.8f")
     ended = fwclass("ground", tmp_path / "a.xyz", tmp_path / "o.xyz")
-    assert ended.returncode == 1 and "in degrees" in ended.stderr
+    assert ended.returncode == 1 and "like degrees" in ended.stderr
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
 from fwclass.read.cloud import PointCloud, read_point_cloud
+from fwclass.read.flat import HIGHEST, LONGEST
 from fwclass.read.las import LasSource
 from fwclass.run.ground.output import check_output, check_packets, write_points
 from fwclass.run.ground.params import ground_params, used, with_assignments
@@ -27,6 +28,9 @@ from fwclass.run.survey import given_crs
 
 UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
 """Class codes of LAS 1.4."""
+
+MANY = 100
+"""So many points within a metre are no survey."""
 
 Adapt = Callable[[PointCloud, NDArray[np.bool_], GroundParams], tuple[GroundParams, dict[str, Any]]]
 """``adapt(cloud, shown, params)``: other parameters, and what was measured, as plain data."""
@@ -187,6 +191,14 @@ def classes_of(cloud: PointCloud, flags: Flags, keep_classes: bool) -> NDArray[n
     return classes
 
 
+def looks_like_degrees(cloud: PointCloud) -> bool:
+    """No coordinate system, numbers of longitudes and latitudes, and all within one of them: a dense patch, or what
+    `flat` cannot tell from one."""
+    x, y = cloud.x[cloud.usable], cloud.y[cloud.usable]
+    near = np.ptp(x) < 1.0 and np.ptp(y) < 1.0 and len(x) >= MANY
+    return bool(cloud.crs is None and near and np.abs(x).max() <= LONGEST and np.abs(y).max() <= HIGHEST)
+
+
 def unusable(cloud: PointCloud) -> dict[str, int]:
     """Points that no filter can use, by reason."""
     counts = {"not finite": cloud.unfinished, "beyond any place on earth": cloud.absurd}
@@ -197,6 +209,8 @@ def _notes(
     cloud: PointCloud, shown: NDArray[np.bool_], flags: Flags, stray: NDArray[np.int64], made: dict[str, Any]
 ) -> list[str]:
     notes = [*made.get("notes", []), *cloud.cut_packets]
+    if looks_like_degrees(cloud):
+        notes.append("the coordinates look like degrees, and were taken for metres: reproject the file first")
     if isinstance(cloud.source, LasSource) and cloud.crs is not cloud.source.crs:
         notes.append("the output keeps the coordinate system that the input names, not that of --crs")
     if len(stray):
