@@ -137,9 +137,10 @@ def _remove(place: Path, maker: int) -> None:
 
 
 @contextmanager
-def _away_from(name: str) -> Iterator[None]:
-    """Elsewhere than in the current directory, where that holds a file `name`; the library asks for no other place."""
-    if not os.path.lexists(name):
+def away_from(*names: str) -> Iterator[None]:
+    """Elsewhere than in the current directory, where that holds one of the files `names`, which a library would read
+    there and nowhere else."""
+    if not any(map(os.path.lexists, names)):
         yield
         return
     back = os.open(".", os.O_RDONLY)
@@ -169,7 +170,7 @@ def _guarded(name: str, execute: Callable[[ModuleType], None]) -> Callable[[Modu
     def exec_module(module: ModuleType) -> None:
         if name == "numba":
             kernel_cache()
-        with _away_from(CONFIGURATIONS[name]):
+        with away_from(CONFIGURATIONS[name]):
             execute(module)
         if name == "numba":
             _settle_numba()

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError, full_or
 from fwclass.grid import Window, millimetres, whole_millimetres
+from fwclass.isolation import away_from
 from fwclass.kernel import kernel
 from fwclass.publish.files import whole
 from fwclass.publish.palette import RGB, colours
@@ -111,6 +115,7 @@ def cog(
                     file.write(np.ascontiguousarray(array[::-1]), 1, window=place)
 
                 yield put
+            _know_grids()
             copy(raw, beside, **finished)
         except OSError as fault:  # before the cells go, and the disk has room again
             found = full_or(fault, path.parent)
@@ -121,6 +126,22 @@ def cog(
             raw.unlink(missing_ok=True)
     if known:
         _write_names(path, known)
+
+
+@cache
+def _know_grids() -> None:
+    """Let GDAL read its grids of tiles, as it does once, before the first file; it looks for each by its name in the
+    current directory first."""
+    from rasterio.env import GDALDataFinder
+    from rasterio.io import MemoryFile
+    from rasterio.shutil import copy
+
+    data = os.environ.get("GDAL_DATA") or GDALDataFinder().search()
+    names = [path.stem.removeprefix("tms_") for path in Path(data).glob("tms_*.json")] if data else []
+    if any(map(os.path.lexists, names)):
+        with away_from(*names), MemoryFile() as plain, MemoryFile() as made, warnings.catch_warnings(action="ignore"):
+            plain.open(driver="GTiff", width=1, height=1, count=1, dtype="uint8").close()
+            copy(plain.name, made.name, driver="COG")
 
 
 def _predictor(dtype: np.dtype, codes: bool) -> str:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import glob
 import mmap
 import re
 import sqlite3
 from pathlib import Path
 
 from fwclass.errors import InputError
-from fwclass.paths import open_regular
+from fwclass.paths import open_regular, strange_kind
 
 SQLITE = b"SQLite format 3\0"
 GEOPACKAGE = (b"GPKG", b"GP10", b"GP11")
@@ -37,6 +38,9 @@ def check_format(path: Path) -> None:
     GDAL would read what is left of a short one, and open anything else by whatever driver knows it.
     """
     ending = path.suffix.lower()
+    for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):  # GDAL opens those that belong to a file as it does
+        if kind := strange_kind(beside):
+            raise _other(path, f"{kind} beside it, {beside.name}", "remove it")
     with open_regular(path) as file:
         head, size = file.read(HEAD), path.stat().st_size
     promised = 0

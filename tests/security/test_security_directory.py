@@ -76,12 +76,17 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def start(place: Path, *words: object, module: bool = False) -> subprocess.CompletedProcess[str]:
+def start(place: Path, *words: object, module: bool = False, timeout: float = 300) -> subprocess.CompletedProcess[str]:
     """The command in the stranger's directory, by its script or as a module."""
     how = ["-P", "-m", "fwclass"] if module else [str(place / "bin" / "fwclass")]
     env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     return subprocess.run(
-        [sys.executable, *how, *map(str, words)], cwd=place / "x", env=env, capture_output=True, text=True, timeout=300
+        [sys.executable, *how, *map(str, words)],
+        cwd=place / "x",
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=timeout,
     )
 
 
@@ -150,6 +155,18 @@ def test_every_command_in_a_strangers_directory(place: Path) -> None:
         ended = start(place, *words)
         assert ended.returncode == 0, (words, ended.stderr)
         untouched(place)
+
+
+def test_pipes_named_as_what_libraries_look_for_keep_nobody_waiting(tmp_path: Path) -> None:
+    """GDAL looks for its grids of tiles by name, before the first cloud-optimised file."""
+    (tmp_path / "x").mkdir()
+    for name in FILES:
+        os.mkfifo(tmp_path / "x" / name)
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "fwclass").write_text(ENTRY)
+    source = strip(tmp_path / "a.las")
+    ended = start(tmp_path, "ground", source, tmp_path / "g.laz", "--dtm", tmp_path / "d.tif", timeout=60)
+    assert ended.returncode == 0 and (tmp_path / "d.tif").exists(), ended.stderr
 
 
 SEES = """

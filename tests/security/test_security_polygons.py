@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.server
 import json
+import os
 import shutil
 import sqlite3
 import struct
@@ -185,6 +186,15 @@ def test_a_geopackage_opens_no_other_file(table: str, sound: Path, host: Hosts) 
     with pytest.raises(InputError, match="not what its name says") as fault:
         open_polygons(path, "v")
     assert "reads other files" in str(fault.value)
+
+
+@pytest.mark.parametrize("name", ["good.prj", "good.sbn", "good.CPG", "good.gpkg-wal", "good.shp.xml"])
+def test_a_pipe_beside_keeps_nobody_waiting(name: str, sound: Path) -> None:
+    (sound / name).unlink(missing_ok=True)
+    os.mkfifo(sound / name)
+    for ending in ("gpkg", "shp", "geojson"):
+        with pytest.raises(InputError, match="not what its name says"):
+            open_polygons(sound / f"good.{ending}")
 
 
 def test_three_drivers_are_left_and_sound_files_are_read(sound: Path) -> None:
