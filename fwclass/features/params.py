@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from fwclass.columns import COLUMNS
 from fwclass.columns import FEATURES as DECLARED
@@ -56,6 +56,8 @@ class FeaturesParams(Params):
     optimal_radii : spheres that the optimal one is chosen from [m].
     nearest_reach : no nearest echo is looked for further away [m].
     pulse_reach : echoes of a pulse further apart in plan are not compared [m].
+    dense_cell, dense_echoes, dense_step : cubes of this edge [m] with more echoes than this are dense: there one echo
+        counts in every small cube of edge `dense_step` [m], which divides `dense_cell`.
     """
 
     also: tuple[str, ...]
@@ -66,6 +68,9 @@ class FeaturesParams(Params):
     optimal_radii: tuple[float, ...] = Field(min_length=2, max_length=100)
     nearest_reach: float = Field(gt=0, le=100)
     pulse_reach: float = Field(gt=0, le=1000)
+    dense_cell: float = Field(ge=0.001, le=10)
+    dense_echoes: int = Field(ge=1, le=1_000_000)
+    dense_step: float = Field(ge=0.001, le=10)
 
     @field_validator("optimal_radii")
     @classmethod
@@ -73,6 +78,12 @@ class FeaturesParams(Params):
         if min(radii) <= 0 or any(b <= a for a, b in zip(radii, radii[1:], strict=False)):
             raise ValueError("radii must be positive and rise")
         return radii
+
+    @model_validator(mode="after")
+    def _whole_cubes(self) -> FeaturesParams:
+        if abs(self.dense_cell / self.dense_step - round(self.dense_cell / self.dense_step)) > 1e-9:
+            raise ValueError("dense_step must divide dense_cell")
+        return self
 
 
 def is_feature(name: str) -> bool:
@@ -164,7 +175,7 @@ class Asked:
         return tuple(dict.fromkeys((*_PLACE, *more)))
 
     def reach(self, params: FeaturesParams) -> float:
-        """Distance around a tile that they are computed from, and the normals too [m]."""
+        """Distance around an echo that they are computed from, and the normals too [m]."""
         reach = [params.normal_radius]
         for scale, bases in self.scales:
             if scale.kind == "k":
@@ -181,3 +192,8 @@ class Asked:
         if any(name.startswith("pulse_") for name in self.plain):
             reach.append(params.pulse_reach)
         return float(max(reach))
+
+    def halo(self, params: FeaturesParams) -> float:
+        """What a tile reads around it [m]: an echo's small cube (`dense_step`) and the cubes that its neighbours lie in
+        are looked at whole."""
+        return self.reach(params) + params.dense_cell + params.dense_step

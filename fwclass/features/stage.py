@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from numpy.typing import NDArray
 
 from fwclass.features.cells import cells, height_in_cell
+from fwclass.features.dense import thinned
 from fwclass.features.nearest import nearest_echoes
 from fwclass.features.orientation import oriented_inclination
 from fwclass.features.params import NORMAL, ORIENTED, Asked, FeaturesParams
@@ -26,7 +27,8 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     With fewer than three neighbours, or all at one place, everything that comes from the covariance is NaN; on a line
     the inclination, the normal and what refers to the fitted plane are NaN. Heights and shares always have a value;
     skewness and kurtosis are 0 where all heights are equal. Means and deviations of what the echoes measured leave out
-    those without a value, and are NaN without any. Deviations and variances divide by N.
+    those without a value, and are NaN without any. Deviations and variances divide by N. Where echoes are dense beyond
+    any survey, few of them count (`fwclass.features.dense`).
 
     Raises
     ------
@@ -39,6 +41,21 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     """
     asked = Asked.of(names)
     require(chunk.table, asked.reads, chunk.tile.key)
+    thin = thinned(chunk, params)
+    made = _of_neighbours(thin.chunk if thin else chunk, asked, params)
+    if thin:
+        made = {name: values[thin.source] for name, values in made.items()}
+    for scale, bases in asked.of_kind("g").items():
+        made |= named(cells(chunk, scale, bases), scale)
+    if variances := tuple(n for n in asked.plain if n in MEASURED):
+        made |= pulse_variances(chunk, variances, params)
+    if "zc" in asked.plain:
+        made["zc"] = height_in_cell(chunk, params)
+    return Table({name: made[name] for name in (*asked.names, *NORMAL)})
+
+
+def _of_neighbours(chunk: Chunk, asked: Asked, params: FeaturesParams) -> dict[str, NDArray]:
+    """What is asked of spheres, cylinders and nearest echoes, of the core rows."""
     made: dict[str, NDArray] = dict(spheres(chunk, without(asked.of_kind("rc"), ORIENTED), params))
     for scale, bases in asked.of_kind("r").items():
         if ORIENTED in bases:
@@ -48,13 +65,7 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
         made |= optimal(chunk, chosen, radius, params)
     for scale, bases in asked.of_kind("k").items():
         made |= named(nearest_echoes(chunk, scale, bases, params), scale)
-    for scale, bases in asked.of_kind("g").items():
-        made |= named(cells(chunk, scale, bases), scale)
-    if variances := tuple(n for n in asked.plain if n in MEASURED):
-        made |= pulse_variances(chunk, variances, params)
-    if "zc" in asked.plain:
-        made["zc"] = height_in_cell(chunk, params)
-    return Table({name: made[name] for name in (*asked.names, *NORMAL)})
+    return made
 
 
 def without(scales: Mapping[Scale, tuple[str, ...]], base: str) -> dict[Scale, tuple[str, ...]]:
@@ -68,5 +79,5 @@ def named(made: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
     return {f"{base}_{scale.suffix}": values for base, values in made.items()}
 
 
-FEATURES = Stage(name="features", version=5, kind="tile", function=features, params=FeaturesParams, writes=NORMAL)
+FEATURES = Stage(name="features", version=6, kind="tile", function=features, params=FeaturesParams, writes=NORMAL)
 """It reads and writes what a list of names asks for: `Asked.reads`, `Asked.reach`."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.classify.stage import classify, filled
 from fwclass.errors import ConfigError, InputError
+from fwclass.features.dense import Crowd, told_crowd
 from fwclass.features.params import Asked, is_feature
 from fwclass.features.stage import features
 from fwclass.ground.blocks import blocks_of
@@ -91,7 +92,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     codes = legal_codes(job, model, source)
     asked = Asked.of(n for n in model.features if is_feature(n))
     found = _echoes(job, model, asked, tell)
-    made, without, medians = _classified(found.table, model, asked, job.settings, tell)
+    made, without, medians, dense = _classified(found.table, model, asked, job.settings, tell)
     tell("writing")
     rows = _row_of_point(found, job.source)
     classes = codes[made["classification"][rows]]
@@ -104,7 +105,8 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "classes": {str(c): int(n) for c, n in zip(used, counts, strict=True)},
         "names": {str(int(codes[c.code])): c.name for c in model.classes},
         "confidence": float(made["confidence"].mean()), "without_value": without, "filled": medians,
-        "waveforms": wrote.get("wdp"), "notes": [*found.told, *notes, *(str(n) for n in wrote.get("notes", ()))],
+        "waveforms": wrote.get("wdp"),
+        "notes": [*found.told, *dense, *notes, *(str(n) for n in wrote.get("notes", ()))],
         "seconds": round(time.perf_counter() - began, 3),
     }  # fmt: skip
 
@@ -198,16 +200,17 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
 
 def _classified(
     table: Table, model: Model, asked: Asked, settings: tuple[str, ...], tell: Tell
-) -> tuple[dict[str, NDArray], dict[str, int], int]:
-    """Columns of `classify` for every echo; echoes without a value by feature; values that were filled.
+) -> tuple[dict[str, NDArray], dict[str, int], int, list[str]]:
+    """Columns of `classify` for every echo; echoes without a value by feature; values that were filled; a remark
+    where echoes are too dense for all of them to count.
 
     Tile by tile (`tile.size`, which changes nothing), so that the features of one tile only are in memory.
     """
     params, shares = conf.section("features", settings), conf.section("classify", settings).probabilities
     size, done, told = conf.section("tile", settings).size, 0, 0
-    halo = asked.reach(params) if asked.names else 0.0
+    halo = asked.halo(params) if asked.names else 0.0
     made: dict[str, NDArray] = {}
-    without = np.zeros(len(model.features), np.int64)
+    without, crowds = np.zeros(len(model.features), np.int64), []
     for tile, rows, own in blocks_of(table["x"], table["y"], size, halo):
         tell(f"classes: {done:,} of {table.rows:,} echoes")
         rows = rows[order := np.lexsort((table["echo_number"][rows], table["pulse"][rows]))]
@@ -215,14 +218,17 @@ def _classified(
         near = table.take(rows)
         whole = near.take(core)
         if asked.names:
-            around = features(Chunk(near, core, tile), asked.names, params)
+            around = features(chunk := Chunk(near, core, tile), asked.names, params)
+            crowds.append(told_crowd(chunk, params))
             whole = whole.with_columns(around.select(asked.names))
         X = sample_matrix(whole, model.features, tile.key)
         for name, values in classify(X, model, shares).items():
             made.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
         without += np.isnan(X).sum(axis=0)
         done, told = done + len(core), told + filled(X, model)
-    return made, {n: int(k) for n, k in zip(model.features, without, strict=True) if k}, told
+    crowd = Crowd.of_parts(crowds)
+    lacking = {n: int(k) for n, k in zip(model.features, without, strict=True) if k}
+    return made, lacking, told, [crowd.text(params)] if crowd else []
 
 
 def _row_of_point(found: FileEchoes, source: Path) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ from fwclass import __version__
 from fwclass.assess.stage import caution
 from fwclass.conf import Config
 from fwclass.decompose.plausible import added
+from fwclass.features.dense import Crowd
 from fwclass.grid import TileGrid, Window
 from fwclass.run.accuracy_remarks import accuracy_remarks
 from fwclass.run.desk import Desk
@@ -70,7 +71,11 @@ def write_report(config: Config, road: Road, survey: Survey, layout: Layout, nam
         "distribution": _distribution(road),
         "waveforms": _waveforms(road, survey),
         "plausibility": (plausible := _plausibility(road, survey, config)),
-        "remarks": [*_of_accuracy(accuracy, counted, config, names), *(plausible or {}).get("remarks", ())],
+        "remarks": [
+            *_of_accuracy(accuracy, counted, config, names),
+            *(plausible or {}).get("remarks", ()),
+            *_crowded(road, config),
+        ],
         "ground": _ground(road, config),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(road),
@@ -138,6 +143,12 @@ def _counts(road: Road) -> dict[str, int]:
         "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
         "tiles": len(tiles),
     }
+
+
+def _crowded(road: Road, config: Config) -> list[str]:
+    """That some places are too dense for all echoes of a neighbourhood to count."""
+    crowd = Crowd.of_parts(r.meta.get("dense") for r in _made(road, "features"))
+    return [crowd.text(config.features)] if crowd else []
 
 
 def _stage(road: Road, name: str, tally: Tally) -> dict[str, Any]:

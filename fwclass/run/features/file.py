@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.errors import ConfigError
+from fwclass.features.dense import Crowd, told_crowd
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import features
 from fwclass.ground.blocks import blocks_of
@@ -105,7 +106,7 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
         asked, left_out = given(asked, found.table, job.source, job.skip_missing)
         table = _sorted(found.table)
         with tempfile.TemporaryDirectory(dir=job.output.parent, prefix=".fwclass-features-") as room:
-            made, tiles = _features(table, asked, params, size, Path(room), tell)
+            made, tiles, crowd = _features(table, asked, params, size, Path(room), tell)
             tell("writing")
             parts = _row_groups(table, asked, made, publish.row_group)
             written = write_geoparquet_parts(parts, bounds_of(table), job.output, found.crs, publish)
@@ -114,7 +115,7 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
         "input": str(job.source), "output": str(job.output), "set": asked.told, "features": list(asked.names),
         "left_out": left_out, "echoes": table.rows, "tiles": tiles, "reach": asked.around.reach(params),
         "without_value": _without(job.output, asked), "crs": found.crs.name if found.crs is not None else None,
-        "notes": list(found.told), "bytes": written["bytes"],
+        "notes": [*found.told, *([crowd.text(params)] if crowd else [])], "bytes": written["bytes"],
         "seconds": {"compiling": round(compiling.seconds, 3), "all": round(time.perf_counter() - started, 3)},
     }  # fmt: skip
 
@@ -160,25 +161,26 @@ def _sorted(table: Table) -> Table:
 
 def _features(
     table: Table, asked: Wanted, params: FeaturesParams, size: float, room: Path, tell: Tell
-) -> tuple[dict[str, NDArray[np.float32]], int]:
-    """Features of a neighbourhood of all rows, by name, in files below `room`; how many tiles it took."""
+) -> tuple[dict[str, NDArray[np.float32]], int, Crowd | None]:
+    """Features of a neighbourhood of all rows, by name, in files below `room`; how many tiles it took; dense places."""
     around = asked.around
     if not around.names:
-        return {}, 0
+        return {}, 0, None
     made: dict[str, NDArray[np.float32]] = {
         n: np.lib.format.open_memmap(room / f"{k}.npy", "w+", column(n).dtype, (table.rows,))
         for k, n in enumerate(around.names)
     }
-    reads, done, tiles = table.select(dict.fromkeys((*around.reads, *PLACE[:3]))), 0, 0
-    for tile, rows, own in blocks_of(table["x"], table["y"], size, around.reach(params)):
+    reads, done, tiles, crowds = table.select(dict.fromkeys((*around.reads, *PLACE[:3]))), 0, 0, []
+    for tile, rows, own in blocks_of(table["x"], table["y"], size, around.halo(params)):
         tell(f"features: {done:,} of {table.rows:,} echoes")
         order = np.lexsort((reads["echo_number"][rows], reads["pulse"][rows]))
         chunk = Chunk(reads.take(rows[order]), np.flatnonzero(own[order]), tile)
         for name, values in features(chunk, around.names, params).items():
             if name in made:
                 made[name][rows[order][own[order]]] = values
+        crowds.append(told_crowd(chunk, params))
         done, tiles = done + int(own.sum()), tiles + 1
-    return made, tiles
+    return made, tiles, Crowd.of_parts(crowds)
 
 
 def _row_groups(table: Table, asked: Wanted, made: dict[str, NDArray[np.float32]], size: int) -> Iterator[Table]:

@@ -57,7 +57,7 @@ def feature_tasks(layout: Layout, names: tuple[str, ...]) -> Tasks:
     """Those of `names` that are features of a neighbourhood."""
     config = layout.config
     asked = Asked.of(sorted(n for n in names if is_feature(n)))  # who asks in another order gets the same part
-    halo = asked.reach(config.features)
+    halo = asked.halo(config.features)
     columns = layout.columns(asked.reads)
     params = {**config.features.model_dump(mode="json", exclude={"also"}), "names": list(asked.names)}
     here = layout.keys

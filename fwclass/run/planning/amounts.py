@@ -88,7 +88,7 @@ def features_of(config: Config) -> tuple[str, ...]:
 
 def tile_halo(config: Config) -> float:
     """The furthest that any stage reads around a tile [m]."""
-    halos = [Asked.of(features_of(config)).reach(config.features)]
+    halos = [Asked.of(features_of(config)).halo(config.features)]
     if config.survey.reference.kind != "none":
         halos.append(LABEL.halo(config.label))
     if has_range(config) and (config.radiometry.balance or config.radiometry.target is not None):
@@ -154,7 +154,7 @@ def _of_tiles(config: Config, facts: SurveyFacts, tiles: Spread) -> dict[str, Am
     crowd, total = crowding(config, facts), float(tiles.counts.sum())
     fullest = float(tiles.counts.max()) * crowd
     plain = Amount(tiles.number, total, fullest, fullest)
-    around = tiles.grown(Asked.of(features_of(config)).reach(config.features))
+    around = tiles.grown(Asked.of(features_of(config)).halo(config.features))
     seen = float(around.max()) * crowd
     labelled = config.survey.reference.kind != "none"
     made = dict.fromkeys(("tile", "ground", "height"), plain)

@@ -39,7 +39,7 @@ def costs(road: Road, layout: Layout, tile: Tile, sets: Sequence[Names]) -> dict
     wanted = tuple(dict.fromkeys(computed(s) for s in sets))
     config = layout.config
     asked = Asked.of(n for s in wanted for n in s)
-    halo = asked.reach(config.features)
+    halo = asked.halo(config.features)
     columns = layout.columns(asked.reads)
     present = layout.around(tile.box.grown(halo), layout.keys)
     params = {

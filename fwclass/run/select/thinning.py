@@ -79,7 +79,7 @@ def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
     config = layout.config
     names = computed(names)
     asked = Asked.of(names)
-    halo = asked.reach(config.features)
+    halo = asked.halo(config.features)
     columns = layout.columns(asked.reads)
     present = layout.around(tile.box.grown(halo), layout.keys)
     params = {**config.features.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.features.dense import Crowd, told_crowd
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import features
 from fwclass.grid import Tile
@@ -29,16 +30,18 @@ def featured(
 ) -> dict[str, Any]:  # fmt: skip
     """Neighbourhood features of a tile's echoes; of a thinned run's, of the sampled ones."""
     sampled = desk.rows(tile.key, {"sampled": "thin"})["sampled"] if thins else None
-    tables, places, rows = [], [], []
+    tables, places, rows, crowds = [], [], [], []
     for these, chunk in desk.chunks(tile, halo, columns, present):
         some = None if sampled is None else sampled[these]
         made = features(chunk, names, params) if some is None else features_of_some(chunk, some, names, params)
         tables.append(made)
         places.append(chunk.table.select(("x", "y")).take(chunk.core))
         rows.append(these)
+        crowds.append(told_crowd(chunk, params))
     made, place = (_joined(pieces, rows) for pieces in (tables, places))
     write_table(directory / TABLE, made)
-    return {CELLS: by_place(made, place["x"], place["y"])}
+    crowded = Crowd.of_parts(crowds)
+    return {CELLS: by_place(made, place["x"], place["y"])} | ({"dense": crowded.told()} if crowded else {})
 
 
 def _joined(pieces: list[Table], rows: list[NDArray[np.int64]]) -> Table:
