@@ -117,6 +117,32 @@ def most_in_window(start, ncols, nrows, half):  # type: ignore[no-untyped-def]
     return most
 
 
+@kernel
+def slices(start, ncols, nrows, half, most):  # type: ignore[no-untyped-def]
+    """int64: sorted echoes, the first and one past the last among them, between which a walk meets about `most`
+    candidates, however many one cell holds."""
+    cuts = [np.int64(0)]
+    met, reach = 0, len(half) - 1
+    for row in range(nrows):
+        for col in range(ncols):
+            first, last = start[row * ncols + col], start[row * ncols + col + 1]
+            if first < last:
+                held = 0
+                for r in range(max(row - reach, 0), min(row + reach + 1, nrows)):
+                    wide = half[abs(r - row)]
+                    held += start[r * ncols + min(col + wide + 1, ncols)] - start[r * ncols + max(col - wide, 0)]
+                while met + (last - first) * held > most:
+                    first += max((most - met) // held, 1)
+                    cuts.append(min(first, last))
+                    met = 0
+                    if first >= last:
+                        break
+                met += max(last - first, 0) * held
+    if cuts[-1] < start[-1]:
+        cuts.append(start[-1])
+    return np.array(cuts)
+
+
 @inlined
 def candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, x, y, z):  # type: ignore[no-untyped-def]
     """Copy the echoes of the window of a cell, relative to echo `first`, and far ones up to a multiple of `LANES`.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.features.params import NORMAL, FeaturesParams
-from fwclass.features.spheres import spheres
+from fwclass.features.spheres import AT_A_TIME, spheres
 from fwclass.kernel import kernel
 from fwclass.neighbours import CellIndex
 from fwclass.schema import Scale
@@ -50,10 +50,13 @@ def sides(chunk: Chunk, normals: NDArray[np.float64], radius: float, rounds: int
     sorted_normals = normals[index.order]
     side = np.zeros(table.rows, np.int8)
     grid = (index.x, index.y, index.z, index.start, index.ncols, index.nrows, index.cell)
-    _seed(*grid, sorted_normals, SURE, side)
+    step = max(AT_A_TIME // (9 * int(np.diff(index.start).max())), 1)
+    parts = [(begin, min(begin + step, table.rows)) for begin in range(0, table.rows, step)]
+    for part in parts:
+        _seed(*grid, sorted_normals, SURE, *part, side)
     for _ in range(rounds):
         before = side.copy()
-        if _spread(*grid, sorted_normals, before, side) == 0:
+        if sum(_spread(*grid, sorted_normals, before, *part, side) for part in parts) == 0:
             break
     out = np.empty(table.rows, np.int8)
     out[index.order] = side
@@ -61,12 +64,13 @@ def sides(chunk: Chunk, normals: NDArray[np.float64], radius: float, rounds: int
 
 
 @kernel
-def _seed(x, y, z, start, ncols, nrows, radius, normals, sure, side):  # type: ignore[no-untyped-def]
-    """Side 1 where the normal is near the vertical and nothing is higher by more than the radius."""
+def _seed(x, y, z, start, ncols, nrows, radius, normals, sure, begin, end, side):  # type: ignore[no-untyped-def]
+    """Side 1 where the normal is near the vertical and nothing is higher by more than the radius; of sorted points
+    ``begin … end - 1``."""
     for row in range(nrows):
         for col in range(ncols):
             cell = row * ncols + col
-            for i in range(start[cell], start[cell + 1]):
+            for i in range(max(start[cell], begin), min(start[cell + 1], end)):
                 if normals[i, 2] >= sure and _open(x, y, z, start, ncols, nrows, radius, row, col, i):
                     side[i] = 1
 
@@ -83,13 +87,14 @@ def _open(x, y, z, start, ncols, nrows, radius, row, col, i):  # type: ignore[no
 
 
 @kernel
-def _spread(x, y, z, start, ncols, nrows, radius, normals, before, side):  # type: ignore[no-untyped-def]
-    """One round: rows without a side in `before` get one in `side` from those with one; how many did."""
+def _spread(x, y, z, start, ncols, nrows, radius, normals, before, begin, end, side):  # type: ignore[no-untyped-def]
+    """One round: of sorted points ``begin … end - 1`` those without a side in `before` get one in `side` from those
+    with one; how many did."""
     changed = 0
     for row in range(nrows):
         for col in range(ncols):
             cell = row * ncols + col
-            for i in range(start[cell], start[cell + 1]):
+            for i in range(max(start[cell], begin), min(start[cell + 1], end)):
                 if before[i] == 0 and normals[i, 2] >= 0.0:
                     votes = _votes(x, y, z, start, ncols, nrows, radius, row, col, i, normals, before)
                     if votes != 0:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.features.eigen import SHAPES
-from fwclass.features.gather import LANES, Points, most_in_window, window
+from fwclass.features.gather import LANES, Points, most_in_window, slices, window
 from fwclass.features.measures import CODE, needs
 from fwclass.features.moments import AREA, MOMENTS, STEP, packed_kinds, steps
 from fwclass.features.params import NORMAL, FeaturesParams
@@ -25,6 +26,9 @@ CLASS = 4.0
 TWICE = 2.0
 """Radii are walked one by one, each with its sums at once, where that meets at most so many times the candidates of the
 largest: to put neighbours into the order of their shells costs more."""
+
+AT_A_TIME = 200_000_000
+"""Candidates that one call of the walk meets, about a second's: then an interrupt is heeded."""
 
 POOL = 1 << 14
 """At least so many neighbours are kept for the sums of a block and its second pass."""
@@ -110,7 +114,10 @@ def _run(
     )
     values = _values(chunk.table, points.order, [base for _, base in jobs])
     scratch = Scratch.of(most, task, BUCKETS, values)
-    walk(grid, values, task, scratch, _block(task, max(2 * most, POOL) + 2 * LANES, values), out, chosen)
+    block = _block(task, max(2 * most, POOL) + 2 * LANES, values)
+    cuts = slices(points.start, points.ncols, points.nrows, half, AT_A_TIME)
+    for begin, end in pairwise(cuts.tolist()):
+        walk(grid, values, task, scratch, block, begin, end, out, chosen)
     return out, chosen
 
 

@@ -174,8 +174,10 @@ class Block(NamedTuple):
 
 
 @kernel
-def walk(grid, values, task, scratch, block, out, chosen):  # type: ignore[no-untyped-def]
+def walk(grid, values, task, scratch, block, begin_at, end_at, out, chosen):  # type: ignore[no-untyped-def]
     """The measures of `task` of the wanted echoes to `out`, float32 (measures, wanted echoes).
+
+    Only those of the sorted echoes ``begin_at … end_at - 1``: between two calls Python heeds an interrupt.
 
     `chosen` is float32 (wanted echoes,) for the optimal radius [m], empty where there is no choice.
     """
@@ -193,11 +195,13 @@ def walk(grid, values, task, scratch, block, out, chosen):  # type: ignore[no-un
     shape, powers = task.shape[0], task.powers
     filled, used = 0, np.uint64(0)
     for row in range(nrows):
+        if start[row * ncols + ncols] <= begin_at or start[row * ncols] >= end_at:
+            continue
         for col in range(ncols):
-            first, last = start[row * ncols + col], start[row * ncols + col + 1]
+            first, last = max(start[row * ncols + col], begin_at), min(start[row * ncols + col + 1], end_at)
             while first < last and wanted[first] < 0:
                 first += 1
-            if first == last:
+            if first >= last:
                 continue
             m = candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, x, y, z)
             if len(kinds):

@@ -8,7 +8,9 @@ import pytest
 from commandline import fwclass
 
 from fwclass import conf
+from fwclass.features import orientation, spheres
 from fwclass.features.dense import Crowd, thinned, told_crowd
+from fwclass.features.gather import slices
 from fwclass.features.params import NORMAL, Asked
 from fwclass.features.stage import features
 from fwclass.grid import Box, Tile, TileGrid
@@ -142,3 +144,23 @@ def test_features_of_a_file_tell_it(tmp_path):
 def test_steps_divide_cells():
     with pytest.raises(ValueError, match="dense_step must divide dense_cell"):
         type(PARAMS)(**(PARAMS.model_dump() | {"dense_step": 0.03}))
+
+
+@pytest.mark.parametrize("most", [1, 5_000])
+def test_a_walk_in_slices_is_the_walk(monkeypatch, most):
+    """Between slices an interrupt is heeded; they change no bit, wherever they cut."""
+    table = crowded(800).take(np.arange(1200))
+    one = features(whole(table), NAMES, PARAMS)
+    monkeypatch.setattr(spheres, "AT_A_TIME", most)
+    monkeypatch.setattr(orientation, "AT_A_TIME", most)
+    for name, values in features(whole(table), NAMES, PARAMS).items():
+        np.testing.assert_array_equal(values, one[name], err_msg=name)
+
+
+def test_slices_are_as_long_as_the_candidates_they_meet_allow():
+    """One cell may hold all echoes: it is cut too."""
+    start = np.array([0, 2, 2, 1002, 1005])
+    cuts = slices(start, 4, 1, np.array([1, 0]), 50_000)
+    assert cuts[0] == 0 and cuts[-1] == 1005 and (np.diff(cuts) > 0).all()
+    inside = np.diff(cuts[(cuts >= 2) & (cuts <= 1002)])
+    assert inside.max() * 1003 <= 50_000 and len(cuts) >= 1000 * 1003 // 50_000
