@@ -41,8 +41,11 @@ def check_format(path: Path) -> None:
     for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):  # GDAL opens those that belong to a file as it does
         if kind := strange_kind(beside):
             raise _other(path, f"{kind} beside it, {beside.name}", "remove it")
-    with open_regular(path) as file:
-        head, size = file.read(HEAD), path.stat().st_size
+    try:
+        with open_regular(path) as file:
+            head, size = file.read(HEAD), path.stat().st_size
+    except OSError as error:
+        raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
     promised = 0
     if ending == ".shp":
         fault = "" if head.startswith(SHAPEFILE) else "no Shapefile begins so"
