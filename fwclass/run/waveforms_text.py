@@ -10,6 +10,9 @@ def describe(found: dict[str, Any]) -> str:
     shape, lines = found["system_pulse"], [f"file         {found['path']}"]
     kind = "a Gaussian" if shape["shape"] == "gaussian" else f"measured on {shape['echoes']:,} echoes"
     lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
+    if found["noise"]["lag1"] is not None:
+        times = f", {found['noise']['inflation']:.2f} times that of white noise after the matched filter"
+        lines.append(f"noise        neighbouring samples correlate by {found['noise']['lag1']:.2f}{times}")
     if "waveforms" in found:
         lines.append(f"waveforms    {found['waveforms']:,} with {found['echoes']:,} echoes")
     for pulse in found["pulses"]:

@@ -82,7 +82,7 @@ def look(
         raise InputError("the file has no waveforms", where=path, do="name a file with waveform packets (fwclass info)")
     check_source(source, read)
     spans = index_source(source, read)
-    pulse, _ = strip_of_file(source, spans, read, conf.section("pulse", settings), params)
+    pulse, around = strip_of_file(source, spans, read, conf.section("pulse", settings), params)
     wanted = spans if not pulses else _with(spans, pulses, path)
     views = (see(read_span(source, span, read), params, pulse, pulses) for span in wanted)
     chosen, counts = _named(views, pulses, pulse, path) if pulses else _telling(views, pulse)
@@ -100,6 +100,7 @@ def look(
             "png": target,
             "pulse_png": beside_it,
             "system_pulse": shape,
+            "noise": around.noise.told,
             **counts,
             "pulses": [f for _, f in chosen],
         }

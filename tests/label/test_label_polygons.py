@@ -1,6 +1,7 @@
 """Polygon labels: exact on edges, one owner for touching polygons, the same for any cut and order."""
 
 from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from fwclass.errors import InputError
 from fwclass.grid import Box, Tile
 from fwclass.label.polygons import AMBIGUOUS, NONE, WIDEST, Polygons, from_polygons, owners
 from fwclass.read.wkb import shapes
+from fwclass.run.work import reference
 from fwclass.schema import Table
 from fwclass.stage import Chunk
+from fwclass.waveforms import IMPLAUSIBLE
 
 
 def polygons(geometries, codes, groups=None):
@@ -176,3 +179,14 @@ def test_a_polygon_as_wide_as_a_continent_is_refused():
     with pytest.raises(InputError, match="too large") as fault:
         polygons([shapely.box(0, 0, wide, 10)], [2])
     assert "survey.reference.crs" in str(fault.value)
+
+
+def test_implausible_echoes_have_no_label_whatever_polygon_is_above(tmp_path, monkeypatch):
+    table = Table({"x": [1.0, 1.0], "y": [1.0, 1.0], "fit_flags": np.array([0, IMPLAUSIBLE], np.uint8)})
+    chunk = Chunk(table, np.arange(2), Tile(0, 0, 100.0))
+    monkeypatch.setattr(reference, "from_polygons", lambda *_: (Table({"reference": [6, 6]}), 0))
+    monkeypatch.setattr(reference, "polygons_at", lambda *_: SimpleNamespace(within=lambda box: None))
+    monkeypatch.setattr(reference, "write_labels", lambda made, _: {"codes": made["reference"].tolist()})
+    desk = SimpleNamespace(chunk=lambda tile, halo, columns, present: chunk)
+    made = reference.labelled_by_polygons(chunk.tile, (), desk, tmp_path)
+    assert made == {"codes": [6, 0], "ambiguous": 0}

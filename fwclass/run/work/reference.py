@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pyproj import CRS
 
 from fwclass.grid import Tile
@@ -16,7 +17,9 @@ from fwclass.read.polygons import open_polygons, read_polygons, reprojected
 from fwclass.run.desk import Desk
 from fwclass.run.plan.layout import PolygonFile
 from fwclass.run.work.tiles import write_labels
+from fwclass.schema import Table
 from fwclass.store.arrays import read_arrays, write_arrays
+from fwclass.waveforms import IMPLAUSIBLE
 
 POLYGONS = "polygons.zarr"
 
@@ -65,7 +68,9 @@ def polygons_at(parts: tuple[str, ...], desk: Desk) -> Polygons:
 
 
 def labelled_by_polygons(tile: Tile, parts: tuple[str, ...], desk: Desk, directory: Path) -> dict[str, Any]:
-    """Reference classes from the polygons that the echoes lie in."""
-    chunk = desk.chunk(tile, 0.0, dict.fromkeys(("x", "y"), "tile"), (tile.key,))
+    """Reference classes from the polygons that the echoes lie in; implausible echoes have none, whatever is above."""
+    chunk = desk.chunk(tile, 0.0, dict.fromkeys(("x", "y", "fit_flags"), "tile"), (tile.key,))
     table, ambiguous = from_polygons(chunk, polygons_at(parts, desk).within(tile.box))
+    implausible = (chunk.table["fit_flags"][chunk.core] & IMPLAUSIBLE) > 0
+    table = Table({"reference": np.where(implausible, 0, table["reference"])})
     return {**write_labels(table, directory), "ambiguous": ambiguous}
