@@ -120,8 +120,8 @@ def _made(road: Road, stage: str) -> list[Receipt]:
 
 def _input(road: Road, survey: Survey) -> dict[str, Any]:
     faults: Counter[str] = Counter()
-    for receipt in _made(road, "read"):
-        faults.update(receipt.meta["faults"])
+    for meta in _read(road):
+        faults.update(meta["faults"])
     indexed = {r.part: r.meta for r in _made(road, "index")}
     files = []
     for strip in survey.strips:
@@ -131,8 +131,13 @@ def _input(road: Road, survey: Survey) -> dict[str, Any]:
     return {"files": files, "faults": dict(sorted(faults.items()))}
 
 
+def _read(road: Road) -> list[Mapping[str, Any]]:
+    """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
+    return [r.meta for stage in ("read", "decompose") for r in _made(road, stage) if "returns" in r.meta]
+
+
 def _counts(road: Road) -> dict[str, int]:
-    reads = [r.meta for r in _made(road, "read")]
+    reads = _read(road)
     tiles = _made(road, "tile")
     return {
         "pulses": sum(r.meta["pulses"] for r in _made(road, "index")),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import partial
+from typing import Any
 
 from fwclass.conf import Config
 from fwclass.decompose.stage import DECOMPOSE, PULSE
@@ -58,14 +59,14 @@ def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, 
 def _strip_tasks(config: Config, strip: Strip, spans: list[Span], pulses: int) -> Tasks:
     grid, reading, sizes = TileGrid(config.tile.size), plain(config.read), plain(config.tile)
     decomposing = plain(config.decompose)  # of the strip that the part is named after
-    estimated = (("pulse", f"{strip.number:05d}"),) if pulses else ()
-    width = None if pulses else config.pulse.width or config.pulse.fallback_width  # changes nothing without waveforms
+
+    def rows_of(span: Span) -> list[Any]:
+        return [span.first_point, span.last_point, span.first_pulse, span.n_pulses, list(span.shared)]
 
     def read(k: int) -> Task:
         span = spans[k]
-        rows = [span.first_point, span.last_point, span.first_pulse, span.n_pulses, list(span.shared)]
         return Task(
-            "read", chunk_name(strip.number, k), READ.version, {**reading, "span": rows},
+            "read", chunk_name(strip.number, k), READ.version, {**reading, "span": rows_of(span)},
             partial(sources.read, strip.path, span, config.read), external=strip.digests,
         )  # fmt: skip
 
@@ -73,8 +74,18 @@ def _strip_tasks(config: Config, strip: Strip, spans: list[Span], pulses: int) -
         part = chunk_name(strip.number, k)
         return Task(
             "decompose", part, DECOMPOSE.version, decomposing,
-            partial(sources.decomposed, part, strip.number, width, config.decompose),
-            needs=(("read", part), *estimated),
+            partial(sources.decomposed, part, strip.number, config.decompose),
+            needs=(("read", part), ("pulse", f"{strip.number:05d}")),
+        )  # fmt: skip
+
+    def echoes(k: int) -> Task:
+        """decompose of a file without waveforms, whose returns are echoes: nothing is kept in between."""
+        span, width = spans[k], config.pulse.width or config.pulse.fallback_width
+        return Task(
+            "decompose", chunk_name(strip.number, k), DECOMPOSE.version,
+            {**decomposing, "read": reading, "span": rows_of(span)},
+            partial(sources.returned, strip.path, strip.number, span, config.read, width, config.decompose),
+            external=strip.digests,
         )  # fmt: skip
 
     def split(k: int) -> Task:
@@ -83,7 +94,9 @@ def _strip_tasks(config: Config, strip: Strip, spans: list[Span], pulses: int) -
         return Task("split", part, SPLIT.version, sizes, work, needs=(("decompose", part),))
 
     each = range(len(spans))
-    pulse = Tasks.held([_pulse_task(config, strip, pulses, len(spans))] if pulses else ())
+    if not pulses:
+        return Tasks.of("decompose", each, echoes) + Tasks.of("split", each, split)
+    pulse = Tasks.held([_pulse_task(config, strip, pulses, len(spans))])
     return (
         Tasks.of("read", each, read) + pulse + Tasks.of("decompose", each, decompose) + Tasks.of("split", each, split)
     )

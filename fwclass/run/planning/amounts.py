@@ -120,16 +120,16 @@ def amounts(config: Config, facts: SurveyFacts, size: float) -> dict[str, Amount
 def _of_files(config: Config, facts: SurveyFacts, counts: Counts) -> dict[str, Amount]:
     wanted = config.read.chunk_pulses
     pulses, points = counts.pulses, counts.points
-    number = int((pulses // wanted + 1).sum())
+    number = pulses // wanted + 1
     chunk = float(min(pulses.max(), wanted * 1.0))
-    chunks = Amount(number, float(pulses.sum()), chunk, chunk)
-    files = len(pulses)
+    chunks = Amount(int(number.sum()), float(pulses.sum()), chunk, chunk)
+    files, waving = len(pulses), int(counts.waves.sum())
     indexed = float(np.where(counts.waves, points, 0.0).max())
     waves = np.where(counts.waves, pulses, 0.0)
     made = {
         "index": Amount(files, float(points.sum()), float(points.max()), indexed),
-        "read": chunks,
-        "pulse": Amount(files, float(waves.sum()), float(waves.max()), chunk),
+        "read": Amount(int(number[counts.waves].sum()), float(waves.sum()), min(chunk, float(waves.max())), chunk),
+        "pulse": Amount(waving, float(waves.sum()), float(waves.max()), chunk),
         "decompose": chunks,
         "split": chunks,
     }

@@ -83,7 +83,8 @@ def _bytes(receipt: Receipt) -> float:
 def _units(store: Store, made: Mapping[str, Amount]) -> dict[str, dict[str, float]]:
     """Units of every part, by stage and part."""
     rows = {r.part: float(r.meta["rows"]) for r in store.receipts("tile")}
-    pulses = {r.part: float(r.meta["waveforms"] or r.meta["returns"]) for r in store.receipts("read")}
+    read = [r for stage in ("read", "decompose") for r in store.receipts(stage) if "returns" in r.meta]
+    pulses = {r.part: float(r.meta["waveforms"] or r.meta["returns"]) for r in read}
     around = made["features"].units / made["tile"].units
     units: dict[str, dict[str, float]] = dict.fromkeys(OF_TILE, rows) | dict.fromkeys(OF_CHUNK, pulses)
     units["features"] = {part: n * around for part, n in rows.items()}

@@ -122,11 +122,15 @@ def read(path: Place, span: Span, params: ReadParams, desk: Desk, directory: Pat
     if waves.pulses.rows:
         write_table(directory / "pulses.parquet", waves.pulses)
         write_arrays(directory / "waveforms.zarr", {name: getattr(waves, name) for name in _ARRAYS})
-    without = int((~waves.returns["has_packet"]).sum())
+    return _facts(waves)
+
+
+def _facts(waves: Waveforms) -> dict[str, Any]:
+    """What was read, for a receipt."""
     return {
         "returns": waves.returns.rows,
         "waveforms": waves.pulses.rows,
-        "returns_without_packet": without,
+        "returns_without_packet": int((~waves.returns["has_packet"]).sum()),
         "faults": {k: int(v) for k, v in sorted(waves.faults.items()) if v},
     }
 
@@ -189,19 +193,29 @@ def surroundings_of(strip: int, desk: Desk) -> Surroundings:
     return Surroundings(envelope, QuietNoise(facts["lag1"], facts["inflation"], facts["samples"]))
 
 
-def decomposed(
-    part: str, strip: int, width: float | None, params: DecomposeParams, desk: Desk, directory: Path
-) -> dict[str, Any]:
-    """Echoes of a chunk, and the echo of every return.
-
-    `width`: of the pulse of a strip that has no waveforms to estimate it from [ns]; None for one that has.
-    """
+def decomposed(part: str, strip: int, params: DecomposeParams, desk: Desk, directory: Path) -> dict[str, Any]:
+    """Echoes of a chunk, and the echo of every return."""
     waves = _waveforms(part, desk)
-    if width is None:
-        pulse, around = pulse_of(strip, desk), surroundings_of(strip, desk)
-    else:
-        pulse, around = SystemPulse.gaussian(width), UNKNOWN
-    echoes, links, counts = decompose(waves, strip, params, pulse, around)
+    return _write_echoes(
+        decompose(waves, strip, params, pulse_of(strip, desk), surroundings_of(strip, desk)), directory
+    )
+
+
+def returned(
+    path: Place, strip: int, span: Span, reading: ReadParams, width: float, params: DecomposeParams, desk: Desk,
+    directory: Path,
+) -> dict[str, Any]:  # fmt: skip
+    """`read` and `decomposed` of a span without waveforms: its returns are its echoes.
+
+    `width`: of a pulse [ns] that nothing is fitted with.
+    """
+    waves = read_span(open_source(desk.local(path)), span, reading)
+    made = decompose(waves, strip, params, SystemPulse.gaussian(width), UNKNOWN)
+    return {**_facts(waves), **_write_echoes(made, directory)}
+
+
+def _write_echoes(made: tuple[Table, Table, Mapping[str, int]], directory: Path) -> dict[str, Any]:
+    echoes, links, counts = made
     write_table(directory / TABLE, echoes)
     write_table(directory / "links.parquet", links)
     origin = echoes["origin"]
