@@ -27,8 +27,8 @@ TWICE = 2.0
 """Radii are walked one by one, each with its sums at once, where that meets at most so many times the candidates of the
 largest: to put neighbours into the order of their shells costs more."""
 
-AT_A_TIME = 200_000_000
-"""Candidates that one call of the walk meets, about a second's: then an interrupt is heeded."""
+AT_A_TIME = 20_000_000
+"""Candidates that one call of a kernel meets, some tenths of a second: then an interrupt is heeded."""
 
 POOL = 1 << 14
 """At least so many neighbours are kept for the sums of a block and its second pass."""

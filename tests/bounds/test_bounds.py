@@ -30,6 +30,12 @@ def test_compiled_kernels_of_decompose():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("room", "inputs"), [("points", 120), ("forest", 400)])
+def test_compiled_kernels_of(room, inputs):
+    drive("checked", room, inputs)
+
+
+@pytest.mark.slow
 def test_a_file_that_led_out_of_the_buffers(shared_data, tmp_path):
     """Its pulse has a foot of 50 ns: halves of a wide echo were tried before the buffer, and the heap was broken."""
     source = shared_data / "waveform" / "geolas_example2.pls"

@@ -65,7 +65,7 @@ def test_one_echo_of_every_small_cube_counts_and_speaks_for_it():
     thin = thinned(whole(table), PARAMS)
     _, cube, held = np.unique(cubes(table, 100), axis=0, return_inverse=True, return_counts=True)
     dense = held[cube.ravel()] > PARAMS.dense_echoes
-    small = cubes(table, 25)
+    small = cubes(table, 50)
     _, first, of = np.unique(small, axis=0, return_index=True, return_inverse=True)
     owner = np.where(dense, first[of.ravel()], np.arange(table.rows))
     assert dense.sum() > 3000
@@ -109,7 +109,7 @@ def test_up_to_the_bound_all_echoes_count():
 def test_what_counts_is_bounded_by_the_room_it_fills():
     """200 000 echoes in a cubic metre: no neighbourhood sees more of them than there are small cubes."""
     table = table_of(*np.random.default_rng(2).uniform(0, 1, (3, 200_000)))
-    assert thinned(whole(table), PARAMS).chunk.table.rows <= 41**3
+    assert thinned(whole(table), PARAMS).chunk.table.rows <= 21**3
     at_one_place = table_of(*np.zeros((3, 200_000)))
     assert thinned(whole(at_one_place), PARAMS).chunk.table.rows == 1
 
@@ -138,7 +138,7 @@ def test_features_of_a_file_tell_it(tmp_path):
     words = ("features", tmp_path / "a.las", tmp_path / "a.parquet", "--features", "zc,planarity_r100", "--crs")
     ended = fwclass(*words, "EPSG:25832")
     assert ended.returncode == 0, ended.stderr
-    assert "there one echo counts in each cube of 0.025 m" in ended.stderr
+    assert "there one echo counts in each cube of 0.05 m" in ended.stderr
 
 
 def test_steps_divide_cells():
