@@ -127,6 +127,7 @@ class RemoteStore(RemoteReader):
         return digest
 
     def forget_others(self, stage: str, parts: Iterable[str]) -> list[str]:
+        self._check_token()
         keep = set(parts)
         gone = sorted({part for of, part in self.parts() if of == stage} - keep)
         for part in gone:
@@ -153,7 +154,6 @@ class RemoteStore(RemoteReader):
         what the history has too much."""
         shutil.rmtree(self.root / "store" / "staging", ignore_errors=True)
         self.generations.clear_pending()
-        self.generations.clear_torn()
         marks, below = surplus(self._all()), _by_unit(self._all())
         for key in self._all():
             if key.startswith("store/staging/"):
@@ -163,6 +163,7 @@ class RemoteStore(RemoteReader):
             receipt = self.receipt(*name)
             named = unit_of(receipt) if receipt else ""
             marks += [k for unit, keys in units.items() if unit != named for k in keys]
+        self._check_token()
         self.objects.delete(marks)
         self._forget_copies()
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import uuid
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -34,6 +36,8 @@ from fwclass.store.url import Url
 
 CURRENT = "current.json"
 _BELOW = "generations"
+_NAME = re.compile(r"(\d+)(-[0-9a-f]+)?", re.ASCII)
+"""Number, and what no other writer's generation of that number has in its name."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +79,7 @@ class RemoteGenerations(Generations):
         for key, data in zip(finished, self.objects.many(finished), strict=True):
             with suppress(DamagedError):
                 found += [self._read(key.split("/")[1], data[0])] if data else []
-        return sorted(found, key=lambda g: g.number)
+        return sorted(found, key=lambda g: (g.number, g.name))
 
     def _read(self, name: str, data: bytes) -> Generation:
         where = self.address / _BELOW / name
@@ -102,7 +106,7 @@ class RemoteGenerations(Generations):
         return self._named(pointer[0]) if pointer else None
 
     def _named(self, name: str) -> Generation | None:
-        facts = self.objects.get(f"{_BELOW}/{name}/{_FACTS}") if name.isdigit() else None
+        facts = self.objects.get(f"{_BELOW}/{name}/{_FACTS}") if _NAME.fullmatch(name) else None
         try:
             return self._read(name, facts[0]) if facts else None
         except DamagedError:
@@ -171,24 +175,48 @@ class RemoteGenerations(Generations):
         digest = digest_of({name: of for name, (_, of) in files.items()})
         pointer, listed = self._pointer(), self._listed()
         before, there = self._named(pointer[0]) if pointer else None, self._all(listed)
-        if before is not None and before.whole == whole and before.digest == digest:
+        if before is not None and pointer and before.whole == whole and before.digest == digest:
             broken = self._broken(before, listed, read)
             tell_broken(before, broken, tell)
             if not broken and self._reports_stand(before):
                 self.clear_pending()
-                self._drop(there, keep)
+                self._drop(listed, there, keep, before, pointer[1])
                 return before
-        numbers = [int(n) for key in listed if (n := key.split("/")[1]).isdigit()]
-        made = self._put(f"{1 + max(numbers, default=0):04d}", files, whole, digest)
+        number = 1 + max((int(m[1]) for key in listed if (m := _NAME.fullmatch(key.split("/")[1]))), default=0)
+        made = self._put(f"{number:04d}-{uuid.uuid4().hex[:8]}", files, whole, digest)
         if whole or before is None or not before.whole:
-            told = {"generation": made.name, "address": f"{_BELOW}/{made.name}", "digest": digest, "whole": whole}
-            data = json.dumps(told, sort_keys=True, indent=1).encode()
-            if pointer is None:
-                self.objects.put_new(CURRENT, data)
-            else:
-                self.objects.put_over(CURRENT, data, pointer[1])
-        self._drop([*there, made], keep)
+            self._point(made, pointer[1] if pointer else None)
+            self._drop(listed, [*there, made], keep, made, None)
+        elif pointer:
+            self._drop(listed, [*there, made], keep, before, pointer[1])
         return made
+
+    def _point(self, generation: Generation, mark: Mark | None) -> Mark:
+        """Lead readers to `generation`; `LostRace` where the pointer is not the one any more that was read.
+
+        No two pointers are the same bytes, so that none is taken for an earlier one.
+        """
+        told = {
+            "generation": generation.name, "address": f"{_BELOW}/{generation.name}", "digest": generation.digest,
+            "whole": generation.whole, "written": uuid.uuid4().hex,
+        }  # fmt: skip
+        data = _text(told).encode()
+        return self.objects.put_new(CURRENT, data) if mark is None else self.objects.put_over(CURRENT, data, mark)
+
+    def _drop(
+        self, listed: Iterable[str], there: list[Generation], keep: int, shown: Generation, mark: Mark | None
+    ) -> None:  # fmt: skip
+        """Remove generations beyond the last `keep` whole ones, and what was never finished.
+
+        One may be another writer's, who slept and will go on. So the pointer is written anew before (over `mark`; None:
+        it just was): who read the earlier one cannot lead readers there any more.
+        """
+        stay = {g.name for g in [g for g in there if g.whole][-max(1, keep) :] + there[-1:]} | {shown.name}
+        gone = [key for key in listed if key.split("/")[1] not in stay]
+        if gone and mark is not None:
+            self._point(shown, mark)
+        self.objects.delete(key for key in gone if key.endswith(f"/{_FACTS}"))
+        self.objects.delete(key for key in gone if not key.endswith(f"/{_FACTS}"))
 
     def _put(self, name: str, files: Mapping[str, tuple[Path, str]], whole: bool, digest: str) -> Generation:
         own, below = self.pending, f"{_BELOW}/{name}"
@@ -206,7 +234,7 @@ class RemoteGenerations(Generations):
         }
         text = _text({"files": manifest})
         self.objects.put_new(f"{below}/{MANIFEST}", text.encode())
-        data = _text(facts_of(int(name), whole, digest, text, len(files))).encode()
+        data = _text(facts_of(int(name.partition("-")[0]), whole, digest, text, len(files))).encode()
         self.objects.put_new(f"{below}/{_FACTS}", data)
         self.clear_pending()
         return self._read(name, data)
@@ -229,25 +257,8 @@ class RemoteGenerations(Generations):
                 self.scratch.need(self.objects, f"{self.root.name}/{unit}", wanted, {name: of})
                 self.objects.put_files({target: path})
 
-    def _drop(self, there: list[Generation], keep: int) -> None:
-        pointer = self._pointer()
-        wholes = [g.number for g in there if g.whole][-max(1, keep) :]
-        for generation in there[:-1]:
-            if generation.number not in wholes and (pointer is None or generation.name != pointer[0]):
-                self._remove(generation.name)
-
-    def _remove(self, name: str) -> None:
-        self.objects.delete([f"{_BELOW}/{name}/{_FACTS}"])
-        self.objects.delete(held.key for held in self.objects.list(f"{_BELOW}/{name}"))
-
     def clear_pending(self) -> None:
         shutil.rmtree(self.directory / _PENDING, ignore_errors=True)
-
-    def clear_torn(self) -> None:
-        """Remove generations that were never finished (for the lock's holder)."""
-        keys = [held.key for held in self.objects.list(_BELOW)]
-        finished = {k.split("/")[1] for k in keys if k.endswith(f"/{_FACTS}") and k.count("/") == 2}
-        self.objects.delete(k for k in keys if k.split("/")[1] not in finished)
 
     def check_links(self) -> None:
         """Nothing of a user's stands where a delivery goes: it has a prefix of its own."""

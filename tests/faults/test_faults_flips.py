@@ -163,14 +163,21 @@ def test_object_storage_is_watched_too(survey, expected, tmp_path, monkeypatch):
         walk(place, home, *SMALL)
         assert s3.delivered(out) == expected
         keys = s3.keys(out)
-        laz = next(k for k in keys if k.startswith("generations/0001/laz"))
-        table = next(k for k in keys if k.startswith("generations/0001/parquet"))
-        s3.remove(out / laz)
+
+        def lose(kind: str, written_over: bool) -> None:
+            below = json.loads(s3.read(out)["current.json"])["address"]
+            key = next(k for k in s3.keys(out) if k.startswith(f"{below}/{kind}"))
+            if not written_over:
+                s3.remove(out / key)
+            else:
+                s3.write(out / key, bytes(len(s3.read(out)[key])))
+
+        lose("laz", False)
         walk(place, home, *SMALL)
-        assert json.loads(s3.read(out)["current.json"])["generation"] == "0002" and s3.delivered(out) == expected
-        s3.write(out / table.replace("0001", "0002"), bytes(len(s3.read(out)[table])))
+        assert open_store(home).generations.current().number == 2 and s3.delivered(out) == expected
+        lose("parquet", True)
         walk(place, home, *SMALL)
-        assert json.loads(s3.read(out)["current.json"])["generation"] == "0003" and s3.delivered(out) == expected
+        assert open_store(home).generations.current().number == 3 and s3.delivered(out) == expected
         part = next(k for k in keys if k.startswith("store/features/") and k.endswith("table.parquet"))
         held = bytearray(s3.read(out)[part])
         held[len(held) // 2] ^= 1

@@ -115,7 +115,7 @@ def test_the_sweep_keeps_what_a_receipt_names(s3, remote):
     store = RemoteStore.at(remote, lists=True)
     store.clear_staging()
     gone = before - set(s3.read(remote.url))
-    assert gone == {"store/stage/1_2/other-0000/a.txt", "store/stage/never/k-1/a.txt", "generations/0007/laz/a.laz"}
+    assert gone == {"store/stage/1_2/other-0000/a.txt", "store/stage/never/k-1/a.txt"}
     assert RemoteStore.at(remote).done("stage", "1_2", "k1") == receipt
 
 
@@ -223,16 +223,21 @@ def test_generations_appear_at_one_stroke_and_the_last_stay(s3, remote):
         assert there[f"{below}/laz/a.laz"] == there[f"{below}/report.json"]
         return there[f"{below}/laz/a.laz"].decode()
 
-    assert str(deliver("one").where) == f"{remote.url}/generations/0001"
+    s3.write(remote.url / "generations/0000-dead/laz/a.laz", b"never finished")
+    assert str(deliver("one").where).startswith(f"{remote.url}/generations/0001-")
+    assert not [k for k in s3.keys(remote.url) if "dead" in k]
     assert shown() == "one"
-    assert deliver("one").name == "0001"
-    assert deliver("two").name == "0002"
-    assert deliver("half", whole=False).name == "0003"
+    assert deliver("one").number == 1
+    sleeper = store.generations._pointer()[1]
+    assert deliver("two").number == 2
+    assert deliver("half", whole=False).number == 3
     assert shown() == "two"
+    with pytest.raises(LostRace):  # who slept while another delivered
+        store.generations._point(store.generations.all()[0], sleeper)
     assert store.generations.shown("report.json").read_text() == "two"
     deliver("three")
     assert shown() == "three"
-    assert [g.name for g in store.generations.all()] == ["0002", "0004"]
+    assert [g.number for g in store.generations.all()] == [2, 4]
 
 
 def test_copies_are_bounded_and_the_longest_unread_go_first(remote, monkeypatch, tmp_path):
