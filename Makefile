@@ -39,6 +39,7 @@ bench: $(READY)
 
 fuzz: $(READY)
 	$(PY) tests/fuzz/long.py --inputs 100000
+	$(PY) tests/fuzz/long.py --inputs 100000 --commands --cover
 
 clean:
 	rm -rf $(VENV) demo-run .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -15,17 +15,24 @@ from typing import Any
 
 from child import CPU_SECONDS, drawn
 
-WALL_SECONDS = 60.0
+WALL_SECONDS = 150.0
 """An input that waits for so long without using the processor hangs too."""
 
-READY_SECONDS = 300.0
+PLAIN = {
+    "MALLOC_ARENA_MAX": "1", "ARROW_DEFAULT_MEMORY_POOL": "system", "RUST_BACKTRACE": "0", "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1",
+}  # fmt: skip
+"""Set before the process starts: memory is what is used, not what is set aside for threads; names of frames, which Rust
+looks up in a full address space, hang it."""
+
+READY_SECONDS = 600.0
 
 
 class Child:
-    """A running `child.py` for some readers; use it as a context."""
+    """A running `script` for some readers (or commands); use it as a context."""
 
-    def __init__(self, *readers: str) -> None:
-        self.readers = readers
+    def __init__(self, *readers: str, script: str = "child.py") -> None:
+        self.readers, self._script = readers, script
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Child:
@@ -51,9 +58,9 @@ class Child:
                 "grown": 0, "allowed": 1}  # fmt: skip
 
     def _start(self) -> None:
-        line = [sys.executable, "-X", "faulthandler", str(Path(__file__).with_name("child.py")), *self.readers]
+        line = [sys.executable, "-X", "faulthandler", str(Path(__file__).with_name(self._script)), *self.readers]
         self._process = subprocess.Popen(
-            line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=dict(os.environ)
+            line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env={**os.environ, **PLAIN}
         )
         if self._answer(READY_SECONDS) is None:
             raise RuntimeError(f"the sound files of {', '.join(self.readers)} are not read: {self._end()}")
@@ -91,8 +98,8 @@ class Child:
         return f"the process ended: {signal.Signals(-code).name if code < 0 else code}"
 
 
-def answers(lines: Iterable[str], *readers: str) -> Iterator[dict[str, Any]]:
+def answers(lines: Iterable[str], *readers: str, script: str = "child.py") -> Iterator[dict[str, Any]]:
     """What became of every input of `lines`, in order."""
-    with Child(*readers) as child:
+    with Child(*readers, script=script) as child:
         for line in lines:
             yield child.ask(line)

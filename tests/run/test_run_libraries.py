@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
+from objectstore import quick, serving, used
 
 from fwclass.errors import FwclassError
 from fwclass.run import libraries as told
@@ -23,7 +24,9 @@ from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
 from fwclass.run.road import Road
 from fwclass.run.status.look import look_at
-from fwclass.store import libraries, run_store
+from fwclass.store import libraries, remote, run_store
+from fwclass.store.home import open_store
+from fwclass.store.remote_read import Remote
 from fwclass.store.run_store import Store
 
 THEN = {"python": "3.11.7", "numpy": "2.4.6", "pyarrow": "26.0.1"}
@@ -50,7 +53,8 @@ def here(monkeypatch, versions, source="0123456789abcdef") -> None:
     whole = {"fwclass": "0.1.0", "source": source, **versions}
     for module in (libraries, told):
         monkeypatch.setattr(module, "fingerprint", lambda: whole)
-    monkeypatch.setattr(run_store, "fingerprint", lambda: whole)
+    for module in (run_store, remote):
+        monkeypatch.setattr(module, "fingerprint", lambda: whole)
     monkeypatch.setattr(libraries, "installed", lambda: versions)
 
 
@@ -188,3 +192,21 @@ def test_a_worker_with_other_libraries_gets_no_part(tmp_path):
         other.wait(60)
     pids = {(root / "logs" / "two" / f"{k}.log").read_text().split("pid=")[1].split()[0] for k in range(30)}
     assert str(other.pid) not in pids
+
+
+def test_on_object_storage_too(tmp_path, monkeypatch):
+    with serving() as s3:
+        for name, value in used(s3, tmp_path / "copies").items():
+            monkeypatch.setenv(name, value)
+        home = Remote(s3.url(), quick())
+        here(monkeypatch, THEN)
+        made(home)
+        monkeypatch.setattr(libraries, "_KNOWN", {})
+        here(monkeypatch, NOW)
+        store = open_store(home, lists=True)
+        assert store.fingerprints() == [{"fwclass": "0.1.0", "source": "0123456789abcdef", **THEN}]
+        assert announced(store, False)[0].startswith(
+            "3 parts were made with other libraries (pyarrow 26.0.1 to 22.0.0)"
+        )
+        assert made(home, accept_libraries=True) == ["skipped"] * 3
+        assert made(home) == ["computed"] * 3 and made(home) == ["skipped"] * 3

@@ -1,0 +1,359 @@
+"""The commands as a user gives them, over sound files: what is damaged, what lies beside it, and the words."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+
+import lasmaker
+import modelmaker
+import numpy as np
+import seeds
+from mutate import Field, Files
+from seeds import Seed
+
+SURVEY = """survey:
+  name: small
+  directory: .
+  sources: [a.las]
+  reference: {kind: source}
+  crs: EPSG:32633
+  features: [zc, height_range_c100]
+  classes: [{name: a, code: 2, codes: [2]}, {name: b, code: 5, codes: [5]}]
+areas: {train: [[500000, 5400000, 500005, 5400010]], gap: 0.5}
+tile: {size: 20.0}
+train: {trees: 5}
+publish: {figure_pixels: 200}
+"""
+RADIANS = np.pi / 180
+STEEP = 1
+"""A seed whose beams are steep enough to come from right above."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Words after `fwclass`, given where the files of `seed` lie; those of `fixed` lie there too and are left whole."""
+
+    seed: Seed
+    words: tuple[str, ...]
+    fixed: Files = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Command:
+    """`cases` makes them in a directory; `share`: of a long run's inputs, relative to the others."""
+
+    cases: Callable[[Path], list[Case]]
+    share: float = 1.0
+
+
+def patch(folder: Path, name: str = "a.las", point_format: int = 6, seed: int = 0) -> Seed:
+    """A slope of 10 m × 10 m with bushes: 300 points of classes 2 and 5."""
+    folder.mkdir(parents=True, exist_ok=True)
+    r = np.random.default_rng(seed)
+    x, y, bush = *r.uniform(0, 10, (2, 300)), r.random(300) < 0.3
+    z = 200 + 0.1 * x + r.normal(0, 0.02, 300) + bush * r.uniform(0.5, 6, 300)
+    path = folder / name.replace(".laz", ".las")
+    xyz = np.c_[500000 + x, 5400000 + y, z]
+    classes, times = np.where(bush, 5, 2), 1000 + np.arange(300) * 1e-3
+    lasmaker.write_las(path, xyz, point_format=point_format, classification=classes, gps_time=times)
+    if name.endswith(".laz"):
+        lasmaker.to_laz(path, folder / name)
+        path.unlink()
+        return seeds._taken(folder, f"patch{point_format}z", name, seeds._laz_numbers(folder / name))
+    return seeds._taken(folder, f"patch{point_format}", name, seeds._las_numbers(path))
+
+
+def moved(seed: Seed, folder: str) -> Seed:
+    """The seed with its files in a directory."""
+    return replace(
+        seed, main=f"{folder}/{seed.main}", files={f"{folder}/{n}": d for n, d in seed.files.items()},
+        fields=tuple(Field(f"{folder}/{f.name}", f.at, f.size) for f in seed.fields),
+        texts=tuple(f"{folder}/{n}" for n in seed.texts),
+    )  # fmt: skip
+
+
+def both(first: Seed, second: Seed) -> Seed:
+    """Two seeds side by side, in `a` and `b`; both are damaged."""
+    one, two = moved(first, "a"), moved(second, "b")
+    name = f"{first.name}+{second.name}"
+    return Seed(name, one.main, {**one.files, **two.files}, one.fields + two.fields, one.texts + two.texts)
+
+
+def given(some: list[Seed], *words: str, fixed: Files | None = None, mark: str = "") -> list[Case]:
+    """A case of each; `{}` among the words is its main file."""
+    return [Case(replace(s, name=s.name + mark), tuple(w.format(s.main) for w in words), fixed or {}) for s in some]
+
+
+def _clouds(folder: Path) -> list[Seed]:
+    """Points of all formats, and patches."""
+    patches = [patch(folder / "p1", point_format=1), patch(folder / "p6"), patch(folder / "pz", "a.laz")]
+    return [*patches, *seeds.las_seeds(folder / "las"), *seeds.laz_seeds(folder / "laz"),
+            *seeds.copc_seeds(folder / "copc")]  # fmt: skip
+
+
+def _info(folder: Path) -> list[Case]:
+    made = [*_clouds(folder), *seeds.pls_seeds(folder / "pls"), *seeds.text_seeds(folder),
+            *seeds.polygon_seeds(folder / "polygons"), *seeds.geoparquet_seeds(folder / "geoparquet")]  # fmt: skip
+    made = [replace(s, name=f"{s.name}.{Path(s.main).suffix[1:]}") for s in made]
+    return given(made, "info", "{}") + given(made, "info", "{}", "--json", mark="-json")
+
+
+def _waved(folder: Path) -> list[Seed]:
+    wanted = ("f4", "f5", "f9", "f10")
+    return [s for s in seeds.las_seeds(folder / "las") if s.name.startswith(wanted)] + seeds.pls_seeds(folder / "pls")
+
+
+def _waveforms(folder: Path) -> list[Case]:
+    return given(_waved(folder), "info", "--waveforms", "{}", "--out", "p.png")
+
+
+def _ground(folder: Path) -> list[Case]:
+    made, texts = _clouds(folder), seeds.text_seeds(folder)
+    cases = []
+    for k, seed in enumerate(made):
+        method = ("smrf", "csf", "ptd", "slope")[k % 4]
+        cases += given([seed], "ground", "{}", "o.laz", "--method", method, "--dtm", "d.tif")
+    return cases + given(texts, "ground", "{}", "o.xyz", "--method", "smrf")
+
+
+def _features(folder: Path) -> list[Case]:
+    names = "zc,height_range_c100,planarity_r100,density_c100,echo_ratio_r100,planarity_k20"
+    words = ("features", "{}", "o.parquet", "--features", names, "--skip-missing")
+    return given([*_clouds(folder), *seeds.pls_seeds(folder / "pls"), *seeds.text_seeds(folder)], *words)
+
+
+def _model(folder: Path) -> dict[str, Seed]:
+    """A model of every kind over two features that any file has."""
+    from fwclass.store.models import save_model
+
+    made = {}
+    for kind, model in modelmaker.models().items():
+        card = {**model.card, "features": ["height_range_c100", "planarity_r100"]}
+        save_model(folder / kind / "m", replace(model, card=card))
+        found = seeds._taken(folder / kind, kind, "m", (), ("m/card.json",))
+        made[kind] = replace(found, fields=tuple(
+            Field(n, at, w) for n in found.files if n.endswith(".npy") for at in (*range(0, 12, 2), *range(128, 152, 4))
+            for w in (2, 4)
+        ))  # fmt: skip
+    return made
+
+
+def _classify(folder: Path) -> list[Case]:
+    models, clouds = _model(folder / "models"), _clouds(folder)
+    words = ("classify", "{}", "o.laz", "--model", "m")
+    cases = given(clouds, *words, fixed=models["forest"].files)
+    cloud = clouds[1]
+    words = ("classify", cloud.main, "o.laz", "--model", "m")
+    return cases + given(list(models.values()), *words, fixed=cloud.files)
+
+
+def _normalize(folder: Path) -> list[Case]:
+    heights = ("tin", "nearest", "raster")
+    clouds = _clouds(folder)
+    return [
+        case for k, seed in enumerate(clouds)
+        for case in given([seed], "normalize", "{}", "o.laz", "--height", heights[k % 3], "--method", "slope")
+    ]  # fmt: skip
+
+
+def _assess(folder: Path) -> list[Case]:
+    clouds = _clouds(folder)
+    texts = [s for s in seeds.text_seeds(folder) if s.name != "t3"]
+    pairs = [both(s, s) for s in (*clouds, *texts)]
+    return [Case(p, ("assess", p.main, "b" + p.main[1:], *more)) for p, more in
+            zip(pairs, (("--ground",), ("--map", "a=2;b=5,1", "--json")) * len(pairs), strict=False)]  # fmt: skip
+
+
+def trajectories() -> list[Seed]:
+    """Flights over the places and times of `lasmaker.survey`, so that nothing is refused before it is read."""
+    from pyproj import Transformer
+
+    times = 999.5 + 0.05 * np.arange(20)
+    x, y, z = 499990 + times * 0.01, np.full(20, 5400002.0), np.full(20, 1200.0)
+    csv = "time,x,y,z\n" + "".join(
+        f"{t:.3f},{a:.2f},{b:.2f},{c:.2f}\n" for t, a, b, c in zip(times, x, y, z, strict=True)
+    )
+    lon, lat = Transformer.from_crs(32633, 4326, always_xy=True).transform(x, y)
+    degrees = "# flight\ngps_time;latitude;longitude;height\n" + "".join(
+        f"{t:.3f};{b:.9f};{a:.9f};1200\n" for t, a, b in zip(times, lon, lat, strict=True)
+    )
+    rows = np.zeros((20, 17))
+    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = times, lat * RADIANS, lon * RADIANS, z
+    fields = tuple(Field("t.out", 8 * k, 8) for k in range(5)) + tuple(Field("t.out", 136 * k, 8) for k in range(6))
+    texts = [Seed(n, "t.csv", {"t.csv": t.encode()}, (), ("t.csv",)) for n, t in (("csv", csv), ("degrees", degrees))]
+    return [*texts, Seed("sbet", "t.out", {"t.out": rows.tobytes()}, fields)]
+
+
+def _decompose(folder: Path) -> list[Case]:
+    waved = _waved(folder)
+    plain = given(waved, "decompose", "{}", "o.laz")
+    own = folder / "flown"
+    own.mkdir(parents=True)
+    lasmaker.survey(own / "a.las", pulses=8, n_samples=40, where="internal", seed=STEEP)
+    flown = seeds._taken(own, "flown", "a.las", seeds._las_numbers(own / "a.las"))
+    return (
+        plain
+        + given(trajectories(), "decompose", flown.main, "o.laz", "--trajectory", "{}", fixed=flown.files)
+        + given([flown], "decompose", "{}", "o.laz", "--trajectory", "t.csv", fixed=trajectories()[0].files)
+    )
+
+
+def _surveys(folder: Path) -> list[Seed]:
+    """Sources of the small survey."""
+    waved = folder / "w"
+    waved.mkdir(parents=True)
+    lasmaker.survey(waved / "a.las", pulses=60, n_samples=40, where="internal")
+    return [patch(folder / "p6"), seeds._taken(waved, "waved", "a.las", seeds._las_numbers(waved / "a.las"))]
+
+
+def _on_survey(*words: str, count: int = 2) -> Callable[[Path], list[Case]]:
+    """A command on a configuration: its source files are damaged, and it is not."""
+    return lambda folder: given(_surveys(folder)[:count], *words, fixed={"c.yaml": SURVEY.encode()})
+
+
+def _plan(folder: Path) -> list[Case]:
+    source = patch(folder / "p")
+    words = ("plan", "c.yaml", "--out", "r")
+    text = Seed("small", "c.yaml", {"c.yaml": SURVEY.encode()}, (), ("c.yaml",))
+    shipped = [
+        replace(s, main="c.yaml", files={"c.yaml": s.files["a.yaml"]}, texts=("c.yaml",))
+        for s in seeds.conf_seeds(folder) if s.name.startswith("surveys/")
+    ]  # fmt: skip
+    sources = given([source], *words, fixed={"c.yaml": SURVEY.encode()})
+    return given([text, *shipped], *words, fixed=source.files) + sources
+
+
+def _labelled(folder: Path) -> list[Case]:
+    """Polygons of every format, as reference and as what is delivered, and trajectories, in a run by a given model."""
+    source, model = patch(folder / "p"), _model(folder / "models")["forest"]
+    survey = SURVEY.replace("EPSG:32633", "EPSG:25832").replace("directory: .", "directory: .\n  model: m")
+    survey = re.sub(
+        "classes: .*",
+        "classes: [{name: c0, code: 2, codes: [2]}, {name: c1, code: 3, codes: [6]}, {name: c2, code: 4, codes: [5]}]",
+        survey,
+    )
+    words = ("run", "c.yaml", "--out", "r", "--workers", "0")
+    shapes = seeds.polygon_seeds(folder / "polygons") + seeds.geoparquet_seeds(folder / "geoparquet")
+    cases = []
+    for seed in shapes:
+        text = survey.replace("{kind: source}", f"{{kind: polygons, files: [{seed.main}], field: code}}")
+        cases += given([seed], *words, fixed={"c.yaml": text.encode(), **source.files, **model.files}, mark="-labels")
+        fixed = {"c.yaml": survey.encode(), **source.files, **model.files}
+        cases += given([seed], *words, "--aoi", "{}", fixed=fixed, mark="-aoi")
+    for seed in trajectories():
+        text = survey.replace("  crs:", f"  trajectory: {{files: [{seed.main}]}}\n  crs:").replace("25832", "32633")
+        cases += given([seed], *words, fixed={"c.yaml": text.encode(), **source.files, **model.files})
+    return cases
+
+
+@cache
+def _ran() -> Files:
+    """The small survey, run into `r`; links of the run directory are left out."""
+    from commandline import fwclass
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "c.yaml").write_text(SURVEY.replace("size: 20.0", "size: 5.0"))
+        patch(folder)
+        ended = fwclass("run", "c.yaml", "--out", "r", "--workers", 0, cwd=folder)
+        assert ended.returncode == 0, ended.stderr
+        request = folder / "r" / "store" / "run.json"
+        request.write_text(json.dumps({**json.loads(request.read_text()), "conf": "c.yaml"}))
+        found = {}
+        for base, _, names in os.walk(folder):
+            for path in (Path(base) / n for n in names):
+                below = path.relative_to(folder).as_posix()
+                if below.startswith(("r/store/", "a.", "c.")) and not path.name.endswith("lock"):
+                    found[below] = path.read_bytes()
+        return found
+
+
+def _on_run(*words: str) -> Callable[[Path], list[Case]]:
+    """A command on a run directory whose JSON files are damaged."""
+
+    def cases(folder: Path) -> list[Case]:
+        files = _ran()
+        plain = [n for n in files if n.startswith("r/store/") and n.endswith((".json", ".jsonl"))]
+        few = [n for n in plain if n.count("/") == 2] + plain[:: max(1, len(plain) // 40)]
+        seed = Seed("run", "r", {n: files[n] for n in dict.fromkeys(few)}, (), tuple(few))
+        return [Case(seed, words, {n: d for n, d in files.items() if n not in seed.files})]
+
+    return cases
+
+
+def _export(folder: Path) -> list[Case]:
+    return given([_model(folder)["forest"]], "export", "{}", "o.onnx")
+
+
+COMMANDS = {
+    "info": Command(_info, 30), "info-waveforms": Command(_waveforms, 2), "ground": Command(_ground, 12),
+    "features": Command(_features, 12), "classify": Command(_classify, 10), "normalize": Command(_normalize, 8),
+    "assess": Command(_assess, 12), "decompose": Command(_decompose, 10), "plan": Command(_plan, 5),
+    "labels": Command(_labelled, 1), "export": Command(_export, 3), "status": Command(_on_run("status", "r"), 3),
+    "verify": Command(_on_run("status", "c.yaml", "--out", "r", "--verify"), 1.5),
+    "history": Command(_on_run("history", "r"), 3), "seams": Command(_on_run("seams", "r", "--share", "1"), 0.5),
+    "rerun": Command(_on_run("run", "c.yaml", "--out", "r", "--workers", "0"), 0.5),
+    "run": Command(_on_survey("run", "c.yaml", "--out", "r", "--workers", "0"), 1),
+    "train": Command(_on_survey("train", "c.yaml", "--model", "m", "--out", "r", "--workers", "0"), 1),
+    "select": Command(
+        _on_survey("select", "c.yaml", "--method", "fscore", "--set", "select.block=2", "--set", "select.gap=0.5",
+                   "--out", "r", "--workers", "0", count=1), 0.5,
+    ),
+}  # fmt: skip
+"""By name, as ``--command`` takes it. `schedule` is left out (it starts `run`), and `simulate`, `demo`, whose only
+input is a configuration, which `plan` reads."""
+
+
+def _harm(folder: Path) -> list[Case]:
+    return [Case(Seed("plain", "a.txt", {"a.txt": b"none"}), ("harm", "a.txt"))]
+
+
+ALL = {**COMMANDS, "harm": Command(_harm)}
+
+HOSTILE = {
+    "vrt": b"<OGRVRTDataSource><OGRVRTLayer name='x'><SrcDataSource>/vsicurl/http://127.0.0.1:9/a</SrcDataSource>"
+    b"</OGRVRTLayer></OGRVRTDataSource>",
+    "wfs": b"<OGRWFSDataSource><URL>http://127.0.0.1:9/wfs</URL></OGRWFSDataSource>",
+    "pipeline": b'{"type":"gdal_streamed_alg","command_line":"gdal vector pipeline ! read http://127.0.0.1:9/a"}',
+    "empty": b"", "zeros": bytes(5000), "spaces": b" " * 5000, "text": b"lorem ipsum\n" * 50, "pickle": b"\x80\x04N.",
+    "zip": b"PK\x03\x04" + bytes(100), "python": b"import os\n",
+}  # fmt: skip
+"""Content that no reader is for."""
+
+
+@cache
+def cases_of(command: str) -> dict[str, Case]:
+    """By name."""
+    with tempfile.TemporaryDirectory() as folder:
+        return {c.seed.name: c for c in ALL[command].cases(Path(folder) / "made")}
+
+
+@cache
+def foreign() -> dict[str, bytes]:
+    """A file of every kind, by name."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        some = [patch(folder / "las"), patch(folder / "laz", "a.laz"), *seeds.copc_seeds(folder / "copc"),
+                *seeds.pls_seeds(folder / "pls")[:1], *seeds.text_seeds(folder)[:1], *trajectories()[::2],
+                *seeds.polygon_seeds(folder / "polygons"), *seeds.geoparquet_seeds(folder / "gp")[:1]]  # fmt: skip
+        made = {Path(s.main).suffix[1:]: s.files[s.main] for s in some}
+        model = _model(folder / "models")["forest"]
+        return {**made, **HOSTILE, "npy": model.files["m/feature.npy"], "card": model.files["m/card.json"],
+                "yaml": SURVEY.encode()}  # fmt: skip
+
+
+def case_of(command: str, name: str) -> Case:
+    """The case NAME, or NAME~KIND: with the content of another kind of file under its main file's name."""
+    known, _, kind = name.partition("~")
+    case = cases_of(command)[known]
+    if not kind:
+        return case
+    main = case.seed.main if case.seed.main in case.seed.files else sorted(case.seed.files)[0]
+    return replace(case, seed=replace(case.seed, files={**case.seed.files, main: foreign()[kind]}, fields=()))

@@ -1,0 +1,93 @@
+"""Damaged and foreign files through the commands themselves: whatever a file holds, a command ends in words, within
+bounds of time and memory. See `server.py` for what none may do, `long.py --commands` for many inputs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from commands import COMMANDS, cases_of, foreign
+from watch import Child
+
+QUICK = {
+    "info": 200, "assess": 80, "ground": 30, "features": 40, "classify": 40, "normalize": 30, "decompose": 25,
+    "export": 30, "history": 20, "status": 15, "plan": 8, "info-waveforms": 4, "labels": 2, "verify": 4, "train": 3,
+    "select": 3, "run": 2, "rerun": 2, "seams": 1,
+}  # fmt: skip
+"""Drawn inputs of every command in the fast suite, which takes some 60 s of the processor; the slow one makes them
+2 000 in all."""
+
+EMPTY = ("features short", "info-waveforms short")
+"""Sound files that hold nothing to work on; `info` knows no text, and what comes with fwclass names files elsewhere."""
+
+WHOLE = 2000
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Child]:
+    with Child(*COMMANDS, script="server.py") as child:
+        yield child
+
+
+def corpus() -> list[str]:
+    """Lines ``COMMAND CASE RECIPE``."""
+    rows = Path(__file__).with_name("commands.txt").read_text().splitlines()
+    return [row.split("  #")[0].rstrip() for row in rows if row.strip() and not row.startswith("#")]
+
+
+def wrong(server: Child, lines: list[str]) -> list[str]:
+    """What the inputs did that none may do."""
+    asked = ((line, server.ask(line)) for line in lines)
+    return [f"{line.split()[0]} {a['seed']} {a['recipe'][:300]}  # {a['told']}" for line, a in asked if a["told"]]
+
+
+def test_every_command_does_what_it_is_asked_with_the_sound_files(server: Child) -> None:
+    """Otherwise the damage to them would only be tried on the way to a refusal."""
+    each = {c: 6 if COMMANDS[c].share > 3 else 1 for c in COMMANDS}
+    lines = [f"{c} {name} " for c in COMMANDS for name in list(cases_of(c))[:: 1 + len(cases_of(c)) // each[c]]]
+    refused = [line.strip() for line in lines if server.ask(line)["code"]]
+    assert [r for r in refused if ".xyz" not in r and not r.startswith("plan surveys/") and r not in EMPTY] == []
+
+
+def test_no_input_of_the_corpus_does_harm(server: Child) -> None:
+    assert wrong(server, corpus()) == []
+
+
+def test_content_of_another_kind_under_any_name_does_no_harm(server: Child) -> None:
+    """One case of every ending with every kind of content."""
+    first = {name.partition(".")[2]: name for name in cases_of("info")}
+    lines = [f"info {name}~{kind} " for name in first.values() for kind in foreign()]
+    lines += [f"{c} {next(iter(cases_of(c)))}~{kind} " for c in ("ground", "assess", "export") for kind in foreign()]
+    assert wrong(server, lines) == []
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_drawn_inputs_do_no_harm(command: str, server: Child) -> None:
+    assert wrong(server, [f"{command} * {k}" for k in range(QUICK[command])]) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
+def test_more_drawn_inputs_do_no_harm(command: str, server: Child) -> None:
+    share = COMMANDS[command].share / sum(c.share for c in COMMANDS.values())
+    assert (
+        wrong(server, [f"{command} * {k}" for k in range(QUICK[command], max(QUICK[command], round(WHOLE * share)))])
+        == []
+    )
+
+
+@pytest.mark.parametrize(
+    ("does", "told"),
+    [("crash", "SIGSEGV"), ("hang", "of the processor"), ("hoard", "MiB, where"), ("raise", "ZeroDivisionError"),
+     ("warn", "warning"), ("colour", "control"), ("mute", "without a word"), ("odd", "exit code 7")],
+)  # fmt: skip
+def test_a_command_that_does_harm_is_found_out(does: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FUZZ_CPU_SECONDS", "1")
+    with Child("harm", script="server.py") as child:
+        assert told in child.ask(f"harm plain a.txt:0-4={does.encode().hex()}")["told"]
+        assert child.ask("harm plain ")["told"] == ""
