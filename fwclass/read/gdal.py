@@ -14,6 +14,7 @@ from functools import cache
 from typing import Any
 
 from fwclass.errors import FwclassError
+from fwclass.isolation import away_from
 
 DRIVERS = {"GPKG", "GeoJSON", "ESRI Shapefile", "MEM"}
 """``MEM`` reads no file; GeoTIFF's driver may need it."""
@@ -29,6 +30,9 @@ _OPTIONS = {
 
 _EXCEPTIONS = ("no_proxy", "NO_PROXY")
 """Hosts that curl reaches without the proxy, by the environment."""
+
+_PROJ = ("proj.ini", "proj.db")
+"""What PROJ looks for in the current directory, after its own places."""
 
 _alone = threading.Lock()
 
@@ -54,9 +58,12 @@ def vector_gdal() -> Any:
 
 @contextmanager
 def offline() -> Iterator[Any]:
-    """`vector_gdal` while it reaches no host and prints nothing: what is wrong with a file is told by who reads it."""
+    """`vector_gdal` while it reaches no host and prints nothing: what is wrong with a file is told by who reads it.
+
+    It may be elsewhere than in the current directory meanwhile: paths that it is given have to be absolute.
+    """
     module = vector_gdal()
-    with _alone, warnings.catch_warnings():
+    with _alone, away_from(*_PROJ), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         kept = {name: os.environ.pop(name) for name in _EXCEPTIONS if name in os.environ}
         try:

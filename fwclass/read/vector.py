@@ -25,15 +25,16 @@ Header = dict[str, Any]
 def layers(path: Path) -> list[str]:
     """Names of the layers that hold geometries; `InputError` for a file that cannot be read or is cut short."""
     check_format(path)
-    found = _asked(path, lambda gdal: gdal.list_layers(path.absolute()))
+    found = _asked(path, lambda gdal, place: gdal.list_layers(place))
     return [str(name) for name, kind in found if kind is not None]
 
 
-def _asked(path: Path, question: Callable[[Any], Any]) -> Any:
+def _asked(path: Path, question: Callable[[Any, Path], Any]) -> Any:
     """What GDAL says of `path`; `InputError` where it finds a fault."""
+    place = path.absolute()
     with offline() as gdal:
         try:
-            return question(gdal)
+            return question(gdal, place)
         except Exception as fault:  # pyogrio's errors share no base that it exports
             raise _unreadable(path, fault) from fault
 
@@ -61,7 +62,7 @@ def header(path: Path, layer: str | None) -> Header:
             "the file has no such layer", where=path, expected=", ".join(known), got=layer, do=nearest(layer, known)
         )
     chosen = layer or known[0]
-    about = _asked(path, lambda gdal: gdal.read_info(path.absolute(), layer=chosen, force_feature_count=True))
+    about = _asked(path, lambda gdal, place: gdal.read_info(place, layer=chosen, force_feature_count=True))
     types = [str(np.dtype(t)) if t != "object" else "text" for t in about["dtypes"]]
     return {
         "layer": chosen,
@@ -75,7 +76,7 @@ def header(path: Path, layer: str | None) -> Header:
 def rows(path: Path, layer: str, field: str | None) -> tuple[list[Any], list[bytes | None]]:
     """Values of a field and geometries as well-known binary, in the file's order; no values without a field."""
     columns = [field] if field else []
-    found = _asked(path, lambda gdal: gdal.raw.read(path.absolute(), layer=layer, columns=columns, force_2d=True))
+    found = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=columns, force_2d=True))
     geometries, fields = found[2], found[3]
     values = fields[0].tolist() if field else []
     return values, list(geometries)
@@ -83,7 +84,7 @@ def rows(path: Path, layer: str, field: str | None) -> tuple[list[Any], list[byt
 
 def column(path: Path, layer: str, field: str) -> list[Any]:
     """Values of one field, in the file's order."""
-    found = _asked(path, lambda gdal: gdal.raw.read(path.absolute(), layer=layer, columns=[field], read_geometry=False))
+    found = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=[field], read_geometry=False))
     return list(found[3][0].tolist())
 
 

@@ -7,16 +7,19 @@ import io
 import json
 import os
 import stat
+import struct
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from runmaker import delivered
 from schedulemaker import NOWHERE, strip
 
 from fwclass import isolation
 from fwclass.errors import ConfigError
+from fwclass.read.gdal import offline
 
 ROOT = Path(__file__).parents[2]
 ENTRY = "from fwclass.cli import main\n\nif __name__ == '__main__':\n    main()\n"
@@ -158,13 +161,18 @@ def test_every_command_in_a_strangers_directory(place: Path) -> None:
 
 
 def test_pipes_named_as_what_libraries_look_for_keep_nobody_waiting(tmp_path: Path) -> None:
-    """GDAL looks for its grids of tiles by name, before the first cloud-optimised file."""
+    """GDAL looks for its grids of tiles before the first cloud-optimised file, PROJ for its own at a GeoPackage."""
     (tmp_path / "x").mkdir()
     for name in FILES:
         os.mkfifo(tmp_path / "x" / name)
     (tmp_path / "bin").mkdir()
     (tmp_path / "bin" / "fwclass").write_text(ENTRY)
     source = strip(tmp_path / "a.las")
+    with offline() as gdal:
+        shape, name = np.array([struct.pack("<BIdd", 1, 1, 0, 0)], object), str(tmp_path / "p.gpkg")
+        gdal.raw.write(name, shape, [], [], driver="GPKG", geometry_type="Point", crs="EPSG:25832")
+    ended = start(tmp_path, "info", "../p.gpkg", timeout=60)
+    assert ended.returncode == 0, ended.stderr
     ended = start(tmp_path, "ground", source, tmp_path / "g.laz", "--dtm", tmp_path / "d.tif", timeout=60)
     assert ended.returncode == 0 and (tmp_path / "d.tif").exists(), ended.stderr
 

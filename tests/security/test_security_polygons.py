@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.server
 import json
 import os
+import re
 import shutil
 import sqlite3
 import struct
@@ -207,6 +208,16 @@ def test_three_drivers_are_left_and_sound_files_are_read(sound: Path) -> None:
     for content in (late, bare, collection({"type": "name", "properties": {"name": "EPSG:25832"}})):
         (sound / "a.json").write_text("\ufeff\n" + json.dumps(content, indent=1), encoding="utf-8")
         assert read_polygons(open_polygons(sound / "a.json"), None)[1].parts == 1
+
+
+def test_foreign_files_reach_gdal_through_one_door() -> None:
+    """pyogrio is imported where it is restricted, and rasterio opens what the program itself has written."""
+    root = Path(__file__).parents[2] / "fwclass"
+    texts = {p.relative_to(root).as_posix(): p.read_text(encoding="utf-8") for p in root.rglob("*.py")}
+    imports = re.compile(r"^\s*(import pyogrio|from pyogrio)", re.MULTILINE)
+    assert {name for name, text in texts.items() if imports.search(text)} == {"read/gdal.py"}
+    assert {name for name, text in texts.items() if "rasterio.open(" in text} == {"publish/cog.py"}
+    assert 'rasterio.open(raw, "w"' in texts["publish/cog.py"] and texts["publish/cog.py"].count("rasterio.open(") == 1
 
 
 def test_gdal_that_cannot_be_restricted_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:

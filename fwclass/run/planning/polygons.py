@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.ground.stage import GROUND_FILTER
-from fwclass.read.gdal import vector_gdal
+from fwclass.read.gdal import offline
 from fwclass.run.planning.estimate import MIB
 from fwclass.run.planning.spread import Spread, spread_of
 from fwclass.run.planning.whole import Plan
@@ -67,7 +67,9 @@ def squares(spread: Spread, at: tuple[NDArray, ...], by: float) -> NDArray:
 
 
 def _layer(path: Path, name: str, shapes: NDArray, fields: Mapping[str, NDArray], crs: str | None) -> None:
-    vector_gdal().raw.write(
-        str(path), shapes, list(fields.values()), np.array(list(fields), object), layer=name, driver="GPKG",
-        geometry_type="Polygon", crs=crs,
-    )  # fmt: skip
+    place = str(path.absolute())
+    with offline() as gdal:
+        gdal.raw.write(
+            place, shapes, list(fields.values()), np.array(list(fields), object), layer=name, driver="GPKG",
+            geometry_type="Polygon", crs=crs,
+        )  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from fwclass.errors import ConfigError
 from fwclass.grid import Box
-from fwclass.read.gdal import vector_gdal
+from fwclass.read.gdal import offline
 from fwclass.run.shifted.told import Found
 from fwclass.store.atomic import move_into_place, staged
 
@@ -60,7 +60,9 @@ def _layer(
     path: Path, name: str, kind: str, shapes: Sequence[bytes], fields: Mapping[str, Sequence[Any]], crs: str | None
 ) -> None:
     values = [np.array(v, object if isinstance(v[0], str) else np.int64) for v in fields.values()]
-    vector_gdal().raw.write(
-        str(path), np.array([*shapes, None], object)[:-1], values, np.array(list(fields), object), layer=name,
-        driver="GPKG", geometry_type=kind, crs=crs,
-    )  # fmt: skip
+    place = str(path.absolute())
+    with offline() as gdal:
+        gdal.raw.write(
+            place, np.array([*shapes, None], object)[:-1], values, np.array(list(fields), object), layer=name,
+            driver="GPKG", geometry_type=kind, crs=crs,
+        )  # fmt: skip
