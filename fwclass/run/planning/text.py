@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fwclass.run.planning.density import density_known, too_dense
 from fwclass.run.planning.headers import SourceFacts
 from fwclass.run.planning.whole import Plan
 
@@ -49,6 +50,12 @@ def _head(plan: Plan) -> list[str]:
         lines.append(
             f"sampled     {s.points:,} points of {s.path.name}: {s.density:.2f} points/m² where it was flown "
             f"({s.even:.2f} by its header), {s.returns_per_pulse:.2f} returns a pulse"
+        )
+    if facts.sample and too_dense(plan.config, facts):
+        lines.append(
+            f"dense       {density_known(facts):,.0f} points/m² in {facts.sample.path.name}: of so many few count in a "
+            "neighbourhood (features.dense_echoes), and the report tells where; just below it features take longer "
+            "than planned"
         )
     lines += [_places(s) for s in facts.sources if len(s.places) > 1]
     if plan.measured:

@@ -8,6 +8,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.run.planning.amounts import Counts, amounts, crowding, tile_halo
+from fwclass.run.planning.density import costs_at_density, too_dense
 from fwclass.run.planning.estimate import Choice, Estimate, choices, estimated, proposed
 from fwclass.run.planning.headers import SurveyFacts
 from fwclass.run.planning.limits import Limit, Room, allowed_mib, limits
@@ -43,7 +44,7 @@ def planned(config: Config, facts: SurveyFacts, workers: int, room: Room, trial:
     """The plan by the costs of section `plan`, or as far as it goes by the receipts of a dry run in `trial`."""
     size, counts = config.tile.size, Counts.of(config, facts)
     told = measured(trial, config.plan.stages, amounts(config, facts, size)) if trial else None
-    costs = told.costs if told else config.plan.stages
+    costs = told.costs if told else costs_at_density(config, facts)
     made = estimated(config, facts, size, workers, costs)
     if told:
         base = measured_base(told, made, config.plan.base_mib)
@@ -69,7 +70,7 @@ def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
         "reference_points": facts.reference_points,
         "sample": None if sample is None else {
             "file": sample.path.name, "points": sample.points, "density": sample.density, "even": sample.even,
-            "returns_per_pulse": sample.returns_per_pulse,
+            "returns_per_pulse": sample.returns_per_pulse, "too_dense": too_dense(plan.config, facts),
         },
         "tiles": {
             "size": tiles.size, "number": tiles.number, "halo": plan.halo,
