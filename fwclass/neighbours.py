@@ -15,6 +15,12 @@ from fwclass.errors import InputError
 from fwclass.grid import millimetres
 from fwclass.kernel import kernel
 
+CROWDED = 20_000
+"""With more points than this in a cell the nearest is looked for in small cells first."""
+
+AT_A_TIME = 20_000
+"""Points that one call of a kernel looks from in a crowd: between two calls an interrupt is heeded."""
+
 MAX_CELLS = 1 << 28
 """A grid above this many cells (2 GiB of offsets) is refused before it is allocated."""
 
@@ -26,6 +32,9 @@ CELLS_PER_POINT = 16
 
 MAX_NUMBER = 1 << 62
 """Cells of the widest grid whose cells can be numbered."""
+
+
+Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -152,7 +161,9 @@ def nearest_within(
     index = CellIndex.build(*among, cell=limit, asked=len(points[0]))
     found = np.full(len(points[0]), -1, np.int64)
     distance = np.full(len(found), np.nan)
-    if len(index.order) and len(found):
+    if len(index.order) and len(found) and np.diff(index.start).max() > CROWDED:
+        _nearest_in_crowds(points, among, round(limit * 1000), found, distance)
+    elif len(index.order) and len(found):
         _nearest(
             millimetres(points[0]) - index.x0, millimetres(points[1]) - index.y0, millimetres(points[2]) - index.z0,
             index.x, index.y, index.z, index.start, index.occupied, index.ncols, index.nrows, index.cell,
@@ -161,3 +172,57 @@ def nearest_within(
         hit = found >= 0
         found[hit] = index.order[found[hit]]
     return found, distance * 0.001
+
+
+def _nearest_in_crowds(
+    points: Points, among: Points, limit: int, found: NDArray[np.int64], distance: NDArray[np.float64]
+) -> None:
+    """Fill the results of `nearest_within` (`limit` and distances in mm) where cells hold many points: of equal points
+    the first stands for all, and ever larger cells are looked at by those points that have found nothing yet."""
+    place = np.stack([millimetres(values) for values in among])
+    order = np.lexsort((np.arange(place.shape[1]), *place))
+    new = np.append(True, (np.diff(place[:, order]) != 0).any(axis=0))
+    rows = np.sort(order[new])
+    some = (among[0][rows], among[1][rows], among[2][rows])
+    edges = sorted({limit >> k for k in range(8)} - {0})
+    left = np.arange(len(found))
+    for edge in edges:
+        index = CellIndex.build(*some, cell=edge / 1000, asked=len(left))
+        for first in range(0, len(left), AT_A_TIME):
+            part = left[first : first + AT_A_TIME]
+            px, py, pz = (millimetres(values[part]) for values in points)
+            at, apart = np.empty(len(part), np.int64), np.empty(len(part))
+            _nearest_of_ties(
+                px - index.x0, py - index.y0, pz - index.z0, index.x, index.y, index.z, index.order, index.start,
+                index.occupied, index.ncols, index.nrows, index.cell, index.x0, index.y0, limit, at, apart,
+            )  # fmt: skip
+            hit = at >= 0
+            found[part[hit]], distance[part[hit]] = rows[at[hit]], apart[hit]
+        left = left[found[left] < 0]
+
+
+@kernel
+def _nearest_of_ties(px, py, pz, x, y, z, order, start, occupied, ncols, nrows, cell, x0, y0, limit, found, distance):  # type: ignore[no-untyped-def]
+    """As `_nearest` within the edge of a cell, with input rows; of points at one distance the one that comes first by
+    cells of edge `limit`, then by row."""
+    every = len(occupied) == 0
+    for i in range(len(px)):
+        c, r = px[i] // cell, py[i] // cell
+        west, east = max(c - 1, 0), min(c + 2, ncols)
+        best, at, row_of, col_of = cell * cell + 1, np.int64(-1), np.int64(0), np.int64(0)
+        for row in range(max(r - 1, 0), min(r + 2, nrows) if west < east else 0):
+            first, behind = row * ncols + west, row * ncols + east
+            if not every:
+                first, behind = np.searchsorted(occupied, first), np.searchsorted(occupied, behind)
+            for j in range(start[first], start[behind]):
+                dx, dy, dz = x[j] - px[i], y[j] - py[i], z[j] - pz[i]
+                d = dx * dx + dy * dy + dz * dz
+                if d <= best and d <= cell * cell:
+                    own_row, own_col, own = (y[j] + y0) // limit, (x[j] + x0) // limit, order[j]
+                    sooner = own_row < row_of or (
+                        own_row == row_of and (own_col < col_of or (own_col == col_of and own < at))
+                    )
+                    if d < best or sooner:
+                        best, at, row_of, col_of = d, own, own_row, own_col
+        found[i] = at
+        distance[i] = np.sqrt(float(best)) if at >= 0 else np.nan

@@ -142,3 +142,25 @@ def test_nearest_of_any_points(queries, among, limit):
     found, distance = nearest_within(q, a, limit)
     np.testing.assert_allclose(distance, within(q, a, limit) if len(among) else np.full(len(queries), np.nan))
     np.testing.assert_array_equal(found < 0, np.isnan(distance))
+
+
+@pytest.mark.parametrize("limit", [0.2, 1.0, 7.5])
+@pytest.mark.parametrize("grid", [0.001, 0.5])
+def test_the_nearest_in_a_crowd_is_that_of_the_plain_search_with_its_ties(limit, grid, monkeypatch):
+    queries, among = points(8, 600, 6.0), points(9, 900, 6.0)
+    queries, among = (tuple((v / grid).round() * grid for v in cloud) for cloud in (queries, among))
+    among = tuple(np.append(v, np.full(50, v[3])) for v in among)
+    plain = nearest_within(queries, among, limit)
+    monkeypatch.setattr(neighbours, "CROWDED", 0)
+    monkeypatch.setattr(neighbours, "AT_A_TIME", 170)
+    for mine, other in zip(plain, nearest_within(queries, among, limit), strict=True):
+        np.testing.assert_array_equal(mine, other)
+
+
+def test_equal_points_stand_for_one():
+    """60 000 at one place, looked at from as many a millimetre beside: 3.6e9 pairs by the plain search."""
+    n = 60_000
+    among, queries = (np.zeros(n),) * 3, (np.full(n, 0.001),) * 3
+    found, distance = nearest_within(queries, among, 1.0)
+    assert (found == 0).all()
+    np.testing.assert_allclose(distance, np.sqrt(3e-6))
