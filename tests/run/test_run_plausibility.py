@@ -105,3 +105,10 @@ def test_white_noise_is_found_white(tmp_path, seed):
 def test_sound_files_are_not_refused(tmp_path, name):
     assert fwclass("decompose", REAL / name, tmp_path / "o.laz").returncode == 0
     assert implausible(tmp_path / "o.laz")[1].sum() <= 3
+
+
+@pytest.mark.skipif(not (REAL / "geolas_example2.pls").is_file(), reason="needs ../shared/data")
+def test_a_file_without_returns_is_told_what_its_noise_is_like_and_not_refused(tmp_path):
+    ended = fwclass("decompose", REAL / "geolas_example2.pls", tmp_path / "o.laz")
+    assert ended.returncode == 0 and "the noise is correlated" in ended.stderr
+    assert implausible(tmp_path / "o.laz")[1].mean() < 0.1
