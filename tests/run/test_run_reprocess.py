@@ -17,7 +17,7 @@ from fwclass.run.plan.numbering import NUMBERS, numbers
 from fwclass.store.cells import CELL
 
 TILE = 40.0
-NAMES = ("height_range_c200", "height_above_ground", "amplitude")
+NAMES = ("height_range_c200", "height_above_ground")
 REACH = Asked.of(n for n in NAMES if is_feature(n)).reach(conf.load("demo").features) + CELL
 """m: how far features read, and how finely a tile's pieces are told apart."""
 SETTINGS = (f"tile.size={TILE:g}", f"survey.features=[{', '.join(NAMES)}]")
@@ -93,7 +93,7 @@ def test_an_added_strip_touches_its_tiles_and_their_halos_only(first, tmp_path, 
     assert own <= computed["features"] <= touching(box.grown(REACH))
     near = touching(box.grown(2.0))
     assert near <= computed["features"], "a neighbour within the radius is made anew"
-    assert computed["index"] == {"00005"} and all(p.startswith("00005-") for p in computed["read"])
+    assert computed["index"] == {"00005"} and all(p.startswith("00005-") for p in computed["decompose"])
     blocks = computed["ground-filter"]
     there = {part for stage, part in road.outcomes if stage == "ground-filter"}
     halo = 64.0
@@ -120,12 +120,12 @@ def test_a_changed_strip_changes_where_it_changed(first, tmp_path):
 def test_a_removed_strip_leaves_nothing(first, tmp_path):
     computed, road, before = again(first, tmp_path, lambda d: (d / "strip_09.las").unlink())
     own = touching(Box(512082, 5403082, 512090, 5403090))
-    assert computed["tile"] == own and "read" not in computed and "index" not in computed
+    assert computed["tile"] == own and "decompose" not in computed and "index" not in computed
     for tile in own:
         told = " ".join(r.text for r in before.states["tile", tile].reasons)
         assert "is no longer read (strip_09.las)" in told, told
     assert not (road.root / "laz" / "strips" / "strip_09.laz").exists()
-    assert not (road.root / "store" / "read" / "00009-00000").exists()
+    assert not (road.root / "store" / "decompose" / "00009-00000").exists()
     strips = {s for p in (road.root / "parquet").glob("*.parquet") for s in pq.read_table(p)["strip"].to_pylist()}
     assert strips == {1, 2}
 
