@@ -15,7 +15,7 @@ from fwclass.errors import InputError
 from fwclass.grid import millimetres
 from fwclass.kernel import kernel
 
-CROWDED = 20_000
+CROWDED = 2_000
 """With more points than this in a cell the nearest is looked for in small cells first."""
 
 AT_A_TIME = 20_000
