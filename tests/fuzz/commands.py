@@ -166,7 +166,8 @@ def _normalize(folder: Path) -> list[Case]:
 def _assess(folder: Path) -> list[Case]:
     clouds = _clouds(folder)
     texts = [s for s in seeds.text_seeds(folder) if s.name != "t3"]
-    pairs = [both(s, s) for s in (*clouds, *texts)]
+    other = replace(patch(folder / "other", seed=1), name="other")  # no point has its like: the nearest is looked for
+    pairs = [both(clouds[1], other), *(both(s, s) for s in (*clouds, *texts))]
     return [Case(p, ("assess", p.main, "b" + p.main[1:], *more)) for p, more in
             zip(pairs, (("--ground",), ("--map", "a=2;b=5,1", "--json")) * len(pairs), strict=False)]  # fmt: skip
 

@@ -248,6 +248,8 @@ def _wrong(status: int, out: str, err: str, folder: Path) -> str:
 
 
 def main(commands: list[str]) -> None:
+    import numba  # noqa: F401 - the program's own, whatever the sound files need
+
     covers = "--cover" in commands
     commands = [c for c in commands if c != "--cover"]
     answers = os.fdopen(os.dup(1), "w", buffering=1)
