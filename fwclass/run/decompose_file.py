@@ -95,8 +95,9 @@ def decompose_file(
             do="check the delivery; there is nothing to decompose",
         )
     table = Table.concat(tables)
-    ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
-    refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
+    if table.rows:
+        ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
+        refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
     flown = flown_over(table, trajectory, system, undulation) if trajectory is not None else None
     whole, notes = ranged(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
