@@ -8,11 +8,16 @@ inside: parts are what runs in parallel.
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Callable
-from types import CodeType
+from pathlib import Path
+from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 _REORDER = {"reassoc", "contract", "nsz", "arcp"}
+
+_stamps: dict[Callable[..., Any], str] = {}
+"""Digests of functions and of all that they read (`Kernel.stamp`)."""
 
 
 class Kernel:
@@ -32,11 +37,59 @@ class Kernel:
             import numba
 
             self._compiled = numba.njit(nogil=True, cache=True, error_model="numpy", **self._options)(self._function)
+            stamp = self.stamp()
+            kept = getattr(getattr(self._compiled, "_cache", None), "_cache_file", None)
+            if kept is not None:  # numba's own stamp is the time of this one file
+                kept._source_stamp = stamp
             names = self._function.__globals__
             for name in _names(self._function.__code__):
                 if isinstance(names.get(name), Kernel):
                     names[name] = names[name].compiled()
         return self._compiled
+
+    def stamp(self) -> str:
+        """Digest of the function, its options, and all kernels, functions and constants that it reads, wherever they
+        stand: what was compiled holds as long as it is the same."""
+        options = {name: sorted(v) if isinstance(v, set) else v for name, v in self._options.items()}
+        return _stamp_of(self._function, repr(sorted(options.items())))
+
+
+def _stamp_of(function: Callable[..., Any], options: str = "") -> str:
+    if function not in _stamps:
+        _stamps[function] = ""  # one that calls itself adds nothing
+        state = hashlib.blake2b(options.encode(), digest_size=16)
+        _add_code(state, function.__code__, function.__globals__)
+        _stamps[function] = state.hexdigest()
+    return _stamps[function]
+
+
+def _add_code(state: Any, code: CodeType, names: dict[str, Any]) -> None:
+    """Add to `state` what a function does, and what the global `names` that it reads mean."""
+    state.update(code.co_code + repr((code.co_names, code.co_varnames, code.co_freevars)).encode())
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            _add_code(state, constant, names)
+        else:
+            state.update(repr(constant).encode())
+    for name in sorted(set(code.co_names) & names.keys()):
+        state.update(f"{name}={_meaning(names[name])}\n".encode())
+
+
+def _meaning(value: Any) -> str:
+    """What a global value is to compiled code, the same text in every process."""
+    function = getattr(value, "py_func", value)  # of a kernel that numba has already
+    if isinstance(value, Kernel):
+        return value.stamp()
+    if isinstance(function, FunctionType):
+        return _stamp_of(function)
+    if isinstance(value, ModuleType):
+        own = value.__name__.partition(".")[0] == __name__.partition(".")[0]
+        return Path(str(value.__file__)).read_text() if own else value.__name__
+    if isinstance(value, type):
+        return repr((value.__qualname__, getattr(value, "_fields", ())))
+    if hasattr(value, "tobytes") and hasattr(value, "dtype"):
+        return repr((value.dtype.str, value.shape, value.tobytes()))
+    return repr(value)
 
 
 def _names(code: CodeType) -> set[str]:
