@@ -6,6 +6,7 @@ import glob
 import mmap
 import re
 import sqlite3
+from functools import partial
 from pathlib import Path
 
 from fwclass.errors import InputError
@@ -114,6 +115,7 @@ def _check_tables(path: Path) -> None:
     beside = "" if Path(f"{path}-wal").exists() else "&immutable=1"
     try:
         opened = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro{beside}", uri=True)
+        opened.text_factory = partial(str, encoding="utf-8", errors="replace")
         try:
             made = opened.execute("SELECT sql FROM sqlite_master WHERE sql LIKE '%virtual%'").fetchall()
         finally:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from fwclass.errors import InputError
 from fwclass.grid import Box
-from fwclass.paths import path_matches
+from fwclass.paths import path_matches, strange_kind
 from fwclass.store.outside import Place, found_outside
 from fwclass.store.params import StoreParams
 from fwclass.store.url import Url
@@ -45,9 +45,23 @@ def _matches(pattern: str, directory: Path | Url, params: StoreParams) -> list[P
     wild = parts[len(fixed) :]
     if "**" in wild and ".." not in wild:
         base = directory.joinpath(*fixed)
-        return [p for p in sorted(_below(base)) if path_matches(p.relative_to(base).parts, wild)]
+        return _files(p for p in sorted(_below(base)) if path_matches(p.relative_to(base).parts, wild))
     wanted = str(Path(glob.escape(str(directory))) / pattern)
-    return [p for p in sorted(map(Path, glob.glob(wanted, recursive=True))) if p.is_file()]  # noqa: PTH207
+    return _files(sorted(map(Path, glob.glob(wanted, recursive=True))))  # noqa: PTH207
+
+
+def _files(paths: Iterable[Path]) -> list[Place]:
+    """Those that are files; `InputError` for a pipe, a device or a socket: nothing is left out unseen."""
+    files: list[Place] = []
+    for path in paths:
+        if kind := strange_kind(path):
+            raise InputError(
+                "a source is no file", where=path, expected="a file on a disk", got=kind,
+                do="move it away, or name the sources by a pattern that leaves it out",
+            )  # fmt: skip
+        if path.is_file():
+            files.append(path)
+    return files
 
 
 def _below(directory: Path) -> Iterator[Path]:
@@ -63,7 +77,7 @@ def _below(directory: Path) -> Iterator[Path]:
             entries = sorted(path.iterdir(), reverse=True)
         except OSError:  # as `glob` does: what cannot be read holds nothing
             continue
-        yield from (p for p in entries if p.is_file())
+        yield from (p for p in entries if not p.is_dir())
         waiting += [p for p in entries if p.is_dir()]
 
 

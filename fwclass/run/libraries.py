@@ -33,12 +33,12 @@ def announced(store: Store, accepted: bool) -> list[str]:
     names = [n for n in store.parts() if n[0] not in NO_STAGES] if any(map(stale_by, kept)) or not kept else []
     if not names:
         return []
-    if not kept:
-        return ["earlier parts of this run do not tell the libraries that they were made with; they count as done"]
     store.look_up(names)
-    found, _ = by_change((r for r in (store.receipt(*n) for n in names) if r is not None), store)
+    found, unknown = by_change((r for r in (store.receipt(*n) for n in names) if r is not None), store)
+    lines = ["earlier parts of this run do not tell the libraries that they were made with; they count as done"]
     what = "they count as done, as asked" if accepted else "they are made again (--accept-libraries keeps them)"
-    return [f"{n} parts were made with other libraries ({change}): {what}" for change, n in found.items()]
+    told = [f"{n} parts were made with other libraries ({change}): {what}" for change, n in found.items()]
+    return told + (lines if unknown and not kept else [])
 
 
 def reported(road: Road) -> dict[str, Any]:
@@ -63,6 +63,8 @@ def text_of(row: Mapping[str, Any]) -> str:
     then, here = row["made_with"], fingerprint()
     if then is None:
         return f"{row['parts']} parts do not tell the libraries that they were made with; they count as done"
+    if not then:
+        return f"{row['parts']} parts: {row['changes'][0]}"
     same = all(then.get(n) == here[n] for n in ("fwclass", "source"))
     program = f"fwclass {then.get('fwclass')}, source {then.get('source')}{' (as here)' if same else ''}"
     if not same:

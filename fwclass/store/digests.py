@@ -52,8 +52,8 @@ def check_file(path: str, digest: str) -> None:
         ) from fault
     if got != digest:
         raise DamagedError(
-            "a file of a finished part is not what was written", where=path, expected=f"bytes of digest {digest}",
-            got=f"bytes of digest {got}", do=MEND,
+            "a file of a finished part is not what was written (`fwclass run … --verify` mends it)", where=path,
+            expected=f"bytes of digest {digest}", got=f"bytes of digest {got}", do=MEND,
         )  # fmt: skip
 
 

@@ -33,7 +33,10 @@ BESIDE = {
 OWN = ("fwclass", "source")
 """Of this program: a stage's version tells when its code gives other results, so these make no part stale."""
 
-_KNOWN: dict[str, Mapping[str, str] | None] = {}
+LOST: Mapping[str, str] = {}
+"""The fingerprint of a receipt that names one which is gone from the store, or damaged."""
+
+_KNOWN: dict[str, Mapping[str, str]] = {}
 """Fingerprints that were read, by digest."""
 
 
@@ -92,11 +95,13 @@ def fingerprint() -> Mapping[str, str]:
 
 
 def known(digest: str, read: Callable[[], Any]) -> Mapping[str, str] | None:
-    """The fingerprint that a store keeps under `digest`, `read` once; None if there is none, or it is another one."""
+    """The fingerprint that a store keeps under `digest`, `read` once unless it is that of here; `LOST` if it is not
+    there, None for no digest."""
     if digest and digest not in _KNOWN:
-        value = read()
+        here = dict(fingerprint())
+        value = here if digest == digest_of(here) else read()
         whole = isinstance(value, dict) and all(isinstance(v, str) for v in value.values())
-        _KNOWN[digest] = value if whole and digest_of(value) == digest else None
+        _KNOWN[digest] = value if whole and digest_of(value) == digest else LOST
     return _KNOWN.get(digest)
 
 
@@ -107,5 +112,9 @@ def changes(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
 
 
 def stale_by(then: Mapping[str, str] | None) -> list[str]:
-    """How the libraries of a part differ from those here, in words; nothing where they are not known."""
-    return [] if then is None else changes({n: v for n, v in then.items() if n not in OWN}, installed())
+    """How the libraries of a part differ from those here, in words; nothing where its receipt names none."""
+    if then is None:
+        return []
+    if not then:
+        return ["what it was made with is not recorded any more: a file of store/libraries is gone or damaged"]
+    return changes({n: v for n, v in then.items() if n not in OWN}, installed())

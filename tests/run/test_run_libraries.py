@@ -118,15 +118,24 @@ def test_receipts_of_before_count_as_done_and_are_told(tmp_path, monkeypatch):
     assert "do not tell" in announced(Store(tmp_path), False)[0]
 
 
-@pytest.mark.parametrize("damage", ["", "{", "[]", '{"numpy": 1}', '{"numpy": "1"}'])
-def test_a_damaged_fingerprint_counts_as_none(tmp_path, monkeypatch, damage):
+@pytest.mark.parametrize("damage", ["", "{", "[]", '{"numpy": 1}', '{"numpy": "1"}', None])
+def test_parts_whose_fingerprint_is_lost_are_stale(tmp_path, monkeypatch, damage):
+    """Nobody knows then whether other libraries made them."""
     here(monkeypatch, THEN)
     made(tmp_path)
-    monkeypatch.setattr(libraries, "_KNOWN", {})
     [path] = (tmp_path / "store" / "libraries").glob("*.json")
-    path.write_text(damage)
+    path.unlink() if damage is None else path.write_text(damage)
+    monkeypatch.setattr(libraries, "_KNOWN", {})
+    assert look_at(tmp_path, workflow).all_done  # it is that of here
     here(monkeypatch, NOW)
-    assert look_at(tmp_path, workflow).all_done
+    monkeypatch.setattr(libraries, "_KNOWN", {})
+    looked = look_at(tmp_path, workflow)
+    assert {s.standing for s in looked.states.values()} == {"stale"}
+    [row] = told.by_libraries(looked.made_with, looked.store)
+    assert "not recorded any more" in told.text_of(row)
+    [line] = announced(Store(tmp_path), False)
+    assert line.startswith("3 parts were made with other libraries (what it was made with is not recorded any more")
+    assert made(tmp_path) == ["computed"] * 3 and look_at(tmp_path, workflow).all_done
 
 
 def test_versions_are_read_without_loading_a_library(tmp_path):

@@ -149,9 +149,9 @@ def test_measured_costs_give_the_measured_time_and_disk_back(walked) -> None:
     ran = [s.memory_mib for s in plan.made.stages if s.name in plan.measured.stages and s.name not in WHOLE]
     assert max(ran) == pytest.approx(plan.measured.peak_mib) and plan.measured.peak_mib > 100
     for name in ("tile", "radiometry", "publish-tile"):
-        receipts = list(store.receipts(name))
-        typical = np.median([r.seconds for r in receipts]) * len(receipts)
-        assert 0.4 * typical < told[name].seconds < 2.5 * typical, name
+        seconds = [r.seconds for r in store.receipts(name)]
+        typical = np.median(seconds) * len(seconds)
+        assert 0.4 * typical < told[name].seconds < 2.5 * sum(seconds), name  # the first part loads compiled code
     written = sum(o["bytes"] for r in store.receipts("publish-tile") for o in r.outputs.values())
     assert told["publish-tile"].bytes == pytest.approx(written, rel=0.2)
 

@@ -10,6 +10,7 @@ import pytest
 from commandline import fwclass
 from schedulemaker import FAILS_AT_ONCE, strip
 
+from fwclass import conf
 from fwclass.conf.files import read
 from fwclass.errors import FwclassError, InputError
 from fwclass.paths import open_regular
@@ -18,6 +19,7 @@ from fwclass.read.polygons import open_polygons
 from fwclass.read.source import open_source
 from fwclass.read.text import read_text
 from fwclass.read.trajectory import read_trajectory
+from fwclass.run.files import found_files
 from fwclass.store.models import load_model
 
 
@@ -83,3 +85,12 @@ def test_a_directory_and_a_file_are_what_they_are(tmp_path: Path) -> None:
         open_regular(tmp_path)
     with pytest.raises(FileNotFoundError):
         open_regular(tmp_path / "b")
+
+
+def test_a_pipe_among_the_sources_is_refused(tmp_path: Path) -> None:
+    """It was left out without a word."""
+    (tmp_path / "a.laz").write_bytes(b"")
+    os.mkfifo(tmp_path / "b.laz")
+    for pattern in ("*.laz", "**/*.laz"):
+        with pytest.raises(InputError, match="a pipe"):
+            found_files([pattern], tmp_path, "survey.sources", tmp_path / "s.yaml", conf.section("store", ()))

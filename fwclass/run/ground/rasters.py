@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,12 @@ from fwclass.run.ground.stray import stray_points, told
 NO_LIGHT = 0
 """Value of a cell of the relief without terrain; the others have 1 to 255."""
 
+FREE_CELLS = 1 << 20
+"""So many cells a raster may always have: 1 km x 1 km at 1 m."""
+
+CELLS_PER_POINT = 1 << 12
+"""Beyond `FREE_CELLS`, so many for every point: twelve times as sparse as 0.3/m2 in cells of 0.1 m."""
+
 
 def check_extent(cloud: PointCloud, shown: NDArray[np.bool_], cell: float) -> None:
     """`InputError` if rasters of `cell` [m] over the shown points would be absurdly large; it tells of stray points."""
@@ -31,7 +38,14 @@ def check_extent(cloud: PointCloud, shown: NDArray[np.bool_], cell: float) -> No
     if not len(rows):
         return
     try:
-        window_over(cloud.x[rows], cloud.y[rows], cell, "terrain.cell")
+        window = window_over(cloud.x[rows], cloud.y[rows], cell, "terrain.cell")
+        most = max(FREE_CELLS, CELLS_PER_POINT * len(rows))
+        if math.prod(window.shape) > most:
+            raise InputError(
+                "the raster would be empty but for a few cells",
+                expected=f"at most {most:,} cells for {len(rows):,} points",
+                got=f"{window.ncols:,} x {window.nrows:,} cells of {cell:g} m",
+            )
     except InputError as fault:
         stray = told(cloud, stray_points(cloud, shown))
         larger = "take larger cells: --set terrain.cell=…"
