@@ -120,7 +120,7 @@ def _check_tables(path: Path) -> None:
             made = opened.execute("SELECT sql FROM sqlite_master WHERE sql LIKE '%virtual%'").fetchall()
         finally:
             opened.close()
-    except sqlite3.Error as fault:
+    except (sqlite3.Error, UnicodeDecodeError) as fault:  # SQLite quotes damaged names in its messages
         raise _other(path, f"a GeoPackage that cannot be read: {fault}", "export the polygons again") from fault
     for (text,) in made:
         kind = re.search(r"create\s+virtual\s+table.*?\busing\s+[\"'`\[]?(\w+)", str(text), re.IGNORECASE | re.DOTALL)
