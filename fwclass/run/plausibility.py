@@ -43,7 +43,8 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
         told.append(
             f"{n['implausible']:,} of {n['fitted']:,} echoes ({share}) are implausible, and neither ground filter nor "
             f"terrain sees them: {n['below']:,} more than {params.envelope_margin:g} m below all returns around, "
-            f"{n['weak']:,} behind or above all returns and no stronger than the noise ({_names(some)})"
+            f"{n['weak']:,} after all else of their pulse, or above all returns, and no stronger than the noise "
+            f"({_names(some)})"
         )
     some = [s for s in strips if (s["unexplained_share"] or 0.0) >= TOLD_FROM]
     if some:
