@@ -17,11 +17,11 @@ def run(name, directory, out, *settings):
 
 def test_the_riegl_sample_goes_from_packets_to_classes(shared_data, tmp_path):
     source = shared_data / "waveform" / "riegl_q680i.las"
-    report = run("riegl-sample", source.parent, tmp_path / "r", "--set", "train.trees=20")
+    report = run("riegl-sample", source.parent, tmp_path / "r", "--set", "train.trees=100")
     counts = report["counts"]
     assert counts["pulses"] == 2370 and counts["returns"] == 2535 and counts["returns_without_packet"] == 0
     assert counts["echoes_in_tiles"] == counts["echoes_decomposed"] >= 2535
-    assert report["accuracy"]["kappa"] > 0.3
+    assert report["accuracy"]["kappa"] > 0.3  # 0.37 to 0.47 over six draws of the forest
     before, after = laspy.read(source), laspy.read(tmp_path / "r" / "laz" / "strips" / "riegl_q680i.laz")
     for name in before.point_format.dimension_names:
         if name != "classification":
