@@ -71,10 +71,7 @@ def code_index(codes: NDArray[np.uint8], classes: Sequence[ClassDef]) -> NDArray
 def _claim(table: NDArray[np.int16], code: int, index: int, classes: Sequence[ClassDef]) -> None:
     if not 0 <= code <= 255:
         raise ConfigError(
-            f"class {classes[index].name!r} has an impossible code",
-            expected="0 to 255",
-            got=code,
-            where="classes",
+            f"class {classes[index].name!r} has an impossible code", expected="0 to 255", got=code, where="classes"
         )
     if table[code] not in (-1, index):
         raise ConfigError(

@@ -52,18 +52,12 @@ class FwclassError(Exception):
 
     exit_code = FAILED
 
-    def __init__(
-        self,
-        what: str,
-        *,
-        where: object = "",
-        expected: object = "",
-        got: object = "",
-        do: str = "",
-    ) -> None:
+    def __init__(self, what: str, *, where: object = "", expected: object = "", got: object = "", do: str = "") -> None:
         self.what, self.where, self.do = (
-            visible(redacted(what), "\n\t"), visible(redacted(str(where))), visible(redacted(do), "\n\t"),
-        )  # fmt: skip
+            visible(redacted(what), "\n\t"),
+            visible(redacted(str(where))),
+            visible(redacted(do), "\n\t"),
+        )
         self.expected, self.got = (visible(redacted(str(text)), "\n\t") for text in (expected, got))
         super().__init__(self.message())
 
@@ -186,9 +180,11 @@ def system_error(fault: OSError, where: object = "") -> FwclassError:
             errno.EFBIG: ("a file may not grow that large", "raise the limit (`ulimit -f`), or choose another disk"),
         }[fault.errno]
         return FwclassError(
-            words[0], where=place, got=_disk(str(place)) if place else "",
+            words[0],
+            where=place,
+            got=_disk(str(place)) if place else "",
             do=f"{words[1]}, then run the same command again; what is done is kept",
-        )  # fmt: skip
+        )
     advice = {
         errno.EACCES: "choose a place that you may write to, or change its permissions",
         errno.EPERM: "choose a place that you may write to, or change its permissions",

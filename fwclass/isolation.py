@@ -91,9 +91,12 @@ def kernel_cache() -> Path:
         from fwclass.errors import ConfigError
 
         raise ConfigError(
-            "the directory of compiled code depends on the current directory", where=f"environment variable {CACHE}",
-            expected="an absolute path", got=told, do=f"unset {CACHE}, or name a directory that is yours alone",
-        )  # fmt: skip
+            "the directory of compiled code depends on the current directory",
+            where=f"environment variable {CACHE}",
+            expected="an absolute path",
+            got=told,
+            do=f"unset {CACHE}, or name a directory that is yours alone",
+        )
     if told:
         return Path(told)
     try:
@@ -155,9 +158,7 @@ def away_from(*names: str) -> Iterator[None]:
 class _Guard:
     """Finder of `sys.meta_path` that imports the libraries of `CONFIGURATIONS` so that they do not see those files."""
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:  # fmt: skip
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
         if name not in CONFIGURATIONS:
             return None
         spec = PathFinder.find_spec(name, path, target)

@@ -107,7 +107,7 @@ class CellIndex:
             occupied = np.empty(0, np.int64)
         return cls(
             order, start, (mx - x0)[order], (my - y0)[order], (mz - z0)[order], ncols, nrows, edge, x0, y0, z0, occupied
-        )  # fmt: skip
+        )
 
 
 @kernel
@@ -165,10 +165,21 @@ def nearest_within(
         _nearest_in_crowds(points, among, round(limit * 1000), found, distance)
     elif len(index.order) and len(found):
         _nearest(
-            millimetres(points[0]) - index.x0, millimetres(points[1]) - index.y0, millimetres(points[2]) - index.z0,
-            index.x, index.y, index.z, index.start, index.occupied, index.ncols, index.nrows, index.cell,
-            round(limit * 1000), found, distance,
-        )  # fmt: skip
+            millimetres(points[0]) - index.x0,
+            millimetres(points[1]) - index.y0,
+            millimetres(points[2]) - index.z0,
+            index.x,
+            index.y,
+            index.z,
+            index.start,
+            index.occupied,
+            index.ncols,
+            index.nrows,
+            index.cell,
+            round(limit * 1000),
+            found,
+            distance,
+        )
         hit = found >= 0
         found[hit] = index.order[found[hit]]
     return found, distance * 0.001
@@ -193,9 +204,24 @@ def _nearest_in_crowds(
             px, py, pz = (millimetres(values[part]) for values in points)
             at, apart = np.empty(len(part), np.int64), np.empty(len(part))
             _nearest_of_ties(
-                px - index.x0, py - index.y0, pz - index.z0, index.x, index.y, index.z, index.order, index.start,
-                index.occupied, index.ncols, index.nrows, index.cell, index.x0, index.y0, limit, at, apart,
-            )  # fmt: skip
+                px - index.x0,
+                py - index.y0,
+                pz - index.z0,
+                index.x,
+                index.y,
+                index.z,
+                index.order,
+                index.start,
+                index.occupied,
+                index.ncols,
+                index.nrows,
+                index.cell,
+                index.x0,
+                index.y0,
+                limit,
+                at,
+                apart,
+            )
             hit = at >= 0
             found[part[hit]], distance[part[hit]] = rows[at[hit]], apart[hit]
         left = left[found[left] < 0]

@@ -52,10 +52,12 @@ def below(directory: Path, name: str) -> Path:
         fault = f"a link on the way leads to {path.parent.resolve()}"
     if fault:
         raise InputError(
-            "a name leads out of the directory that it belongs to", where=directory,
-            expected="a name of a file below it, without links to elsewhere", got=f"{name!r}: {fault}",
+            "a name leads out of the directory that it belongs to",
+            where=directory,
+            expected="a name of a file below it, without links to elsewhere",
+            got=f"{name!r}: {fault}",
             do="remove what has that name, or give the file another one",
-        )  # fmt: skip
+        )
     return path
 
 
@@ -123,6 +125,9 @@ def open_regular(path: Path) -> BinaryIO:
     if kind == stat.S_IFDIR:
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     raise InputError(
-        "this is no file", where=path, expected="a file on a disk", got=_KINDS.get(kind, "something else"),
+        "this is no file",
+        where=path,
+        expected="a file on a disk",
+        got=_KINDS.get(kind, "something else"),
         do="name a file; what comes through a pipe has to be written to one first",
-    )  # fmt: skip
+    )

@@ -42,7 +42,7 @@ Kind = Literal["chunk", "scatter", "tile", "block", "gather", "publish"]
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of the road.
+    """One stage of the run.
 
     Attributes
     ----------

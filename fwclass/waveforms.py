@@ -11,18 +11,66 @@ from numpy.typing import NDArray
 from fwclass.schema import IDENTITY, Table
 
 PULSE_COLUMNS = (
-    "pulse", "gps_time", "anchor_x", "anchor_y", "anchor_z", "anchor_time", "step_x", "step_y", "step_z",
-    "segment_start", "anchor_range", "outgoing_start", "sample_spacing", "saturation", "gain",
-)  # fmt: skip
+    "pulse",
+    "gps_time",
+    "anchor_x",
+    "anchor_y",
+    "anchor_z",
+    "anchor_time",
+    "step_x",
+    "step_y",
+    "step_z",
+    "segment_start",
+    "anchor_range",
+    "outgoing_start",
+    "sample_spacing",
+    "saturation",
+    "gain",
+)
 RETURN_COLUMNS = (
-    "pulse", "return_number", "number_of_returns", "x", "y", "z", "gps_time", "intensity", "source_class",
-    "location", "has_packet", "vendor_amplitude", "vendor_width", "vendor_deviation",
-)  # fmt: skip
+    "pulse",
+    "return_number",
+    "number_of_returns",
+    "x",
+    "y",
+    "z",
+    "gps_time",
+    "intensity",
+    "source_class",
+    "location",
+    "has_packet",
+    "vendor_amplitude",
+    "vendor_width",
+    "vendor_deviation",
+)
 ECHO_COLUMNS = (
-    *IDENTITY, "number_of_echoes", "origin", "x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z", "beam_range",
-    "amplitude", "amplitude_db", "width", "energy", "time", "amplitude_sigma", "width_sigma", "range_sigma",
-    "deviation", "baseline", "noise_level", "misfit", "fit_flags", "source_class", "intensity",
-)  # fmt: skip
+    *IDENTITY,
+    "number_of_echoes",
+    "origin",
+    "x",
+    "y",
+    "z",
+    "gps_time",
+    "beam_x",
+    "beam_y",
+    "beam_z",
+    "beam_range",
+    "amplitude",
+    "amplitude_db",
+    "width",
+    "energy",
+    "time",
+    "amplitude_sigma",
+    "width_sigma",
+    "range_sigma",
+    "deviation",
+    "baseline",
+    "noise_level",
+    "misfit",
+    "fit_flags",
+    "source_class",
+    "intensity",
+)
 """Columns of the echoes that decomposition makes of them."""
 
 IMPLAUSIBLE = 128

@@ -28,9 +28,15 @@ from fwclass.store.lock import holder
 from fwclass.store.run_store import Store
 
 SMALL = (
-    "simulate.size=60", "simulate.strips=1", "train.trees=5", "train.samples_per_class=500", "read.chunk_pulses=3000",
-    "train.importance_repeats=0", "areas.train=[[512000,5403000,512030,5403060]]", "tile.size=80",
-)  # fmt: skip
+    "simulate.size=60",
+    "simulate.strips=1",
+    "train.trees=5",
+    "train.samples_per_class=500",
+    "read.chunk_pulses=3000",
+    "train.importance_repeats=0",
+    "areas.train=[[512000,5403000,512030,5403060]]",
+    "tile.size=80",
+)
 """One strip over 60 m x 60 m: a run of seconds."""
 
 HELD = 500 << 20
@@ -58,11 +64,8 @@ class Run:
         command = [sys.executable, "-c", "from fwclass.cli import main; main()", *map(str, line)]
         with told.open("ab") as stream:
             return cls(
-                told,
-                subprocess.Popen(
-                    command, stdout=stream, stderr=stream, start_new_session=True, preexec_fn=limit
-                ),
-            )  # fmt: skip
+                told, subprocess.Popen(command, stdout=stream, stderr=stream, start_new_session=True, preexec_fn=limit)
+            )
 
     @property
     def said(self) -> str:
@@ -245,24 +248,24 @@ def set_back(root: Path, ahead: Path) -> None:
         thread.join()
 
 
-def simple(desk: Any, directory: Path) -> dict[str, Any]:
+def simple(inputs: Any, directory: Path) -> dict[str, Any]:
     """A part that takes a moment."""
     time.sleep(0.2)
     (directory / "made").write_text(directory.name)
     return {}
 
 
-def greedy(desk: Any, directory: Path) -> dict[str, Any]:
+def greedy(inputs: Any, directory: Path) -> dict[str, Any]:
     """A part that holds much memory, and less in pieces."""
-    return _holding(HELD // desk.split**2, directory)
+    return _holding(HELD // inputs.split**2, directory)
 
 
-def hopeless(desk: Any, directory: Path) -> dict[str, Any]:
+def hopeless(inputs: Any, directory: Path) -> dict[str, Any]:
     """A part that holds much memory, in pieces too."""
     return _holding(HELD, directory)
 
 
-def crashing(desk: Any, directory: Path) -> dict[str, Any]:
+def crashing(inputs: Any, directory: Path) -> dict[str, Any]:
     """A part that crashes its process."""
     signal.raise_signal(signal.SIGSEGV)
     return {}

@@ -17,17 +17,45 @@ from numpy.typing import ArrayLike, NDArray
 METRES_PER_NS = 0.299792458 / 2 / 1.000273
 FWHM = 2 * np.sqrt(2 * np.log(2))
 
-_LEGACY = [("X", "<i4"), ("Y", "<i4"), ("Z", "<i4"), ("intensity", "<u2"), ("bits", "u1"), ("class", "u1"),
-           ("angle", "i1"), ("user", "u1"), ("strip", "<u2")]  # fmt: skip
-_MODERN = [("X", "<i4"), ("Y", "<i4"), ("Z", "<i4"), ("intensity", "<u2"), ("bits", "u1"), ("flags", "u1"),
-           ("class", "u1"), ("user", "u1"), ("angle", "<i2"), ("strip", "<u2"), ("gps", "<f8")]  # fmt: skip
+_LEGACY = [
+    ("X", "<i4"),
+    ("Y", "<i4"),
+    ("Z", "<i4"),
+    ("intensity", "<u2"),
+    ("bits", "u1"),
+    ("class", "u1"),
+    ("angle", "i1"),
+    ("user", "u1"),
+    ("strip", "<u2"),
+]
+_MODERN = [
+    ("X", "<i4"),
+    ("Y", "<i4"),
+    ("Z", "<i4"),
+    ("intensity", "<u2"),
+    ("bits", "u1"),
+    ("flags", "u1"),
+    ("class", "u1"),
+    ("user", "u1"),
+    ("angle", "<i2"),
+    ("strip", "<u2"),
+    ("gps", "<f8"),
+]
 _GPS, _RGB, _NIR = [("gps", "<f8")], [("rgb", "<u2", 3)], [("nir", "<u2")]
 _WAVE = [("wave", [("index", "u1"), ("offset", "<u8"), ("size", "<u4"), ("location", "<f4"), ("step", "<f4", 3)])]
 LAYOUTS = {
-    0: _LEGACY, 1: _LEGACY + _GPS, 2: _LEGACY + _RGB, 3: _LEGACY + _GPS + _RGB, 4: _LEGACY + _GPS + _WAVE,
-    5: _LEGACY + _GPS + _RGB + _WAVE, 6: _MODERN, 7: _MODERN + _RGB, 8: _MODERN + _RGB + _NIR, 9: _MODERN + _WAVE,
+    0: _LEGACY,
+    1: _LEGACY + _GPS,
+    2: _LEGACY + _RGB,
+    3: _LEGACY + _GPS + _RGB,
+    4: _LEGACY + _GPS + _WAVE,
+    5: _LEGACY + _GPS + _RGB + _WAVE,
+    6: _MODERN,
+    7: _MODERN + _RGB,
+    8: _MODERN + _RGB + _NIR,
+    9: _MODERN + _WAVE,
     10: _MODERN + _RGB + _NIR + _WAVE,
-}  # fmt: skip
+}
 UTM33 = {3072: 32633}
 
 
@@ -177,10 +205,24 @@ def _header(path, point_format, version, points, xyz, offset, scale, records, bo
     by_return = np.bincount(points["bits"] & mask, minlength=17)[1:16]
     legacy = n if point_format < 6 else 0
     head = struct.pack(
-        "<4sHH16sBB32s32sHHHIIBHI5I", b"LASF", 0, encoding, b"", *version, b"lasmaker", b"lasmaker", 1, 2026, size,
-        start, sum(1 for r in records if r), point_format, points.dtype.itemsize, legacy,
+        "<4sHH16sBB32s32sHHHIIBHI5I",
+        b"LASF",
+        0,
+        encoding,
+        b"",
+        *version,
+        b"lasmaker",
+        b"lasmaker",
+        1,
+        2026,
+        size,
+        start,
+        sum(1 for r in records if r),
+        point_format,
+        points.dtype.itemsize,
+        legacy,
         *(by_return[:5] if legacy else [0] * 5),
-    )  # fmt: skip
+    )
     head += struct.pack("<3d3d", scale, scale, scale, *offset)
     head += struct.pack("<6d", high[0], low[0], high[1], low[1], high[2], low[2])
     if version >= (1, 3):
@@ -276,9 +318,16 @@ def survey(
     options.setdefault("classification", np.where(cols["number"] == cols["of"], 2, 5))
     options.setdefault("intensity", np.rint(cols["a"]))
     written = write_las(
-        path, cols["xyz"], return_number=cols["number"], number_of_returns=cols["of"], waveforms=waveforms,
-        pulse=cols["pulse"], location=cols["location"], step=cols["step"], **options,
-    )  # fmt: skip
+        path,
+        cols["xyz"],
+        return_number=cols["number"],
+        number_of_returns=cols["of"],
+        waveforms=waveforms,
+        pulse=cols["pulse"],
+        location=cols["location"],
+        step=cols["step"],
+        **options,
+    )
     return Truth(written, cols["pulse"], cols["a"], cols["t"], cols["w"], cols["xyz"], waveforms)
 
 
@@ -296,8 +345,18 @@ def correlated(rows: int, samples: int, lag1: float, wander: float = 0.0, seed: 
     return process(lag1) + wander * process(0.975)
 
 
-def flat_survey(path: str | Path, pulses: int, lag1: float, *, wander: float = 0.0, noise: float = 0.8, extra: int = 0,
-                samples: int = 256, seed: int = 0, **options: Any) -> Path:  # fmt: skip
+def flat_survey(
+    path: str | Path,
+    pulses: int,
+    lag1: float,
+    *,
+    wander: float = 0.0,
+    noise: float = 0.8,
+    extra: int = 0,
+    samples: int = 256,
+    seed: int = 0,
+    **options: Any,
+) -> Path:
     """Single returns of gently sloping ground at 265 m, 0.7 m apart, in long records of `correlated` noise.
 
     `extra` weak but clear echoes a pulse, 3 m apart, stand above the ground, as of leaves that the vendor has not.
@@ -317,6 +376,12 @@ def flat_survey(path: str | Path, pulses: int, lag1: float, *, wander: float = 0
     ]
     options.setdefault("descriptors", {1: Descriptor(8, samples, 1000)})
     return write_las(
-        path, np.column_stack([500000.0 + x, 5400000.0 + y, z]), waveforms=waveforms, pulse=row, location=at,
-        gps_time=1000.0 + 1e-5 * row, classification=np.where(row % 5, 2, 5), **options,
-    )  # fmt: skip
+        path,
+        np.column_stack([500000.0 + x, 5400000.0 + y, z]),
+        waveforms=waveforms,
+        pulse=row,
+        location=at,
+        gps_time=1000.0 + 1e-5 * row,
+        classification=np.where(row % 5, 2, 5),
+        **options,
+    )

@@ -37,9 +37,13 @@ class Hosts:
             del given["FWCLASS_SCRATCH"]  # a Dask worker has a directory of its own
         with self.log(name).open("a") as told:
             process = subprocess.Popen(
-                [*self.entered(name), sys.executable, *map(str, line)], cwd=home, env=given, stdout=told, stderr=told,
+                [*self.entered(name), sys.executable, *map(str, line)],
+                cwd=home,
+                env=given,
+                stdout=told,
+                stderr=told,
                 text=True,
-            )  # fmt: skip
+            )
         self.running.append(process)
         return process
 
@@ -62,9 +66,19 @@ class Hosts:
 
     def worker(self, name: str, address: str) -> subprocess.Popen[str]:
         return self.start(
-            name, "-m", "dask", "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard",
-            "--local-directory", self._root / name / "scratch", copies=False,
-        )  # fmt: skip
+            name,
+            "-m",
+            "dask",
+            "worker",
+            address,
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+            "--local-directory",
+            self._root / name / "scratch",
+            copies=False,
+        )
 
     def run(self, name: str, place: Url, out: Url, *words: object) -> subprocess.Popen[str]:
         settings = (*SETTINGS, *QUICK, f"survey.directory={place}")

@@ -165,9 +165,12 @@ def serving(host: str = "127.0.0.1") -> Iterator[Server]:
     for one in (calm, front):
         threading.Thread(target=one.serve_forever, daemon=True).start()
     client = boto3.client(
-        "s3", endpoint_url=f"http://127.0.0.1:{calm.server_port}", region_name=KEYS["AWS_REGION"],
-        aws_access_key_id="test", aws_secret_access_key="test",  # noqa: S106
-    )  # fmt: skip
+        "s3",
+        endpoint_url=f"http://127.0.0.1:{calm.server_port}",
+        region_name=KEYS["AWS_REGION"],
+        aws_access_key_id="test",
+        aws_secret_access_key="test",  # noqa: S106
+    )
     try:
         yield Server(f"http://{host}:{front.server_port}", faults, client)
     finally:

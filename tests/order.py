@@ -12,9 +12,19 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 FIRST = (
-    "tests/decompose/", "tests/features/", "tests/ground/", "tests/simulate/", "tests/train/", "tests/classify/",
-    "tests/faults/", "tests/run/", "tests/test_cli", "tests/store/", "tests/security/", "tests/fuzz/",
-)  # fmt: skip
+    "tests/decompose/",
+    "tests/features/",
+    "tests/ground/",
+    "tests/simulate/",
+    "tests/train/",
+    "tests/classify/",
+    "tests/faults/",
+    "tests/run/",
+    "tests/test_cli",
+    "tests/store/",
+    "tests/security/",
+    "tests/fuzz/",
+)
 """Beginnings of the paths of what comes first, in this order."""
 
 TOGETHER = ("tests/decompose/", "tests/features/", "tests/faults/")

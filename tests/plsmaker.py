@@ -59,11 +59,15 @@ class Descriptor:
     padding: int = 0
 
     def pack(self) -> bytes:
-        head = struct.pack("<IIIHHf", 92 + self.padding, 0, self.centre & 0xFFFFFFFF, self.extra, len(self.samplings),
-                           self.unit)  # fmt: skip
-        return head + struct.pack("<II", *self.tail) + bytes(self.padding + 64) + b"".join(
-            s.pack() for s in self.samplings
-        )  # fmt: skip
+        head = struct.pack(
+            "<IIIHHf", 92 + self.padding, 0, self.centre & 0xFFFFFFFF, self.extra, len(self.samplings), self.unit
+        )
+        return (
+            head
+            + struct.pack("<II", *self.tail)
+            + bytes(self.padding + 64)
+            + b"".join(s.pack() for s in self.samplings)
+        )
 
 
 @dataclass
@@ -170,10 +174,12 @@ def write_pls(
     if appended is not None:
         tail = avlr("PulseWaves_Spec", LAST, b"") + b"".join(avlr(*r) for r in described)
     low, high = (np.min(ends, axis=0), np.max(ends, axis=0)) if ends else (np.zeros(3), np.zeros(3))
-    head = struct.pack("<16sII16s64s64sHHBBH", b"PulseWavesPulse", 0, 1, b"", b"maker", b"plsmaker", 1, 2026, *version,
-                       352)  # fmt: skip
-    head += struct.pack("<qqIIIIqIi", 352 + len(vlrs), len(pulses), 0, 0, 48 + extra_bytes, compression, 0, len(front),
-                        appended or 0)  # fmt: skip
+    head = struct.pack(
+        "<16sII16s64s64sHHBBH", b"PulseWavesPulse", 0, 1, b"", b"maker", b"plsmaker", 1, 2026, *version, 352
+    )
+    head += struct.pack(
+        "<qqIIIIqIi", 352 + len(vlrs), len(pulses), 0, 0, 48 + extra_bytes, compression, 0, len(front), appended or 0
+    )
     head += struct.pack("<ddqq3d3d", time_scale, time_offset, 0, 0, scale, scale, scale, *offset)
     head += struct.pack("<6d", low[0], high[0], low[1], high[1], low[2], high[2])
     path.write_bytes(head + vlrs + b"".join(rows) + tail)

@@ -22,13 +22,13 @@ BEAT, DEAD = 0.1, 0.6
 
 def main(who: str, place: str, source: str, notes: str, seconds: str) -> None:
     rng, k = random.Random(who), 0  # noqa: S311
-    home = Remote(Url(place), quick(beat=BEAT, dead=DEAD, patience=3.0))
+    location = Remote(Url(place), quick(beat=BEAT, dead=DEAD, patience=3.0))
     ends = time.monotonic() + float(seconds)
     with Path(notes).open("w") as stream:
         while time.monotonic() < ends:
             k, text = k + 1, f"{who}{k:03d}."
             try:
-                failed = run(home, Path(source), rng.choice(("ab", "ac", "abc")), text)
+                failed = run(location, Path(source), rng.choice(("ab", "ac", "abc")), text)
                 told = "acknowledged" if not failed else failed[0].splitlines()[0]
             except FwclassError as fault:
                 told = fault.what

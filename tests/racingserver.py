@@ -165,8 +165,9 @@ class Handler(BaseHTTPRequestHandler):
         rows = "".join(
             f"<Contents><Key>{escape(k[len(bucket) + 1 :])}</Key><Size>{len(d)}</Size><ETag>{escape(etag(d))}</ETag>"
             "<LastModified>2026-01-01T00:00:00.000Z</LastModified></Contents>"
-            for k, d in sorted(self.bucket.held().items()) if k.startswith(f"{bucket}/{prefix}")
-        )  # fmt: skip
+            for k, d in sorted(self.bucket.held().items())
+            if k.startswith(f"{bucket}/{prefix}")
+        )
         return f"<ListBucketResult><IsTruncated>false</IsTruncated>{rows}</ListBucketResult>".encode()
 
 

@@ -11,42 +11,49 @@ from pathlib import Path
 import laspy
 
 from fwclass import conf
+from fwclass.operate.status.walk import Looked, look_at
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
-from fwclass.run.status.look import Looked, look_at
+from fwclass.run.runner import Runner
 from fwclass.schema import Table
 from fwclass.store.atomic import file_digest
-from fwclass.store.home import Home, locked
+from fwclass.store.run_location import RunLocation, locked
 from fwclass.store.tables import read_table, write_table
 from workflows import WORKFLOWS
 
 SETTINGS = (
-    "simulate.size=120", "simulate.strips=2", "train.trees=10", "train.samples_per_class=3000", "areas.gap=5",
+    "simulate.size=120",
+    "simulate.strips=2",
+    "train.trees=10",
+    "train.samples_per_class=3000",
+    "areas.gap=5",
     "train.importance_repeats=2",
-    "areas.train=[[512000, 5403000, 512060, 5403120]]", "read.chunk_pulses=9000", "ground.block=64", "terrain.block=64",
+    "areas.train=[[512000, 5403000, 512060, 5403120]]",
+    "read.chunk_pulses=9000",
+    "ground.block=64",
+    "terrain.block=64",
     "publish.figure_pixels=200",
-)  # fmt: skip
+)
 
 
-def walk(survey: Path | str, home: Home, *settings: str, executor=None, tiles=None):
-    """Run the classification of `survey` into `home`; return the road and the report."""
+def walk(survey: Path | str, location: RunLocation, *settings: str, executor=None, tiles=None):
+    """Run the classification of `survey` into `location`; return the runner and the report."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
     with (
         Display() as display,
-        locked(home, display.say) as (own, held),
+        locked(location, display.say) as (own, held),
         executor or contextlib.nullcontext(Loop()) as running,
     ):
-        road = Road(own, running, display, held=held)
-        report = WORKFLOWS["classification"](config, road, tiles)
-        road.publish(config.run.keep_generations)
-        return road, report
+        runner = Runner(own, running, display, held=held)
+        report = WORKFLOWS["classification"](config, runner, tiles)
+        runner.publish(config.run.keep_generations)
+        return runner, report
 
 
 def looked(survey: Path, root: Path, *settings: str) -> Looked:
     """How the run that `walk` makes stands."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
-    return look_at(root, lambda road: WORKFLOWS["classification"](config, road, None))
+    return look_at(root, lambda runner: WORKFLOWS["classification"](config, runner, None))
 
 
 def delivered(root: Path) -> dict[str, str]:

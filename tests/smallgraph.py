@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 
 from fwclass import conf
-from fwclass.cli.road import open_road
-from fwclass.run.desk import TABLE, Desk
-from fwclass.run.history import recorded
+from fwclass.cli.runner import open_runner
+from fwclass.graph.work.sources import Digests
+from fwclass.operate.history import recorded
+from fwclass.operate.request import Request
+from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Task
-from fwclass.run.request import Request
-from fwclass.run.work.sources import Digests
 from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import write_json
-from fwclass.store.home import Home, address_of
+from fwclass.store.run_location import RunLocation, address_of
 from fwclass.store.run_store import Store
 from fwclass.store.tables import write_table
 
@@ -28,20 +28,20 @@ LIMITS = conf.load("demo", ()).run
 REQUEST = Request("conf.yaml", "run")
 
 
-def rows(seed: int, desk: Desk, directory: Path) -> dict[str, Any]:
+def rows(seed: int, inputs: PartInputs, directory: Path) -> dict[str, Any]:
     r = np.random.default_rng(seed)
     write_table(directory / TABLE, Table({n: r.uniform(0, 10, 50) for n in "xyz"}))
     return {"rows": 50}
 
 
-def grid(part: str, desk: Desk, directory: Path) -> dict[str, Any]:
-    table = desk.table("rows", part)
+def grid(part: str, inputs: PartInputs, directory: Path) -> dict[str, Any]:
+    table = inputs.table("rows", part)
     write_arrays(directory / "grid.zarr", {"z": np.sort(table["z"])})
     return {"highest": float(table["z"].max())}
 
 
-def tile(part: str, text: str, desk: Desk, directory: Path) -> dict[str, Any]:
-    z = desk.arrays("grid", part, "grid.zarr")[0]["z"]
+def tile(part: str, text: str, inputs: PartInputs, directory: Path) -> dict[str, Any]:
+    z = inputs.arrays("grid", part, "grid.zarr")[0]["z"]
     for name, data in (
         (f"laz/tiles/{part}.laz", text.encode() + z.tobytes()),
         (f"parquet/{part}.parquet", z.tobytes()),
@@ -51,9 +51,9 @@ def tile(part: str, text: str, desk: Desk, directory: Path) -> dict[str, Any]:
     return {}
 
 
-def whole(parts: str, text: str, desk: Desk, directory: Path) -> dict[str, Any]:
+def whole(parts: str, text: str, inputs: PartInputs, directory: Path) -> dict[str, Any]:
     (directory / "rasters").mkdir()
-    heights = [desk.arrays("grid", p, "grid.zarr")[0]["z"].tobytes() for p in parts]
+    heights = [inputs.arrays("grid", p, "grid.zarr")[0]["z"].tobytes() for p in parts]
     (directory / "rasters" / "all.tif").write_bytes(text.encode() + b"".join(heights))
     return {}
 
@@ -68,19 +68,19 @@ def tasks(parts: str, text: str, external: tuple = ()) -> list[Task]:
     return [*found, Task("all", part="all", work=partial(whole, parts, text), needs=needs, **delivered)]
 
 
-def run(home: Home, source: Path, parts: str, text: str) -> list[str]:
+def run(location: RunLocation, source: Path, parts: str, text: str) -> list[str]:
     """As `fwclass run`; the messages of parts that failed."""
-    with recorded(home, REQUEST) as entry, open_road(home, 0, None, LIMITS) as road:
-        REQUEST.keep(road.store)
-        entry.begin(road)
-        digests = Digests(road.store)
+    with recorded(location, REQUEST) as entry, open_runner(location, 0, None, LIMITS) as runner:
+        REQUEST.keep(runner.store)
+        entry.begin(runner)
+        digests = Digests(runner.store)
         read = digests.of([source])
         digests.save()
-        road.do(tasks(parts, text, read))
-        road.finish(True)
-        write_json(road.pending / "report.json", {"text": text})
-        entry.generation = road.publish(1).number
-        return [o.message for o in road.failures]
+        runner.do(tasks(parts, text, read))
+        runner.finish(True)
+        write_json(runner.pending / "report.json", {"text": text})
+        entry.generation = runner.publish(1).number
+        return [o.message for o in runner.failures]
 
 
 def delivered(root: Path) -> dict[str, str]:
@@ -108,5 +108,5 @@ def untorn(root: Path) -> None:
         assert hashlib.blake2b(held, digest_size=16).hexdigest() == facts["digest"], name
 
 
-def place(home: Home) -> str:
-    return str(address_of(home))
+def place(location: RunLocation) -> str:
+    return str(address_of(location))

@@ -20,12 +20,16 @@ def cloud(path, xyz, classes, point_format=6):
 
 def config(path, **survey):
     lines = [
-        "survey:", "  name: t", f"  directory: {survey.get('directory', path.parent)}",
-        f"  sources: [{survey.get('sources', 'a.las')}]", "  reference: {kind: source}",
+        "survey:",
+        "  name: t",
+        f"  directory: {survey.get('directory', path.parent)}",
+        f"  sources: [{survey.get('sources', 'a.las')}]",
+        "  reference: {kind: source}",
         f"  crs: {survey.get('crs', 'null')}",
         "  classes: [{name: a, code: 2, codes: [2]}, {name: b, code: 6, codes: [6]}]",
-        "areas: {train: [[0, 0, 5, 10]]}", *survey.get("extra", ()),
-    ]  # fmt: skip
+        "areas: {train: [[0, 0, 5, 10]]}",
+        *survey.get("extra", ()),
+    ]
     path.write_text("\n".join(lines) + "\n")
     return path
 

@@ -194,9 +194,14 @@ def test_waveform_packets_survive(tmp_path, fwclass):
     waves = [np.full(20, 10 + i % 90) for i in range(len(xyz))]
     for where in ("external", "internal"):
         source = write_las(
-            tmp_path / f"{where}.las", xyz, point_format=9, scale=0.01, waveforms=waves, where=where,
+            tmp_path / f"{where}.las",
+            xyz,
+            point_format=9,
+            scale=0.01,
+            waveforms=waves,
+            where=where,
             descriptors={1: Descriptor(n_samples=20)},
-        )  # fmt: skip
+        )
         out = tmp_path / f"out-{where}.laz"
         code, said, _ = fwclass("ground", source, out, "--json")
         assert code == 0 and json.loads(said)["waveforms"] == str(out.with_suffix(".wdp"))
@@ -307,10 +312,14 @@ def test_inputs_that_cannot_be(tmp_path, fwclass):
     las(tmp_path / "none.las", np.empty((0, 3)))
     las(tmp_path / "first.las", xyz, return_number=1, number_of_returns=2)
     for name, told in (
-        ("short.txt", "line 2"), ("binary.txt", "no text"), ("empty.las", "empty"),
-        ("huge.txt", "no point has usable coordinates"), ("none.las", "no points"), ("missing.las", "no such file"),
+        ("short.txt", "line 2"),
+        ("binary.txt", "no text"),
+        ("empty.las", "empty"),
+        ("huge.txt", "no point has usable coordinates"),
+        ("none.las", "no points"),
+        ("missing.las", "no such file"),
         ("first.las", "last_returns=false"),
-    ):  # fmt: skip
+    ):
         code, _, err = fwclass("ground", tmp_path / name, out)
         assert code == 1 and told in err and name in err and "what to do:" in err, err
         assert not out.exists()
@@ -326,13 +335,17 @@ def test_inputs_that_cannot_be(tmp_path, fwclass):
 
 def test_awkward_clouds_are_handled(tmp_path, fwclass):
     for name, xyz in (
-        ("one", [[5, 5, 5]]), ("two", [[5, 5, 5], [6, 6, 6]]), ("same", [[5, 5, 5]] * 50),
-        ("wall", [[5, 5, z] for z in range(40)]), ("line", [[x, 5, 5] for x in range(40)]),
+        ("one", [[5, 5, 5]]),
+        ("two", [[5, 5, 5], [6, 6, 6]]),
+        ("same", [[5, 5, 5]] * 50),
+        ("wall", [[5, 5, z] for z in range(40)]),
+        ("line", [[x, 5, 5] for x in range(40)]),
         ("sparse", [[10 * x, 10 * y, 0] for x in range(9) for y in range(9)]),
         ("far", [[x, y, 0] for x in range(9) for y in range(9)] + [[9e7, 9e7, 5]]),
-    ):  # fmt: skip
-        code, out, _ = fwclass("ground", text(tmp_path / f"{name}.txt", np.array(xyz, float)), tmp_path / "o.txt",
-                               "--overwrite", "--json")  # fmt: skip
+    ):
+        code, out, _ = fwclass(
+            "ground", text(tmp_path / f"{name}.txt", np.array(xyz, float)), tmp_path / "o.txt", "--overwrite", "--json"
+        )
         made = json.loads(out)
         assert code == 0 and made["points"] == len(xyz)
         assert any("same height" in note for note in made["notes"]) == (name in ("one", "same", "line", "sparse"))
@@ -355,8 +368,15 @@ def test_a_stray_point_is_told_and_spoils_nothing(tmp_path, fwclass):
 def test_waveforms_that_are_not_whole_are_told(tmp_path, fwclass):
     xyz, _ = scene(300)
     waves = [np.full(20, 10 + i % 90) for i in range(len(xyz))]
-    made = write_las(tmp_path / "a.las", xyz, point_format=9, scale=0.01, waveforms=waves, where="internal",
-                     descriptors={1: Descriptor(n_samples=20)})  # fmt: skip
+    made = write_las(
+        tmp_path / "a.las",
+        xyz,
+        point_format=9,
+        scale=0.01,
+        waveforms=waves,
+        where="internal",
+        descriptors={1: Descriptor(n_samples=20)},
+    )
     code, out, _ = fwclass("ground", made, tmp_path / "whole.laz", "--json")
     notes = json.loads(out)["notes"]
     assert code == 0 and len(notes) == 1 and "they are in whole.wdp beside the output now" in notes[0]
@@ -364,8 +384,15 @@ def test_waveforms_that_are_not_whole_are_told(tmp_path, fwclass):
     cut.write_bytes(made.read_bytes()[: -20 * 100])
     code, out, _ = fwclass("ground", cut, tmp_path / "c.laz", "--json")
     assert code == 0 and any(note.startswith("100 of 300 waveform packets") for note in json.loads(out)["notes"])
-    outside = write_las(tmp_path / "e.las", xyz, point_format=9, scale=0.01, waveforms=waves, where="external",
-                        descriptors={1: Descriptor(n_samples=20)})  # fmt: skip
+    outside = write_las(
+        tmp_path / "e.las",
+        xyz,
+        point_format=9,
+        scale=0.01,
+        waveforms=waves,
+        where="external",
+        descriptors={1: Descriptor(n_samples=20)},
+    )
     outside.with_suffix(".wdp").unlink()
     code, out, _ = fwclass("ground", outside, tmp_path / "n.laz", "--json")
     assert code == 0 and sum("missing" in note for note in json.loads(out)["notes"]) == 1
@@ -447,8 +474,14 @@ def test_a_coarser_step_where_heights_do_not_fit(tmp_path, fwclass):
     xyz, ground = scene(1000)
     xyz[0] = xyz[1]
     xyz -= [500_000, 5_400_000, 0]
-    source = write_las(tmp_path / "a.las", np.vstack([xyz, [[300, 300, 50]]]), point_format=6, scale=1e-6,
-                       classification=np.r_[np.where(ground, 2, 6), 1], keys=None)  # fmt: skip
+    source = write_las(
+        tmp_path / "a.las",
+        np.vstack([xyz, [[300, 300, 50]]]),
+        point_format=6,
+        scale=1e-6,
+        classification=np.r_[np.where(ground, 2, 6), 1],
+        keys=None,
+    )
     assert fwclass("normalize", source, tmp_path / "n.laz")[0] == 0
     new = laspy.read(tmp_path / "n.laz")
     assert new.header.scales[2] == pytest.approx(1e-5) and new.z[-1] == -9999.0

@@ -174,11 +174,12 @@ def stump(names, **more):
 @pytest.mark.parametrize(
     ("name", "computed", "told"),
     [
-        ("zc", {"cell_x": 5.0, "cell_y": 10.0}, "cell_x"), ("zc", {}, "cell_x"),
+        ("zc", {"cell_x": 5.0, "cell_y": 10.0}, "cell_x"),
+        ("zc", {}, "cell_x"),
         ("height_std_k20", {"nearest_reach": 1.0}, "nearest_reach"),
         ("linearity_opt", {"optimal_radii": [1.0]}, "optimal_radii"),
     ],
-)  # fmt: skip
+)
 def test_features_computed_in_another_way_are_refused(tmp_path, name, computed, told):
     save_model(tmp_path / "m", stump((name,), computed=computed))
     made = call("classify", cloud(tmp_path / "in.las"), tmp_path / "out.laz", "--model", tmp_path / "m")
@@ -187,12 +188,18 @@ def test_features_computed_in_another_way_are_refused(tmp_path, name, computed, 
 
 def test_other_classes_than_the_survey_s_are_refused():
     from fwclass import conf
-    from fwclass.run.model_fit import check_model
+    from fwclass.graph.model_fit import check_model
 
     config = conf.load("demo")
     codes = [c.code for c in config.classes]
-    check_model(assemble([(np.array([LEAF], np.uint16), np.zeros(1, np.float32), np.zeros(1, np.uint32))],
-                         card(("intensity",), codes)), config, "m")  # fmt: skip
+    check_model(
+        assemble(
+            [(np.array([LEAF], np.uint16), np.zeros(1, np.float32), np.zeros(1, np.uint32))],
+            card(("intensity",), codes),
+        ),
+        config,
+        "m",
+    )
     with pytest.raises(ConfigError, match="other classes"):
         check_model(stump(("intensity",)), config, "m")
 
@@ -229,9 +236,11 @@ def test_train_refuses_before_it_works(tmp_path):
 
 def test_select_wants_something_to_choose(tmp_path):
     for asked, told in (
-        ("zc", "nothing to choose"), ("height_std_r100", "nothing to choose"), ("fan2014", "no such feature set"),
+        ("zc", "nothing to choose"),
+        ("height_std_r100", "nothing to choose"),
+        ("fan2014", "no such feature set"),
         ("zc,planarity_k999", "at most 500"),
-    ):  # fmt: skip
+    ):
         words = ("--method", "forward", "--candidates", asked, "--out", tmp_path / "run", "--workers", 0)
         made = call("select", "demo", *words)
         assert isinstance(made.exception, ConfigError), made.output
@@ -239,14 +248,18 @@ def test_select_wants_something_to_choose(tmp_path):
 
 
 def test_what_a_training_tells():
-    from fwclass.run.training_text import describe
+    from fwclass.study.training_text import describe
 
     drop = {f"f{k:02d}": {"mean": k / 100, "std": 0.001} for k in range(12)}
     told = {
-        "kind": "forest", "features": list(drop), "samples": [6, 4], "notes": ["odd"],
-        "classes": [{"name": "ground"}, {"name": "roof"}], "importance": {"repeats": 3, "drop": drop},
+        "kind": "forest",
+        "features": list(drop),
+        "samples": [6, 4],
+        "notes": ["odd"],
+        "classes": [{"name": "ground"}, {"name": "roof"}],
+        "importance": {"repeats": 3, "drop": drop},
         "out_of_bag": {"accuracy": 0.75, "rows": 8, "per_class": [0.5, None]},
-    }  # fmt: skip
+    }
     text = describe({"card": told, "accuracy": None})
     assert "75.00 % right (ground 50.00, roof n/a, judged on 8 of 10 rows)" in text and "guessing" not in text
     assert text.index("f11") < text.index("f10") and "f02" in text and "f01" not in text and "and 2 more" in text
@@ -262,10 +275,16 @@ def test_train_compare_and_classify_a_simulated_survey(tmp_path):
     small = ("--set", "simulate.size=80", "--set", "simulate.strips=2")
     assert call("simulate", "demo", "--out", tmp_path / "s", "--workers", 0, *small).exit_code == 0
     settings = (
-        f"survey.directory={tmp_path / 's'}", "survey.features=[echo_number,amplitude,width,number_of_echoes]",
-        "areas.train=[[512000,5403000,512040,5403080]]", "areas.gap=2", "ground.block=64", "terrain.block=64",
-        "train.trees=8", "train.samples_per_class=1000", "features.also=[]",
-    )  # fmt: skip
+        f"survey.directory={tmp_path / 's'}",
+        "survey.features=[echo_number,amplitude,width,number_of_echoes]",
+        "areas.train=[[512000,5403000,512040,5403080]]",
+        "areas.gap=2",
+        "ground.block=64",
+        "terrain.block=64",
+        "train.trees=8",
+        "train.samples_per_class=1000",
+        "features.also=[]",
+    )
     words = ("--out", tmp_path / "run", "--workers", 0, *(w for s in settings for w in ("--set", s)))
     made = call("train", "demo", "--model", tmp_path / "m", "--json", *words)
     assert made.exit_code == 0, made.output

@@ -35,8 +35,16 @@ def survey(tmp_path) -> Path:
 
 
 def line(survey: Path, *words: object) -> list[str]:
-    return [sys.executable, "-m", "fwclass", "schedule", str(survey / "c.yaml"), "--out", str(survey / "r"),
-            *map(str, words)]  # fmt: skip
+    return [
+        sys.executable,
+        "-m",
+        "fwclass",
+        "schedule",
+        str(survey / "c.yaml"),
+        "--out",
+        str(survey / "r"),
+        *map(str, words),
+    ]
 
 
 def once(survey: Path, *words: object, env: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
@@ -80,10 +88,17 @@ def test_once_runs_tells_and_ends_with_the_runs_code(survey):
     )
     with Hook([503]) as hook:
         done = once(
-            survey, "--every", "1s", "--set", f"schedule.webhook=http://{hook.place}/{HIDDEN}?key={HIDDEN}",
-            "--set", "schedule.webhook_token_env=HOOK_TOKEN", "--set", f"schedule.command={words}",
+            survey,
+            "--every",
+            "1s",
+            "--set",
+            f"schedule.webhook=http://{hook.place}/{HIDDEN}?key={HIDDEN}",
+            "--set",
+            "schedule.webhook_token_env=HOOK_TOKEN",
+            "--set",
+            f"schedule.command={words}",
             env={"HOOK_TOKEN": HIDDEN},
-        )  # fmt: skip
+        )
     assert done.returncode == 1 and done.stdout == "", done.stderr
     assert "no file matches" in done.stderr and "run ended: failed" in done.stderr
     [run] = past(survey)
@@ -216,11 +231,16 @@ def test_a_whole_run_shows_no_secret_of_its_configuration(survey):
 @pytest.mark.parametrize(
     "setting",
     [
-        f"schedule.webhook=ftp://h/{HIDDEN}", f"schedule.webhook={HIDDEN}", f"schedul.webhook=https://h/{HIDDEN}",
-        f"schedule={{webhook: {HIDDEN}}}", f"schedule.webhook=[{HIDDEN}", f"schedule.webhok=https://h/{HIDDEN}",
-        f"schedule.webhook=https://h/a b{HIDDEN}", f"schedule.command={HIDDEN}",
+        f"schedule.webhook=ftp://h/{HIDDEN}",
+        f"schedule.webhook={HIDDEN}",
+        f"schedul.webhook=https://h/{HIDDEN}",
+        f"schedule={{webhook: {HIDDEN}}}",
+        f"schedule.webhook=[{HIDDEN}",
+        f"schedule.webhok=https://h/{HIDDEN}",
+        f"schedule.webhook=https://h/a b{HIDDEN}",
+        f"schedule.command={HIDDEN}",
     ],
-)  # fmt: skip
+)
 def test_a_wrong_address_is_refused_without_being_told(survey, setting):
     done = fwclass("schedule", survey / "c.yaml", "--every", "1h", "--set", setting)
     assert done.returncode == 2 and HIDDEN not in done.stderr + done.stdout and "schedul" in done.stderr

@@ -18,9 +18,9 @@ from commandline import fwclass
 from objectstore import Server, Trouble, quick, serving, used
 from schedulemaker import FAILS_AT_ONCE, NOWHERE, strip, under_way, until
 
-from fwclass.store.home import locked
 from fwclass.store.lock import SCHEDULE
 from fwclass.store.remote_read import Remote
+from fwclass.store.run_location import locked
 from fwclass.store.url import Url
 
 PARAMS = quick(beat=0.2, dead=2.0, timeout=10.0)
@@ -85,8 +85,10 @@ def test_two_runs_and_a_refused_one_are_in_the_history(s3, out, survey):
         assert fwclass("run", survey, "--out", out).returncode == 1
     runs = past(out)  # in the order of their seconds
     assert sorted((run["word"], *run["settings"]) for run in runs) == [
-        ("failed",), ("failed", "train.trees=6"), ("refused",)
-    ]  # fmt: skip
+        ("failed",),
+        ("failed", "train.trees=6"),
+        ("refused",),
+    ]
     assert past(out, "--last", "1") == runs[2:]
     text = fwclass("history", out).stdout
     assert len(text.splitlines()) == 4
@@ -94,14 +96,14 @@ def test_two_runs_and_a_refused_one_are_in_the_history(s3, out, survey):
 
 
 def test_a_run_under_way_is_told_and_one_that_was_killed_is_interrupted(s3, out):
-    from fwclass.run.history import Entry, past_runs
-    from fwclass.run.request import Request
+    from fwclass.operate.history import Entry, past_runs
+    from fwclass.operate.request import Request
 
-    home = Remote(out, PARAMS)
-    with locked(home, quiet):
-        Entry(home, Request("c.yaml", out)).begin(None)
-        assert [run["word"] for run in past_runs(home)] == ["running"]
-    assert [run["word"] for run in past_runs(home)] == ["interrupted"]
+    location = Remote(out, PARAMS)
+    with locked(location, quiet):
+        Entry(location, Request("c.yaml", out)).begin(None)
+        assert [run["word"] for run in past_runs(location)] == ["running"]
+    assert [run["word"] for run in past_runs(location)] == ["interrupted"]
 
 
 @pytest.mark.faults

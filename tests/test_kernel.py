@@ -44,9 +44,12 @@ def run(code: str, directory: Path, **environment: str) -> str:
     """What a process of its own prints."""
     path = os.pathsep.join([str(directory), str(Path(__file__).parents[1])])
     ended = subprocess.run(
-        [sys.executable, "-P", "-c", code], env=os.environ | {"PYTHONPATH": path} | environment, check=True,
-        capture_output=True, text=True,
-    )  # fmt: skip
+        [sys.executable, "-P", "-c", code],
+        env=os.environ | {"PYTHONPATH": path} | environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
     return ended.stdout
 
 
@@ -54,10 +57,12 @@ def test_a_kernel_follows_what_it_calls_in_other_files(tmp_path: Path) -> None:
     """numba itself looks at the time of a kernel's own file alone."""
     (tmp_path / "upper.py").write_text(UPPER)
     for numbers, answer in (
-        ({"limit": 9.0, "more": 1.0, "share": 0.5}, 2.0), ({"limit": 9.0, "more": 5.0, "share": 0.5}, 4.0),
-        ({"limit": 9.0, "more": 5.0, "share": 2.0}, 9.0), ({"limit": 7.0, "more": 5.0, "share": 2.0}, 7.0),
         ({"limit": 9.0, "more": 1.0, "share": 0.5}, 2.0),
-    ):  # fmt: skip
+        ({"limit": 9.0, "more": 5.0, "share": 0.5}, 4.0),
+        ({"limit": 9.0, "more": 5.0, "share": 2.0}, 9.0),
+        ({"limit": 7.0, "more": 5.0, "share": 2.0}, 7.0),
+        ({"limit": 9.0, "more": 1.0, "share": 0.5}, 2.0),
+    ):
         (tmp_path / "lower.py").write_text(LOWER.format(**numbers))
         told = run("from upper import total; print(total(3.0))", tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "kept"))
         assert float(told) == answer

@@ -38,7 +38,10 @@ def test_settings_and_command_lines():
 
 def test_no_error_quotes_an_address():
     fault = ConfigError(
-        "https://h/SECRET", where="https://h/SECRET", expected="https://h/SECRET", got="https://h/SECRET",
+        "https://h/SECRET",
+        where="https://h/SECRET",
+        expected="https://h/SECRET",
+        got="https://h/SECRET",
         do="https://h/SECRET",
-    )  # fmt: skip
+    )
     assert "SECRET" not in str(fault) and "https://h/…" in fault.got

@@ -205,9 +205,20 @@ def simulate(
     row, at = np.nonzero(np.isfinite(time))
     energy = amplitude[row, at] * pulse.area(core[row, at])
     truth = Truth(
-        row, amplitude[row, at], time[row, at], sigma[row, at], energy, gap[row, at], sd, level,
-        np.isfinite(time).sum(axis=1), (recorded >= top).any(axis=1), samples, spacing, top,
-    )  # fmt: skip
+        row,
+        amplitude[row, at],
+        time[row, at],
+        sigma[row, at],
+        energy,
+        gap[row, at],
+        sd,
+        level,
+        np.isfinite(time).sum(axis=1),
+        (recorded >= top).any(axis=1),
+        samples,
+        spacing,
+        top,
+    )
     first = np.where(truth.count > 0, time[:, 0], 0.0) if most else np.zeros(n)
     return waves_of(recorded, spacing=spacing, saturation=top, anchor_time=first), truth
 
@@ -224,16 +235,28 @@ def waves_of(
     length = np.array([len(w) for w in waveforms], np.int64)
     pulses: dict[str, Any] = dict.fromkeys(PULSE_COLUMNS, 0.0)
     pulses |= {
-        "pulse": np.arange(n), "gps_time": 1e-5 * np.arange(n), "step_z": METRES_PER_NS, "sample_spacing": spacing,
-        "saturation": saturation, "anchor_time": anchor_time, "anchor_range": np.nan, "outgoing_start": np.nan,
+        "pulse": np.arange(n),
+        "gps_time": 1e-5 * np.arange(n),
+        "step_z": METRES_PER_NS,
+        "sample_spacing": spacing,
+        "saturation": saturation,
+        "anchor_time": anchor_time,
+        "anchor_range": np.nan,
+        "outgoing_start": np.nan,
         "gain": 1.0,
-    }  # fmt: skip
+    }
     returns: dict[str, Any] = dict.fromkeys(RETURN_COLUMNS, 0.0)
     returns |= {
-        "pulse": np.arange(n), "gps_time": pulses["gps_time"], "return_number": 1, "number_of_returns": 1,
-        "location": anchor_time, "has_packet": True,
-        "vendor_amplitude": np.nan, "vendor_width": np.nan, "vendor_deviation": np.nan,
-    }  # fmt: skip
+        "pulse": np.arange(n),
+        "gps_time": pulses["gps_time"],
+        "return_number": 1,
+        "number_of_returns": 1,
+        "location": anchor_time,
+        "has_packet": True,
+        "vendor_amplitude": np.nan,
+        "vendor_width": np.nan,
+        "vendor_deviation": np.nan,
+    }
     tables = [Table({c: np.broadcast_to(v, n) for c, v in t.items()}) for t in (pulses, returns)]
     samples = np.concatenate(list(waveforms)) if n else np.empty(0, np.uint8)
     return Waveforms(*tables, samples, np.concatenate([[0], np.cumsum(length)]).astype(np.int64))
@@ -245,9 +268,14 @@ def rows_of(waves: Waveforms, rows: NDArray) -> Waveforms:
     offsets = np.concatenate([[0], np.cumsum([len(c) for c in cut])]).astype(np.int64)
     samples = np.concatenate(cut) if len(rows) else waves.samples[:0]
     return replace(
-        waves, pulses=waves.pulses.take(rows), returns=waves.returns.take(rows), samples=samples, offsets=offsets,
-        outgoing=waves.outgoing[:0], outgoing_offsets=np.zeros(len(rows) + 1, np.int64),
-    )  # fmt: skip
+        waves,
+        pulses=waves.pulses.take(rows),
+        returns=waves.returns.take(rows),
+        samples=samples,
+        offsets=offsets,
+        outgoing=waves.outgoing[:0],
+        outgoing_offsets=np.zeros(len(rows) + 1, np.int64),
+    )
 
 
 def mix(
@@ -280,9 +308,7 @@ def mix(
     time = time[:, :1] + (time - time[:, :1]) * squeeze[:, None]
     time[np.arange(most) >= count[:, None]] = np.nan
     sd = rng.uniform(*noise, n)
-    return simulate(
-        height, time, sigma, noise=sd, samples=samples, spacing=spacing, pulse=pulse, seed=seed, **record
-    )  # fmt: skip
+    return simulate(height, time, sigma, noise=sd, samples=samples, spacing=spacing, pulse=pulse, seed=seed, **record)
 
 
 def survey_mix(n: int, *, seed: int = 0, **options: Any) -> tuple[Waveforms, Truth]:

@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import Any
 
 Workflow = Callable[..., dict[str, Any]]
-"""Takes the configuration, the road and the tiles asked for (None: all), gives the run's report."""
+"""Takes the configuration, the runner and the tiles asked for (None: all), gives the run's report."""
 
 
 class _Named(Mapping[str, Workflow]):

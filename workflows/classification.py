@@ -1,4 +1,4 @@
-"""The whole road: waveforms (or echoes) to classified, GIS-ready tiles."""
+"""All stages: waveforms (or echoes) to classified, GIS-ready tiles."""
 
 from __future__ import annotations
 
@@ -8,35 +8,35 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.run.model_fit import check_model
+from fwclass.graph import forest, ground, outputs, sites
+from fwclass.graph import tiles as of_tiles
+from fwclass.graph.area_of_interest import Area
+from fwclass.graph.layout import Layout, check_features
+from fwclass.graph.model_fit import check_model
+from fwclass.graph.report import write_report
+from fwclass.graph.sampling import sampling_tasks
+from fwclass.graph.walk import Tiled, until_labels, until_tiles
 from fwclass.run.part import Task
-from fwclass.run.plan import forest, ground, outputs, sites
-from fwclass.run.plan import tiles as of_tiles
-from fwclass.run.plan.layout import Layout, check_features
-from fwclass.run.plan.sampling import sampling_tasks
-from fwclass.run.report import write_report
-from fwclass.run.restrict import Area
-from fwclass.run.road import Road, ancestors
+from fwclass.run.runner import Runner, ancestors
 from fwclass.run.tasks import Tasks
 from fwclass.store.models import load_model
-from fwclass.store.outside import Place, directory_outside, local
+from fwclass.store.remote_file import Location, directory_outside, local
 from fwclass.store.url import is_url, url_of
-from workflows.echoes import Tiled, until_labels, until_tiles
 
 
-def classification(config: Config, road: Road, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
-    """Run all stages on `road` and write the report; return the report's dict.
+def classification(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
+    """Run all stages on `runner` and write the report; return the report's dict.
 
     `tiles`: deliver only these tiles, or those in an area; what they need (their neighbours' echoes, the training
     areas) is made too, so that they come out as in a whole run.
     """
     names, model = features_of(config)
-    tiled = until_tiles(config, road, names, load_model(local(model[0])).card if model else None)
+    tiled = until_tiles(config, runner, names, load_model(local(model[0])).card if model else None)
     keys = tiles.tiles(tiled.layout, tiled.survey.crs) if isinstance(tiles, Area) else tiles
-    return from_tiles(config, road, tiled, names, until_labels(tiled, (*names, *config.features.also)), model, keys)
+    return from_tiles(config, runner, tiled, names, until_labels(tiled, (*names, *config.features.also)), model, keys)
 
 
-def features_of(config: Config) -> tuple[tuple[str, ...], tuple[Place, str] | None]:
+def features_of(config: Config) -> tuple[tuple[str, ...], tuple[Location, str] | None]:
     """Names of the features that will be decided by, and the model that is given; `ConfigError` for what is none."""
     model = given_model(config)
     names = load_model(local(model[0])).features if model else config.features_asked
@@ -46,10 +46,15 @@ def features_of(config: Config) -> tuple[tuple[str, ...], tuple[Place, str] | No
 
 
 def from_tiles(
-    config: Config, road: Road, tiled: Tiled, names: tuple[str, ...], labelling: Sequence[Task],
-    model: tuple[Place, str] | None = None, tiles: frozenset[str] | None = None,
-) -> dict[str, Any]:  # fmt: skip
-    """The road from tiles to the report: a classifier by `names`, trained under `config` unless there is a `model`.
+    config: Config,
+    runner: Runner,
+    tiled: Tiled,
+    names: tuple[str, ...],
+    labelling: Sequence[Task],
+    model: tuple[Location, str] | None = None,
+    tiles: frozenset[str] | None = None,
+) -> dict[str, Any]:
+    """The stages from tiles to the report: a classifier by `names`, trained under `config` unless there is a `model`.
 
     `labelling` are the tasks until labels, with all features that anything asks for.
     """
@@ -62,12 +67,12 @@ def from_tiles(
     tasks += outputs.output_tasks(layout, names, survey, *tiled.where)
     for words in (sites.told(sites.sites(layout), survey.strips, tiled.where[1]), of_tiles.small_tiles(layout)):
         if words:
-            road.display.say(words)
+            runner.display.say(words)
     if tiles is not None:
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, tiles)))
-    road.do(tasks)
-    road.finish(whole=tiles is None)
-    return road.tell(lambda: write_report(config, road, survey, layout, names))
+    runner.do(tasks)
+    runner.finish(whole=tiles is None)
+    return runner.tell(lambda: write_report(config, runner, survey, layout, names))
 
 
 def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:
@@ -83,11 +88,11 @@ def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:
     return [("publish-tile", key) for key in sorted(tiles)]
 
 
-def given_model(config: Config) -> tuple[Place, str] | None:
-    """Place and digest of the model that the configuration names, None where it is to be trained."""
+def given_model(config: Config) -> tuple[Location, str] | None:
+    """Location and digest of the model that the configuration names, None where it is to be trained."""
     if config.survey.model is None:
         return None
-    place: Place = (config.path.parent / config.survey.model).resolve()
+    place: Location = (config.path.parent / config.survey.model).resolve()
     if is_url(config.survey.model):
         place = directory_outside(url_of(config.survey.model, f"{config.path}: survey.model"), config.store)
     path = local(place)

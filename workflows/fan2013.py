@@ -7,21 +7,21 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
-from fwclass.run.papers import fan
-from fwclass.run.papers.begin import features_like, require_whole
-from fwclass.run.papers.page import deliver
-from fwclass.run.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
-from fwclass.run.plan.layout import check_features
-from fwclass.run.restrict import Area
-from fwclass.run.road import Road, require_all
+from fwclass.graph.area_of_interest import Area
+from fwclass.graph.layout import check_features
+from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.run.runner import Runner, require_all
+from fwclass.study.papers import fan
+from fwclass.study.papers.begin import features_like, require_whole
+from fwclass.study.papers.page import deliver
+from fwclass.study.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
+from fwclass.study.selection import selection
 from workflows.classification import from_tiles
-from workflows.echoes import until_labels, until_tiles
-from workflows.selection import selection
 
 NAME = "fan2013"
 
 
-def fan2013(config: Config, road: Road, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
+def fan2013(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
     """Run all stages, then the paper's tables on training and test areas; return the run's report.
 
     `tiles` cannot be chosen: the figures are those of the whole survey.
@@ -32,11 +32,11 @@ def fan2013(config: Config, road: Road, tiles: frozenset[str] | Area | None = No
     computed = (*used, *config.features.also)
     check_features(config, computed, f"{config.path}: survey.features, features.also")
     names = features_like(config, printed["selection"]["order"])
-    tiled = until_tiles(config, road, used)
-    report = from_tiles(config, road, tiled, used, until_labels(tiled, computed))
-    if road.failures:
+    tiled = until_tiles(config, runner, used)
+    report = from_tiles(config, runner, tiled, used, until_labels(tiled, computed))
+    if runner.failures:
         return report
-    aside = road.beside()
+    aside = runner.beside()
     every = replace(config, select=config.select.model_copy(update={"patience": len(names)}))
     curves = {
         "paper": selection(config, aside, names, "forward", order=names, computed=computed),
@@ -44,12 +44,12 @@ def fan2013(config: Config, road: Road, tiles: frozenset[str] | Area | None = No
     }
     variants = fan.variants(config, names, printed)
     columns = tuple(dict.fromkeys((*names, *used)))  # the run's own forest may decide by what the paper lacks
-    made = dict(require_all(road, data_tasks(tiled.layout, columns) + learn_tasks(config, columns, variants)))
-    made |= require_all(road, comparison_tasks(config, fan.comparisons(config, variants)))
-    made |= require_all(road, time_tasks(config, columns, fan.timed(variants)))
+    made = dict(require_all(runner, data_tasks(tiled.layout, columns) + learn_tasks(config, columns, variants)))
+    made |= require_all(runner, comparison_tasks(config, fan.comparisons(config, variants)))
+    made |= require_all(runner, time_tasks(config, columns, fan.timed(variants)))
 
     def page() -> dict[str, Any]:
         facts = fan.facts(config, printed, report, curves, variants, made)
-        return deliver(config, road, tiled.layout, report, facts)
+        return deliver(config, runner, tiled.layout, report, facts)
 
-    return road.tell(page)
+    return runner.tell(page)

@@ -7,21 +7,21 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
-from fwclass.run.papers import xiong
-from fwclass.run.papers.begin import require_whole
-from fwclass.run.papers.page import deliver
-from fwclass.run.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
-from fwclass.run.plan.layout import check_features
-from fwclass.run.restrict import Area
-from fwclass.run.road import Road, require_all
+from fwclass.graph.area_of_interest import Area
+from fwclass.graph.layout import check_features
+from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.run.runner import Runner, require_all
+from fwclass.study.papers import xiong
+from fwclass.study.papers.begin import require_whole
+from fwclass.study.papers.page import deliver
+from fwclass.study.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
+from fwclass.study.selection import selection
 from workflows.classification import from_tiles
-from workflows.echoes import until_labels, until_tiles
-from workflows.selection import selection
 
 NAME = "xiong2018"
 
 
-def xiong2018(config: Config, road: Road, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
+def xiong2018(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
     """Select among the survey's features, run all stages with the best set, then the paper's tables; return the report.
 
     `tiles` cannot be chosen: the figures are those of the whole survey.
@@ -29,30 +29,30 @@ def xiong2018(config: Config, road: Road, tiles: frozenset[str] | Area | None = 
     require_whole(config, tiles, NAME)
     printed, names = paper(NAME), config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
-    aside = road.beside()
+    aside = runner.beside()
     found, final = selected(config, aside)
     chosen = final.features_asked
-    tiled = until_tiles(config, road, names)
-    report = from_tiles(final, road, tiled, chosen, until_labels(tiled, names))
-    if road.failures:
+    tiled = until_tiles(config, runner, names)
+    report = from_tiles(final, runner, tiled, chosen, until_labels(tiled, names))
+    if runner.failures:
         return report
     variants = xiong.variants(config, names, chosen)
     forest = next(v for v in variants if v.name == xiong.ALL)
-    made = dict(require_all(road, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants)))
-    made |= require_all(road, importance_tasks(config, names, forest))
-    made |= require_all(road, comparison_tasks(config, xiong.comparisons(variants)))
+    made = dict(require_all(runner, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants)))
+    made |= require_all(runner, importance_tasks(config, names, forest))
+    made |= require_all(runner, comparison_tasks(config, xiong.comparisons(variants)))
     thinned = xiong.thinned(config, aside, tiled.layout, chosen)
-    made |= require_all(road, time_tasks(config, names, variants))
+    made |= require_all(runner, time_tasks(config, names, variants))
 
     def page() -> dict[str, Any]:
         facts = xiong.facts(config, printed, report, found, thinned, variants, made)
-        return deliver(config, road, tiled.layout, report, facts)
+        return deliver(config, runner, tiled.layout, report, facts)
 
-    return road.tell(page)
+    return runner.tell(page)
 
 
-def selected(config: Config, road: Road) -> tuple[dict[str, Any], Config]:
+def selected(config: Config, runner: Runner) -> tuple[dict[str, Any], Config]:
     """What the selection among the survey's features tells, and `config` with the set that it chose."""
-    found = selection(config, road, config.features_asked, "rffs")
+    found = selection(config, runner, config.features_asked, "rffs")
     survey = config.survey.model_copy(update={"features": tuple(found["chosen"])})
     return found, replace(config, survey=survey, features=config.features.model_copy(update={"also": ()}))

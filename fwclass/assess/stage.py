@@ -36,10 +36,7 @@ __all__ = [
 
 def judge(made: dict[str, Any], params: AssessParams) -> None:
     """`QualityError` naming the first figure of `figures` that misses its threshold, or that has no value."""
-    for key, least in (
-        ("overall_accuracy", params.min_overall_accuracy),
-        ("kappa", params.min_kappa),
-    ):
+    for key, least in (("overall_accuracy", params.min_overall_accuracy), ("kappa", params.min_kappa)):
         value = made[key]
         if least is not None and (value is None or value < least):
             raise QualityError(
@@ -60,10 +57,5 @@ ASSESS = Stage(
     reads=("reference", "classification"),
 )
 DISTRIBUTION = Stage(
-    name="distribution",
-    version=1,
-    kind="tile",
-    function=distribution,
-    params=AssessParams,
-    reads=("reference",),
+    name="distribution", version=1, kind="tile", function=distribution, params=AssessParams, reads=("reference",)
 )

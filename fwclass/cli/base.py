@@ -49,8 +49,10 @@ class LocalPath(click.Path):
         if is_url(value):
             self.fail(
                 f"{value} is on object storage, and this command takes files of this host; `fwclass run`, `status`, "
-                "`schedule`, `history` and `seams` take the address of a run (docs/many-machines.md)", param, ctx,
-            )  # fmt: skip
+                "`schedule`, `history` and `seams` take the address of a run (docs/many-machines.md)",
+                param,
+                ctx,
+            )
         return super().convert(_checked(value, param, ctx), param, ctx)
 
 
@@ -66,11 +68,7 @@ class RunPlace(click.Path):
 PATH = LocalPath(path_type=Path)
 RUN = RunPlace(path_type=Path)
 SET = click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="SECTION.KEY=VALUE",
-    help="Change one setting; may be repeated.",
+    "--set", "settings", multiple=True, metavar="SECTION.KEY=VALUE", help="Change one setting; may be repeated."
 )
 SCHEDULER = click.option("--scheduler", metavar="ADDR", help="Dask scheduler, e.g. tcp://host:8786.")
 WORKERS = click.option("--workers", type=click.IntRange(0), help="Processes on this machine; 0 runs a plain loop.")

@@ -22,15 +22,18 @@ def export(model: Path, out: Path, form: str, overwrite: bool) -> None:
     missing; outputs label (class codes), votes and probabilities. Classes are the same as here for every row.
     """
     from fwclass.publish.onnx_forest import onnx_forest
-    from fwclass.run.ground.output import check_places
+    from fwclass.single_file.ground.output import check_places
     from fwclass.store.atomic import move_into_place, staged
     from fwclass.store.models import load_forest
 
     if out.suffix.lower() != f".{form}":
         raise ConfigError(
-            f"the output is {form.upper()}", where=out, expected=f"a name that ends in .{form}",
-            got=out.suffix or "no suffix", do="name the output with this ending",
-        )  # fmt: skip
+            f"the output is {form.upper()}",
+            where=out,
+            expected=f"a name that ends in .{form}",
+            got=out.suffix or "no suffix",
+            do="name the output with this ending",
+        )
     check_places(model, [out], overwrite)
     content = onnx_forest(load_forest(model))
     with staged(out.parent) as directory:

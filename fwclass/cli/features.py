@@ -46,7 +46,7 @@ def features(
     ground, where heights above it are asked for, is what has class 2; with --method, --preset or --param it is looked
     for.
     """
-    from fwclass.run.features.names import sorted_settings
+    from fwclass.single_file.features.names import sorted_settings
 
     named, settings = sorted_settings(words)
     if show:
@@ -56,9 +56,9 @@ def features(
         return
     if source is None or output is None:
         raise click.UsageError("IN and OUT.parquet are wanted, or --list")
-    from fwclass.run.features.file import FeaturesJob, features_file
-    from fwclass.run.features.text import describe
-    from fwclass.run.ground.steps import Steps
+    from fwclass.single_file.features.file import FeaturesJob, features_file
+    from fwclass.single_file.features.text import describe
+    from fwclass.single_file.ground.steps import Steps
 
     with Steps() as steps:
         made = features_file(FeaturesJob(source, output, named, settings=settings, **asked), steps.tell)
@@ -68,7 +68,7 @@ def features(
 
 
 def _list(name: str | None, where: str, as_json: bool) -> None:
-    from fwclass.run.features import listing
+    from fwclass.single_file.features import listing
 
     facts = listing.everything() if name is None else listing.of_set(name, where)
     words = listing.describe_everything if name is None else listing.describe_set

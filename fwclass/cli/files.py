@@ -29,9 +29,14 @@ def _numbers(context: click.Context, parameter: click.Parameter, text: str | Non
 @OVERWRITE
 @JSON
 def info(
-    files: tuple[Path, ...], waveforms: bool, pulses: tuple[int, ...], out: Path | None, settings: tuple[str, ...],
-    overwrite: bool, as_json: bool,
-) -> None:  # fmt: skip
+    files: tuple[Path, ...],
+    waveforms: bool,
+    pulses: tuple[int, ...],
+    out: Path | None,
+    settings: tuple[str, ...],
+    overwrite: bool,
+    as_json: bool,
+) -> None:
     """What files hold: formats, packets, descriptors, CRS, classes, and what is wrong with them.
 
     With --waveforms: chosen pulses of one file with their fitted echoes, and the echoes that its vendor's returns miss.
@@ -45,11 +50,15 @@ def info(
 
 
 def _info_waveforms(
-    files: tuple[Path, ...], pulses: tuple[int, ...], settings: tuple[str, ...], out: Path | None, overwrite: bool,
+    files: tuple[Path, ...],
+    pulses: tuple[int, ...],
+    settings: tuple[str, ...],
+    out: Path | None,
+    overwrite: bool,
     as_json: bool,
-) -> None:  # fmt: skip
-    from fwclass.run.waveforms_text import describe
-    from fwclass.run.waveforms_view import look
+) -> None:
+    from fwclass.single_file.waveforms.text import describe
+    from fwclass.single_file.waveforms.view import look
 
     if len(files) > 1:
         raise click.UsageError("--waveforms takes one file")
@@ -86,13 +95,19 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
 @OVERWRITE
 @ACCEPT_IMPLAUSIBLE
 def decompose(
-    source: Path, output: Path, trajectory: Path | None, undulation: float, crs: str | None, settings: tuple[str, ...],
-    overwrite: bool, accept_implausible: bool,
-) -> None:  # fmt: skip
+    source: Path,
+    output: Path,
+    trajectory: Path | None,
+    undulation: float,
+    crs: str | None,
+    settings: tuple[str, ...],
+    overwrite: bool,
+    accept_implausible: bool,
+) -> None:
     """One file: waveforms to echoes with extra bytes (LAZ)."""
     from fwclass import conf
-    from fwclass.run.decompose_file import decompose_file
-    from fwclass.run.plausibility import judge
+    from fwclass.graph.plausibility import judge
+    from fwclass.single_file.decompose import decompose_file
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()
     told, judged = decompose_file(source, output, settings, overwrite, trajectory, undulation, crs)
@@ -116,7 +131,7 @@ def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, a
         _assess_runs(reference, prediction, as_json)
         return
     from fwclass.assess.stage import describe
-    from fwclass.run.assess_files import assess_files
+    from fwclass.single_file.assess import assess_files
 
     figures = assess_files(reference, prediction, codes, ground)
     click.echo(json.dumps(figures, indent=1) if as_json else describe(figures))
@@ -127,7 +142,7 @@ def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, a
 
 
 def _assess_runs(first: Path, second: Path, as_json: bool) -> None:
-    from fwclass.run.assess_runs import assess_runs, describe
+    from fwclass.operate.assess_runs import assess_runs, describe
 
     made = assess_runs(first, second)
     click.echo(json.dumps(made, indent=1) if as_json else describe(made))

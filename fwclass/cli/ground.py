@@ -63,9 +63,9 @@ def ground(source: Path, output: Path | None, optimize: bool, compare: str | Non
 
 
 def _classify(source: Path, output: Path, as_json: bool, asked: dict[str, Any]) -> None:
-    from fwclass.run.ground.file import GroundJob, ground_file
-    from fwclass.run.ground.steps import Steps
-    from fwclass.run.ground.text import describe
+    from fwclass.single_file.ground.file import GroundJob, ground_file
+    from fwclass.single_file.ground.steps import Steps
+    from fwclass.single_file.ground.text import describe
 
     auto = asked.pop("auto")
     wanted = {name: asked.pop(name) for name in RASTERS}
@@ -85,7 +85,7 @@ def _classify(source: Path, output: Path, as_json: bool, asked: dict[str, Any]) 
 
 def _adapting(asked: dict[str, Any], tell: Any) -> Any:
     """``--auto``; the filter is chosen too where nothing names one."""
-    from fwclass.run.ground.adapt import adapting
+    from fwclass.single_file.ground.adapt import adapting
 
     named = asked["method"] or asked["preset"] or any(s.startswith("ground.method") for s in asked["settings"])
     return adapting(not named, asked["settings"], tell)
@@ -96,18 +96,18 @@ def _study(source: Path, output: Path | None, methods: str | None, as_json: bool
     alien = [f"--{n.replace('_', '-')}" for n in ("keep_classes", "use_flagged", *RASTERS, "cell") if asked.pop(n)]
     if output is not None or alien:
         raise click.UsageError(f"{alien[0] if alien else 'OUT'} has no place here: nothing is classified; see --out")
-    from fwclass.run.ground.steps import Steps
+    from fwclass.single_file.ground.steps import Steps
 
     auto = asked.pop("auto")
     if methods is None:
         if auto:
             raise click.UsageError("--optimize searches what --auto would measure: give one of them")
-        from fwclass.run.ground.search import describe, optimize
+        from fwclass.single_file.ground.search import describe, optimize
 
         with Steps() as steps:
             made = optimize(source, say=steps.say, tell=steps.tell, **asked)
     else:
-        from fwclass.run.ground.compare import compare, describe
+        from fwclass.single_file.ground.compare import compare, describe
 
         if asked.pop("method") or asked.pop("assignments"):
             raise click.UsageError("--compare names its filters itself; give parameters with --set")
@@ -137,9 +137,9 @@ def normalize(source: Path, output: Path, as_json: bool, **asked: Any) -> None:
 
     The ground is what has class 2; with --method, --preset or --param it is looked for. All other fields stay.
     """
-    from fwclass.run.ground.normalize import NormalizeJob, normalize_file
-    from fwclass.run.ground.steps import Steps
-    from fwclass.run.ground.text import describe_heights
+    from fwclass.single_file.ground.normalize import NormalizeJob, normalize_file
+    from fwclass.single_file.ground.steps import Steps
+    from fwclass.single_file.ground.text import describe_heights
 
     with Steps() as steps:
         made = normalize_file(NormalizeJob(source, output, **asked), steps.tell)

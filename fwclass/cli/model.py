@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
-from fwclass.cli.road import open_road
+from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, nearest
 
 
@@ -27,9 +27,14 @@ from fwclass.errors import ConfigError, nearest
 @OVERWRITE
 @JSON
 def train(
-    conf: Path, target: Path | None, method: str | None, compare: str | None, out: Path | None,
-    settings: tuple[str, ...], **asked: Any,
-) -> None:  # fmt: skip
+    conf: Path,
+    target: Path | None,
+    method: str | None,
+    compare: str | None,
+    out: Path | None,
+    settings: tuple[str, ...],
+    **asked: Any,
+) -> None:
     """Train a model on a survey's training areas, and judge it on its test areas.
 
     What is computed on the way stays in the run directory; `fwclass run` there goes on from it. With --compare no model
@@ -52,18 +57,17 @@ def train(
 
 
 def _known(method: str, where: str) -> str:
-    from fwclass.train.others.stage import METHODS
+    from fwclass.train.baselines.stage import METHODS
 
     if method not in METHODS:
         raise ConfigError(
-            "no such classifier", where=where, expected=", ".join(METHODS), got=method,
-            do=nearest(method, METHODS),
-        )  # fmt: skip
+            "no such classifier", where=where, expected=", ".join(METHODS), got=method, do=nearest(method, METHODS)
+        )
     return method
 
 
 def _methods(text: str) -> tuple[str, ...]:
-    from fwclass.train.others.stage import METHODS
+    from fwclass.train.baselines.stage import METHODS
 
     return METHODS if text == "all" else tuple(dict.fromkeys(_known(n.strip(), "--compare") for n in text.split(",")))
 
@@ -73,25 +77,25 @@ def _count(config: Any, asked: dict[str, Any]) -> int:
 
 
 def _train(config: Any, root: Path, target: Path, asked: dict[str, Any]) -> None:
-    from fwclass.run.model_directory import check_target, deliver
-    from fwclass.run.training_text import describe
-    from workflows.training import training
+    from fwclass.single_file.model_directory import check_target, deliver
+    from fwclass.study.training import training
+    from fwclass.study.training_text import describe
 
     check_target(target, asked["overwrite"])
-    with open_road(root, _count(config, asked), asked["scheduler"], config.run) as road:
-        made = training(config, road, asked["assess"])
-        deliver(road.store.path("train", "model", "model"), target, asked["overwrite"])
+    with open_runner(root, _count(config, asked), asked["scheduler"], config.run) as runner:
+        made = training(config, runner, asked["assess"])
+        deliver(runner.store.path("train", "model", "model"), target, asked["overwrite"])
     click.echo(f"{describe(made)}\nmodel       {target}", err=True)
     if asked["as_json"]:
         click.echo(json.dumps({**made, "model": str(target)}, indent=1))
 
 
 def _compare(config: Any, root: Path, methods: tuple[str, ...], asked: dict[str, Any]) -> None:
-    from fwclass.run.compare import describe
-    from workflows.training import comparison
+    from fwclass.study.compare import describe
+    from fwclass.study.training import comparison
 
-    with open_road(root, _count(config, asked), asked["scheduler"], config.run) as road:
-        made = comparison(config, road, methods)
+    with open_runner(root, _count(config, asked), asked["scheduler"], config.run) as runner:
+        made = comparison(config, runner, methods)
     click.echo(describe(made), err=asked["as_json"])
     if asked["as_json"]:
         click.echo(json.dumps(made, indent=1))
@@ -116,8 +120,14 @@ def _codes(context: click.Context, parameter: click.Parameter, words: tuple[str,
 @click.option("--preset", metavar="NAME", help="Its preset; see docs/ground.md.")
 @click.option("--param", "assignments", multiple=True, metavar="NAME=VALUE", help="A parameter of the filter.")
 @click.option("--own-ground", is_flag=True, help="Heights count from class 2 of the file; no filter.")
-@click.option("--legacy-code", "legacy", multiple=True, callback=_codes, metavar="CODE=CODE",
-              help="Write another code (formats 0 to 5 hold up to 31; default: the model's).")  # fmt: skip
+@click.option(
+    "--legacy-code",
+    "legacy",
+    multiple=True,
+    callback=_codes,
+    metavar="CODE=CODE",
+    help="Write another code (formats 0 to 5 hold up to 31; default: the model's).",
+)
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET), for models that need ranges.")
 @click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights.")
 @click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
@@ -132,9 +142,9 @@ def classify(
     Waveforms are decomposed where there are any; each point takes the class of its echo. Points keep their order and
     all other fields; confidence and entropy become extra bytes.
     """
-    from fwclass.run.classify_file import ClassifyJob, classify_file, describe
-    from fwclass.run.features.echoes import Flight
-    from fwclass.run.ground.steps import Steps
+    from fwclass.single_file.classify import ClassifyJob, classify_file, describe
+    from fwclass.single_file.features.echoes import Flight
+    from fwclass.single_file.ground.steps import Steps
 
     if asked["own_ground"] and (asked["method"] or asked["preset"] or asked["assignments"]):
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")

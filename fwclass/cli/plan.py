@@ -9,37 +9,45 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, WORKERS, cli
-from fwclass.cli.road import open_road
+from fwclass.cli.runner import open_runner
 
 
 @cli.command()
 @click.argument("conf", type=PATH)
 @click.option("--out", type=PATH, help="Run directory (default: runs/<survey>); the plan goes to its plan/.")
 @click.option(
-    "--dry-run", "count", type=click.IntRange(1), metavar="N",
+    "--dry-run",
+    "count",
+    type=click.IntRange(1),
+    metavar="N",
     help="Really run the N fullest tiles, in a scratch directory, and reckon with what they took.",
-)  # fmt: skip
+)
 @SET
 @WORKERS
 @OVERWRITE
 @JSON
 def plan(
-    conf: Path, out: Path | None, count: int | None, settings: tuple[str, ...], workers: int | None, overwrite: bool,
+    conf: Path,
+    out: Path | None,
+    count: int | None,
+    settings: tuple[str, ...],
+    workers: int | None,
+    overwrite: bool,
     as_json: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Tell what a survey will take, from the headers of its files: tiles, memory, disk and time.
 
     Nothing is run but the tiles of --dry-run. Polygons of the tiles, a picture and the numbers go to plan/ in the run
     directory. What cannot fit is refused, with the numbers (exit code 2).
     """
     from fwclass import conf as configuration
-    from fwclass.run.planning.headers import survey_facts
-    from fwclass.run.planning.limits import refuse, room_at
-    from fwclass.run.planning.output import check_free, deliver
-    from fwclass.run.planning.text import describe
-    from fwclass.run.planning.whole import as_json as plain
-    from fwclass.run.planning.whole import planned
-    from fwclass.run.survey import check_areas
+    from fwclass.graph.survey import check_areas
+    from fwclass.operate.estimate.headers import survey_facts
+    from fwclass.operate.estimate.limits import refuse, room_at
+    from fwclass.operate.estimate.output import check_free, deliver
+    from fwclass.operate.estimate.text import describe
+    from fwclass.operate.estimate.whole import as_json as plain
+    from fwclass.operate.estimate.whole import planned
     from workflows.classification import features_of
 
     config = configuration.load(conf, settings)
@@ -63,21 +71,22 @@ def plan(
 def _dry_run(made: Any, count: int, root: Path) -> Any:
     """The plan again, by what the fullest tiles took."""
     from fwclass.errors import FwclassError
-    from fwclass.run.planning.trial import trial_of
-    from fwclass.run.planning.whole import planned
+    from fwclass.operate.estimate.dry_run import trial
+    from fwclass.operate.estimate.trial import trial_of
+    from fwclass.operate.estimate.whole import planned
     from fwclass.store.atomic import staged
-    from workflows.trial import trial
 
     asked = trial_of(made, count, root)
     with staged(root / "plan") as scratch:
-        with open_road(scratch, made.workers, None, made.config.run) as road:
-            keys = trial(asked, road, count, made.halo)
-            failures, store = road.failures, road.store
+        with open_runner(scratch, made.workers, None, made.config.run) as runner:
+            keys = trial(asked, runner, count, made.halo)
+            failures, store = runner.failures, runner.store
         if failures:
             first = failures[0]
             raise FwclassError(
                 f"the dry run failed in {len(failures)} parts, first {first.stage}/{first.part}",
-                got=first.message.splitlines()[0] if first.message else "", do="mend the cause; the run would fail too",
-            )  # fmt: skip
+                got=first.message.splitlines()[0] if first.message else "",
+                do="mend the cause; the run would fail too",
+            )
         click.echo(f"dry run     tiles {', '.join(keys)} from {asked.files:,} files", err=True)
         return planned(made.config, made.facts, made.workers, made.room, store)

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, PATH, RUN, SCHEDULER, SET, WORKERS, cli
-from fwclass.cli.status import WORKFLOW, home_of_run, requested, run_at
+from fwclass.cli.status import WORKFLOW, location_of_run, requested, run_at
 from fwclass.errors import ConfigError, visible
 
 
@@ -32,9 +32,18 @@ from fwclass.errors import ConfigError, visible
 @SCHEDULER
 @WORKERS
 def schedule(
-    conf: Path, out: Any, every: str | None, cron: str | None, inbox: Path | None, once: bool,
-    allow_command: bool, settings: tuple[str, ...], workflow: str, scheduler: str | None, workers: int | None,
-) -> None:  # fmt: skip
+    conf: Path,
+    out: Any,
+    every: str | None,
+    cron: str | None,
+    inbox: Path | None,
+    once: bool,
+    allow_command: bool,
+    settings: tuple[str, ...],
+    workflow: str,
+    scheduler: str | None,
+    workers: int | None,
+) -> None:
     """Run a survey on an interval, by a cron expression, or when files are delivered, until told to stop.
 
     Each run is what `fwclass run` does, in a process of its own, and has a line in `fwclass history`. The section
@@ -42,23 +51,24 @@ def schedule(
     stands is in schedule.json in the run directory, or at the run's address. Exit code 0 when ended by SIGTERM, 130 by
     Ctrl-C; with --once that of the run.
     """
-    from fwclass.run.schedule.loop import Schedule
+    from fwclass.operate.schedule.loop import Schedule
 
     config, request = requested(conf, out, (*settings, *_asked(every, cron, inbox)), workflow, None)
     own = any(setting.strip().startswith("schedule.command") for setting in settings)
     if config.schedule.command and not (allow_command or own):
         raise ConfigError(
             "the configuration names a command, which would be run with your rights",
-            where=f"{config.path}: schedule.command", expected="--allow-command, or FWCLASS_ALLOW_COMMAND=1",
+            where=f"{config.path}: schedule.command",
+            expected="--allow-command, or FWCLASS_ALLOW_COMMAND=1",
             do="read the configuration, then give --allow-command; or leave it out: --set schedule.command=[]",
-        )  # fmt: skip
+        )
     words: list[str] = []
     if scheduler is not None:
         words += ["--scheduler", scheduler]
     if workers is not None:
         words += ["--workers", str(workers)]
-    home = home_of_run(request, config)
-    sys.exit(Schedule(config, request, home, tuple(words), once, lambda text: click.echo(text, err=True)).keep())
+    location = location_of_run(request, config)
+    sys.exit(Schedule(config, request, location, tuple(words), once, lambda text: click.echo(text, err=True)).keep())
 
 
 def _asked(every: str | None, cron: str | None, inbox: Path | None) -> list[str]:
@@ -82,14 +92,17 @@ def _asked(every: str | None, cron: str | None, inbox: Path | None) -> list[str]
 @cli.command()
 @click.argument("run", type=RUN)
 @click.option(
-    "--last", "count", type=click.IntRange(1), metavar="N",
+    "--last",
+    "count",
+    type=click.IntRange(1),
+    metavar="N",
     help="Only the last N runs (default: all; of a run on object storage, the last 200).",
-)  # fmt: skip
+)
 @JSON
 def history(run: Any, count: int | None, as_json: bool) -> None:
     """Tell what was run in RUN, a directory or s3://bucket/directory: when, why, how it ended, and how many parts were
     made."""
-    from fwclass.run.history import past_runs, table
+    from fwclass.operate.history import past_runs, table
 
     runs = past_runs(run_at(run), count)
     click.echo(json.dumps(runs, indent=1) if as_json else visible(table(runs), "\n"))

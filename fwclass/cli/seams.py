@@ -24,37 +24,46 @@ from fwclass.errors import ConfigError
 @OVERWRITE
 @JSON
 def seams(
-    run: Any, share: float | None, length: float | None, shift: str | None, gpkg: Path | None,
-    settings: tuple[str, ...], overwrite: bool, as_json: bool,
-) -> None:  # fmt: skip
+    run: Any,
+    share: float | None,
+    length: float | None,
+    shift: str | None,
+    gpkg: Path | None,
+    settings: tuple[str, ...],
+    overwrite: bool,
+    as_json: bool,
+) -> None:
     """Compute strips along tile borders of a finished run once more under a shifted grid, and compare.
 
     The run is only read. Exit code 0 if no value differs, 4 if one does.
     """
     from fwclass import conf as configuration
+    from fwclass.operate.request import Request
+    from fwclass.operate.seams.places import shift_of
+    from fwclass.operate.seams.polygons import check_free, write_gpkg
+    from fwclass.operate.seams.summary import as_data, as_text
+    from fwclass.operate.seams.walk import Asked
+    from fwclass.operate.seams.walk import seams as measured
     from fwclass.run.progress import Display
-    from fwclass.run.request import Request
-    from fwclass.run.shifted.places import shift_of
-    from fwclass.run.shifted.polygons import check_free, write_gpkg
-    from fwclass.run.shifted.told import as_data, as_text
-    from fwclass.store.home import open_store
-    from workflows.seams import Asked
-    from workflows.seams import seams as measured
+    from fwclass.store.run_location import open_store
 
     if share is not None and length is not None:
         raise ConfigError("--share and --length both say how much", where="--share, --length", do="give one of them")
     if gpkg is not None:
         check_free(gpkg, overwrite)
-    home = run_at(run)
-    request = Request.kept(open_store(home, read_only=True))
+    location = run_at(run)
+    request = Request.kept(open_store(location, read_only=True))
     config = configuration.load(request.conf, (*request.settings, *settings))
     asked = Asked(
-        shift_of(shift, config.tile.size), config.seams.share if share is None else share, length, request.wanted,
+        shift_of(shift, config.tile.size),
+        config.seams.share if share is None else share,
+        length,
+        request.wanted,
         request.workflow,
-    )  # fmt: skip
+    )
     began = time.perf_counter()
     with Display() as display:
-        found = measured(config, home, asked, display)
+        found = measured(config, location, asked, display)
     took = time.perf_counter() - began
     click.echo(as_text(found, took), err=as_json)
     if as_json:

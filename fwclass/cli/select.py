@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
-from fwclass.cli.road import open_road
+from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError
 
 
@@ -28,9 +28,12 @@ def _listed(context: click.Context, parameter: click.Parameter, text: str | None
     "--order", metavar="A,B,…", callback=_listed, help="With forward: add in this order, drop what gains nothing."
 )
 @click.option(
-    "--pick", type=click.Choice(["best", "smallest", "cheapest"]), default="best", show_default=True,
+    "--pick",
+    type=click.Choice(["best", "smallest", "cheapest"]),
+    default="best",
+    show_default=True,
     help="Which set is written: the best, or the smallest or cheapest as good within one standard error.",
-)  # fmt: skip
+)
 @click.option(
     "--to", "target", type=PATH, help="The feature-set file (default: OUT/select/METHOD.yaml); .json and .png beside."
 )
@@ -41,9 +44,18 @@ def _listed(context: click.Context, parameter: click.Parameter, text: str | None
 @OVERWRITE
 @JSON
 def select(
-    conf: Path, method: str, candidates: str | None, target: Path | None, out: Path | None, settings: tuple[str, ...],
-    scheduler: str | None, workers: int | None, overwrite: bool, as_json: bool, **asked: Any,
-) -> None:  # fmt: skip
+    conf: Path,
+    method: str,
+    candidates: str | None,
+    target: Path | None,
+    out: Path | None,
+    settings: tuple[str, ...],
+    scheduler: str | None,
+    workers: int | None,
+    overwrite: bool,
+    as_json: bool,
+    **asked: Any,
+) -> None:
     """Choose features on the training areas of a survey, and tell what they cost.
 
     forward (Fan 2013) adds the best feature again and again, rffs (Xiong 2018) drops the least important, fscore
@@ -51,9 +63,9 @@ def select(
     `--set survey.features=FILE` takes. thinning tells accuracy and time if only a share of the echoes is classified.
     """
     from fwclass import conf as configuration
-    from fwclass.run.select import output
-    from workflows.selection import selection
-    from workflows.thinning import thinning
+    from fwclass.study.select import output
+    from fwclass.study.selection import selection
+    from fwclass.study.thinning import thinning
 
     config = configuration.load(conf, settings)
     root = out if out is not None else Path("runs") / config.survey.name
@@ -62,17 +74,19 @@ def select(
         raise ConfigError("--order belongs to --method forward", where="--order", got=f"--method {method}")
     if method != "thinning" and len(names) < 2:
         raise ConfigError(
-            "there is nothing to choose", where="--candidates" if candidates else f"{config.path}: survey.features",
-            expected="two features or more", got=", ".join(names) or "none",
+            "there is nothing to choose",
+            where="--candidates" if candidates else f"{config.path}: survey.features",
+            expected="two features or more",
+            got=", ".join(names) or "none",
             do="--candidates with a feature set, its file, or a list a,b,c",
-        )  # fmt: skip
+        )
     path = output.check_target(target, root, method, overwrite)
     count = config.run.workers if workers is None else workers
-    with open_road(root, count, scheduler, config.run) as road:
+    with open_runner(root, count, scheduler, config.run) as runner:
         if method == "thinning":
-            made = thinning(config, road, names)
+            made = thinning(config, runner, names)
         else:
-            made = selection(config, road, names, method, **asked)
+            made = selection(config, runner, names, method, **asked)
     output.write(made, path)
     click.echo(output.describe(made, path), err=True)
     if as_json:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, PATH, RUN, SET, cli, little_garbage
-from fwclass.cli.road import open_road, tell_failures
+from fwclass.cli.runner import open_runner, tell_failures
 from fwclass.errors import PARTIAL, ConfigError, nearest, visible
 
 TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
@@ -50,7 +50,7 @@ def requested(
 ) -> tuple[Any, Any]:
     """The configuration, and the `Request` that the words of the command make."""
     from fwclass import conf as configuration
-    from fwclass.run.request import Request
+    from fwclass.operate.request import Request
     from workflows import WORKFLOWS
 
     if workflow not in WORKFLOWS:
@@ -59,60 +59,63 @@ def requested(
     return config, Request.of(conf, out_directory(out, config), settings, workflow, tiles)
 
 
-def home_of_run(request: Any, config: Any) -> Any:
+def location_of_run(request: Any, config: Any) -> Any:
     """Where the run of `request` lies."""
-    from fwclass.store.home import home_of
+    from fwclass.store.run_location import location_of
     from fwclass.store.url import is_url, url_of
 
     named = url_of(request.root, "--out") if is_url(request.root) else Path(request.root)
-    return home_of(named, config.store)
+    return location_of(named, config.store)
 
 
 def run_at(place: Any) -> Any:
     """Where the run lies that a user named, a path or an address; `ConfigError` where none was ever begun."""
     from fwclass.store.history import is_run
 
-    home = place.resolve() if isinstance(place, Path) else _remote(place)
-    if not is_run(home):
+    location = place.resolve() if isinstance(place, Path) else _remote(place)
+    if not is_run(location):
         raise ConfigError(
-            "no such run directory", where=place, expected="a directory, or an address, that `fwclass run` has made",
+            "no such run directory",
+            where=place,
+            expected="a directory, or an address, that `fwclass run` has made",
             do="give its path",
-        )  # fmt: skip
-    return home
+        )
+    return location
 
 
 def _remote(place: Any) -> Any:
     """The run at an address; what this loads, a directory is found without."""
     from fwclass import conf as configuration
-    from fwclass.store.home import home_of
+    from fwclass.store.run_location import location_of
 
-    return home_of(place, configuration.section("store"))
+    return location_of(place, configuration.section("store"))
 
 
 def _looked(config: Any, request: Any) -> Any:
     """The parts of the run, looked at."""
-    from fwclass.run.status.look import look_at
+    from fwclass.operate.status.walk import look_at
     from workflows import WORKFLOWS
 
     return look_at(
-        home_of_run(request, config), lambda road: WORKFLOWS[request.workflow](config, road, request.wanted),
+        location_of_run(request, config),
+        lambda runner: WORKFLOWS[request.workflow](config, runner, request.wanted),
         config.run.accept_libraries,
-    )  # fmt: skip
+    )
 
 
 def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: str) -> None:
     """Make the part `only` (stage/part) in the plain loop, and nothing else."""
-    from fwclass.run.status.replay import task_alone
+    from fwclass.operate.status.replay import task_alone
 
     config, request = requested(conf, out, settings, workflow, None)
-    from fwclass.run.history import recorded
+    from fwclass.operate.history import recorded
 
-    home = home_of_run(request, config)
-    with recorded(home, request, only) as entry, open_road(home, 0, None, config.run) as road:
-        entry.begin(road)
+    location = location_of_run(request, config)
+    with recorded(location, request, only) as entry, open_runner(location, 0, None, config.run) as runner:
+        entry.begin(runner)
         task = task_alone(_looked(config, request), only, request)
-        road.do([task])
-        outcome = road.outcomes[task.name]
+        runner.do([task])
+        outcome = runner.outcomes[task.name]
         if not outcome.ok:
             tell_failures([outcome], request)
             sys.exit(PARTIAL)
@@ -131,9 +134,16 @@ def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: 
 @click.option("--verify", is_flag=True, help="Read all files of parts and of the delivery, and compare their digests.")
 @JSON
 def status(
-    conf_or_run: Any, out: Any, settings: tuple[str, ...], tiles: str | None, aoi: Path | None,
-    workflow: str, every: bool, verify: bool, as_json: bool,
-) -> None:  # fmt: skip
+    conf_or_run: Any,
+    out: Any,
+    settings: tuple[str, ...],
+    tiles: str | None,
+    aoi: Path | None,
+    workflow: str,
+    every: bool,
+    verify: bool,
+    as_json: bool,
+) -> None:
     """Tell which parts of a run are done, stale (and why), missing, running or failed; nothing is made.
 
     A run directory is looked at as its last `fwclass run` was asked for; a configuration with the words given here.
@@ -141,33 +151,37 @@ def status(
     """
     little_garbage()
     from fwclass import conf as configuration
-    from fwclass.run.request import Request
-    from fwclass.store.home import held_by, open_store
+    from fwclass.operate.request import Request
+    from fwclass.store.run_location import held_by, open_store
     from fwclass.store.url import is_url
 
     if is_url(conf_or_run) or conf_or_run.is_dir():
         if out is not None or settings or tiles or aoi or workflow != "classification":
             raise ConfigError(
-                "a run directory is looked at as its run was asked for", where=conf_or_run,
+                "a run directory is looked at as its run was asked for",
+                where=conf_or_run,
                 do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
-            )  # fmt: skip
-        home = run_at(conf_or_run)
-        request = Request.kept(open_store(home, read_only=True))
+            )
+        location = run_at(conf_or_run)
+        request = Request.kept(open_store(location, read_only=True))
         config = configuration.load(request.conf, request.settings)
     else:
         if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():
             raise ConfigError(
-                "no such run directory", where=conf_or_run, expected="a directory that `fwclass run` has made, or a "
-                "configuration (a YAML file, or the name of one that comes with fwclass)", do="give its path",
-            )  # fmt: skip
+                "no such run directory",
+                where=conf_or_run,
+                expected="a directory that `fwclass run` has made, or a "
+                "configuration (a YAML file, or the name of one that comes with fwclass)",
+                do="give its path",
+            )
         config, request = requested(conf_or_run, out, settings, workflow, chosen(tiles, aoi))
-    from fwclass.run.schedule.state import standing
-    from fwclass.run.status.told import as_data, as_text
+    from fwclass.operate.schedule.state import standing
+    from fwclass.operate.status.summary import as_data, as_text
 
-    home = home_of_run(request, config)
-    writer, scheduled = held_by(home), standing(home)
+    location = location_of_run(request, config)
+    writer, scheduled = held_by(location), standing(location)
     looked = _looked(config, request)
-    from fwclass.run.status import verify as verifying
+    from fwclass.operate.status import verify as verifying
 
     verified = verifying.verify(looked.store) if verify else None
     if as_json:
@@ -178,7 +192,7 @@ def status(
     else:
         if scheduled is not None:
             when = f"next {scheduled['next']}" if scheduled.get("next") else "waits for files"
-            when += "" if isinstance(home, Path) else f", heard of {scheduled.get('heartbeat')}"
+            when += "" if isinstance(location, Path) else f", heard of {scheduled.get('heartbeat')}"
             told = f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}"
             click.echo(visible(told))
         click.echo(as_text(looked, request, writer, every))

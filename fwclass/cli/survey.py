@@ -10,8 +10,8 @@ from typing import Any
 import click
 
 from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, PATH, RUN, SCHEDULER, SET, WORKERS, cli, little_garbage
-from fwclass.cli.road import open_road, report_path, tell_failures
-from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, home_of_run, out_directory, requested
+from fwclass.cli.runner import open_runner, report_path, tell_failures
+from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, location_of_run, out_directory, requested
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
 
 
@@ -28,29 +28,28 @@ class How:
 
 
 def _run(
-    conf: Path, out: Any, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str,
-    how: How,
-) -> None:  # fmt: skip
+    conf: Path, out: Any, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str, how: How
+) -> None:
     little_garbage()
     config, request = requested(conf, out, settings, workflow, tiles)
     root = out_directory(out, config)
     count = config.run.workers if how.workers is None else how.workers
     performance = report_path(how.page, root, count, how.scheduler)
-    from fwclass.run.history import recorded
+    from fwclass.operate.history import recorded
 
     if request.aoi is not None:
         request.wanted.check()
     _check_apart(request.root, config)
-    from fwclass.store.home import unmade_again
+    from fwclass.store.run_location import unmade_again
 
-    home = home_of_run(request, config)
-    with unmade_again(home), recorded(home, request) as entry:
+    location = location_of_run(request, config)
+    with unmade_again(location), recorded(location, request) as entry:
         _walk(config, request, root, replace(how, workers=count), performance, entry)
 
 
 def _check_apart(root: str, config: Any) -> None:
     """`ConfigError` for a run directory that is the sources' own: what it delivers would be found among them."""
-    from fwclass.run.survey import directory_of
+    from fwclass.graph.survey import directory_of
     from fwclass.store.url import is_url, url_of
 
     if config.simulated:
@@ -59,53 +58,56 @@ def _check_apart(root: str, config: Any) -> None:
     there = directory_of(config, Path(root))
     if where == (there.resolve() if isinstance(there, Path) else there):
         raise ConfigError(
-            "the run directory is the directory of the sources", where="--out", got=root,
-            expected="a directory for this run alone", do="name another, for example one beside it",
-        )  # fmt: skip
+            "the run directory is the directory of the sources",
+            where="--out",
+            got=root,
+            expected="a directory for this run alone",
+            do="name another, for example one beside it",
+        )
 
 
-def _verify(road: Any) -> None:
+def _verify(runner: Any) -> None:
     """Remove what is damaged, with all that was made from it: this run makes it anew."""
-    from fwclass.run.status import verify as verifying
+    from fwclass.operate.status import verify as verifying
 
-    road.display.say("verify           all files of the store and of the delivery are read")
-    road.verify = True
-    verified = verifying.verify(road.store)
+    runner.display.say("verify           all files of the store and of the delivery are read")
+    runner.verify = True
+    verified = verifying.verify(runner.store)
     if verified.sound:
-        road.display.say("verify           they have the bytes that were written")
+        runner.display.say("verify           they have the bytes that were written")
         return
     for line in verifying.rows(verified):
-        road.display.say(line)
-    verifying.remove(verified, road.store)
+        runner.display.say(line)
+    verifying.remove(verified, runner.store)
 
 
 def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
     from fwclass.assess.stage import judge
-    from fwclass.run import plausibility
-    from fwclass.run.report import REPORT, summary
+    from fwclass.graph import plausibility
+    from fwclass.graph.report import REPORT, summary
     from workflows import WORKFLOWS
 
-    with open_road(entry.home, how.workers or 0, how.scheduler, config.run, performance) as road:
-        road.store.generations.check_links()
-        request.keep(road.store)
-        road.fail_fast = how.fail_fast
-        entry.begin(road)
+    with open_runner(entry.location, how.workers or 0, how.scheduler, config.run, performance) as runner:
+        runner.store.generations.check_links()
+        request.keep(runner.store)
+        runner.fail_fast = how.fail_fast
+        entry.begin(runner)
         if how.verify:
-            _verify(road)
+            _verify(runner)
         report: Any = None
         try:
-            report = WORKFLOWS[request.workflow](config, road, request.wanted)
-            made = road.publish(config.run.keep_generations)
+            report = WORKFLOWS[request.workflow](config, runner, request.wanted)
+            made = runner.publish(config.run.keep_generations)
         except (FwclassError, OSError) as fault:
             after = report is None and isinstance(fault, FwclassError)
-            if after and (road.pending / REPORT).exists():  # what came after the delivery has failed
-                entry.generation = road.publish(config.run.keep_generations).number
-            if road.failures:
-                tell_failures(road.failures, request)
+            if after and (runner.pending / REPORT).exists():  # what came after the delivery has failed
+                entry.generation = runner.publish(config.run.keep_generations).number
+            if runner.failures:
+                tell_failures(runner.failures, request)
             raise
         entry.generation = made.number
-        failures = road.failures
-        shown = road.store.generations.current()
+        failures = runner.failures
+        shown = runner.store.generations.current()
     aside = shown is not None and shown.number != made.number
     click.echo(summary(report, made.where if aside or isinstance(root, str) else root), err=True)
     if aside and shown is not None:
@@ -135,9 +137,11 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
 @SCHEDULER
 @WORKERS
 @click.option(
-    "--keep-going/--fail-fast", default=True, show_default=True,
+    "--keep-going/--fail-fast",
+    default=True,
+    show_default=True,
     help="After a part has failed: make all that does not need it, or stop at once.",
-)  # fmt: skip
+)
 @click.option(
     "--accept-libraries", is_flag=True, help="Parts made with other versions of libraries are done (see `status`)."
 )
@@ -149,14 +153,28 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     help="First read all files of parts and of the delivery; make anew what is damaged, and what was made from it.",
 )
 @click.option(
-    "--report", metavar="[FILE.html]", is_flag=False, flag_value="",
+    "--report",
+    metavar="[FILE.html]",
+    is_flag=False,
+    flag_value="",
     help="Write Dask's performance report (default: performance.html in the run directory); needs bokeh.",
-)  # fmt: skip
+)
 def run(
-    conf: Path, out: Any, settings: tuple[str, ...], tiles: str | None, aoi: Path | None, workflow: str,
-    scheduler: str | None, workers: int | None, keep_going: bool, accept_libraries: bool, accept_implausible: bool,
-    only: str | None, verify: bool, report: str | None,
-) -> None:  # fmt: skip
+    conf: Path,
+    out: Any,
+    settings: tuple[str, ...],
+    tiles: str | None,
+    aoi: Path | None,
+    workflow: str,
+    scheduler: str | None,
+    workers: int | None,
+    keep_going: bool,
+    accept_libraries: bool,
+    accept_implausible: bool,
+    only: str | None,
+    verify: bool,
+    report: str | None,
+) -> None:
     """Run a survey from its files to classified tiles; what is already done is skipped."""
     settings += ("run.accept_libraries=true",) if accept_libraries else ()
     settings += ("plausibility.accept=true",) if accept_implausible else ()
@@ -166,9 +184,10 @@ def run(
         return
     if tiles or aoi or scheduler or workers or verify or report is not None:
         raise ConfigError(
-            "--only makes one part, in this process", where="--only",
+            "--only makes one part, in this process",
+            where="--only",
             do="leave --tiles, --aoi, --scheduler, --workers, --verify and --report out",
-        )  # fmt: skip
+        )
     alone(conf, out, settings, workflow, only)
 
 
@@ -188,7 +207,7 @@ def demo(out: Path, workers: int | None) -> None:
 def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | None) -> None:
     """Simulate a survey: LAS + WDP strips and reference labels."""
     from fwclass import conf as configuration
-    from fwclass.run.survey import simulate_tasks
+    from fwclass.graph.survey import simulate_tasks
 
     config = configuration.load(conf, settings)
     if config.simulate is None:
@@ -199,9 +218,9 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | No
             do="name a configuration that simulates, as demo",
         )
     count = config.run.workers if workers is None else workers
-    with open_road(out, count, None, config.run) as road:
-        receipts = road.do(simulate_tasks(config.simulate, "."))
-        failures = road.failures
+    with open_runner(out, count, None, config.run) as runner:
+        receipts = runner.do(simulate_tasks(config.simulate, "."))
+        failures = runner.failures
     pulses = sum(int(r.meta.get("pulses", 0)) for r in receipts.values())
     click.echo(f"{pulses:,} pulses in {out / 'strips'}, reference in {out / 'reference'}", err=True)
     if failures:

@@ -27,8 +27,14 @@ def _share(name: str, meaning: str, scales: str = ALL, source: str = "", **more:
 FEATURES = (
     # places without a scale
     _feature(
-        "zc", "m", "z minus the lowest z of the 12 m x 10 m cell", "", "Fan 2013, 2.1",
-        low=0, las="zc", las_about="above the lowest of its cell",
+        "zc",
+        "m",
+        "z minus the lowest z of the 12 m x 10 m cell",
+        "",
+        "Fan 2013, 2.1",
+        low=0,
+        las="zc",
+        las_about="above the lowest of its cell",
     ),
     _feature("optimal_radius", "m", "the radius whose eigenentropy is lowest", "", WEINMANN, low=0),
     _feature("pulse_intensity_variance", "", "variance of the intensities of the pulse's echoes", "", PV, low=0),
@@ -38,8 +44,12 @@ FEATURES = (
     _feature("density", "1/m2", "N over the area of the circle or cell", "cg", low=0),
     _feature("reach", "m", "distance of the furthest of the nearest echoes", "k", low=0),
     _share(
-        "echo_ratio", "echoes in the sphere / echoes in the vertical cylinder of its radius", "r", "Fan 2013, eq. 2",
-        las="echo ratio", las_about="echoes in sphere / in cylinder",
+        "echo_ratio",
+        "echoes in the sphere / echoes in the vertical cylinder of its radius",
+        "r",
+        "Fan 2013, eq. 2",
+        las="echo ratio",
+        las_about="echoes in sphere / in cylinder",
     ),
     # heights
     _feature("height_range", "m", "max z_i - min z_i", ALL, XIONG, low=0),
@@ -68,17 +78,33 @@ FEATURES = (
     _share("surface_variation", "s3, the change of curvature", SHAPE, "Pauly 2003"),
     _share("verticality", "1 - |n_z| of the normal n", SHAPE, "Demantke 2012"),
     _feature(
-        "inclination", "deg", "angle between local normal and vertical", SHAPE, "Fan 2013, A; Shi 2019, beta",
-        low=0, high=90, las="inclination", las_about="local normal to vertical",
+        "inclination",
+        "deg",
+        "angle between local normal and vertical",
+        SHAPE,
+        "Fan 2013, A; Shi 2019, beta",
+        low=0,
+        high=90,
+        las="inclination",
+        las_about="local normal to vertical",
     ),
     _feature(
-        "oriented_inclination", "deg", "angle between consistently oriented normal and vertical", "r",
-        "Fan 2013, 2.2 (propagation)", low=0, high=180,
+        "oriented_inclination",
+        "deg",
+        "angle between consistently oriented normal and vertical",
+        "r",
+        "Fan 2013, 2.2 (propagation)",
+        low=0,
+        high=180,
     ),
     _feature("roughness", "m", "distance of the echo from the fitted plane", SHAPE, XIONG, low=0),
     _feature("plane_range", "m", "extent of the neighbourhood along the normal", SHAPE, XIONG, low=0),
     _feature(
-        "plane_std", "m", "sqrt(l3), root mean square distance from the fitted plane", SHAPE, "Xiong 2018; Shi 2019, R",
+        "plane_std",
+        "m",
+        "sqrt(l3), root mean square distance from the fitted plane",
+        SHAPE,
+        "Xiong 2018; Shi 2019, R",
         low=0,
     ),
     # kinds of echoes; single + first of several + intermediate + last of several = 1
@@ -96,4 +122,4 @@ FEATURES = (
     _feature("width_std", "ns", "standard deviation of echo width", ALL, low=0),
     _feature("intensity_mean", "", "mean intensity", ALL, "Xiong 2018, AI", low=0),
     _feature("intensity_std", "", "standard deviation of intensity", ALL, low=0),
-)  # fmt: skip
+)

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 NAN = float("nan")
 
 SCALES = {
-    "r": "sphere of radius", "c": "vertical cylinder of radius", "k": "nearest echoes, itself included,",
-    "g": "cell of edge", "o": "sphere of optimal radius",
-}  # fmt: skip
+    "r": "sphere of radius",
+    "c": "vertical cylinder of radius",
+    "k": "nearest echoes, itself included,",
+    "g": "cell of edge",
+    "o": "sphere of optimal radius",
+}
 """Kinds of neighbourhood. ``_r100``, ``_c100``, ``_g100``: centimetres; ``_k20``: echoes; ``_opt``: no size."""
 
 PER_CODE = "p"

@@ -138,9 +138,10 @@ def _explain(name: str, model: type[BaseModel], error: Any) -> str:
 
 
 _RULES = {
-    "too_short": "at least one is wanted", "string_too_short": "a text that is not empty is wanted",
+    "too_short": "at least one is wanted",
+    "string_too_short": "a text that is not empty is wanted",
     "string_pattern_mismatch": "a name of letters and digits is wanted, with no more than `_`, `-` and `.` in it",
-}  # fmt: skip
+}
 """What to say where the kind is right and the value is not."""
 
 _WANTED = {
@@ -173,24 +174,27 @@ def _check(config: Config) -> None:
         raise ConfigError("class codes lie in 1 to 255", where=f"{where}: survey.classes", got=codes + used)
     if config.terrain.block > MOST_CELLS * config.publish.class_cell:
         raise ConfigError(
-            "the cells of the class raster are too small", where=f"{where}: publish.class_cell",
+            "the cells of the class raster are too small",
+            where=f"{where}: publish.class_cell",
             expected=f"at least {config.terrain.block / MOST_CELLS:g} m: {MOST_CELLS:,} in a block (terrain.block)",
-            got=f"{config.publish.class_cell:g} m", do="make them larger, or the blocks smaller",
-        )  # fmt: skip
+            got=f"{config.publish.class_cell:g} m",
+            do="make them larger, or the blocks smaller",
+        )
     weights = config.train.class_weights
     for name in weights if isinstance(weights, Mapping) else ():
         if name not in names:
             raise ConfigError(
-                f"no class is called {name!r}", where=f"{where}: train.class_weights", expected=", ".join(names),
-                got=name, do=nearest(name, names),
-            )  # fmt: skip
+                f"no class is called {name!r}",
+                where=f"{where}: train.class_weights",
+                expected=", ".join(names),
+                got=name,
+                do=nearest(name, names),
+            )
     for kind in ("train", "test"):
         for box in getattr(config.areas, kind):
             if not all(map(math.isfinite, box)) or box[0] >= box[2] or box[1] >= box[3]:
                 raise ConfigError(
-                    "an area is [xmin, ymin, xmax, ymax] with min < max",
-                    where=f"{where}: areas.{kind}",
-                    got=box,
+                    "an area is [xmin, ymin, xmax, ymax] with min < max", where=f"{where}: areas.{kind}", got=box
                 )
     if config.survey.model is None:
         if config.survey.reference.kind == "none":
@@ -201,7 +205,5 @@ def _check(config: Config) -> None:
             )
         if not config.areas.train:
             raise ConfigError(
-                "no training area",
-                where=f"{where}: areas.train",
-                do="list at least one box [xmin, ymin, xmax, ymax]",
+                "no training area", where=f"{where}: areas.train", do="list at least one box [xmin, ymin, xmax, ymax]"
             )

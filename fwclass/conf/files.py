@@ -149,14 +149,17 @@ def read(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _SIZE_LIMIT:
             raise ConfigError(
-                "a configuration this large is not one", where=path, expected=f"at most {_SIZE_LIMIT} bytes",
-                got=f"{path.stat().st_size} bytes", do="check the path",
-            )  # fmt: skip
+                "a configuration this large is not one",
+                where=path,
+                expected=f"at most {_SIZE_LIMIT} bytes",
+                got=f"{path.stat().st_size} bytes",
+                do="check the path",
+            )
         with open_regular(path) as file:
             text = file.read().decode("utf-8")
         value = plain(text, path.resolve().is_relative_to(conf_directory()))
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as fault:
-        told = _told(fault, path.name)
+        told = _message(fault, path.name)
         tabs = "indent with spaces: YAML knows no tabs" if "\\t" in told else "mend the YAML at the place named"
         raise ConfigError("a configuration cannot be read", where=path, got=told[:1000], do=tabs) from fault
     if value is None:
@@ -166,7 +169,7 @@ def read(path: Path) -> dict[str, Any]:
     return value
 
 
-def _told(fault: Exception, name: str) -> str:
+def _message(fault: Exception, name: str) -> str:
     """What is wrong and where; the lines themselves, which the fault's own text quotes, may hold a secret."""
     if not isinstance(fault, yaml.MarkedYAMLError):
         return " ".join(str(fault).split()).replace('"<unicode string>"', name)
@@ -196,7 +199,7 @@ def setting(text: str) -> dict[str, Any]:
     try:
         result: Any = plain(value)
     except yaml.YAMLError as fault:
-        told = _told(fault, "the value")
+        told = _message(fault, "the value")
         raise ConfigError(
             "the value of --set cannot be read", where=f"--set {redacted_setting(text)}", got=told
         ) from fault

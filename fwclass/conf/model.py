@@ -31,7 +31,7 @@ from fwclass.simulate.params import SimulateParams
 from fwclass.store.params import StoreParams
 from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
-from fwclass.train.others.params import CompareParams
+from fwclass.train.baselines.params import CompareParams
 from fwclass.train.params import TrainParams
 
 

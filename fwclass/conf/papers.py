@@ -121,7 +121,9 @@ def checked(name: str, printed: dict[str, Any], where: object) -> dict[str, Any]
     except ValidationError as fault:
         told = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in fault.errors()[:5])
         raise ConfigError(
-            "the figures of a paper are wrong", where=where, got=told,
+            "the figures of a paper are wrong",
+            where=where,
+            got=told,
             do="mend the entry; in {…} a text with a comma needs quotes",
-        ) from fault  # fmt: skip
+        ) from fault
     return printed

@@ -84,9 +84,20 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
         rows = np.flatnonzero(spacing == step)
         echoes = _room(len(rows) * most)
         total = fit_all(
-            waves.samples, waves.offsets, rows, top, channels, channel_of, _settings(params, pulse, step), most,
-            int(lengths[rows].max()), lookup(pulse, step, params.narrowest, params.widest), count, *row_values, echoes,
-        )  # fmt: skip
+            waves.samples,
+            waves.offsets,
+            rows,
+            top,
+            channels,
+            channel_of,
+            _settings(params, pulse, step),
+            most,
+            int(lengths[rows].max()),
+            lookup(pulse, step, params.narrowest, params.widest),
+            count,
+            *row_values,
+            echoes,
+        )
         parts.append(_in_ns(echoes, total, float(step)))
     return _gathered(count, row_values, parts, params, pulse)
 

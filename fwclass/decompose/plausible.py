@@ -49,9 +49,12 @@ class Plausibility:
 
 
 def judge(
-    echoes: Mapping[str, NDArray], to_return: NDArray[np.int64], waves: Waveforms, around: Surroundings,
+    echoes: Mapping[str, NDArray],
+    to_return: NDArray[np.int64],
+    waves: Waveforms,
+    around: Surroundings,
     params: DecomposeParams,
-) -> Plausibility:  # fmt: skip
+) -> Plausibility:
     """Hold the fitted echoes of a chunk against the returns of their strip.
 
     An echo that a return of its pulse explains is plausible, and so is every echo of a pulse whose returns are not all

@@ -50,9 +50,15 @@ class Echoes:
 
     def take(self, index: NDArray) -> Echoes:
         return Echoes(
-            self.y[index], self.u[index], self.noise[index], self.amplitude[index], self.time[index],
-            self.size[index], self.size_sd[index], self.misfit[index],
-        )  # fmt: skip
+            self.y[index],
+            self.u[index],
+            self.noise[index],
+            self.amplitude[index],
+            self.time[index],
+            self.size[index],
+            self.size_sd[index],
+            self.misfit[index],
+        )
 
     def __len__(self) -> int:
         return len(self.noise)

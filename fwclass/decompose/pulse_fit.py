@@ -158,8 +158,8 @@ def _rms_near(residual, weight, pad, n, t, reach):  # type: ignore[no-untyped-de
 
 @inlined
 def fit_pulse(  # type: ignore[no-untyped-def]
-    samples, first, n, top, channel, settings, most, look, p, errors, y, weight, bins, work, spare,
-):  # fmt: skip
+    samples, first, n, top, channel, settings, most, look, p, errors, y, weight, bins, work, spare
+):
     """Echoes of one waveform into `p`, sorted by time, level less the returned base, and their standard errors into
     `errors`: (count, base, noise, misfit).
 
@@ -216,9 +216,25 @@ def fit_pulse(  # type: ignore[no-untyped-def]
     limits = (settings.narrowest, settings.widest, settings.iterations, settings.tolerance * variance, highest)
     chi = fit(p, count, y, weight, pad, n, prior, limits, look, sums, work)
     count, chi = second_look(
-        p, count, chi, y, weight, pad, n, prior, limits, float(used), (variance, quiet), known, settings, most, look,
-        sums, work, spare,
-    )  # fmt: skip
+        p,
+        count,
+        chi,
+        y,
+        weight,
+        pad,
+        n,
+        prior,
+        limits,
+        float(used),
+        (variance, quiet),
+        known,
+        settings,
+        most,
+        look,
+        sums,
+        work,
+        spare,
+    )
     while count > 0:
         final, freedom = posterior(chi, used - 3.0 * count - 1.0, known)
         least, k = _weakest(p, count, weight, basis, window, math.sqrt(final))
@@ -283,9 +299,22 @@ def _standard_errors(p, count, weight, noise, prior_information, sums, work, out
 
 @kernel
 def fit_all(  # type: ignore[no-untyped-def]
-    samples, offsets, rows, top, channels, channel_of, settings, most, length, look, count, baseline, noise, misfit,
+    samples,
+    offsets,
+    rows,
+    top,
+    channels,
+    channel_of,
+    settings,
+    most,
+    length,
+    look,
+    count,
+    baseline,
+    noise,
+    misfit,
     echoes,
-):  # fmt: skip
+):
     """The waveforms `rows` of a batch, all of one sample spacing; how many echoes.
 
     Parameters
@@ -304,9 +333,16 @@ def fit_all(  # type: ignore[no-untyped-def]
     padded = length + look.before + look.after + 4
     longest = look.table.shape[2]
     work = (
-        np.zeros(padded), np.empty((most, 3, longest)), np.zeros((most, 4), np.int64), np.empty((size, size)),
-        np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size), np.zeros(size),
-    )  # fmt: skip
+        np.zeros(padded),
+        np.empty((most, 3, longest)),
+        np.zeros((most, 4), np.int64),
+        np.empty((size, size)),
+        np.empty(size),
+        np.empty((size, size)),
+        np.empty(size),
+        np.empty(size),
+        np.zeros(size),
+    )
     spare = (np.zeros(padded), np.empty(length), np.empty(size), np.empty(size), np.zeros(most, np.bool_))
     y, weight, p, errors = np.zeros(padded), np.zeros(padded), np.empty(size), np.empty(size)
     bins, drop = np.empty(BINS + 1, np.int32), np.zeros(most, np.bool_)

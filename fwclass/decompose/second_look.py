@@ -121,8 +121,8 @@ def _pays(chi, new, freedom, gain, known):  # type: ignore[no-untyped-def]
 
 @inlined
 def second_look(  # type: ignore[no-untyped-def]
-    p, count, chi, y, weight, pad, n, prior, limits, used, quiet, known, settings, most, look, sums, work, spare,
-):  # fmt: skip
+    p, count, chi, y, weight, pad, n, prior, limits, used, quiet, known, settings, most, look, sums, work, spare
+):
     """Add or split echoes while the fit gains significantly; (echoes, chi).
 
     `quiet` is (variance, degrees of freedom) of the noise as first estimated. On return `residual`, `basis` and

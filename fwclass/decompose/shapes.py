@@ -158,11 +158,21 @@ def lookup(pulse: SystemPulse, spacing: float, narrowest: float, widest: float) 
         score[k] = _score(table[k, 0].astype(np.float64))
     template, template_first, response, response_first, energy = _template(profiles, spacing)
     return Lookup(
-        table.reshape(widths * phases, 6, -1), first, length, phases, low * profiles.s0 / spacing,
-        WIDTH_STEP * profiles.s0 / spacing, score, template, template_first, response, response_first, energy,
+        table.reshape(widths * phases, 6, -1),
+        first,
+        length,
+        phases,
+        low * profiles.s0 / spacing,
+        WIDTH_STEP * profiles.s0 / spacing,
+        score,
+        template,
+        template_first,
+        response,
+        response_first,
+        energy,
         -int(first.min()) + 1,
         int((first + length).max()) + 1,
-    )  # fmt: skip
+    )
 
 
 def _quadratic(

@@ -28,7 +28,7 @@ from fwclass.features.moments import (
     wide_heights,
     wide_squares,
     widen_range,
-)  # fmt: skip
+)
 from fwclass.kernel import kernel
 from fwclass.schema import Table
 

@@ -88,7 +88,7 @@ def thinned(chunk: Chunk, params: FeaturesParams) -> Thinned | None:
     return Thinned(Chunk(chunk.table.take(kept), core, chunk.tile), source)
 
 
-def told_crowd(chunk: Chunk, params: FeaturesParams) -> dict[str, Any] | None:
+def crowd_facts(chunk: Chunk, params: FeaturesParams) -> dict[str, Any] | None:
     """What of the core lies in dense cubes, see `Crowd.told`; None where nothing does."""
     place = _millimetres(chunk.table)
     dense, count = _dense(place, params)

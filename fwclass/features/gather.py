@@ -19,7 +19,7 @@ from fwclass.neighbours import MAX_CELLS, sort_by_cell
 from fwclass.schema import Table
 
 LANES = 16
-"""Neighbours at one radius are filled up with places of nought to a multiple of this: whole vectors, no rest."""
+"""Neighbours at one radius are filled up with places of zero to a multiple of this: whole vectors, no rest."""
 
 DEEPEST = 1 << 24
 """Heights of one chunk may differ by less than this [mm]."""
@@ -171,7 +171,7 @@ def candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, x, y, z):
 
 @kernel
 def carried(values, start, ncols, nrows, half, row, col, to):  # type: ignore[no-untyped-def]
-    """Copy what the `candidates` of a cell carry; nought for those that fill up."""
+    """Copy what the `candidates` of a cell carry; zero for those that fill up."""
     m = np.uint64(0)
     reach = len(half) - 1
     for r in range(max(row - reach, 0), min(row + reach + 1, nrows)):
@@ -261,7 +261,7 @@ def order(near, n, shell, places, ordered):  # type: ignore[no-untyped-def]
 
 @inlined
 def fill(x, y, z, near, n, px, py, pz, to_x, to_y, to_z, used):  # type: ignore[no-untyped-def]
-    """Copy the first `n` of `near`, relative to (px, py, pz), to place `used` and on, and nought up to whole `LANES`.
+    """Copy the first `n` of `near`, relative to (px, py, pz), to place `used` and on, and zero up to whole `LANES`.
 
     Returns the place behind.
     """

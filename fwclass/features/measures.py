@@ -44,20 +44,36 @@ from fwclass.features.moments import (
     X,
     Y,
     Z,
-)  # fmt: skip
+)
 from fwclass.kernel import inlined, kernel
 from fwclass.units import QUANTUM
 
 _COUNTS = ("count", "density", "reach", "echo_ratio")
 _HEIGHTS = (
-    "height_range", "height_std", "height_variance", "height_skewness", "height_kurtosis", "height_above_mean",
-    "height_above_lowest", "height_below_highest",
-)  # fmt: skip
+    "height_range",
+    "height_std",
+    "height_variance",
+    "height_skewness",
+    "height_kurtosis",
+    "height_above_mean",
+    "height_above_lowest",
+    "height_below_highest",
+)
 _RANKS = tuple(f"height_above_p{p:02d}" for p in PERCENTILES)
 _EIGEN = (
-    "eigenvalue_1", "eigenvalue_2", "eigenvalue_3", "eigenvalue_sum", "linearity", "planarity", "sphericity",
-    "anisotropy", "surface_variation", "omnivariance", "eigenentropy", "plane_std",
-)  # fmt: skip
+    "eigenvalue_1",
+    "eigenvalue_2",
+    "eigenvalue_3",
+    "eigenvalue_sum",
+    "linearity",
+    "planarity",
+    "sphericity",
+    "anisotropy",
+    "surface_variation",
+    "omnivariance",
+    "eigenentropy",
+    "plane_std",
+)
 _NORMAL = ("verticality", "inclination", "roughness", "plane_range", "normal_x", "normal_y", "normal_z")
 _KINDS = ("single_share", "first_share", "intermediate_share", "last_share", "egi", "ebi", "evi")
 _VALUES = ("amplitude_mean", "amplitude_std", "width_mean", "width_std", "intensity_mean", "intensity_std")
@@ -68,14 +84,30 @@ CODE = {base: code for code, base in enumerate(BASES)}
 
 COUNT, DENSITY, FURTHEST, ECHO_RATIO = range(4)
 (
-    HEIGHT_RANGE, HEIGHT_STD, HEIGHT_VARIANCE, HEIGHT_SKEWNESS, HEIGHT_KURTOSIS, ABOVE_MEAN, ABOVE_LOWEST,
+    HEIGHT_RANGE,
+    HEIGHT_STD,
+    HEIGHT_VARIANCE,
+    HEIGHT_SKEWNESS,
+    HEIGHT_KURTOSIS,
+    ABOVE_MEAN,
+    ABOVE_LOWEST,
     BELOW_HIGHEST,
-) = range(4, 12)  # fmt: skip
+) = range(4, 12)
 ABOVE_RANK = 12
 (
-    SHARE_1, SHARE_2, SHARE_3, EIGENVALUE_SUM, LINEARITY, PLANARITY, SPHERICITY, ANISOTROPY, SURFACE_VARIATION,
-    OMNIVARIANCE, EIGENENTROPY, PLANE_STD,
-) = range(19, 31)  # fmt: skip
+    SHARE_1,
+    SHARE_2,
+    SHARE_3,
+    EIGENVALUE_SUM,
+    LINEARITY,
+    PLANARITY,
+    SPHERICITY,
+    ANISOTROPY,
+    SURFACE_VARIATION,
+    OMNIVARIANCE,
+    EIGENENTROPY,
+    PLANE_STD,
+) = range(19, 31)
 VERTICALITY, INCLINATION, ROUGHNESS, PLANE_RANGE, NORMAL_X = range(31, 36)
 SINGLES, FIRSTS, BETWEENS, LASTS, EGI, EBI, EVI = range(38, 45)
 VALUES = 45
@@ -145,7 +177,7 @@ def measure(code, m, s, out):  # type: ignore[no-untyped-def]
 @kernel
 def _scaled(values, unit, out):  # type: ignore[no-untyped-def]
     for k in range(len(out)):
-        out[k] = values[k] * unit + 0.0  # no minus nought
+        out[k] = values[k] * unit + 0.0  # no minus zero
 
 
 @kernel

@@ -49,9 +49,25 @@ def nearest_echoes(
         part = wanted[first : first + BATCH]
         keys, number = found[: len(part)], count[: len(part)]
         nearest(
-            columns.x, columns.y, columns.z, index.x, index.y, index.z, index.order, index.start, index.ncols,
-            index.nrows, index.cell, part, k, reach, room[0], room[1], keys, number,
-        )  # fmt: skip
+            columns.x,
+            columns.y,
+            columns.z,
+            index.x,
+            index.y,
+            index.z,
+            index.order,
+            index.start,
+            index.ncols,
+            index.nrows,
+            index.cell,
+            part,
+            k,
+            reach,
+            room[0],
+            room[1],
+            keys,
+            number,
+        )
         moments, shape = np.zeros((MOMENTS, len(part))), np.empty((SHAPES, len(part)))
         _fill(places, keys, number, *attributes, needed.powers, needed.percentiles, moments)
         if needed.shape or needed.extent:

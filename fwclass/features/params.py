@@ -103,17 +103,21 @@ def check_scale(name: str, where: object) -> None:
     if not is_feature(name) and kind in COLUMNS[name[: end.start()]].scales:
         zero = set(digits) <= {"0"}
         raise ConfigError(
-            f"{name!r} is not a feature: the size must be positive" if zero
+            f"{name!r} is not a feature: the size must be positive"
+            if zero
             else f"{name!r} is not a feature: its size is not a size",
             where=where,
             expected=f"echoes, 1 to {MAX_NEAREST}" if kind == "k" else "centimetres, 1 to 10000, without leading 0",
             got=digits,
-        )  # fmt: skip
+        )
     if kind == "k" and int(digits) > MAX_NEAREST:
         raise ConfigError(
-            f"{name!r} asks for too many neighbours", where=where, expected=f"at most {MAX_NEAREST} nearest echoes",
-            got=digits, do="take fewer, or a sphere: planarity_r300 is one of 3 m",
-        )  # fmt: skip
+            f"{name!r} asks for too many neighbours",
+            where=where,
+            expected=f"at most {MAX_NEAREST} nearest echoes",
+            got=digits,
+            do="take fewer, or a sphere: planarity_r300 is one of 3 m",
+        )
 
 
 def meant(name: str, others: Iterable[str] = ()) -> str:

@@ -58,7 +58,7 @@ def choose(task, block, filled, chosen):  # type: ignore[no-untyped-def]
 def _extents(block, filled, q):  # type: ignore[no-untyped-def]
     """NEAR and FAR of radius number `q`, as `eigen.along_normal`, a whole vector at a time.
 
-    The echo itself, at nought, is always among its neighbours, so nought stands for what lies behind the last of them.
+    The echo itself, at zero, is always among its neighbours, so zero stands for what lies behind the last of them.
     """
     x, y, z, begin, ends = block.x, block.y, block.z, block.begin, block.ends
     shape, moments = block.shape[q], block.moments[q]

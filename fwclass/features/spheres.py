@@ -162,6 +162,14 @@ def _block(task: Task, room: int, values: Values) -> Block:
     moments[:, AREA] = (np.pi * (task.radii * 0.001) ** 2)[:, None]
     x, y, z = (np.empty(room, np.float32) for _ in range(3))
     return Block(
-        x, y, z, values.room(room), np.zeros(BLOCK, np.int64), np.zeros((BLOCK, count), np.int64),
-        np.zeros(BLOCK, np.uint64), moments, np.full((count, SHAPES, STRIDE), np.nan), np.empty(BLOCK, np.float32),
-    )  # fmt: skip
+        x,
+        y,
+        z,
+        values.room(room),
+        np.zeros(BLOCK, np.int64),
+        np.zeros((BLOCK, count), np.int64),
+        np.zeros(BLOCK, np.uint64),
+        moments,
+        np.full((count, SHAPES, STRIDE), np.nan),
+        np.empty(BLOCK, np.float32),
+    )

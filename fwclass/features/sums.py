@@ -31,7 +31,7 @@ from fwclass.features.moments import (
     Z,
     wide_heights,
     wide_squares,
-)  # fmt: skip
+)
 from fwclass.features.percentiles import percentiles
 from fwclass.kernel import inlined, kernel, vectorised
 

@@ -24,17 +24,10 @@ from fwclass.features.gather import (
     fill_values,
     order,
     shells,
-)  # fmt: skip
+)
 from fwclass.features.moments import AMPLITUDE, CYLINDER, INTENSITY, WIDTH
 from fwclass.features.settle import settle
-from fwclass.features.sums import (
-    rank_heights,
-    sum_heights,
-    sum_kinds,
-    sum_places,
-    sum_values,
-    sum_wide,
-)  # fmt: skip
+from fwclass.features.sums import rank_heights, sum_heights, sum_kinds, sum_places, sum_values, sum_wide
 from fwclass.features.within import sum_within
 from fwclass.kernel import kernel
 
@@ -153,7 +146,7 @@ class Block(NamedTuple):
     Attributes
     ----------
     x, y, z : neighbours relative to their echo [mm], echo after echo, from the nearest shell to the furthest; at a
-        single radius followed by nought up to a multiple of `LANES`.
+        single radius followed by zero up to a multiple of `LANES`.
     carried : what the neighbours carry.
     begin : int64 (BLOCK,), first neighbour of every echo; ends : int64 (BLOCK, Q), how many lie within each radius.
     rows : uint64 (BLOCK,), row of the result.
@@ -215,9 +208,31 @@ def walk(grid, values, task, scratch, block, begin_at, end_at, out, chosen):  # 
             at = first
             while at_once and at < last:
                 at, filled = sum_within(
-                    xs, ys, zs, wanted, first, at, last, x, y, z, kinds, amplitude, width, intensity, m, limits[0],
-                    level, among, shape, powers, picked, moments[0], rows, filled,
-                )  # fmt: skip
+                    xs,
+                    ys,
+                    zs,
+                    wanted,
+                    first,
+                    at,
+                    last,
+                    x,
+                    y,
+                    z,
+                    kinds,
+                    amplitude,
+                    width,
+                    intensity,
+                    m,
+                    limits[0],
+                    level,
+                    among,
+                    shape,
+                    powers,
+                    picked,
+                    moments[0],
+                    rows,
+                    filled,
+                )
                 if filled == BLOCK:
                     _finish(task, scratch, block, filled, out, chosen)
                     filled = 0

@@ -1,6 +1,6 @@
 """Sums of the neighbourhoods of one radius, straight from the candidates of a cell.
 
-Those too far away count as nought. That is more arithmetic than to pick the near ones first and add up those alone, but
+Those too far away count as zero. That is more arithmetic than to pick the near ones first and add up those alone, but
 all of it is done several candidates at a time, and nothing is moved.
 """
 
@@ -30,16 +30,38 @@ from fwclass.features.moments import (
     Z,
     wide_heights,
     wide_squares,
-)  # fmt: skip
+)
 from fwclass.features.sums import unpack_kinds
 from fwclass.kernel import inlined, kernel, vectorised
 
 
 @vectorised
 def sum_within(  # type: ignore[no-untyped-def]
-    xs, ys, zs, wanted, first, begin, last, x, y, z, kinds, amplitude, width, intensity, m, limit, level, among, shape,
-    powers, near, moments, rows, filled,
-):  # fmt: skip
+    xs,
+    ys,
+    zs,
+    wanted,
+    first,
+    begin,
+    last,
+    x,
+    y,
+    z,
+    kinds,
+    amplitude,
+    width,
+    intensity,
+    m,
+    limit,
+    level,
+    among,
+    shape,
+    powers,
+    near,
+    moments,
+    rows,
+    filled,
+):
     """Moments of the wanted ones of the sorted echoes ``begin … last - 1`` of a cell, to columns `filled` and on.
 
     The first `m` of `x`, `y`, `z`, relative to sorted echo `first`, and of what they carry are the candidates; those
@@ -77,7 +99,7 @@ def sum_within(  # type: ignore[no-untyped-def]
 
 @inlined
 def _in_sphere(x, y, z, px, py, pz, limit, m, among, dx, dy, dz, held, moments, p):  # type: ignore[no-untyped-def]
-    """N, and CYLINDER where `among`; which candidates are `held` (1, else 0) and their places, nought if not held."""
+    """N, and CYLINDER where `among`; which candidates are `held` (1, else 0) and their places, zero if not held."""
     n = flat = 0.0
     for k in range(m):
         u, v, w = np.float64(x[k] - px), np.float64(y[k] - py), np.float64(z[k] - pz)

@@ -97,9 +97,12 @@ class Measured:
 
 
 _TOLD = (
-    ("points", "points", "{:,.0f}", 1), ("last or single echoes", "last", "{:.1f} %", 100),
-    ("surveyed area", "area", "{:,.0f} m2", 1), ("density", "density", "{:.2f} /m2", 1),
-    ("spacing", "spacing", "{:.2f} m", 1), ("slope, half of the terrain is below", "slope_median", "{:.3f}", 1),
+    ("points", "points", "{:,.0f}", 1),
+    ("last or single echoes", "last", "{:.1f} %", 100),
+    ("surveyed area", "area", "{:,.0f} m2", 1),
+    ("density", "density", "{:.2f} /m2", 1),
+    ("spacing", "spacing", "{:.2f} m", 1),
+    ("slope, half of the terrain is below", "slope_median", "{:.3f}", 1),
     ("slope, 90 % of the terrain are below", "slope_steep", "{:.3f}", 1),
     ("cells lower than 1.5 m that stand out, by slope", "broken", "{:.2f} %", 100),
     ("cells that stand out of level ground", "standing", "{:.1f} %", 100),
@@ -107,7 +110,7 @@ _TOLD = (
     ("echoes within 0.5 m of a first terrain", "ground", "{:.1f} %", 100),
     ("roughness of that terrain", "roughness", "{:.3f} m", 1),
     ("echoes 5 m below their neighbours", "outliers", "{:,.0f}", 1),
-)  # fmt: skip
+)
 
 
 def table(measured: Measured) -> str:

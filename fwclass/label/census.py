@@ -22,9 +22,7 @@ LOPSIDED = 100
 Census = Mapping[str, Any]
 
 
-def census(
-    table: Table, tested: NDArray[np.bool_], train: Sequence[Box], classes: Sequence[ClassDef]
-) -> Census:  # fmt: skip
+def census(table: Table, tested: NDArray[np.bool_], train: Sequence[Box], classes: Sequence[ClassDef]) -> Census:
     """Counts of one tile.
 
     Parameters
@@ -58,9 +56,7 @@ def census(
     }
 
 
-def taken(
-    table: Table, chosen: NDArray[np.bool_], train: Sequence[Box], classes: Sequence[ClassDef]
-) -> Census:  # fmt: skip
+def taken(table: Table, chosen: NDArray[np.bool_], train: Sequence[Box], classes: Sequence[ClassDef]) -> Census:
     """Counts of the rows of one tile that train: ``train`` [class] and ``boxes`` [box][class], as in `census`."""
     some = table.take(chosen)
     index = class_index(some["reference"], classes)
@@ -122,9 +118,14 @@ def _sum(arrays: Iterable[Any], shape: tuple[int, ...]) -> Any:
 
 
 def remarks(
-    whole: Census, rows: Census | None, tiles: Mapping[str, Census], classes: Sequence[ClassDef],
-    train: Sequence[Box], test: Sequence[Box], gap: float,
-) -> list[str]:  # fmt: skip
+    whole: Census,
+    rows: Census | None,
+    tiles: Mapping[str, Census],
+    classes: Sequence[ClassDef],
+    train: Sequence[Box],
+    test: Sequence[Box],
+    gap: float,
+) -> list[str]:
     """What the user should know of the labels, as sentences.
 
     Parameters

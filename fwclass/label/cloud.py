@@ -45,17 +45,7 @@ def _same_pulse(echoes: Table, cloud: Table, limit: float) -> NDArray[np.int64]:
     high = np.where(np.isnan(echoes["gps_time"]), low, high)
     found = np.full(echoes.rows, -1, np.int64)
     _nearest_in_range(
-        echoes["x"],
-        echoes["y"],
-        echoes["z"],
-        cloud["x"],
-        cloud["y"],
-        cloud["z"],
-        order,
-        low,
-        high,
-        limit,
-        found,
+        echoes["x"], echoes["y"], echoes["z"], cloud["x"], cloud["y"], cloud["z"], order, low, high, limit, found
     )
     return found
 

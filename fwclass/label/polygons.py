@@ -58,27 +58,31 @@ class Polygons:
         return cls(*(arrays[n] for n in ("x", "y", "ring_start", "part_start", "code", "group")))
 
     @classmethod
-    def of(
-        cls, shapes: Any, code: NDArray[np.int16], group: NDArray[np.int16], where: object
-    ) -> Polygons:  # fmt: skip
+    def of(cls, shapes: Any, code: NDArray[np.int16], group: NDArray[np.int16], where: object) -> Polygons:
         """Shapes (`x, y` [m], `ring_start, part_start, feature`) whose feature has a code.
 
         `InputError` where a polygon is too large to be one.
         """
         part_code = code[shapes.feature]
         made = cls(
-            millimetres(shapes.x), millimetres(shapes.y), shapes.ring_start, shapes.part_start,
-            part_code.astype(np.uint8), group[shapes.feature],
-        )  # fmt: skip
+            millimetres(shapes.x),
+            millimetres(shapes.y),
+            shapes.ring_start,
+            shapes.part_start,
+            part_code.astype(np.uint8),
+            group[shapes.feature],
+        )
         made = made.take(part_code >= 0)
         low_x, low_y, high_x, high_y = made.bounds
         wide = np.flatnonzero(np.maximum(high_x - low_x, high_y - low_y) > WIDEST)
         if len(wide):
             raise InputError(
-                "a polygon is too large", where=where, expected=f"at most {WIDEST / 1e6:.0f} km across",
+                "a polygon is too large",
+                where=where,
+                expected=f"at most {WIDEST / 1e6:.0f} km across",
                 got=f"{(high_x - low_x)[wide[0]] / 1e6:.0f} x {(high_y - low_y)[wide[0]] / 1e6:.0f} km",
                 do="check the coordinate system of the polygons (survey.reference.crs)",
-            )  # fmt: skip
+            )
         return made
 
     @property
@@ -89,9 +93,11 @@ class Polygons:
             return none, none, none, none
         first = self.ring_start[self.part_start[:-1]]
         return (
-            np.minimum.reduceat(self.x, first), np.minimum.reduceat(self.y, first),
-            np.maximum.reduceat(self.x, first), np.maximum.reduceat(self.y, first),
-        )  # fmt: skip
+            np.minimum.reduceat(self.x, first),
+            np.minimum.reduceat(self.y, first),
+            np.maximum.reduceat(self.x, first),
+            np.maximum.reduceat(self.y, first),
+        )
 
     def take(self, parts: NDArray) -> Polygons:
         """Only `parts` (index or mask), in the order given."""
@@ -99,9 +105,13 @@ class Polygons:
         rings = _spread(self.part_start[chosen], self.part_start[chosen + 1])
         points = _spread(self.ring_start[rings], self.ring_start[rings + 1])
         return Polygons(
-            self.x[points], self.y[points], _starts(np.diff(self.ring_start)[rings]),
-            _starts(np.diff(self.part_start)[chosen]), self.code[chosen], self.group[chosen],
-        )  # fmt: skip
+            self.x[points],
+            self.y[points],
+            _starts(np.diff(self.ring_start)[rings]),
+            _starts(np.diff(self.part_start)[chosen]),
+            self.code[chosen],
+            self.group[chosen],
+        )
 
     def within(self, box: Box) -> Polygons:
         """Those that may own a point of `box` [m]."""
@@ -112,15 +122,18 @@ class Polygons:
     @classmethod
     def joined(cls, several: Sequence[Polygons]) -> Polygons:
         """All of `several`, in their order."""
-        points, rings = np.cumsum([0, *(len(p.x) for p in several)]), np.cumsum(
-            [0, *(len(p.ring_start) - 1 for p in several)]
-        )  # fmt: skip
+        points, rings = (
+            np.cumsum([0, *(len(p.x) for p in several)]),
+            np.cumsum([0, *(len(p.ring_start) - 1 for p in several)]),
+        )
         return cls(
-            np.concatenate([p.x for p in several]), np.concatenate([p.y for p in several]),
+            np.concatenate([p.x for p in several]),
+            np.concatenate([p.y for p in several]),
             np.concatenate([*(p.ring_start[:-1] + n for p, n in zip(several, points, strict=False)), points[-1:]]),
             np.concatenate([*(p.part_start[:-1] + n for p, n in zip(several, rings, strict=False)), rings[-1:]]),
-            np.concatenate([p.code for p in several]), np.concatenate([p.group for p in several]),
-        )  # fmt: skip
+            np.concatenate([p.code for p in several]),
+            np.concatenate([p.group for p in several]),
+        )
 
 
 def _starts(lengths: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -164,9 +177,23 @@ def owners(
     found_code, found_group = code[order], group[order]
     low_x, low_y, high_x, high_y = polygons.bounds
     _mark(
-        x[order], y[order], start, south, polygons.x, polygons.y, polygons.ring_start, polygons.part_start,
-        low_x, low_y, high_x, high_y, polygons.code, polygons.group, found_code, found_group,
-    )  # fmt: skip
+        x[order],
+        y[order],
+        start,
+        south,
+        polygons.x,
+        polygons.y,
+        polygons.ring_start,
+        polygons.part_start,
+        low_x,
+        low_y,
+        high_x,
+        high_y,
+        polygons.code,
+        polygons.group,
+        found_code,
+        found_group,
+    )
     code[order], group[order] = found_code, found_group
     return code, group
 
@@ -229,9 +256,23 @@ def _inside(px, py, x, y, edges, first, last):  # type: ignore[no-untyped-def]
 
 @kernel
 def _mark(  # type: ignore[no-untyped-def]
-    px, py, band_start, south, x, y, ring_start, part_start, low_x, low_y, high_x, high_y, code, group, out_code,
+    px,
+    py,
+    band_start,
+    south,
+    x,
+    y,
+    ring_start,
+    part_start,
+    low_x,
+    low_y,
+    high_x,
+    high_y,
+    code,
+    group,
+    out_code,
     out_group,
-):  # fmt: skip
+):
     """Every polygon marks its points; points are sorted by band, then x."""
     n_bands = len(band_start) - 1
     edges = np.empty(_most_edges(y, ring_start, part_start, south, n_bands), np.int64)

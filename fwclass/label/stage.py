@@ -17,6 +17,12 @@ def from_source(chunk: Chunk, params: LabelParams) -> Table:
 
 
 LABEL = Stage(
-    "label", 2, "tile", from_cloud, LabelParams,
-    reads=("x", "y", "z", "gps_time", "source_class"), writes=("reference",), halo=lambda p: p.max_distance,
-)  # fmt: skip
+    "label",
+    2,
+    "tile",
+    from_cloud,
+    LabelParams,
+    reads=("x", "y", "z", "gps_time", "source_class"),
+    writes=("reference",),
+    halo=lambda p: p.max_distance,
+)

@@ -32,9 +32,14 @@ class Boosted(Model):
 
     kind = "boosting"
     layout: ClassVar[Mapping[str, tuple[str, int]]] = {
-        "feature": ("u2", 1), "threshold": ("f4", 1), "child": ("u4", 1), "missing_left": ("u1", 1),
-        "value": ("f8", 1), "offsets": ("i8", 1), "baseline": ("f8", 1),
-    }  # fmt: skip
+        "feature": ("u2", 1),
+        "threshold": ("f4", 1),
+        "child": ("u4", 1),
+        "missing_left": ("u1", 1),
+        "value": ("f8", 1),
+        "offsets": ("i8", 1),
+        "baseline": ("f8", 1),
+    }
 
     feature: NDArray[np.uint16]
     threshold: NDArray[np.float32]

@@ -36,10 +36,17 @@ Put = Callable[[Window, NDArray], None]
 
 
 def write_cog(
-    array: NDArray, window: Window, path: Path, crs: pyproj.CRS | None, params: PublishParams, nodata: float,
-    colormap: Mapping[int, RGB] | None = None, tags: Mapping[str, str] | None = None,
-    names: Mapping[int, str] | None = None, unit: float = 1.0,
-) -> dict[str, Any]:  # fmt: skip
+    array: NDArray,
+    window: Window,
+    path: Path,
+    crs: pyproj.CRS | None,
+    params: PublishParams,
+    nodata: float,
+    colormap: Mapping[int, RGB] | None = None,
+    tags: Mapping[str, str] | None = None,
+    names: Mapping[int, str] | None = None,
+    unit: float = 1.0,
+) -> dict[str, Any]:
     """Write a raster that is in memory; see `cog`. Returns a dict with ``path, shape, cell, bytes``.
 
     Raises
@@ -56,10 +63,17 @@ def write_cog(
 
 @contextmanager
 def cog(
-    dtype: np.dtype, window: Window, path: Path, crs: pyproj.CRS | None, params: PublishParams, nodata: float,
-    colormap: Mapping[int, RGB] | None = None, tags: Mapping[str, str] | None = None,
-    names: Mapping[int, str] | None = None, unit: float = 1.0,
-) -> Iterator[Put]:  # fmt: skip
+    dtype: np.dtype,
+    window: Window,
+    path: Path,
+    crs: pyproj.CRS | None,
+    params: PublishParams,
+    nodata: float,
+    colormap: Mapping[int, RGB] | None = None,
+    tags: Mapping[str, str] | None = None,
+    names: Mapping[int, str] | None = None,
+    unit: float = 1.0,
+) -> Iterator[Put]:
     """Write a raster north up with overviews, in stripes of any order; the same cells give the same bytes.
 
     ``put(stripe, array)`` lays an array of ``stripe.shape``, **row 0 in the south**, into the window; the outer corner
@@ -87,16 +101,27 @@ def cog(
     if codes and known and colormap is None:
         colormap = colours({"name": name, "code": code} for code, name in known.items())
     raw_profile = {
-        "driver": "GTiff", "width": window.ncols, "height": window.nrows, "count": 1, "dtype": dtype, "nodata": nodata,
+        "driver": "GTiff",
+        "width": window.ncols,
+        "height": window.nrows,
+        "count": 1,
+        "dtype": dtype,
+        "nodata": nodata,
         "transform": north_up(window, unit),
         "crs": rasterio.crs.CRS.from_wkt(crs.to_wkt()) if crs is not None else None,
-        "blockysize": STRIPE, "sparse_ok": True, "bigtiff": "IF_SAFER",
-    }  # fmt: skip
+        "blockysize": STRIPE,
+        "sparse_ok": True,
+        "bigtiff": "IF_SAFER",
+    }
     finished = {
-        "driver": "COG", "compress": params.cog_compression, "blocksize": params.cog_block, "num_threads": 1,
-        "predictor": _predictor(dtype, codes), "bigtiff": "IF_SAFER",
+        "driver": "COG",
+        "compress": params.cog_compression,
+        "blocksize": params.cog_block,
+        "num_threads": 1,
+        "predictor": _predictor(dtype, codes),
+        "bigtiff": "IF_SAFER",
         "overview_resampling": "MODE" if codes else "AVERAGE",
-    }  # fmt: skip
+    }
     with whole(path) as beside, rasterio.Env(GDAL_CACHEMAX=params.raster_cache << 20):
         raw = beside.with_name(f"{beside.name}.raw")
         try:

@@ -127,21 +127,35 @@ def _scale_bar(axes: Any, view: View, inches: tuple[float, float]) -> None:
         axes.add_patch(bar)
     text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
     axes.annotate(
-        text, (x + length / 2, y + thick), (0, 3), textcoords="offset points", ha="center", va="bottom", fontsize=8,
-        color=INK, path_effects=HALO, zorder=7,
-    )  # fmt: skip
+        text,
+        (x + length / 2, y + thick),
+        (0, 3),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=8,
+        color=INK,
+        path_effects=HALO,
+        zorder=7,
+    )
 
 
 def _north(axes: Any) -> None:
     """An arrow at the upper right: north is up."""
     corner = {"xycoords": "axes fraction", "textcoords": "offset points", "zorder": 7}
     axes.annotate(
-        "N", (1, 1), (-14, -16), ha="center", va="bottom", fontsize=9, color=INK, weight="bold", path_effects=HALO,
+        "N",
+        (1, 1),
+        (-14, -16),
+        ha="center",
+        va="bottom",
+        fontsize=9,
+        color=INK,
+        weight="bold",
+        path_effects=HALO,
         **corner,
-    )  # fmt: skip
-    axes.annotate(
-        "▲", (1, 1), (-14, -17), ha="center", va="top", fontsize=9, color=INK, path_effects=HALO, **corner
-    )  # fmt: skip
+    )
+    axes.annotate("▲", (1, 1), (-14, -17), ha="center", va="top", fontsize=9, color=INK, path_effects=HALO, **corner)
 
 
 def outline(axes: Any, areas: Areas, view: View) -> list[Line2D]:
@@ -152,8 +166,7 @@ def outline(axes: Any, areas: Areas, view: View) -> list[Line2D]:
         lines = area_edges([tuple(map(float, b)) for b in areas.get(kind) or ()], inset)
         for colour, width, style, order in (("white", 3.0, "solid", 3), (INK, 1.5, dashes, 4)):
             axes.add_collection(
-                LineCollection(lines, colors=colour, linewidths=width, linestyles=[style], zorder=order),
-                autolim=False,
+                LineCollection(lines, colors=colour, linewidths=width, linestyles=[style], zorder=order), autolim=False
             )
         if lines:
             handles.append(Line2D([], [], color=INK, linewidth=1.5, linestyle=dashes, label=label))
@@ -191,10 +204,20 @@ SIDES_AT = ((2, 3), (2, 3), (0, 1), (0, 1))
 
 def legend(axes: Any, handles: list[Any], title: str) -> None:
     axes.legend(
-        handles=handles, title=title, title_fontsize=8.5, alignment="left", loc="upper left", frameon=False,
-        bbox_to_anchor=(1.02, 1.0), borderaxespad=0, fontsize=8, handlelength=1.6, handleheight=1.1,
-        labelspacing=0.65, labelcolor=INK,
-    )  # fmt: skip
+        handles=handles,
+        title=title,
+        title_fontsize=8.5,
+        alignment="left",
+        loc="upper left",
+        frameon=False,
+        bbox_to_anchor=(1.02, 1.0),
+        borderaxespad=0,
+        fontsize=8,
+        handlelength=1.6,
+        handleheight=1.1,
+        labelspacing=0.65,
+        labelcolor=INK,
+    )
 
 
 def png(figure: Figure) -> bytes:

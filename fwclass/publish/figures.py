@@ -61,10 +61,7 @@ def class_map(
 
 
 def relief(
-    dtm: NDArray[np.float32],
-    window: Window | View,
-    params: PublishParams,
-    heights: tuple[float, float] | None = None,
+    dtm: NDArray[np.float32], window: Window | View, params: PublishParams, heights: tuple[float, float] | None = None
 ) -> bytes:
     """Shaded relief of the terrain model, tinted by height; cells without height stay blank.
 

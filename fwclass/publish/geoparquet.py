@@ -12,7 +12,7 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from fwclass.later import Later
+from fwclass.lazy_module import LazyModule
 from fwclass.publish.files import whole
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Column, Table, column, require
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
 else:
-    pa, pq = Later("pyarrow"), Later("pyarrow.parquet")
+    pa, pq = LazyModule("pyarrow"), LazyModule("pyarrow.parquet")
 
 POINT_Z = np.dtype([("order", "u1"), ("kind", "<u4"), ("x", "<f8"), ("y", "<f8"), ("z", "<f8")])
 """ISO WKB of a point with height: 29 bytes."""
@@ -71,10 +71,7 @@ def write_geoparquet_parts(
     rest = iter(parts)
     first = next(rest)
     fields = [_field(column(name)) for name in first]
-    fields += [
-        pa.field("geometry", pa.binary(), nullable=False),
-        pa.field("bbox", _box_type(), nullable=False),
-    ]
+    fields += [pa.field("geometry", pa.binary(), nullable=False), pa.field("bbox", _box_type(), nullable=False)]
     schema, rows = pa.schema(fields, metadata={b"geo": _geo(bounds, crs)}), 0
     with whole(path) as beside:
         with pq.ParquetWriter(beside, schema, **_options(first, params)) as writer:

@@ -123,10 +123,13 @@ def _facts(made: Mapping[str, Any], n: int) -> list[tuple[str, str]]:
     measured, votes = made["measured"], made["votes"]
     same = (votes[0] + votes[-1]) / max(sum(votes), 1)
     return [
-        ("points", quantity(made["points"])), ("points per m²", f"{measured['density']:.2f}"),
-        ("slope, 90 % below", f"{measured['slope_steep']:.2f}"), ("widest building", f"{measured['building']:.0f} m"),
-        ("filters", str(n)), ("all agree", f"{percent(same)} %"),
-    ]  # fmt: skip
+        ("points", quantity(made["points"])),
+        ("points per m²", f"{measured['density']:.2f}"),
+        ("slope, 90 % below", f"{measured['slope_steep']:.2f}"),
+        ("widest building", f"{measured['building']:.0f} m"),
+        ("filters", str(n)),
+        ("all agree", f"{percent(same)} %"),
+    ]
 
 
 def _summary(made: Mapping[str, Any], names: list[str], known: list[dict[str, Any]], best: str) -> str:

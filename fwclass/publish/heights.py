@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.publish.lasbytes import LasHead
+from fwclass.formats.las_bytes import LasHead
 
 AT_Z_SCALE, AT_Z_OFFSET, AT_Z_RANGE, AT_Z = 147, 171, 211, 8
 """Bytes of the header block: scale and offset of z, highest and lowest z; byte of z in a point."""
@@ -44,9 +44,11 @@ def stored_heights(head: LasHead, z: NDArray[np.float64]) -> Heights:
     """
     if len(z) != head.points or not np.isfinite(z).all():
         raise InputError(
-            "the new heights do not fit the file", where=head.path, expected=f"{head.points} finite numbers",
+            "the new heights do not fit the file",
+            where=head.path,
+            expected=f"{head.points} finite numbers",
             got=f"{len(z)}, of which {int((~np.isfinite(z)).sum())} are not finite",
-        )  # fmt: skip
+        )
     scale = abs(struct.unpack_from("<d", head.block, AT_Z_SCALE)[0])
     most = float(np.abs(z).max()) if len(z) else 0.0
     if most > scale * _LARGEST:

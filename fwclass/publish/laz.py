@@ -11,16 +11,11 @@ import pyproj
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.extra_bytes import ExtraByte, descriptor, extra_bytes, extra_size, packed, published
+from fwclass.formats.las_bytes import EXTRA_BYTES, HEADER_SIZE, POINT_SIZE, WKT
+from fwclass.formats.laz_writer import assemble, point_writer, record
 from fwclass.grid import millimetres
-from fwclass.publish.extrabytes import ExtraByte, descriptor, extra_bytes, extra_size, packed, published
 from fwclass.publish.files import whole
-from fwclass.publish.lasbytes import (
-    EXTRA_BYTES,
-    HEADER_SIZE,
-    POINT_SIZE,
-    WKT,
-)
-from fwclass.publish.lazwriter import assemble, point_writer, record
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Table, require
 from fwclass.units import QUANTUM
@@ -35,20 +30,23 @@ OFFSET_STEP = 1_000_000
 
 POINT6 = np.dtype(
     [
-        ("X", "<i4"), ("Y", "<i4"), ("Z", "<i4"), ("intensity", "<u2"), ("returns", "u1"), ("flags", "u1"),
-        ("classification", "u1"), ("user_data", "u1"), ("scan_angle", "<i2"), ("source", "<u2"),
+        ("X", "<i4"),
+        ("Y", "<i4"),
+        ("Z", "<i4"),
+        ("intensity", "<u2"),
+        ("returns", "u1"),
+        ("flags", "u1"),
+        ("classification", "u1"),
+        ("user_data", "u1"),
+        ("scan_angle", "<i2"),
+        ("source", "<u2"),
         ("gps_time", "<f8"),
     ]
-)  # fmt: skip
+)
 
 
 def write_tile_laz(
-    table: Table,
-    path: Path,
-    crs: pyproj.CRS | None,
-    params: PublishParams,
-    *,
-    standard_time: bool = False,
+    table: Table, path: Path, crs: pyproj.CRS | None, params: PublishParams, *, standard_time: bool = False
 ) -> dict[str, Any]:
     """Write the echoes of a tile, in the table's row order; the same rows give the same bytes.
 
@@ -89,9 +87,13 @@ def write_tile_laz(
             writer.finish()
         size = beside.stat().st_size
     return {
-        "path": str(path), "points": table.rows, "extra_bytes": [e.las for e in extras],
-        "beyond": {e.las: e.beyond for e in extras if e.beyond}, "bytes": size, **counts,
-    }  # fmt: skip
+        "path": str(path),
+        "points": table.rows,
+        "extra_bytes": [e.las for e in extras],
+        "beyond": {e.las: e.beyond for e in extras if e.beyond},
+        "bytes": size,
+        **counts,
+    }
 
 
 def _local(table: Table, path: Path) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:

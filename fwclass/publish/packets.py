@@ -6,8 +6,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from fwclass.publish.files import whole
-from fwclass.publish.lasbytes import (
+from fwclass.formats.las_bytes import (
     BLOCK,
     EVLR_HEADER,
     EXTERNAL,
@@ -20,6 +19,7 @@ from fwclass.publish.lasbytes import (
     extended_records,
     read_extended,
 )
+from fwclass.publish.files import whole
 
 WAVE_FORMATS = (4, 5, 9, 10)
 

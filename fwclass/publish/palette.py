@@ -27,17 +27,28 @@ BY_NAME: dict[str, RGB] = {
 """Lightness differs beside hue, so that the main classes stay apart without red-green vision and in grey."""
 
 BY_CODE: dict[int, RGB] = {
-    1: BY_NAME["unclassified"], 2: BY_NAME["ground"], 3: BY_NAME["low vegetation"],
-    4: BY_NAME["medium vegetation"], 5: BY_NAME["high vegetation"],
-    6: BY_NAME["building"], 7: BY_NAME["noise"], 9: BY_NAME["water"],
-    11: BY_NAME["road"], 17: BY_NAME["bridge"], 18: BY_NAME["noise"],
-}  # fmt: skip
+    1: BY_NAME["unclassified"],
+    2: BY_NAME["ground"],
+    3: BY_NAME["low vegetation"],
+    4: BY_NAME["medium vegetation"],
+    5: BY_NAME["high vegetation"],
+    6: BY_NAME["building"],
+    7: BY_NAME["noise"],
+    9: BY_NAME["water"],
+    11: BY_NAME["road"],
+    17: BY_NAME["bridge"],
+    18: BY_NAME["noise"],
+}
 """ASPRS codes (LAS 1.4 R15, table 17)."""
 
 _SAME = {
-    "tree": "vegetation", "trees": "vegetation", "buildings": "building", "roof": "building",
-    "artificial objects": "artificial", "artificial object": "artificial",
-}  # fmt: skip
+    "tree": "vegetation",
+    "trees": "vegetation",
+    "buildings": "building",
+    "roof": "building",
+    "artificial objects": "artificial",
+    "artificial object": "artificial",
+}
 
 SPARE: tuple[RGB, ...] = ((0, 158, 163), (196, 78, 140), (240, 196, 60), (86, 110, 190), (140, 86, 60))
 """For classes that neither name nor code gives a colour, in the order of the classes."""

@@ -176,12 +176,7 @@ def _balance(counts: Mapping[str, Any]) -> dict[str, Any] | None:
     made, kept = counts.get("echoes_decomposed"), counts.get("echoes_in_tiles")
     if made is None or kept is None:
         return None
-    return {
-        "made": number(made),
-        "kept": number(kept),
-        "equal": made == kept,
-        "lost": number(abs(made - kept)),
-    }
+    return {"made": number(made), "kept": number(kept), "equal": made == kept, "lost": number(abs(made - kept))}
 
 
 def _images(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
@@ -211,12 +206,7 @@ def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
         links = [{"text": p, "href": _link(p)} for p in paths]
         if links:
             out.append(
-                {
-                    "label": labels.get(kind, kind),
-                    "count": len(links),
-                    "open": links[:LISTED],
-                    "more": links[LISTED:],
-                }
+                {"label": labels.get(kind, kind), "count": len(links), "open": links[:LISTED], "more": links[LISTED:]}
             )
     return out
 

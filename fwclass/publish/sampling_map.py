@@ -53,7 +53,7 @@ def _view(made: Mapping[str, Any]) -> View:
 
 def _box(
     axes: Any, place: int, box: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], palette: Mapping[int, str]
-) -> None:  # fmt: skip
+) -> None:
     x0, y0, x1, y1 = box["box"]
     rows = sum(box["taken"]) or sum(box["labelled"])
     counts = box["taken"] if sum(box["taken"]) else box["labelled"]
@@ -68,6 +68,15 @@ def _box(
         axes.add_patch(Rectangle((left, bottom), part, tall, facecolor=palette[int(one["code"])], zorder=4))
         left += part
     axes.annotate(
-        str(place), (x0, y1), (4, -4), textcoords="offset points", ha="left", va="top", fontsize=7, color=INK,
-        path_effects=HALO, zorder=6, annotation_clip=True,
-    )  # fmt: skip
+        str(place),
+        (x0, y1),
+        (4, -4),
+        textcoords="offset points",
+        ha="left",
+        va="top",
+        fontsize=7,
+        color=INK,
+        path_effects=HALO,
+        zorder=6,
+        annotation_clip=True,
+    )

@@ -44,10 +44,12 @@ def _facts(made: Mapping[str, Any]) -> list[tuple[str, str]]:
     gap = made["gap"]
     found = "no tested echo" if gap["found"] is None else f"{gap['found']:.2f} m from a training area at least"
     rows = [
-        ("labelled", f"{number(made['labelled'])} of {number(made['echoes'])} echoes, "
-                     f"{percent(made['labelled'] / echoes)} %"),
+        (
+            "labelled",
+            f"{number(made['labelled'])} of {number(made['echoes'])} echoes, {percent(made['labelled'] / echoes)} %",
+        ),
         ("tested echoes", f"{found} (areas.gap {gap['asked']:g} m)"),
-    ]  # fmt: skip
+    ]
     if made["other_codes"]:
         others = ", ".join(f"{code}: {number(n)}" for code, n in made["other_codes"].items())
         rows.append(("codes of no class", others))

@@ -24,15 +24,22 @@ FAN_2013: dict[str, dict[str, str]] = {
 _BASE = {"number_of_echoes": "echo_number"}
 _CLASS = {"tree": "vegetation", "trees": "vegetation", "buildings": "building"}
 TITLES = {
-    "zc": "height in cell Zc", "inclination": "inclination A", "echo_ratio": "echo ratio ER",
-    "amplitude": "amplitude", "width": "echo width",
-    "echo_number": "echo number", "number_of_echoes": "number of echoes",
+    "zc": "height in cell Zc",
+    "inclination": "inclination A",
+    "echo_ratio": "echo ratio ER",
+    "amplitude": "amplitude",
+    "width": "echo width",
+    "echo_number": "echo number",
+    "number_of_echoes": "number of echoes",
     "backscatter": "backscatter coefficient γ",
-}  # fmt: skip
+}
 CLASSIFIERS = {
-    "forest": "random forest", "linear-svm": "linear SVM", "rbf-svm": "RBF SVM",
-    "sklearn-forest": "random forest of scikit-learn", "boosting": "gradient boosting",
-}  # fmt: skip
+    "forest": "random forest",
+    "linear-svm": "linear SVM",
+    "rbf-svm": "RBF SVM",
+    "sklearn-forest": "random forest of scikit-learn",
+    "boosting": "gradient boosting",
+}
 PERCENTILES = ("p5", "p25", "p50", "p75", "p95")
 PER_CLASS = ("producers_accuracy", "users_accuracy", "iou")
 LEAST_ANGLE = 0.001
@@ -111,10 +118,15 @@ def accuracy(made: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]
     totals += [("mean IoU", percent(made["mean_iou"]) + " %")] if made.get("mean_iou") is not None else []
     totals += [(label, percent(made[key]) + " %") for label, key in two.items() if made.get(key) is not None]
     return {
-        "names": names, "rows": rows, "totals": totals, "intervals": _intervals(made.get("intervals")),
-        "area": made.get("area") or "", "any_lost": any(lost), "remarks": list(made.get("remarks") or ()),
+        "names": names,
+        "rows": rows,
+        "totals": totals,
+        "intervals": _intervals(made.get("intervals")),
+        "area": made.get("area") or "",
+        "any_lost": any(lost),
+        "remarks": list(made.get("remarks") or ()),
         "count": number(sum(map(sum, made["confusion"])) + sum(lost)),
-    }  # fmt: skip
+    }
 
 
 def _intervals(made: Mapping[str, Any] | None) -> str:
@@ -193,9 +205,12 @@ def training(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
         return None
     features = [_title(str(f)) for f in made.get("features") or ()]
     return {
-        "classifier": classifier(made), "samples": dict(made.get("samples") or {}), "features": features,
-        "out_of_bag": percent(made.get("out_of_bag")), "notes": [str(n) for n in made.get("notes") or ()],
-    }  # fmt: skip
+        "classifier": classifier(made),
+        "samples": dict(made.get("samples") or {}),
+        "features": features,
+        "out_of_bag": percent(made.get("out_of_bag")),
+        "notes": [str(n) for n in made.get("notes") or ()],
+    }
 
 
 def waveforms(made: Mapping[str, Any] | None) -> dict[str, Any] | None:

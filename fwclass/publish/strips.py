@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError, InputError
-from fwclass.publish.extrabytes import ExtraByte, extended, extra_bytes, extra_size, names_of, packed
-from fwclass.publish.files import whole
-from fwclass.publish.heights import Heights, stored_heights, with_heights
-from fwclass.publish.lasbytes import (
+from fwclass.formats.extra_bytes import ExtraByte, extended, extra_bytes, extra_size, names_of, packed
+from fwclass.formats.las_bytes import (
     AT_ENCODING,
     AT_EVLRS,
     AT_FORMAT,
@@ -30,7 +28,9 @@ from fwclass.publish.lasbytes import (
     point_chunks,
     read_head,
 )
-from fwclass.publish.lazwriter import assemble, point_writer
+from fwclass.formats.laz_writer import assemble, point_writer
+from fwclass.publish.files import whole
+from fwclass.publish.heights import Heights, stored_heights, with_heights
 from fwclass.publish.packets import Packets, carried, find_packets, publish_packets
 from fwclass.publish.params import PublishParams
 from fwclass.publish.verify import verify
@@ -103,11 +103,18 @@ def write_strip_laz(
     if copc:
         notes.append(f"COPC written as plain {kind}, without its octree")
     return {
-        "path": str(output), "points": head.points, "changed": changed, "point_format": head.point_format,
-        "extra_bytes": [e.las for e in extras], "beyond": {e.las: e.beyond for e in extras if e.beyond},
-        "waveforms": waveforms, "wdp": str(wdp) if wdp else None,
-        "copc": copc, "notes": notes, "bytes": size,
-    }  # fmt: skip
+        "path": str(output),
+        "points": head.points,
+        "changed": changed,
+        "point_format": head.point_format,
+        "extra_bytes": [e.las for e in extras],
+        "beyond": {e.las: e.beyond for e in extras if e.beyond},
+        "waveforms": waveforms,
+        "wdp": str(wdp) if wdp else None,
+        "copc": copc,
+        "notes": notes,
+        "bytes": size,
+    }
 
 
 def _check(head: LasHead, output: Path, classes: NDArray[np.uint8], extra: Mapping[str, NDArray]) -> None:

@@ -14,11 +14,7 @@ from fwclass.publish.files import whole
 
 
 def write_text(
-    path: Path,
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    z: NDArray[np.float64],
-    classes: NDArray[np.uint8],
+    path: Path, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], classes: NDArray[np.uint8]
 ) -> dict[str, Any]:
     """Write ``x y z classification``, one point a line, under a header line; commas in a ``.csv``, else spaces.
 

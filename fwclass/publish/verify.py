@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.publish.extrabytes import ExtraByte, extended, packed
-from fwclass.publish.heights import Heights
-from fwclass.publish.lasbytes import (
+from fwclass.formats.extra_bytes import ExtraByte, extended, packed
+from fwclass.formats.las_bytes import (
     AT_ENCODING,
     AT_EVLRS,
     AT_OFFSET,
@@ -29,6 +28,7 @@ from fwclass.publish.lasbytes import (
     point_chunks,
     read_head,
 )
+from fwclass.publish.heights import Heights
 from fwclass.publish.packets import Packets, carried
 
 
@@ -87,12 +87,7 @@ def _storage(head: LasHead, made: LasHead, packets: Packets, copy: Path) -> None
 
 
 def _verify_points(
-    head: LasHead,
-    copy: Path,
-    old: NDArray[np.uint8],
-    new: NDArray[np.uint8],
-    classes: NDArray[np.uint8],
-    first: int,
+    head: LasHead, copy: Path, old: NDArray[np.uint8], new: NDArray[np.uint8], classes: NDArray[np.uint8], first: int
 ) -> None:
     """Every byte but the classification is the source's, and the classification is the wanted one."""
     at = class_byte(head.point_format)

@@ -89,9 +89,17 @@ def draw_waveforms(pictures: Sequence[WavePicture], heading: str) -> bytes:
         cell = (column / across, (bottom + (down - 1 - row) * PANEL[1]) / height, 1 / across, PANEL[1] / height)
         _panel(figure, cell, picture)
     figure.legend(
-        handles=_keys(), loc="lower center", ncol=7 if across > 2 else 4, frameon=False, fontsize=7.5,
-        labelcolor=INK, bbox_to_anchor=(0.5, 0.0), handlelength=1.8, columnspacing=1.4, borderaxespad=0.3,
-    )  # fmt: skip
+        handles=_keys(),
+        loc="lower center",
+        ncol=7 if across > 2 else 4,
+        frameon=False,
+        fontsize=7.5,
+        labelcolor=INK,
+        bbox_to_anchor=(0.5, 0.0),
+        handlelength=1.8,
+        columnspacing=1.4,
+        borderaxespad=0.3,
+    )
     return png(figure)
 
 
@@ -139,13 +147,23 @@ def _record(axes: Any, picture: WavePicture) -> None:
     span = max(high - low, 1.0)
     axes.set_ylim(low - 0.06 * span, high + 0.2 * span)
     axes.plot(
-        picture.vendor, np.full(len(picture.vendor), high + 0.14 * span), color=VENDOR, linestyle="none", marker="v",
-        markersize=5, zorder=4,
-    )  # fmt: skip
+        picture.vendor,
+        np.full(len(picture.vendor), high + 0.14 * span),
+        color=VENDOR,
+        linestyle="none",
+        marker="v",
+        markersize=5,
+        zorder=4,
+    )
     axes.plot(
-        picture.echoes[picture.new], picture.heights[picture.new] + 0.07 * span, color=NEW, linestyle="none",
-        marker="*", markersize=6.5, zorder=4,
-    )  # fmt: skip
+        picture.echoes[picture.new],
+        picture.heights[picture.new] + 0.07 * span,
+        color=NEW,
+        linestyle="none",
+        marker="*",
+        markersize=6.5,
+        zorder=4,
+    )
 
 
 def _residual(axes: Any, picture: WavePicture) -> None:

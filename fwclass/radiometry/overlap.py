@@ -25,9 +25,7 @@ UNFIT = 1 | 2 | 4 | 8 | 16
 """`fit_flags` that keep an echo out of a comparison: saturated, overlapping, poor, at the edge, vendor's."""
 
 NORMAL = ("normal_x", "normal_y", "normal_z")
-READS = (
-    "strip", "x", "y", "z", "gps_time", *BEAM, "energy", "number_of_echoes", "fit_flags", "beam_range", *NORMAL,
-)  # fmt: skip
+READS = ("strip", "x", "y", "z", "gps_time", *BEAM, "energy", "number_of_echoes", "fit_flags", "beam_range", *NORMAL)
 """Columns that radiometry reads."""
 
 
@@ -80,11 +78,7 @@ def overlap(chunk: Chunk, trajectory: Table | None, params: RadiometryParams) ->
     x, y = chunk.table["x"][rows], chunk.table["y"][rows]
     hits = core & (within(params.target.polygon, x, y) if params.target else False)
     target = np.floor((level[hits] - np.log(WHITE)) / STEP).astype(np.int64)
-    return Overlap(
-        *_pairs(x, y, strip, level, core, params),
-        *_count(strip[hits], target),
-        *_count(strip[core]),
-    )
+    return Overlap(*_pairs(x, y, strip, level, core, params), *_count(strip[hits], target), *_count(strip[core]))
 
 
 def merge(parts: Iterable[Overlap]) -> Overlap:

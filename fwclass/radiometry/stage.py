@@ -14,9 +14,21 @@ from fwclass.schema import Table, require
 from fwclass.stage import Chunk, Stage
 
 __all__ = [
-    "CALIBRATE", "OVERLAP", "RADIOMETRY", "Calibration", "Overlap", "OverlapParams", "RadiometryParams", "TargetParams",
-    "calibrate", "check_pointing", "overlap", "pointing_error", "radiometry", "ranges",
-]  # fmt: skip
+    "CALIBRATE",
+    "OVERLAP",
+    "RADIOMETRY",
+    "Calibration",
+    "Overlap",
+    "OverlapParams",
+    "RadiometryParams",
+    "TargetParams",
+    "calibrate",
+    "check_pointing",
+    "overlap",
+    "pointing_error",
+    "radiometry",
+    "ranges",
+]
 
 ONE_OF_SEVERAL, NO_RANGE, NO_NORMAL, CLIPPED, SATURATED, UNCALIBRATED = 1, 2, 4, 8, 16, 32
 """Values of `radiometry_flags`."""

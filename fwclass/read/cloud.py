@@ -11,10 +11,10 @@ from laspy import DecompressionSelection
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError, InputError
+from fwclass.formats.flat import refuse_unless_flat
+from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.grid import quantised
-from fwclass.read.flat import refuse_unless_flat
 from fwclass.read.las import LasSource
-from fwclass.read.linear_units import LinearUnits, linear_units
 from fwclass.read.packets import FAULTS, References, judge
 from fwclass.read.points import PointReader, coordinates
 from fwclass.read.source import las_of, open_source
@@ -141,9 +141,15 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
 
 
 def _cloud(
-    path: Path, source: LasSource | TextCloud, crs: Any, units: LinearUnits, xyz: tuple[NDArray[np.float64], ...],
-    last: NDArray[np.bool_], classes: NDArray[np.uint8] | None, flagged: NDArray[np.bool_],
-) -> PointCloud:  # fmt: skip
+    path: Path,
+    source: LasSource | TextCloud,
+    crs: Any,
+    units: LinearUnits,
+    xyz: tuple[NDArray[np.float64], ...],
+    last: NDArray[np.bool_],
+    classes: NDArray[np.uint8] | None,
+    flagged: NDArray[np.bool_],
+) -> PointCloud:
     finite = np.logical_and.reduce([np.isfinite(a) for a in xyz])
     usable = finite.copy()
     for values, limit in zip(xyz, (FAR, FAR, HIGH), strict=True):
@@ -163,6 +169,17 @@ def _cloud(
         )
     x, y, z = (np.where(usable, quantised(np.where(usable, a, 0.0)), np.nan) for a in xyz)
     return PointCloud(
-        path, source, crs, units, x, y, z, usable, last, classes, flagged, int((~finite).sum()),
+        path,
+        source,
+        crs,
+        units,
+        x,
+        y,
+        z,
+        usable,
+        last,
+        classes,
+        flagged,
+        int((~finite).sum()),
         int((finite & ~usable).sum()),
-    )  # fmt: skip
+    )

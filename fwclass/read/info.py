@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import visible
-from fwclass.read.flat import flat_faults
+from fwclass.formats.flat import flat_faults
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
 from fwclass.read.pls_info import describe_pulses, pulse_info
@@ -55,10 +55,7 @@ class _Tally:
         if len(known):
             self.gps = min(self.gps[0], float(known.min())), max(self.gps[1], float(known.max()))
         intensity = np.asarray(points["intensity"])
-        self.intensity = (
-            min(self.intensity[0], int(intensity.min())),
-            max(self.intensity[1], int(intensity.max())),
-        )
+        self.intensity = (min(self.intensity[0], int(intensity.min())), max(self.intensity[1], int(intensity.max())))
         self.zero_intensity += int((intensity == 0).sum())
         for bin_, n in zip(*np.unique(np.floor(xyz[2] / step), return_counts=True), strict=True):
             self.heights[int(bin_)] = self.heights.get(int(bin_), 0) + int(n)
@@ -147,14 +144,18 @@ def _waveforms(source: LasSource, tally: _Tally) -> dict[str, Any]:
         "unusable": {FAULTS[i]: int(n) for i, n in enumerate(tally.packets) if n and i},
         "descriptors": [
             {
-                "index": i, "bits": d.bits, "compression": d.compression, "samples": d.n_samples,
-                "spacing_ns": _finite(d.spacing_ns), "points": int(tally.descriptors[i]),
+                "index": i,
+                "bits": d.bits,
+                "compression": d.compression,
+                "samples": d.n_samples,
+                "spacing_ns": _finite(d.spacing_ns),
+                "points": int(tally.descriptors[i]),
             }
             for i, d in sorted(source.descriptors.items())
             if not d.empty or tally.descriptors[i]
         ],
         "empty_descriptors": sum(d.empty for d in source.descriptors.values()),
-    }  # fmt: skip
+    }
 
 
 def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:

@@ -8,9 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fwclass.read.base import Source, WaveStore
-from fwclass.read.crs import crs_of
-from fwclass.read.header import (
+from fwclass.formats.crs import crs_of
+from fwclass.formats.las_header import (
     EVLR_HEADER,
     SPEC_USERS,
     WDP_RECORD,
@@ -21,7 +20,8 @@ from fwclass.read.header import (
     evlr_at,
     read_header,
 )
-from fwclass.read.laz import check_laz
+from fwclass.formats.laz import check_laz
+from fwclass.read.base import Source, WaveStore
 
 STANDARD_GPS_TIME = 1
 """Bit of the global encoding."""
@@ -102,12 +102,24 @@ def open_las(path: Path) -> LasSource:
         faults.append("the point format has waveforms, but no waveform packet descriptor is in the file")
     copc = any(r.user == "copc" and r.number == 1 for r in header.vlrs)
     return LasSource(
-        path=path, size=header.size, version=header.version, compressed=header.compressed, n_points=header.n_points,
-        n_records=header.n_points, point_format=header.point_format, bounds=header.bounds, scales=header.scales,
-        offsets=header.offsets, crs=crs, waves=waves,
-        standard_gps_time=bool(header.global_encoding & STANDARD_GPS_TIME), faults=tuple(dict.fromkeys(faults)),
-        is_copc=copc, descriptors=found, header=header,
-    )  # fmt: skip
+        path=path,
+        size=header.size,
+        version=header.version,
+        compressed=header.compressed,
+        n_points=header.n_points,
+        n_records=header.n_points,
+        point_format=header.point_format,
+        bounds=header.bounds,
+        scales=header.scales,
+        offsets=header.offsets,
+        crs=crs,
+        waves=waves,
+        standard_gps_time=bool(header.global_encoding & STANDARD_GPS_TIME),
+        faults=tuple(dict.fromkeys(faults)),
+        is_copc=copc,
+        descriptors=found,
+        header=header,
+    )
 
 
 def _descriptors(header: Header, faults: list[str]) -> dict[int, Descriptor]:

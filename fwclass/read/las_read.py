@@ -129,8 +129,14 @@ def _pulses(columns: dict[str, NDArray], refs: References, packets: Packets, fir
     rows |= {f"step_{axis}": refs.step[at, k] for k, axis in enumerate("xyz")}
     nothing = np.full(len(at), np.nan)
     rows |= {
-        "segment_start": packets.start, "anchor_range": nothing, "outgoing_start": nothing,
-        "pulse": packets.pulse + first_pulse, "gps_time": columns["gps_time"][at], "anchor_time": refs.location[at],
-        "sample_spacing": packets.spacing, "saturation": packets.saturation, "gain": packets.gain,
-    }  # fmt: skip
+        "segment_start": packets.start,
+        "anchor_range": nothing,
+        "outgoing_start": nothing,
+        "pulse": packets.pulse + first_pulse,
+        "gps_time": columns["gps_time"][at],
+        "anchor_time": refs.location[at],
+        "sample_spacing": packets.spacing,
+        "saturation": packets.saturation,
+        "gain": packets.gain,
+    }
     return Table({name: rows[name] for name in PULSE_COLUMNS})

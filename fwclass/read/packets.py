@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.read.header import EVLR_HEADER
+from fwclass.formats.las_header import EVLR_HEADER
 from fwclass.read.las import LasSource
 from fwclass.read.layout import lay_out
 from fwclass.read.packet_kernels import first_anchors, gather, join_heads, number_pulses, pulse_heads
@@ -23,10 +23,20 @@ MAX_RETURNS = 255
 """A packet that more returns than this refer to is a writer's constant, not a pulse."""
 
 FAULTS = (
-    "", "no packet", "unknown descriptor", "compressed packet", "unsupported samples", "invalid sample spacing",
-    "packet size too small", "waveforms missing", "packet inside the record's header", "packet past the end",
-    "packet cut short", "packet shared by too many returns", "no sane return location or beam vector",
-)  # fmt: skip
+    "",
+    "no packet",
+    "unknown descriptor",
+    "compressed packet",
+    "unsupported samples",
+    "invalid sample spacing",
+    "packet size too small",
+    "waveforms missing",
+    "packet inside the record's header",
+    "packet past the end",
+    "packet cut short",
+    "packet shared by too many returns",
+    "no sane return location or beam vector",
+)
 """Why a return has no usable packet; the index is the code in `judge`."""
 
 VECTOR_RANGE = (0.5, 1.5)
@@ -59,9 +69,7 @@ class References:
         with np.errstate(invalid="ignore"):  # a NaN that signals stays a NaN: no packet of it is usable
             step = np.stack([np.asarray(a[n], np.float64) for n in ("x_t", "y_t", "z_t")], axis=1)
             location = a["return_point_wave_location"].astype(np.float64)
-        return cls(
-            a["wavepacket_index"], a["wavepacket_offset"], a["wavepacket_size"], location * 1e-3, step * 1e3,
-        )  # fmt: skip
+        return cls(a["wavepacket_index"], a["wavepacket_offset"], a["wavepacket_size"], location * 1e-3, step * 1e3)
 
 
 def packet_keys(points: Any) -> NDArray[np.uint64]:
@@ -229,9 +237,14 @@ def gather_packets(
     table = _Lookup.of(source)
     index = refs.descriptor[anchor]
     layout = lay_out(
-        pulse[anchor], place[anchor], refs.step[anchor], refs.location[anchor],
-        table.samples[index] * table.spacing[index], table.spacing[index], table.top[index],
-    )  # fmt: skip
+        pulse[anchor],
+        place[anchor],
+        refs.step[anchor],
+        refs.location[anchor],
+        table.samples[index] * table.spacing[index],
+        table.spacing[index],
+        table.top[index],
+    )
     shift = np.zeros(len(anchors))
     shift[with_packet] = layout.shift
     ordered = index[layout.order]
@@ -240,10 +253,18 @@ def gather_packets(
     head = anchor[layout.head]
     samples = _samples(source, refs.offset[anchor[layout.order]], table.wide[ordered], table.bytes[ordered], ends)
     return Packets(
-        head, pulse[head], layout.start, table.spacing[index[layout.head]], table.top[index[layout.head]],
-        table.gain[index[layout.head]], samples,
-        ends[first_of_row], has_packet, shift[packet], _count(table, refs, fault, has_packet),
-    )  # fmt: skip
+        head,
+        pulse[head],
+        layout.start,
+        table.spacing[index[layout.head]],
+        table.top[index[layout.head]],
+        table.gain[index[layout.head]],
+        samples,
+        ends[first_of_row],
+        has_packet,
+        shift[packet],
+        _count(table, refs, fault, has_packet),
+    )
 
 
 def _samples(

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import BinaryIO, NoReturn
 
 from fwclass.errors import InputError
+from fwclass.formats.checks import check_length, check_scales
+from fwclass.formats.las_header import MAX_EVLR_BODY, Record
 from fwclass.paths import open_regular
-from fwclass.read.checks import check_length, check_scales
-from fwclass.read.header import MAX_EVLR_BODY, Record
 
 SIGNATURE = b"PulseWavesPulse\0"
 HEADER, RECORD_HEADER, PULSE = 352, 96, 48
@@ -94,28 +94,50 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> PulseHeader:
     stream.seek(start)
     first = struct.unpack("<q", stream.read(8))[0] * t_scale + t_offset if n_pulses else 0.0
     return PulseHeader(
-        size, (head[172], head[173]), _text(head[40:104]), _text(head[104:168]), start, pulse_size, n_pulses, t_scale,
-        t_offset - EPOCH if first >= STANDARD_TIME else t_offset, first > WEEK, scales, offsets,
-        (b[0], b[2], b[4], b[1], b[3], b[5]), vlrs, avlrs, tuple(faults),
-    )  # fmt: skip
+        size,
+        (head[172], head[173]),
+        _text(head[40:104]),
+        _text(head[104:168]),
+        start,
+        pulse_size,
+        n_pulses,
+        t_scale,
+        t_offset - EPOCH if first >= STANDARD_TIME else t_offset,
+        first > WEEK,
+        scales,
+        offsets,
+        (b[0], b[2], b[4], b[1], b[3], b[5]),
+        vlrs,
+        avlrs,
+        tuple(faults),
+    )
 
 
 def _refuse_foreign(head: bytes, path: Path) -> None:
     if head[:16] != SIGNATURE:
         raise InputError(
             "this is no PulseWaves file" if head else "the file is empty",
-            where=path, expected="the signature PulseWavesPulse", got=repr(head[:16]), do="give a .pls file",
-        )  # fmt: skip
+            where=path,
+            expected="the signature PulseWavesPulse",
+            got=repr(head[:16]),
+            do="give a .pls file",
+        )
     if len(head) < HEADER:
         raise InputError(
             "the file ends inside its header",
-            where=path, expected=f"at least {HEADER} bytes", got=f"{len(head)} bytes", do="copy it again",
-        )  # fmt: skip
+            where=path,
+            expected=f"at least {HEADER} bytes",
+            got=f"{len(head)} bytes",
+            do="copy it again",
+        )
     if head[172] != 0 or head[173] < 3:
         raise InputError(
             "unknown PulseWaves version",
-            where=path, expected="0.3", got=f"{head[172]}.{head[173]}", do="write it again with a newer PulseTools",
-        )  # fmt: skip
+            where=path,
+            expected="0.3",
+            got=f"{head[172]}.{head[173]}",
+            do="write it again with a newer PulseTools",
+        )
 
 
 def _refuse_compressed(path: Path) -> NoReturn:
@@ -134,9 +156,11 @@ def _check_layout(
     if kind != 0 or pulse_size < PULSE:
         raise InputError(
             "unknown pulse format",
-            where=path, expected=f"format 0, at least {PULSE} bytes", got=f"format {kind}, {pulse_size} bytes",
+            where=path,
+            expected=f"format 0, at least {PULSE} bytes",
+            got=f"format {kind}, {pulse_size} bytes",
             do="write the file again with a newer PulseTools",
-        )  # fmt: skip
+        )
     if not HEADER <= header_size <= start <= size or n_pulses < 0:
         raise InputError(
             "the header's offsets do not fit the file",

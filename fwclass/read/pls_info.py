@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.read.flat import flat_faults
+from fwclass.formats.flat import flat_faults
 from fwclass.read.pls_waves import FAULTS, SILENT, Found, Samplings, blocks_of, reach
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
 from fwclass.read.quantities import WORDS, quantities_of

@@ -105,14 +105,25 @@ def read_pls(source: PulseSource, span: Span) -> Waveforms:
     rows = {f"anchor_{axis}": found.anchor[at, k] for k, axis in enumerate("xyz")}
     rows |= {f"step_{axis}": found.step[at, k] for k, axis in enumerate("xyz")}
     rows |= {
-        "pulse": at + span.first_pulse, "gps_time": found.time[at], "anchor_time": -begin,
-        "segment_start": layout.start, "anchor_range": found.anchor_range[at], "outgoing_start": out_start,
-        "sample_spacing": spacing, "saturation": top, "gain": np.ones(len(top)),
-    }  # fmt: skip
+        "pulse": at + span.first_pulse,
+        "gps_time": found.time[at],
+        "anchor_time": -begin,
+        "segment_start": layout.start,
+        "anchor_range": found.anchor_range[at],
+        "outgoing_start": out_start,
+        "sample_spacing": spacing,
+        "saturation": top,
+        "gain": np.ones(len(top)),
+    }
     return Waveforms(
-        Table({name: rows[name] for name in PULSE_COLUMNS}), Table.empty(RETURN_COLUMNS), samples, ends[first_of_row],
-        faults, outgoing, out_offsets,
-    )  # fmt: skip
+        Table({name: rows[name] for name in PULSE_COLUMNS}),
+        Table.empty(RETURN_COLUMNS),
+        samples,
+        ends[first_of_row],
+        faults,
+        outgoing,
+        out_offsets,
+    )
 
 
 def _returning(segments: Segments, kinds: Samplings) -> tuple[Segments, dict[str, int]]:
@@ -139,11 +150,7 @@ def _check_overlap(source: PulseSource, segments: Segments, kinds: Samplings) ->
 
 
 def _gather(
-    source: PulseSource,
-    segments: Segments,
-    kinds: Samplings,
-    data: NDArray[np.uint8] | None,
-    ends: NDArray[np.int64],
+    source: PulseSource, segments: Segments, kinds: Samplings, data: NDArray[np.uint8] | None, ends: NDArray[np.int64]
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
     samples = np.empty(int(ends[-1]), np.dtype(source.sample_dtype))
     if data is not None and len(segments.byte):

@@ -27,10 +27,18 @@ MAX_DURATION = 1e7
 """No segment begins later than this after the anchor [ns]: 1500 km."""
 
 FAULTS = (
-    "", "no waves", "waves past the end", "waves cut short", "too many segments", "unknown pulse descriptor",
-    "unusable pulse descriptor", "no sane beam vector", "no sane duration from the anchor", "waveforms missing",
+    "",
+    "no waves",
+    "waves past the end",
+    "waves cut short",
+    "too many segments",
+    "unknown pulse descriptor",
+    "unusable pulse descriptor",
+    "no sane beam vector",
+    "no sane duration from the anchor",
+    "waveforms missing",
     "no returning samples",
-)  # fmt: skip
+)
 """What a pulse lacks; the index is the code in `Found.fault`. The last one is no fault: nothing came back."""
 
 _BY_WALK = {SOUND: 0, NO_WAVES: 1, PAST_END: 2, CUT_SHORT: 3, TOO_MANY: 4}
@@ -66,11 +74,12 @@ def read_records(source: PulseSource, first: int, last: int) -> NDArray[Any]:
     empty = np.flatnonzero(~rows[:, :ANCHORS].any(axis=1))
     if len(empty) > ZEROS:
         raise InputError(
-            "a part of the file was never written: its pulses are nothing but zeros", where=source.path,
+            "a part of the file was never written: its pulses are nothing but zeros",
+            where=source.path,
             expected=f"at most {ZEROS} such pulses in {last - first}",
             got=f"{len(empty)}, the first of them pulse {first + int(empty[0])}",
             do="wait for the end of the upload, or copy the file again",
-        )  # fmt: skip
+        )
     return np.ascontiguousarray(rows).view(RECORD).reshape(-1)
 
 
@@ -112,12 +121,18 @@ class Samplings:
             for s in every
         ]
         return cls(
-            described, np.array(table, np.int64).reshape(-1, 6), state, unit, centre,
-            np.array([s.kind for s in every], np.int64), np.array([s.channel for s in every], np.int64),
-            np.array([s.scale for s in every], np.float64), np.array([s.offset for s in every], np.float64),
+            described,
+            np.array(table, np.int64).reshape(-1, 6),
+            state,
+            unit,
+            centre,
+            np.array([s.kind for s in every], np.int64),
+            np.array([s.channel for s in every], np.int64),
+            np.array([s.scale for s in every], np.float64),
+            np.array([s.offset for s in every], np.float64),
             np.array([s.spacing_ns for s in every], np.float64),
             np.array([2.0**s.bits - 1 for s in every], np.float32),
-        )  # fmt: skip
+        )
 
 
 @dataclass(frozen=True)

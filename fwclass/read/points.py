@@ -12,8 +12,8 @@ from laspy import DecompressionSelection
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.laz import varies_chunks
 from fwclass.read.las import LasSource
-from fwclass.read.laz import varies_chunks
 
 BLOCK = 200_000
 """Points that a streaming pass holds at a time."""
@@ -124,11 +124,12 @@ def _check_written(source: LasSource, first: int, points: Any) -> None:
         empty = empty[~rows.any(axis=1)]
     if len(empty) > ZEROS:
         raise InputError(
-            "a part of the file was never written: its points are nothing but zeros", where=source.path,
+            "a part of the file was never written: its points are nothing but zeros",
+            where=source.path,
             expected=f"at most {ZEROS} such points in {len(stored)}",
             got=f"{len(empty)}, the first of them point {first + int(empty[0])}",
             do="wait for the end of the upload, or copy the file again",
-        )  # fmt: skip
+        )
 
 
 def coordinates(source: LasSource, points: Any) -> tuple[NDArray[np.float64], ...]:

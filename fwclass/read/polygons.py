@@ -13,8 +13,8 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from fwclass.errors import ConfigError, InputError, nearest
-from fwclass.read import geoparquet, vector
-from fwclass.read.wkb import Shapes, shapes
+from fwclass.formats import geoparquet, vector
+from fwclass.formats.wkb import Shapes, shapes
 
 PARQUET = (".parquet", ".geoparquet")
 MOST_DEGREES = 361.0
@@ -65,9 +65,12 @@ def open_polygons(path: Path, layer: str | None = None) -> PolygonLayer:
     """
     if not is_polygon_file(path):
         raise InputError(
-            "this is no polygon file", where=path, expected="GeoParquet, GeoPackage, GeoJSON or Shapefile (.shp)",
-            got=path.suffix or "no ending", do="convert it, for example with ogr2ogr",
-        )  # fmt: skip
+            "this is no polygon file",
+            where=path,
+            expected="GeoParquet, GeoPackage, GeoJSON or Shapefile (.shp)",
+            got=path.suffix or "no ending",
+            do="convert it, for example with ogr2ogr",
+        )
     if path.suffix.lower() in PARQUET:
         return PolygonLayer(path, **geoparquet.header(path))
     return PolygonLayer(path, **vector.header(path, layer))
@@ -77,9 +80,12 @@ def check_field(opened: PolygonLayer, field: str) -> None:
     """`ConfigError` where the layer lacks the class field, `InputError` where it holds nothing."""
     if opened.features == 0:
         raise InputError(
-            "the polygon file is empty", where=opened.path, expected="at least one polygon", got="no feature",
+            "the polygon file is empty",
+            where=opened.path,
+            expected="at least one polygon",
+            got="no feature",
             do="check the export of the polygons, and survey.reference.layer",
-        )  # fmt: skip
+        )
     if field not in opened.fields:
         raise ConfigError(
             "the polygons have no such field",
@@ -164,9 +170,11 @@ def _check_degrees(made: Shapes, source: CRS, where: object) -> None:
     if most > MOST_DEGREES:
         raise InputError(
             "the polygons' coordinates are not the degrees that the file speaks of",
-            where=where, expected=f"degrees of {source.name}", got=f"coordinates up to {most:.1f}",
+            where=where,
+            expected=f"degrees of {source.name}",
+            got=f"coordinates up to {most:.1f}",
             do="name the system they are in: --set survey.reference.crs=EPSG:<code>",
-        )  # fmt: skip
+        )
 
 
 def _homeless(where: object, number: int, got: str) -> InputError:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fwclass.errors import InputError
+from fwclass.formats.crs import crs_of
 from fwclass.paths import open_regular
 from fwclass.read.base import Source, WaveStore
-from fwclass.read.crs import crs_of
 from fwclass.read.pls_header import SIGNATURE, PulseHeader, read_pulse_header
 
 WAVES_SIGNATURE, WAVES_HEADER = b"PulseWavesWaves\0", 60
@@ -146,11 +146,23 @@ def open_pls(path: Path) -> PulseSource:
         faults.append("the file has no pulses")
     descriptors = _descriptors(header, faults)
     return PulseSource(
-        path=path, size=header.size, version=header.version, compressed=False, n_points=0, n_records=header.n_pulses,
-        point_format=-1, bounds=header.bounds, scales=header.scales, offsets=header.offsets, crs=crs,
-        waves=_find_waves(path, faults), standard_gps_time=header.standard_gps_time,
-        faults=tuple(dict.fromkeys(faults)), descriptors=descriptors, header=header,
-    )  # fmt: skip
+        path=path,
+        size=header.size,
+        version=header.version,
+        compressed=False,
+        n_points=0,
+        n_records=header.n_pulses,
+        point_format=-1,
+        bounds=header.bounds,
+        scales=header.scales,
+        offsets=header.offsets,
+        crs=crs,
+        waves=_find_waves(path, faults),
+        standard_gps_time=header.standard_gps_time,
+        faults=tuple(dict.fromkeys(faults)),
+        descriptors=descriptors,
+        header=header,
+    )
 
 
 def _descriptors(header: PulseHeader, faults: list[str]) -> dict[int, PulseDescriptor]:

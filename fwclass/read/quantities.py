@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from fwclass.formats.las_header import SPEC_USERS, Header
 from fwclass.read.base import Source
-from fwclass.read.header import SPEC_USERS, Header
 from fwclass.read.las import LasSource
 
 COUNTS, DECIBELS, INTENSITY, FITTED, READ, NONE = "counts", "decibels", "intensity", "fitted", "read", "none"

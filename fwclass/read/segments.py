@@ -42,10 +42,13 @@ class Rows:
     @classmethod
     def of_points(cls, source: LasSource, points: Any) -> Rows:
         return cls(
-            packet_keys(points), gps_times(source, points), np.asarray(points["return_number"], np.uint8),
-            np.asarray(points["number_of_returns"], np.uint8), np.stack(coordinates(source, points), axis=1),
+            packet_keys(points),
+            gps_times(source, points),
+            np.asarray(points["return_number"], np.uint8),
+            np.asarray(points["number_of_returns"], np.uint8),
+            np.stack(coordinates(source, points), axis=1),
             References.of(points),
-        )  # fmt: skip
+        )
 
     def take(self, index: Any) -> Rows:
         refs = References(*(getattr(self.refs, f.name)[index] for f in fields(References)))
@@ -57,9 +60,13 @@ class Rows:
         refs = References(*(np.concatenate([getattr(a.refs, n), getattr(b.refs, n)]) for n in names))
         both = np.concatenate
         return cls(
-            both([a.key, b.key]), both([a.time, b.time]), both([a.number, b.number]), both([a.of, b.of]),
-            both([a.place, b.place]), refs,
-        )  # fmt: skip
+            both([a.key, b.key]),
+            both([a.time, b.time]),
+            both([a.number, b.number]),
+            both([a.of, b.of]),
+            both([a.place, b.place]),
+            refs,
+        )
 
 
 def segment_links(source: LasSource, rows: Rows, before: Rows | None = None) -> NDArray[np.bool_]:

@@ -110,9 +110,12 @@ def _text_of(path: Path) -> bytes:
     if strange:
         at = data.index(strange[:1])
         raise refused(
-            path, "this is no text", "lines of x y z [label]", f"byte {data[at]} at place {at}",
+            path,
+            "this is no text",
+            "lines of x y z [label]",
+            f"byte {data[at]} at place {at}",
             "give a LAS or LAZ file its own suffix, or export the points as text",
-        )  # fmt: skip
+        )
     if not data or data.isspace():
         raise refused(path, "the file has no points", "lines of x y z [label]", f"{len(data)} bytes", "export it again")
     return data
@@ -139,10 +142,7 @@ def _parsed(path: Path, body: bytes, layout: Layout) -> dict[str, NDArray[np.flo
         table = csv.read_csv(
             io.BytesIO(body),
             csv.ReadOptions(column_names=columns, block_size=1 << 24, use_threads=False),
-            csv.ParseOptions(
-                delimiter=layout.delimiter,
-                quote_char=False if layout.delimiter == " " else '"',
-            ),
+            csv.ParseOptions(delimiter=layout.delimiter, quote_char=False if layout.delimiter == " " else '"'),
             csv.ConvertOptions(
                 column_types=dict.fromkeys(wanted, pa.float64()),
                 include_columns=wanted,
@@ -166,15 +166,23 @@ def _explained(path: Path, body: bytes, layout: Layout, told: str) -> InputError
         words = words_of(content, layout.delimiter)
         if len(words) != count:
             return refused(
-                path, "a line has another number of columns", f"{count}, as in line {layout.first}",
-                f"{len(words)}: {shown(content)}", "mend or remove the line", number,
-            )  # fmt: skip
+                path,
+                "a line has another number of columns",
+                f"{count}, as in line {layout.first}",
+                f"{len(words)}: {shown(content)}",
+                "mend or remove the line",
+                number,
+            )
         for word, column in zip(words, layout.columns, strict=True):
             if not column.startswith("?") and not is_number(word, layout.decimal):
                 return refused(
-                    path, "this is no number", f"a number as {column}", shown(word.encode()),
-                    "mend or remove the line", number,
-                )  # fmt: skip
+                    path,
+                    "this is no number",
+                    f"a number as {column}",
+                    shown(word.encode()),
+                    "mend or remove the line",
+                    number,
+                )
     return refused(path, "the text cannot be read", "lines of x y z [label]", told[:SHOWN], "export it again")
 
 
@@ -189,10 +197,13 @@ def _labels(
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
         raise refused(
-            path, "the labels are no labels", "whole numbers from 0 to 255", f"{given[row]:g}",
+            path,
+            "the labels are no labels",
+            "whole numbers from 0 to 255",
+            f"{given[row]:g}",
             "if this column is something else, name the columns in a header line (x y z intensity)",
             _line_of(body, row, layout.first),
-        )  # fmt: skip
+        )
     label = given.astype(np.uint8)
     isprs = name == "label" and not (label > 1).any()
     return label, "isprs" if isprs else "code"

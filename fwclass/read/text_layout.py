@@ -56,9 +56,13 @@ def layout_of(path: Path, data: bytes) -> Layout:
             names = words
         elif not commented:
             raise refused(
-                path, "this line is neither numbers nor a header", "x y z [label]", shown(content),
-                "mend or remove the line", number,
-            )  # fmt: skip
+                path,
+                "this line is neither numbers nor a header",
+                "x y z [label]",
+                shown(content),
+                "mend or remove the line",
+                number,
+            )
     raise refused(path, "the file has no points", "lines of x y z [label]", "none", "export it again")
 
 
@@ -101,23 +105,33 @@ def _named(
     if names is None:
         if count not in (3, 4):
             raise refused(
-                path, "a line has another number of columns", "3 or 4: x y z [label]", count,
+                path,
+                "a line has another number of columns",
+                "3 or 4: x y z [label]",
+                count,
                 "name the columns in a header line (x y z classification ...); those that are not known are left out",
                 line,
-            )  # fmt: skip
+            )
         return Layout(delimiter, decimal, ("x", "y", "z", "label")[:count], start, line)
     columns = tuple(map(_column, names))
     known = [c for c in columns if not c.startswith("?")]
     if len(names) != count:
         raise refused(
-            path, "header and lines have different numbers of columns", f"{len(names)}: {' '.join(names)[:SHOWN]}",
-            count, "mend the header, or remove it", line,
-        )  # fmt: skip
+            path,
+            "header and lines have different numbers of columns",
+            f"{len(names)}: {' '.join(names)[:SHOWN]}",
+            count,
+            "mend the header, or remove it",
+            line,
+        )
     if {"x", "y", "z"} - set(known) or len(set(known)) < len(known):
         raise refused(
-            path, "the header does not name x, y and z once each", "x y z and label or classification",
-            " ".join(names)[:SHOWN], "mend the header, or remove it",
-        )  # fmt: skip
+            path,
+            "the header does not name x, y and z once each",
+            "x y z and label or classification",
+            " ".join(names)[:SHOWN],
+            "mend the header, or remove it",
+        )
     return Layout(delimiter, decimal, columns, start, line)
 
 

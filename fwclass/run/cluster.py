@@ -31,13 +31,13 @@ from tornado.ioloop import IOLoop
 
 from fwclass.errors import FwclassError
 from fwclass.isolation import kernel_cache
-from fwclass.run.hand import Hand
+from fwclass.run.in_flight import InFlight
 from fwclass.run.limit import ended_after
 from fwclass.run.lost import Losses, cause_of
 from fwclass.run.part import Outcome, Task, execute
 from fwclass.store.atomic import digest_of, write_text
-from fwclass.store.home import Home
 from fwclass.store.libraries import changes, fingerprint
+from fwclass.store.run_location import RunLocation
 from fwclass.store.scratch import worker_directory
 
 _OUTSIDE = re.compile(r'<link rel="shortcut icon" href="https?://[^">]*"[^>]*>')
@@ -51,9 +51,10 @@ SLOW_START = 120.0
 """Seconds that a worker may take to come back before another is started in its place."""
 
 _QUIET = {
-    "distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s",
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
-}  # fmt: skip
+}
 """Dask looks at itself every 10 to 500 ms in every process: 12 % of a core for two workers that have nothing to do,
 4 % with these."""
 
@@ -69,7 +70,13 @@ class OtherLibraries(Exception):
 
 
 def _at_worker(
-    libraries: str, home: Home, task: Task, upstream: Iterable[Outcome], split: int, topic: str, seconds: float
+    libraries: str,
+    location: RunLocation,
+    task: Task,
+    upstream: Iterable[Outcome],
+    split: int,
+    topic: str,
+    seconds: float,
 ) -> Outcome:
     """A part, on whatever host the scheduler has chosen; its outcome is told under `topic` too, which asks nobody."""
     worker = get_worker()
@@ -77,7 +84,7 @@ def _at_worker(
         raise OtherLibraries(worker.address, dict(fingerprint()))
     worker_directory(Path(worker.local_directory))
     with ended_after(seconds) if math.isfinite(seconds) else nullcontext():
-        outcome = execute(home, task, tuple(upstream), split)
+        outcome = execute(location, task, tuple(upstream), split)
     worker.log_event(topic, {"key": worker.get_current_task(), "outcome": asdict(outcome)})
     return outcome
 
@@ -148,15 +155,19 @@ def _no_answer(address: str | None, fault: Exception) -> FwclassError:
     """Nobody speaks at `address`, or not to us."""
     if (address or "").startswith("tls://") or dask.config.get("distributed.comm.require-encryption"):
         return FwclassError(
-            "no Dask scheduler answers, or not to this certificate", where=address or "local cluster", got=fault,
+            "no Dask scheduler answers, or not to this certificate",
+            where=address or "local cluster",
+            got=fault,
             do="name certificates of the scheduler's authority in Dask's distributed.comm.tls: ca-file, client.cert, "
             "client.key, and those of scheduler and worker where these run (docs/security.md)",
-        )  # fmt: skip
+        )
     return FwclassError(
-        "no Dask scheduler answers", where=address or "local cluster", got=fault,
+        "no Dask scheduler answers",
+        where=address or "local cluster",
+        got=fault,
         do="start one with `dask scheduler`, or leave --scheduler out for a local cluster; one that speaks TLS has an "
         "address tls://…",
-    )  # fmt: skip
+    )
 
 
 class Watcher(Nanny):  # type: ignore[misc]
@@ -177,15 +188,27 @@ class Cluster:
     """
 
     def __init__(
-        self, address: str | None, workers: int, worker_memory_gib: float, window: int, retries: int = 0,
-        split: int = 1, watched: bool = False, say: Callable[[str], None] = print, part_hours: float = math.inf,
-    ) -> None:  # fmt: skip
+        self,
+        address: str | None,
+        workers: int,
+        worker_memory_gib: float,
+        window: int,
+        retries: int = 0,
+        split: int = 1,
+        watched: bool = False,
+        say: Callable[[str], None] = print,
+        part_hours: float = math.inf,
+    ) -> None:
         steady()
-        dask.config.set({
-            "distributed.scheduler.allowed-failures": 0, "distributed.admin.tick.limit": "30s",
-            "distributed.deploy.lost-worker-timeout": f"{SLOW_START:g}s", **({} if watched else _QUIET),
-            "distributed.scheduler.worker-ttl": None,  # it asks the wall clock; nannies know whether workers live
-        })  # fmt: skip
+        dask.config.set(
+            {
+                "distributed.scheduler.allowed-failures": 0,
+                "distributed.admin.tick.limit": "30s",
+                "distributed.deploy.lost-worker-timeout": f"{SLOW_START:g}s",
+                **({} if watched else _QUIET),
+                "distributed.scheduler.worker-ttl": None,  # it asks the wall clock; nannies know whether workers live
+            }
+        )
         self._cluster: LocalCluster | None = None
         self._heard: dict[str, Outcome] = {}
         self._away: set[str] = set()
@@ -194,10 +217,15 @@ class Cluster:
             if address is None:
                 kernel_cache()  # one for all workers
                 self._cluster = LocalCluster(
-                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
-                    memory_limit=f"{worker_memory_gib} GiB", host="127.0.0.1", silence_logs=50,
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    dashboard_address="127.0.0.1:0",
+                    memory_limit=f"{worker_memory_gib} GiB",
+                    host="127.0.0.1",
+                    silence_logs=50,
                     worker_class=Watcher,
-                )  # fmt: skip
+                )
             self._client = Client(self._cluster or address, timeout="30s")
             if self._cluster is not None:
                 self._client.register_plugin(Unheeding())
@@ -218,17 +246,18 @@ class Cluster:
         told = {
             address: _apart(there) if isinstance(there, dict) else f"{type(there).__name__}: {there}"
             for address, there in self._client.run(_fingerprint_here, on_error="return").items()
-        }  # fmt: skip
+        }
         other = [f"{address}: {text}" for address, text in told.items() if text]
         if other:
             self.__exit__(None, None, None)
             more = f"\n    and {len(other) - TOLD_WORKERS} more" if len(other) > TOLD_WORKERS else ""
             raise FwclassError(
-                f"{len(other)} of {len(told)} workers compute by other code than this run", where=self.address,
+                f"{len(other)} of {len(told)} workers compute by other code than this run",
+                where=self.address,
                 expected="the same fwclass and libraries on all hosts: parts would come out otherwise on some",
                 got="\n    ".join(["", *other[:TOLD_WORKERS]]) + more,
                 do="install the same on all hosts (requirements.lock), and start the workers again",
-            )  # fmt: skip
+            )
 
     def turned_away(self, fault: BaseException | None) -> bool:
         """Whether `fault` is that of a worker which computes by other code; it is told, and gets no part any more."""
@@ -238,9 +267,11 @@ class Cluster:
         text = f"worker {address} computes by other code than this run ({_apart(there)})"
         if self._cluster is not None:
             raise FwclassError(
-                "the program was changed while it ran", where=self.address, got=text,
+                "the program was changed while it ran",
+                where=self.address,
+                got=text,
                 do="run the same again; what is done is kept",
-            )  # fmt: skip
+            )
         if address not in self._away:
             self._away.add(address)
             self._say(f"dask             {text}: it is retired")
@@ -289,33 +320,42 @@ class Cluster:
         if self._cluster is not None:
             self._cluster.close()
 
-    def run(self, home: Home, tasks: Iterable[Task]) -> Generator[Outcome]:
+    def run(self, location: RunLocation, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes as parts end, in any order; edges are exactly the tasks' needs.
 
         The scheduler knows at most `window` parts: the next is taken when one has ended. `FwclassError` if the
         scheduler is gone.
         """
-        hand = Hand(self, home, Losses(home, self._retries), as_completed())
+        in_flight = InFlight(self, location, Losses(location, self._retries), as_completed())
         try:
             for task in tasks:
-                hand.take(task)
-                while hand.full:
-                    yield from hand.ended()
-            while hand:
-                yield from hand.ended()
+                in_flight.take(task)
+                while in_flight.full:
+                    yield from in_flight.ended()
+            while in_flight:
+                yield from in_flight.ended()
             self._heard.clear()
         except GeneratorExit:  # stopped at a failure: what has not begun is not begun any more
-            hand.drop()
+            in_flight.drop()
             raise
 
-    def submit(self, home: Home, task: Task, upstream: list[Any], alone: bool) -> Future:
+    def submit(self, location: RunLocation, task: Task, upstream: list[Any], alone: bool) -> Future:
         """Hand a part to the scheduler; one that is tried alone is made in pieces."""
         self._count += 1
         return self._client.submit(
-            _at_worker, _digest_here(), home, task, upstream, self._split if alone else 1, self._topic,
+            _at_worker,
+            _digest_here(),
+            location,
+            task,
+            upstream,
+            self._split if alone else 1,
+            self._topic,
             self._seconds,
-            key=f"{task.stage}-{task.part}-{self._count}", pure=False, priority=-self._count, retries=0,
-        )  # fmt: skip
+            key=f"{task.stage}-{task.part}-{self._count}",
+            pure=False,
+            priority=-self._count,
+            retries=0,
+        )
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
         told = event[1]["outcome"]
@@ -333,9 +373,10 @@ class Cluster:
         """The words for a scheduler that does not answer any more; its client's own are kept from the terminal."""
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         return FwclassError(
-            "the Dask scheduler is gone", where=self.address,
+            "the Dask scheduler is gone",
+            where=self.address,
             do="start it and its workers again, then run the same command; what is done is kept",
-        )  # fmt: skip
+        )
 
     @staticmethod
     def killed(fault: BaseException | None, key: str) -> str | None:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from fwclass.run.road import Road
+from fwclass.run.runner import Runner
 from fwclass.store.libraries import fingerprint, stale_by
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import NO_STAGES, Store
@@ -41,11 +41,11 @@ def announced(store: Store, accepted: bool) -> list[str]:
     return told + (lines if unknown and not kept else [])
 
 
-def reported(road: Road) -> dict[str, Any]:
+def reported(runner: Runner) -> dict[str, Any]:
     """What the report says: the libraries here, parts made with others that count as done, and parts that do not
     tell."""
-    done = (road.store.receipt(*name) for name, outcome in road.outcomes.items() if outcome.ok)
-    found, unknown = by_change((r for r in done if r is not None), road.store)
+    done = (runner.store.receipt(*name) for name, outcome in runner.outcomes.items() if outcome.ok)
+    found, unknown = by_change((r for r in done if r is not None), runner.store)
     return {"here": dict(fingerprint()), "accepted": dict(found), "unknown": unknown}
 
 

@@ -44,7 +44,7 @@ def _set(own: object, deadline: float | None) -> None:
 
 
 @contextmanager
-def told_after(seconds: float, name: Name, say: Callable[[str], None]) -> Iterator[None]:
+def warned_after(seconds: float, name: Name, say: Callable[[str], None]) -> Iterator[None]:
     """Say that the part `name` takes longer, if it does."""
     text = (
         f"{'/'.join(name)} has taken longer than run.part_hours ({seconds / 3600:g} h), and goes on: a worker would be "

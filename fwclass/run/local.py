@@ -8,12 +8,12 @@ from itertools import chain
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from fwclass.run.limit import told_after
+from fwclass.run.limit import warned_after
 from fwclass.run.part import Outcome, Task, execute
-from fwclass.store.home import Home
+from fwclass.store.run_location import RunLocation
 
 if TYPE_CHECKING:
-    from fwclass.run.road import Executor
+    from fwclass.run.runner import Executor
 
 
 class Loop:
@@ -25,12 +25,12 @@ class Loop:
         """`say` is told of a part that takes longer than `part_hours` [h]; it goes on."""
         self._seconds, self._say = 3600.0 * part_hours if part_hours else None, say
 
-    def run(self, home: Home, tasks: Iterable[Task]) -> Generator[Outcome]:
+    def run(self, location: RunLocation, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes in order; a task comes after every task that it needs."""
         for task in tasks:
-            watch = told_after(self._seconds, task.name, self._say) if self._seconds else nullcontext()
+            watch = warned_after(self._seconds, task.name, self._say) if self._seconds else nullcontext()
             with watch:
-                outcome = execute(home, task)
+                outcome = execute(location, task)
             yield outcome
 
 
@@ -51,10 +51,10 @@ class WhenNeeded:
     ) -> None:
         self._stack.__exit__(kind, fault, trace)
 
-    def run(self, home: Home, tasks: Iterable[Task]) -> Generator[Outcome]:
+    def run(self, location: RunLocation, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes as the executor gives them."""
         coming = iter(tasks)
         for first in coming:
             if self._started is None:
                 self._started = self._stack.enter_context(self._start())
-            yield from self._started.run(home, chain([first], coming))
+            yield from self._started.run(location, chain([first], coming))

@@ -14,8 +14,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fwclass.errors import StoreError
-from fwclass.store.home import Home, address_of
 from fwclass.store.remote_read import Remote
+from fwclass.store.run_location import RunLocation, address_of
 from fwclass.store.url import Url
 
 LIMIT = 64 * 1024
@@ -28,11 +28,11 @@ Value = str | int | float | None
 _BARE = re.compile(r"[\w./:@%+,()\[\]-]+", re.ASCII)
 
 
-def log_path(home: Home, stage: str, part: str) -> Path | Url:
-    return address_of(home) / "logs" / stage / f"{part}.log"
+def log_path(location: RunLocation, stage: str, part: str) -> Path | Url:
+    return address_of(location) / "logs" / stage / f"{part}.log"
 
 
-def attempted(home: Home, stage: str, part: str, fields: Mapping[str, Value]) -> None:
+def attempted(location: RunLocation, stage: str, part: str, fields: Mapping[str, Value]) -> None:
     """Append one attempt at a part to its log: when (UTC), stage, part, host, pid, and `fields`.
 
     The one place that knows where logs go; it is called where the work was done, on a worker. On object storage, where
@@ -41,11 +41,11 @@ def attempted(home: Home, stage: str, part: str, fields: Mapping[str, Value]) ->
     when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     who: dict[str, Value] = {"stage": stage, "part": part, "host": socket.gethostname(), "pid": os.getpid()}
     text = line({"when": when, **who, **fields})
-    if isinstance(home, Remote):
+    if isinstance(location, Remote):
         with contextlib.suppress(StoreError):
-            home.objects.put(f"logs/{stage}/{part}.log", text.encode())
+            location.objects.put(f"logs/{stage}/{part}.log", text.encode())
         return
-    path = home / "logs" / stage / f"{part}.log"
+    path = location / "logs" / stage / f"{part}.log"
     with contextlib.suppress(OSError):
         try:
             _append(path, text)

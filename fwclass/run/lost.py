@@ -17,7 +17,7 @@ from typing import Literal
 from fwclass.errors import FwclassError
 from fwclass.run.logs import attempted
 from fwclass.run.part import Name, Outcome
-from fwclass.store.home import Home
+from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
 
 MEMORY = "its worker grew beyond its memory"
@@ -31,12 +31,12 @@ Verdict = Literal["again", "alone", "failed"]
 
 @dataclass
 class Losses:
-    """Workers lost under the parts of the run at `home`.
+    """Workers lost under the parts of the run at `location`.
 
     `retries`: times that a part is tried again among others; as often alone, unless its worker wanted memory.
     """
 
-    home: Home
+    location: RunLocation
     retries: int
     _causes: dict[Name, list[str]] = field(default_factory=dict)
     _alone: dict[Name, int] = field(default_factory=dict)
@@ -46,14 +46,14 @@ class Losses:
 
         `alone`: nothing else ran.
         """
-        begun = not isinstance(self.home, Path) or Store(self.home).clear_staged(
+        begun = not isinstance(self.location, Path) or Store(self.location).clear_staged(
             *name
         )  # who stages elsewhere is not seen
         if not begun and not alone:
             return "again"
         causes = self._causes.setdefault(name, [])
         causes.append(cause)
-        attempted(self.home, *name, {"status": "lost", "message": cause})
+        attempted(self.location, *name, {"status": "lost", "message": cause})
         if cause.startswith(TIME):
             return "failed"
         if alone:
@@ -67,10 +67,12 @@ class Losses:
         causes = self._causes.get(name, [""])
         if causes[-1].startswith(TIME):
             fault = FwclassError(
-                "the part was ended", where="/".join(name), got=causes[-1],
+                "the part was ended",
+                where="/".join(name),
+                got=causes[-1],
                 do="look for points crowded in one place, or a damaged file (`fwclass info`); if the part is only "
                 "large, raise run.part_hours or make tiles smaller (tile.size): no result changes",
-            )  # fmt: skip
+            )
             return str(fault)
         memory = causes[-1].startswith(MEMORY)
         more = "give workers more memory (run.worker_memory_gib) or make tiles smaller (tile.size): no result changes"
@@ -79,8 +81,10 @@ class Losses:
         )
         fault = FwclassError(
             f"the worker was lost {len(causes)} times, the last time with nothing else running",
-            where="/".join(name), got=causes[-1], do=more if memory else crash,
-        )  # fmt: skip
+            where="/".join(name),
+            got=causes[-1],
+            do=more if memory else crash,
+        )
         return str(fault)
 
     def told(self, outcome: Outcome) -> Outcome:
@@ -101,9 +105,13 @@ def cause_of(bytes_held: int | None, limit_gib: float | None, exit_code: int | N
     if exit_code == -ALARM:
         return f"{TIME}, and its worker was ended"
     name = signal.Signals(-exit_code).name if -exit_code in signal.valid_signals() else "an unknown signal"
-    meaning = {
-        signal.SIGKILL: ": by hand, or by the system for want of memory",
-        signal.SIGBUS: ": a file was truncated while it was read, or the disk is full or broken",
-        signal.SIGSEGV: ": a fault of the program",
-    }.get(signal.Signals(-exit_code), "") if -exit_code in signal.valid_signals() else ""  # fmt: skip
+    meaning = (
+        {
+            signal.SIGKILL: ": by hand, or by the system for want of memory",
+            signal.SIGBUS: ": a file was truncated while it was read, or the disk is full or broken",
+            signal.SIGSEGV: ": a fault of the program",
+        }.get(signal.Signals(-exit_code), "")
+        if -exit_code in signal.valid_signals()
+        else ""
+    )
     return f"its worker was ended by signal {-exit_code}, {name}{meaning}"

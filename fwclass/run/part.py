@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fwclass.errors import FwclassError, full_or, interrupted, system_error
-from fwclass.run.desk import Desk
+from fwclass.run.inputs import PartInputs
 from fwclass.run.logs import Value, attempted, log_path
 from fwclass.store.cells import Within, digest_within
-from fwclass.store.foreign import Foreign
-from fwclass.store.home import Home, open_store
+from fwclass.store.external_file import ExternalFile
 from fwclass.store.libraries import stale_by
 from fwclass.store.receipts import Receipt, key_of
+from fwclass.store.run_location import RunLocation, open_store
 from fwclass.store.run_store import Store
 
 Name = tuple[str, str]
@@ -32,7 +32,7 @@ class Task:
     ----------
     stage, part, version : which part, by which version of the stage.
     params : plain data that enters the key.
-    work : picklable; ``work(desk, directory)`` writes files into `directory` and returns the part's meta.
+    work : picklable; ``work(inputs, directory)`` writes files into `directory` and returns the part's meta.
     needs : parts read; their digests enter the key.
     within : what is read of those of them that have digests of pieces (`store.cells`): the rows in a box, the piece of
         a name; None for all.
@@ -47,9 +47,9 @@ class Task:
     part: str
     version: int
     params: Any
-    work: Callable[[Desk, Path], Mapping[str, Any]]
+    work: Callable[[PartInputs, Path], Mapping[str, Any]]
     needs: tuple[Name, ...] = ()
-    external: tuple[Foreign, ...] = ()
+    external: tuple[ExternalFile, ...] = ()
     place: Literal["store", "deliver", "run"] = "store"
     within: Within = None
     any_libraries: bool = False
@@ -115,7 +115,7 @@ def holds(task: Task, store: Store, key: str) -> bool:
     return receipt is not None and (task.any_libraries or not stale_by(store.libraries(receipt)))
 
 
-def execute(home: Home, task: Task, upstream: Sequence[Outcome] = (), split: int = 1) -> Outcome:
+def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (), split: int = 1) -> Outcome:
     """Make one part, or say why not. Never raises for a fault of the part; the run goes on without it.
 
     With `split` the stages that hold most work in `split` × `split` pieces of a tile: less memory, the same bytes.
@@ -127,36 +127,42 @@ def execute(home: Home, task: Task, upstream: Sequence[Outcome] = (), split: int
     key = ""
     began = time.perf_counter()
     try:
-        store = open_store(home)
-        inputs = input_digests(task, store)
-        if inputs is None:
+        store = open_store(location)
+        digests = input_digests(task, store)
+        if digests is None:
             return Outcome(*task.name, "blocked", message="a part that it needs is not done")
-        key = key_of(task.stage, task.version, task.params, inputs)
+        key = key_of(task.stage, task.version, task.params, digests)
         if holds(task, store, key):
             return Outcome(*task.name, "skipped")
-        desk = Desk(store, external={file.name: file.digest for file in task.external}, split=split)
+        inputs = PartInputs(store, external={file.name: file.digest for file in task.external}, split=split)
         receipt = store.commit(
-            task.stage, task.part, key, inputs, task.place, lambda directory: _worked(task, desk, directory),
-            task.version, task.params,
-        )  # fmt: skip
+            task.stage,
+            task.part,
+            key,
+            digests,
+            task.place,
+            lambda directory: _worked(task, inputs, directory),
+            task.version,
+            task.params,
+        )
     except Exception as fault:
         if interrupted(fault):
             raise KeyboardInterrupt from fault
-        outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_told(home, task, fault))
+        outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_message(location, task, fault))
         trace = "" if isinstance(fault, (FwclassError, OSError)) else "".join(traceback.format_exception(fault))
-        attempted(home, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
+        attempted(location, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
         return outcome
     outcome = Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
-    attempted(home, *task.name, _attempt(outcome, key) | _made(receipt))
+    attempted(location, *task.name, _attempt(outcome, key) | _made(receipt))
     return outcome
 
 
-def _worked(task: Task, desk: Desk, directory: Path) -> Mapping[str, Any]:
+def _worked(task: Task, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
     """The part's work; refused where a file that it reads is not, before and after, the one whose digest was taken."""
     for file in task.external:
         file.check()
     try:
-        meta = task.work(desk, directory)
+        meta = task.work(inputs, directory)
     except FwclassError:
         raise
     except Exception as fault:
@@ -171,13 +177,13 @@ def _worked(task: Task, desk: Desk, directory: Path) -> Mapping[str, Any]:
     return meta
 
 
-def _told(home: Home, task: Task, fault: Exception) -> str:
+def _message(location: RunLocation, task: Task, fault: Exception) -> str:
     """A fault in words for the user; one of the program has its traceback in the part's log."""
     if isinstance(fault, FwclassError):
         return str(fault)
     if isinstance(fault, OSError):
-        return str(system_error(fault, home))
-    return f"{type(fault).__name__}: {fault}\n  traceback: {log_path(home, *task.name)}"
+        return str(system_error(fault, location))
+    return f"{type(fault).__name__}: {fault}\n  traceback: {log_path(location, *task.name)}"
 
 
 def _attempt(outcome: Outcome, key: str) -> dict[str, Value]:
@@ -190,10 +196,11 @@ def _made(receipt: Receipt) -> dict[str, Value]:
     """What a log tells of a part that was made."""
     faults = receipt.meta.get("faults") or {}
     return {
-        "peak_mib": receipt.peak_mib, "rows": receipt.meta.get("rows"),
+        "peak_mib": receipt.peak_mib,
+        "rows": receipt.meta.get("rows"),
         "bytes": sum(int(o["bytes"]) for o in receipt.outputs.values()),
         "faults": ",".join(f"{n}:{count}" for n, count in faults.items()) or None,
-    }  # fmt: skip
+    }
 
 
 def single_thread() -> None:

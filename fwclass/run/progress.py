@@ -70,9 +70,14 @@ class Display:
         self.workers = 0
         self._clock = clock
         self._bars = Progress(
-            TextColumn("{task.description:<16}"), BarColumn(bar_width=30), MofNCompleteColumn(), TimeElapsedColumn(),
-            TextColumn("{task.fields[pace]}"), console=self.console, transient=True,
-        )  # fmt: skip
+            TextColumn("{task.description:<16}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[pace]}"),
+            console=self.console,
+            transient=True,
+        )
         self._live = self.console.is_terminal
         self._stages: dict[str, _Stage] = {}
         self._all: TaskID | None = None
@@ -129,9 +134,12 @@ class Display:
         if stage.row is None:
             stage.row = self._bars.add_task(name, total=None, pace="")
         self._bars.update(
-            stage.row, completed=stage.ended, total=stage.ended + stage.left, pace=stage.pace(now),
+            stage.row,
+            completed=stage.ended,
+            total=stage.ended + stage.left,
+            pace=stage.pace(now),
             visible=stage.left > 0,
-        )  # fmt: skip
+        )
         if self._all is not None:
             self._bars.update(self._all, advance=1, pace=self._at_work())
 

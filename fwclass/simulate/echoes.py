@@ -78,10 +78,7 @@ def cluster(time, energy, code, hits, sigma, separation, visible, echo, echo_cod
                 best, at = gap, k
         if at < 0:
             for k in range(count - 1):
-                left, right = (
-                    peak(echo[k, 1], echo[k, 2], sigma),
-                    peak(echo[k + 1, 1], echo[k + 1, 2], sigma),
-                )
+                left, right = (peak(echo[k, 1], echo[k, 2], sigma), peak(echo[k + 1, 1], echo[k + 1, 2], sigma))
                 spread = sigma * sigma + (echo[k, 2] if left > right else echo[k + 1, 2])
                 gap = echo[k + 1, 0] - echo[k, 0]
                 if min(left, right) < max(left, right) * math.exp(-0.5 * gap * gap / spread):

@@ -69,13 +69,7 @@ class Builder:
                 side = 1.0 if random.random() < 0.5 else -1.0
                 at = place.at((k - 1) * 0.27 * length, side * 0.25 * wide)
                 self.things.block(
-                    at,
-                    random.uniform(1.3, 2.2),
-                    0.3 * wide,
-                    eave,
-                    eave + 0.42 * wide * rise,
-                    BUILDING,
-                    albedo,
+                    at, random.uniform(1.3, 2.2), 0.3 * wide, eave, eave + 0.42 * wide * rise, BUILDING, albedo
                 )
 
     def hall(self, random: np.random.Generator, place: Place, length: float, width: float) -> None:
@@ -86,20 +80,17 @@ class Builder:
         albedo = random.uniform(*self.params.house_albedo)
         self.things.block(place, length, width, low - 1.0, top, BUILDING, albedo)
         for u, v, long, angle in (
-            (0.0, 0.5, length, 0.0), (0.0, -0.5, length, 0.0), (0.5, 0.0, width, 0.5), (-0.5, 0.0, width, 0.5),
-        ):  # fmt: skip
+            (0.0, 0.5, length, 0.0),
+            (0.0, -0.5, length, 0.0),
+            (0.5, 0.0, width, 0.5),
+            (-0.5, 0.0, width, 0.5),
+        ):
             rim = place.at(u * length, v * width).turned(angle * math.pi)
             self.things.block(rim, long, 0.3, top - 0.1, top + 0.5, BUILDING, 0.35)
         for _ in range(int(random.integers(1, 5))):
             at = place.at(random.uniform(-0.4, 0.4) * length, random.uniform(-0.4, 0.4) * width)
             self.things.block(
-                at,
-                random.uniform(1, 5),
-                random.uniform(1, 3),
-                top,
-                top + random.uniform(0.6, 2.2),
-                BUILDING,
-                0.45,
+                at, random.uniform(1, 5), random.uniform(1, 3), top, top + random.uniform(0.6, 2.2), BUILDING, 0.45
             )
 
     def car(self, random: np.random.Generator, place: Place) -> None:
@@ -124,14 +115,7 @@ class Builder:
         self._along(place, length, 6.0, 0.08, tall, random.uniform(0.3, 0.5), random.uniform(0.25, 0.7))
 
     def _along(
-        self,
-        place: Place,
-        length: float,
-        piece: float,
-        thick: float,
-        tall: float,
-        albedo: float,
-        passing: float,
+        self, place: Place, length: float, piece: float, thick: float, tall: float, albedo: float, passing: float
     ) -> None:
         pieces = max(1, round(length / piece))
         for k in range(pieces):

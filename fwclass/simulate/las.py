@@ -35,10 +35,7 @@ INTENSITY_SCALE = 64.0
 _RANGE_KNOWN = 0b110
 """Options of an extra byte: its minimum and its maximum are stated."""
 
-REFERENCE_EXTRA = (
-    ("amplitude", "f4", "height of the echo [DN]"),
-    ("width", "f4", "full width at half maximum [ns]"),
-)
+REFERENCE_EXTRA = (("amplitude", "f4", "height of the echo [DN]"), ("width", "f4", "full width at half maximum [ns]"))
 
 
 class PacketWriter:

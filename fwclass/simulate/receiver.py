@@ -116,11 +116,7 @@ def add_pulse(wave, mean, amplitude, sigma):  # type: ignore[no-untyped-def]
     centre = int(math.floor(mean + 0.5))
     d = (centre - mean) / sigma
     value = amplitude * math.exp(-0.5 * d * d)
-    half, square, lean = (
-        math.exp(-0.5 / (sigma * sigma)),
-        math.exp(-1.0 / (sigma * sigma)),
-        math.exp(-d / sigma),
-    )
+    half, square, lean = (math.exp(-0.5 / (sigma * sigma)), math.exp(-1.0 / (sigma * sigma)), math.exp(-d / sigma))
     g, ratio = value, half * lean
     for i in range(centre, centre + reach + 1):
         if 0 <= i < n:
@@ -222,9 +218,17 @@ def fly_chunk(scene, rays, rx, normal, seed, strip, first_pulse, origins, direct
             work.energy[k] *= shot
         sort_hits(hits, work.range, work.energy, work.code)
         count = cluster(
-            work.range, work.energy, work.code, hits, rx.sigma, rx.separation, rx.visible, work.echo,
-            work.echo_code, work.totals,
-        )  # fmt: skip
+            work.range,
+            work.energy,
+            work.code,
+            hits,
+            rx.sigma,
+            rx.separation,
+            rx.visible,
+            work.echo,
+            work.echo_code,
+            work.totals,
+        )
         if count == 0:
             continue
         if _outside(scene, o, d, work.echo, count, rx.metres):

@@ -88,9 +88,18 @@ class _Flyer:
         pulses = fire(self.params, self.strip, first, count)
         out = self.out
         samples, returns, echoes = fly_chunk(
-            self.scene, self.rays, self.receiver, self.normal, self.params.seed, self.strip.number, first,
-            pulses.origin, pulses.direction, self.work, out,
-        )  # fmt: skip
+            self.scene,
+            self.rays,
+            self.receiver,
+            self.normal,
+            self.params.seed,
+            self.strip.number,
+            first,
+            pulses.origin,
+            pulses.direction,
+            self.work,
+            out,
+        )
         return pulses, Recorded(
             out.fate[:count],
             out.begin[:count],

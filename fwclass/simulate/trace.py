@@ -134,9 +134,25 @@ def _solid(plane_start, planes, s, ox, oy, oz, dx, dy, dz, far):  # type: ignore
 
 @kernel
 def _ray(  # type: ignore[no-untyped-def]
-    plane_start, planes, solid_open, crown, clump, stream, box, key, first, candidates, count,
-    ox, oy, oz, dx, dy, dz, far,
-):  # fmt: skip
+    plane_start,
+    planes,
+    solid_open,
+    crown,
+    clump,
+    stream,
+    box,
+    key,
+    first,
+    candidates,
+    count,
+    ox,
+    oy,
+    oz,
+    dx,
+    dy,
+    dz,
+    far,
+):
     """First thing that one sub-ray meets before `far`: (distance, thing or -1, cosine)."""
     solids = len(solid_open)
     best, what, cosine = far, -1, 0.0
@@ -178,9 +194,21 @@ def trace(scene, rays, radius, normal, key, o, d, candidates, hit_range, hit_ene
     height, margin, step = scene.height, scene.margin, scene.step
     ground = to_ground(height, margin, step, ox, oy, oz, dx, dy, dz, oz / -dz, 25)
     count = gather(
-        scene.size, scene.cell, scene.start, scene.item, scene.ceiling, scene.box,
-        ox, oy, oz, dx, dy, dz, ground, candidates,
-    )  # fmt: skip
+        scene.size,
+        scene.cell,
+        scene.start,
+        scene.item,
+        scene.ceiling,
+        scene.box,
+        ox,
+        oy,
+        oz,
+        dx,
+        dy,
+        dz,
+        ground,
+        candidates,
+    )
     plane_start, planes, solid_open, box = scene.plane_start, scene.planes, scene.solid_open, scene.box
     crown, clump, stream = scene.crown, scene.clump, scene.key
     covers, albedo, herbs, roughness = scene.cover, scene.albedo, scene.herbs, scene.roughness
@@ -201,9 +229,25 @@ def trace(scene, rays, radius, normal, key, o, d, candidates, hit_range, hit_ene
         best, what, cosine = far, -1, 0.0
         if count:
             best, what, cosine = _ray(
-                plane_start, planes, solid_open, crown, clump, stream, box, key, first, candidates, count,
-                ox, oy, oz, rx, ry, rz, far,
-            )  # fmt: skip
+                plane_start,
+                planes,
+                solid_open,
+                crown,
+                clump,
+                stream,
+                box,
+                key,
+                first,
+                candidates,
+                count,
+                ox,
+                oy,
+                oz,
+                rx,
+                ry,
+                rz,
+                far,
+            )
         if what < 0:
             i = min(max(int(oy + far * ry + margin), 0), covers.shape[0] - 1)
             j = min(max(int(ox + far * rx + margin), 0), covers.shape[1] - 1)

@@ -133,9 +133,10 @@ def watched(directory: Path) -> Iterator[Callable[[], None]]:
     def check() -> None:
         if not directory.is_dir() or not os.path.samestat(directory.stat(), os.fstat(handle)):
             raise StoreError(
-                "another run cleared away what was being made", where=directory,
+                "another run cleared away what was being made",
+                where=directory,
                 do="see which runs work in this directory, then run the same again",
-            )  # fmt: skip
+            )
 
     try:
         yield check

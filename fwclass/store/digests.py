@@ -52,9 +52,12 @@ def check_file(path: str, digest: str) -> None:
         ) from fault
     if got != digest:
         raise DamagedError(
-            "a file of a finished part is not what was written (`fwclass run … --verify` mends it)", where=path,
-            expected=f"bytes of digest {digest}", got=f"bytes of digest {got}", do=MEND,
-        )  # fmt: skip
+            "a file of a finished part is not what was written (`fwclass run … --verify` mends it)",
+            where=path,
+            expected=f"bytes of digest {digest}",
+            got=f"bytes of digest {got}",
+            do=MEND,
+        )
 
 
 def looks(path: Path | str) -> Looks:

@@ -137,7 +137,7 @@ class Generations:
 
     def publish(
         self, files: Mapping[str, tuple[Path, str]], whole: bool, keep: int, read: bool = False, tell: Tell = _silent
-    ) -> Generation:  # fmt: skip
+    ) -> Generation:
         """Make a generation of `pending` and of `files` (path below the generation: file of the store and its digest).
 
         It becomes the current one if it is `whole`, or if no whole one is there. Of the whole ones the last `keep`
@@ -225,10 +225,12 @@ class Generations:
             path = self.root / name
             if path.exists() and not path.is_symlink():
                 raise StoreError(
-                    "something of the user's stands where a delivery is to appear", where=path,
-                    expected=f"nothing, or a link into {self.directory}", got="a file or directory",
+                    "something of the user's stands where a delivery is to appear",
+                    where=path,
+                    expected=f"nothing, or a link into {self.directory}",
+                    got="a file or directory",
                     do="move it away, or choose another --out",
-                )  # fmt: skip
+                )
 
 
 def link(source: Path, target: Path) -> None:
@@ -264,9 +266,14 @@ def tell_broken(generation: Generation, broken: Sequence[str], tell: Tell) -> No
 def facts_of(number: int, whole: bool, digest: str, manifest: str, files: int) -> dict[str, Any]:
     """What a generation's own file says, with a digest of itself; `manifest`: the text of that."""
     facts = {
-        "number": number, "made": datetime.now(UTC).isoformat(timespec="seconds"), "whole": whole,
-        "digest": digest, "files": files, "fwclass": __version__, "manifest": bytes_digest(manifest.encode()),
-    }  # fmt: skip
+        "number": number,
+        "made": datetime.now(UTC).isoformat(timespec="seconds"),
+        "whole": whole,
+        "digest": digest,
+        "files": files,
+        "fwclass": __version__,
+        "manifest": bytes_digest(manifest.encode()),
+    }
     return {**facts, _SEAL: digest_of(facts)}
 
 

@@ -18,7 +18,7 @@ from fwclass.store.atomic import sync
 from fwclass.store.lock import STATE
 
 if TYPE_CHECKING:
-    from fwclass.store.home import Home
+    from fwclass.store.run_location import RunLocation
 
 NAME, EARLIER = "history.jsonl", "history.1.jsonl"
 
@@ -26,15 +26,15 @@ HISTORY_BYTES = 4 << 20
 """A longer file becomes `EARLIER`, whose lines are then forgotten: some 5 000 runs stay, 10 000 at most."""
 
 
-def append(home: Home, line: Mapping[str, Any]) -> None:
+def append(location: RunLocation, line: Mapping[str, Any]) -> None:
     """Add a line, whole or torn, never mixed with another writer's; `OSError` or `StoreError` where it cannot be
     written."""
-    if isinstance(home, Path):
-        _append(home, line)
+    if isinstance(location, Path):
+        _append(location, line)
         return
     from fwclass.store import remote_history  # not at the top: a directory's history is told without what this needs
 
-    remote_history.append(home.objects, line)
+    remote_history.append(location.objects, line)
 
 
 def _append(root: Path, line: Mapping[str, Any]) -> None:
@@ -55,31 +55,31 @@ def _append(root: Path, line: Mapping[str, Any]) -> None:
             sync(path.parent)
 
 
-def lines(home: Home, last: int | None = None) -> Iterator[dict[str, Any]]:
+def lines(location: RunLocation, last: int | None = None) -> Iterator[dict[str, Any]]:
     """All lines in the order they were written; on object storage those of the `last` runs."""
-    if isinstance(home, Path):
-        return _lines(home)
+    if isinstance(location, Path):
+        return _lines(location)
     from fwclass.store import remote_history
 
-    return remote_history.lines(home.objects, remote_history.LAST if last is None else last)
+    return remote_history.lines(location.objects, remote_history.LAST if last is None else last)
 
 
-def lines_of(home: Home, name: str) -> Iterator[dict[str, Any]]:
+def lines_of(location: RunLocation, name: str) -> Iterator[dict[str, Any]]:
     """The lines of the run whose id is `name`."""
-    if isinstance(home, Path):
-        return (line for line in _lines(home) if str(line.get("id")) == name)
+    if isinstance(location, Path):
+        return (line for line in _lines(location) if str(line.get("id")) == name)
     from fwclass.store import remote_history
 
-    return remote_history.lines_of(home.objects, name)
+    return remote_history.lines_of(location.objects, name)
 
 
-def is_run(home: Home) -> bool:
+def is_run(location: RunLocation) -> bool:
     """A run was begun there, or a schedule."""
-    if isinstance(home, Path):
-        return (home / "store").is_dir() or (home / STATE).is_file()
+    if isinstance(location, Path):
+        return (location / "store").is_dir() or (location / STATE).is_file()
     from fwclass.store import remote_history
 
-    return remote_history.is_run(home.objects)
+    return remote_history.is_run(location.objects)
 
 
 def _lines(root: Path) -> Iterator[dict[str, Any]]:

@@ -20,14 +20,27 @@ import fwclass
 from fwclass.store.atomic import digest_of
 
 LIBRARIES = (
-    "numpy", "numba", "llvmlite", "scipy", "scikit-learn", "pyarrow", "zarr", "numcodecs", "laspy", "lazrs", "laszip",
-    "rasterio", "pyogrio", "pyproj",
-)  # fmt: skip
+    "numpy",
+    "numba",
+    "llvmlite",
+    "scipy",
+    "scikit-learn",
+    "pyarrow",
+    "zarr",
+    "numcodecs",
+    "laspy",
+    "lazrs",
+    "laszip",
+    "rasterio",
+    "pyogrio",
+    "pyproj",
+)
 
 BESIDE = {
-    "gdal": ("rasterio", "__gdal_version__"), "gdal of pyogrio": ("pyogrio", "__gdal_version_string__"),
+    "gdal": ("rasterio", "__gdal_version__"),
+    "gdal of pyogrio": ("pyogrio", "__gdal_version_string__"),
     "proj": ("pyproj", "__proj_version__"),
-}  # fmt: skip
+}
 """Libraries in C that a package brings or is linked with: the package, and what it calls their version."""
 
 OWN = ("fwclass", "source")

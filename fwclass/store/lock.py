@@ -29,16 +29,21 @@ class Lock:
 
 
 WRITER = Lock(
-    "lock", "another run is writing to this directory", "wait for it to end, or choose another --out", "run",
+    "lock",
+    "another run is writing to this directory",
+    "wait for it to end, or choose another --out",
+    "run",
     "nothing more is committed",
-)  # fmt: skip
+)
 STATE = "schedule.json"
 """At the run's root: how the holder of `SCHEDULE` stands."""
 SCHEDULE = Lock(
-    "schedule.lock", "another schedule is at work on this run directory",
-    f"stop that one first ({STATE} in the run directory tells its state), or choose another --out", "schedule",
+    "schedule.lock",
+    "another schedule is at work on this run directory",
+    f"stop that one first ({STATE} in the run directory tells its state), or choose another --out",
+    "schedule",
     "this one ends",
-)  # fmt: skip
+)
 
 
 @contextmanager
@@ -110,9 +115,11 @@ def _same(path: Path, handle: int, root: Path) -> None:
     except OSError as fault:
         got = str(fault.strerror)
     raise StoreError(
-        "the run directory was removed while the run was under way", where=root, got=got,
+        "the run directory was removed while the run was under way",
+        where=root,
+        got=got,
         do="run the same again; it makes what is missing",
-    )  # fmt: skip
+    )
 
 
 def _taken(handle: int) -> bool:

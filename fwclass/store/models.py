@@ -41,8 +41,10 @@ def load_model(directory: Path) -> Model:
     if not directory.is_dir():
         raise InputError(
             "there is a file where a model's directory is wanted" if directory.exists() else "no such model directory",
-            where=directory, expected="a directory that `fwclass train --model` wrote", do="check the path",
-        )  # fmt: skip
+            where=directory,
+            expected="a directory that `fwclass train --model` wrote",
+            do="check the path",
+        )
     try:
         card = _card(directory / CARD)
         cls = KINDS[card["kind"]]

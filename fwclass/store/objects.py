@@ -131,9 +131,10 @@ class Objects:
             if found is not None and found[0] == data:
                 return found[1]  # it was ours: an answer was lost on the way and the request sent again
             raise LostRace(
-                "another run wrote here at the same time", where=self.url / key,
+                "another run wrote here at the same time",
+                where=self.url / key,
                 do="let only one run work below this address, then run the same again",
-            ) from fault  # fmt: skip
+            ) from fault
 
     def list(self, below: str = "") -> Iterator[Held]:
         """Every object whose key begins with ``below/`` (all)."""
@@ -261,20 +262,24 @@ def _opened(url: str, params: StoreParams) -> Any:
         from obstore.store import MemoryStore, from_url
     except ImportError as fault:
         raise ConfigError(
-            "object storage needs a library that is not installed", where=url, expected="obstore", got=fault,
+            "object storage needs a library that is not installed",
+            where=url,
+            expected="obstore",
+            got=fault,
             do="pip install 'fwclass[cloud]'",
-        ) from fault  # fmt: skip
+        ) from fault
     if url.startswith("memory://"):
         with _guard:
             return _memory.setdefault(url, MemoryStore())
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
     limits: dict[str, Any] = {
         "client_options": {
-            "timeout": timedelta(seconds=params.timeout), "connect_timeout": timedelta(seconds=params.timeout),
+            "timeout": timedelta(seconds=params.timeout),
+            "connect_timeout": timedelta(seconds=params.timeout),
             "allow_http": endpoint.startswith("http://"),
         },
         "retry_config": {"max_retries": 3, "retry_timeout": timedelta(seconds=min(params.patience, params.timeout))},
-    }  # fmt: skip
+    }
     if url.startswith("s3://") and endpoint:
         limits["endpoint"] = endpoint
     try:

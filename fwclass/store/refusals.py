@@ -13,13 +13,10 @@ _CREDENTIALS = (
 _ADVICE = (
     ("169.254.169.254", "object storage needs credentials, and there are none", _CREDENTIALS),
     ("NoSuchBucket", "there is no such bucket", "check the bucket's name, AWS_REGION and AWS_ENDPOINT_URL"),
-    (
-        "incorrectly configured region", "the bucket lies in another region",
-        "set AWS_REGION to the bucket's region",
-    ),
+    ("incorrectly configured region", "the bucket lies in another region", "set AWS_REGION to the bucket's region"),
     ("RequestTimeTooSkewed", "this host's clock is wrong", "set the clock; requests are signed with the time"),
     ("SlowDown", "object storage is overloaded", "run the same again later, or with a smaller store.parallel"),
-)  # fmt: skip
+)
 
 
 class LostRace(StoreError):
@@ -46,9 +43,11 @@ def told(fault: BaseException, where: object, seconds: float) -> StoreError:
     if kind in ("PermissionDeniedError", "UnauthenticatedError") or re.search(r"status code: 40[13]\b", text):
         return Unreachable("object storage refuses access", where=where, got=first_line(fault), do=_CREDENTIALS)
     return Unreachable(
-        f"object storage does not answer as it should, for {seconds:.0f} s", where=where, got=first_line(fault),
+        f"object storage does not answer as it should, for {seconds:.0f} s",
+        where=where,
+        got=first_line(fault),
         do="check the network, AWS_ENDPOINT_URL and AWS_REGION, then run the same again: what is done is kept",
-    )  # fmt: skip
+    )
 
 
 def lasting(fault: BaseException) -> bool:

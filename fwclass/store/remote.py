@@ -34,9 +34,16 @@ class RemoteStore(RemoteReader):
     """As `Store`, of a run on object storage."""
 
     def commit(
-        self, stage: str, part: str, key: str, inputs: Mapping[str, str], place: str,
-        work: Callable[[Path], Mapping[str, Any]], version: int | None = None, params: Any = None,
-    ) -> Receipt:  # fmt: skip
+        self,
+        stage: str,
+        part: str,
+        key: str,
+        inputs: Mapping[str, str],
+        place: str,
+        work: Callable[[Path], Mapping[str, Any]],
+        version: int | None = None,
+        params: Any = None,
+    ) -> Receipt:
         """Do `work` in a directory of this host, upload its files, then write the receipt if nobody else did meanwhile.
 
         As `Store.commit`; all places are the store. `LostRace` if the receipt is not the one any more that was there
@@ -44,9 +51,10 @@ class RemoteStore(RemoteReader):
         """
         if place == "run":
             raise StoreError(
-                "files of a run directory itself cannot lie on object storage", where=self.where,
+                "files of a run directory itself cannot lie on object storage",
+                where=self.where,
                 do="fwclass simulate CONF --out DIR, copy DIR to object storage, and set survey.directory to it",
-            )  # fmt: skip
+            )
         began = time.perf_counter()
         old = self._held(stage, part)
         with self._marked(stage, part), staged(self.root / "store" / "staging", stage, part) as directory:
@@ -57,10 +65,19 @@ class RemoteStore(RemoteReader):
                 for p in files_below(directory)
             }
             receipt = Receipt(
-                stage=stage, part=part, key=key, inputs=dict(inputs), outputs=outputs, place=place,
-                meta=meta, digest=digest_of_outputs(outputs, meta), peak_mib=round(peak_mib(), 1), version=version,
-                params=self._keep_params(params), libraries=self._keep_once("libraries", dict(fingerprint())),
-            )  # fmt: skip
+                stage=stage,
+                part=part,
+                key=key,
+                inputs=dict(inputs),
+                outputs=outputs,
+                place=place,
+                meta=meta,
+                digest=digest_of_outputs(outputs, meta),
+                peak_mib=round(peak_mib(), 1),
+                version=version,
+                params=self._keep_params(params),
+                libraries=self._keep_once("libraries", dict(fingerprint())),
+            )
             self._upload(receipt, directory)
         ended = time.perf_counter()
         receipt = replace(receipt, seconds=round(ended - began, 4), keeping=round(ended - worked, 4))

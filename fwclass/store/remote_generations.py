@@ -171,7 +171,7 @@ class RemoteGenerations(Generations):
 
     def publish(
         self, files: Mapping[str, tuple[Path, str]], whole: bool, keep: int, read: bool = False, tell: Tell = _silent
-    ) -> Generation:  # fmt: skip
+    ) -> Generation:
         digest = digest_of({name: of for name, (_, of) in files.items()})
         pointer, listed = self._pointer(), self._listed()
         before, there = self._named(pointer[0]) if pointer else None, self._all(listed)
@@ -197,15 +197,18 @@ class RemoteGenerations(Generations):
         No two pointers are the same bytes, so that none is taken for an earlier one.
         """
         told = {
-            "generation": generation.name, "address": f"{_BELOW}/{generation.name}", "digest": generation.digest,
-            "whole": generation.whole, "written": uuid.uuid4().hex,
-        }  # fmt: skip
+            "generation": generation.name,
+            "address": f"{_BELOW}/{generation.name}",
+            "digest": generation.digest,
+            "whole": generation.whole,
+            "written": uuid.uuid4().hex,
+        }
         data = _text(told).encode()
         return self.objects.put_new(CURRENT, data) if mark is None else self.objects.put_over(CURRENT, data, mark)
 
     def _drop(
         self, listed: Iterable[str], there: list[Generation], keep: int, shown: Generation, mark: Mark | None
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Remove generations beyond the last `keep` whole ones, and what was never finished.
 
         One may be another writer's, who slept and will go on. So the pointer is written anew before (over `mark`; None:

@@ -46,10 +46,11 @@ class Heartbeat:
         if self._lost.is_set():
             who = self._lock.who
             raise LostRace(
-                f"another {who} took this {who}'s lock over; {self._lock.then}", where=self._objects.url,
+                f"another {who} took this {who}'s lock over; {self._lock.then}",
+                where=self._objects.url,
                 got="the lock was not renewed in time: this host slept, or its network was away",
                 do=f"see which other {who} works below this address; if none does, run the same again",
-            )  # fmt: skip
+            )
 
     def _renew(self) -> None:
         beat = 0
@@ -106,11 +107,12 @@ def _check_conditional(objects: Objects) -> None:
             else:
                 objects.put_over(_PROBE, b"over", mark)
             raise StoreError(
-                "this object storage has no conditional writes", where=objects.url,
+                "this object storage has no conditional writes",
+                where=objects.url,
                 expected="a write with If-None-Match or If-Match is refused where its condition does not hold",
                 got="the object was written over",
                 do="use a server that has them (Amazon S3, Google, Azure; MinIO and Ceph of 2024 or later)",
-            )  # fmt: skip
+            )
 
 
 def _take(objects: Objects, lock: Lock, data: bytes, tell: Callable[[str], None]) -> Mark:
@@ -164,10 +166,11 @@ def check_token(objects: Objects, token: str, lock: Lock = WRITER) -> None:
     found = objects.get(key_of(lock))
     if found is None or _facts(found[0]).get("token") != token:
         raise LostRace(
-            f"this {lock.who} has lost its lock; {lock.then}", where=objects.url,
+            f"this {lock.who} has lost its lock; {lock.then}",
+            where=objects.url,
             got=found[0].decode(errors="replace") if found else "no lock",
             do=f"see which other {lock.who} works below this address",
-        )  # fmt: skip
+        )
 
 
 def remote_holder(objects: Objects, lock: Lock = WRITER) -> Mapping[str, Any] | None:

@@ -271,9 +271,11 @@ class RemoteReader(Store):
             self.remote.scratch.need(self.objects, f"{self.root.name}/{unit}", files, digests)
         except FileNotFoundError as fault:
             raise StoreError(
-                "an object of a finished part is gone", where=f"{stage}/{part} in {self.where}", got=fault,
+                "an object of a finished part is gone",
+                where=f"{stage}/{part} in {self.where}",
+                got=fault,
                 do="run again; the part is made anew",
-            ) from fault  # fmt: skip
+            ) from fault
         return self.root / unit / name
 
     def recall(self, name: str) -> Any:
@@ -286,9 +288,10 @@ class RemoteReader(Store):
 
     def _not_done(self, stage: str, part: str) -> StoreError:
         return StoreError(
-            "a part that others need is not done", where=f"{stage}/{part} in {self.where}",
+            "a part that others need is not done",
+            where=f"{stage}/{part} in {self.where}",
             do="run again; the missing parts are made",
-        )  # fmt: skip
+        )
 
 
 def _batches(names: Iterable[Name]) -> Iterator[list[Name]]:

@@ -108,9 +108,12 @@ class Store:
             return None
         if (receipt.stage, receipt.part) != (path.parent.parent.name, path.parent.name):
             raise StoreError(
-                "a receipt of another part", where=path, expected=f"{path.parent.parent.name}/{path.parent.name}",
-                got=f"{receipt.stage}/{receipt.part}", do="remove the file; the part is made anew",
-            )  # fmt: skip
+                "a receipt of another part",
+                where=path,
+                expected=f"{path.parent.parent.name}/{path.parent.name}",
+                got=f"{receipt.stage}/{receipt.part}",
+                do="remove the file; the part is made anew",
+            )
         return receipt
 
     def parts(self) -> list[tuple[str, str]]:
@@ -213,12 +216,21 @@ class Store:
             else:  # `done` looks at every file: names that a power cut took are noticed, and the part is made again
                 move_into_place(directory, own / key, flush=False)
         receipt = Receipt(
-            stage=stage, part=part, key=key, inputs=dict(inputs), outputs=outputs, place=place, meta=meta,
-            digest=digest_of_outputs(outputs, meta), seconds=round(time.perf_counter() - began, 4),
+            stage=stage,
+            part=part,
+            key=key,
+            inputs=dict(inputs),
+            outputs=outputs,
+            place=place,
+            meta=meta,
+            digest=digest_of_outputs(outputs, meta),
+            seconds=round(time.perf_counter() - began, 4),
             keeping=round(time.perf_counter() - worked, 4),
-            peak_mib=round(peak_mib(), 1), version=version, params=self._keep_params(params),
+            peak_mib=round(peak_mib(), 1),
+            version=version,
+            params=self._keep_params(params),
             libraries=self._keep_once("libraries", dict(fingerprint())),
-        )  # fmt: skip
+        )
         base = self.base(receipt)
         for name, facts in outputs.items():
             remember(base / name, str(facts["digest"]))

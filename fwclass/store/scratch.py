@@ -143,10 +143,12 @@ class Scratch:
             if wanted:
                 name, one = next(iter(wanted.items()))
                 raise StoreError(
-                    "an object is not what was written", where=objects.url / one.key,
-                    expected=f"{one.size} bytes of digest {digests[name]}", got="other bytes",
+                    "an object is not what was written",
+                    where=objects.url / one.key,
+                    expected=f"{one.size} bytes of digest {digests[name]}",
+                    got="other bytes",
                     do=MEND,
-                )  # fmt: skip
+                )
             self._mark(unit).write_text(unit, encoding="utf-8")
             for name in lacking:
                 target = self.root / unit / name

@@ -10,14 +10,14 @@ import numpy as np
 
 from fwclass.errors import StoreError
 from fwclass.grid import Box
-from fwclass.later import Later
+from fwclass.lazy_module import LazyModule
 from fwclass.schema import Table, column
 
 if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
 else:
-    pa, pq = Later("pyarrow"), Later("pyarrow.parquet")
+    pa, pq = LazyModule("pyarrow"), LazyModule("pyarrow.parquet")
 
 ROW_GROUP = 65_536
 
@@ -39,9 +39,15 @@ def write_table(path: Path, table: Table, row_group: int = ROW_GROUP) -> None:
     encoding = dict.fromkeys(floats, "BYTE_STREAM_SPLIT") | dict.fromkeys(integers, "DELTA_BINARY_PACKED")
     rest = [n for n in table if n not in encoding]
     pq.write_table(
-        to_arrow(table), path, row_group_size=row_group, compression="zstd", compression_level=1,
-        use_dictionary=rest, column_encoding=encoding or None, write_statistics=True,
-    )  # fmt: skip
+        to_arrow(table),
+        path,
+        row_group_size=row_group,
+        compression="zstd",
+        compression_level=1,
+        use_dictionary=rest,
+        column_encoding=encoding or None,
+        write_statistics=True,
+    )
 
 
 def _groups_touching(file: pq.ParquetFile, box: Box | None) -> list[int]:
@@ -66,10 +72,7 @@ def open_parquet(path: Path) -> pq.ParquetFile:
         return pq.ParquetFile(path)
     except (OSError, pa.ArrowInvalid) as fault:
         raise StoreError(
-            "a table of the store cannot be read",
-            where=path,
-            got=fault,
-            do="remove its part's directory and run again",
+            "a table of the store cannot be read", where=path, got=fault, do="remove its part's directory and run again"
         ) from fault
 
 

@@ -36,7 +36,10 @@ def url_of(text: str, where: str) -> Url:
     parts = [p for p in path.split("/") if p]
     if scheme not in SCHEMES or (not bucket and scheme != "memory") or any(p in (".", "..") for p in parts):
         raise ConfigError(
-            "this is no place on object storage", where=where, expected="for example s3://bucket/directory "
-            f"({', '.join(SCHEMES[:-1])})", got=text, do="check the address",
-        )  # fmt: skip
+            "this is no place on object storage",
+            where=where,
+            expected=f"for example s3://bucket/directory ({', '.join(SCHEMES[:-1])})",
+            got=text,
+            do="check the address",
+        )
     return Url("/".join([f"{scheme}://{bucket}", *parts]))

@@ -19,9 +19,12 @@ _BITS = 10
 """The edge of a cell is cut into 2^10 steps for the order of the echoes in it."""
 
 _MASKS = (
-    (32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3),
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
     (2, 0x1249249249249249),
-)  # fmt: skip
+)
 
 
 def uniform(
@@ -70,9 +73,13 @@ def _interleaved(*axes: NDArray[np.int64]) -> NDArray[np.uint64]:
 
 
 def covering(
-    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], key: NDArray[np.uint64],
-    kept: NDArray[np.bool_], reach: float,
-) -> NDArray[np.bool_]:  # fmt: skip
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    key: NDArray[np.uint64],
+    kept: NDArray[np.bool_],
+    reach: float,
+) -> NDArray[np.bool_]:
     """`kept`, and what it takes that every row has a kept one within `reach` [m].
 
     Of the rows that have none, the one with the lowest `key` of every cube of a global grid; its diagonal is `reach`.

@@ -41,9 +41,12 @@ def split(table: Table, grid: TileGrid) -> Split:
 def _spread(v: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Bits of a 32-bit integer moved to the even places of 64."""
     for shift, mask in (
-        (16, 0x0000FFFF0000FFFF), (8, 0x00FF00FF00FF00FF), (4, 0x0F0F0F0F0F0F0F0F),
-        (2, 0x3333333333333333), (1, 0x5555555555555555),
-    ):  # fmt: skip
+        (16, 0x0000FFFF0000FFFF),
+        (8, 0x00FF00FF00FF00FF),
+        (4, 0x0F0F0F0F0F0F0F0F),
+        (2, 0x3333333333333333),
+        (1, 0x5555555555555555),
+    ):
         v = (v | (v << np.uint64(shift))) & np.uint64(mask)
     return v
 
@@ -80,14 +83,7 @@ def assemble_points(fragments: list[Table]) -> Table:
     """A tile's reference points, sorted by place, time and class: independent of how they were cut."""
     table = Table.concat(fragments)
     order = np.lexsort(
-        (
-            table["source_class"],
-            table["gps_time"],
-            table["z"],
-            table["y"],
-            table["x"],
-            morton(table["x"], table["y"]),
-        )
+        (table["source_class"], table["gps_time"], table["z"], table["y"], table["x"], morton(table["x"], table["y"]))
     )
     return table.take(order)
 

@@ -41,7 +41,7 @@ def _histogram(value, label, weight, rows, cut, histogram):  # type: ignore[no-u
 
 
 @kernel
-def _best_cut(histogram, steps, heft, total, whole, table, left):  # type: ignore[no-untyped-def]
+def _best_cut(histogram, steps, class_weight, total, whole, table, left):  # type: ignore[no-untyped-def]
     """(gain, k) of the best threshold cut[k], the lowest among equals; k = 0 if none divides the node."""
     n_classes = len(total)
     best, at = -(1 << 62), 0
@@ -50,7 +50,7 @@ def _best_cut(histogram, steps, heft, total, whole, table, left):  # type: ignor
     for k in range(1, steps + 1):
         added = 0
         for c in range(n_classes):
-            h = histogram[k - 1, c] * heft[c]
+            h = histogram[k - 1, c] * class_weight[c]
             left[c] += h
             added += h
         if added == 0:
@@ -91,5 +91,5 @@ def best_step(node, rows, column, whole, table):  # type: ignore[no-untyped-def]
     _cuts(low, high, node.share, node.cut)
     _histogram(node.value, node.label, node.weight, len(rows), node.cut, node.histogram)
     steps = len(node.share) - 1
-    gain, k = _best_cut(node.histogram, steps, node.heft, node.total, whole, table, node.left)
+    gain, k = _best_cut(node.histogram, steps, node.class_weight, node.total, whole, table, node.left)
     return k > 0, gain, node.cut[k]

@@ -20,7 +20,7 @@ class Node(NamedTuple):
     packed: NDArray[np.uint64]  # (rows,), what is sorted: code, times drawn, class
     other: NDArray[np.uint64]  # (rows,), where it is sorted to
     bucket: NDArray[np.int64]  # (2048,), of the sort
-    heft: NDArray[np.int64]  # (classes,), what one row of a class weighs
+    class_weight: NDArray[np.int64]  # (classes,), what one row of a class weighs
     total: NDArray[np.int64]  # (classes,), weight in the node
     left: NDArray[np.int64]  # (classes,), weight left of a threshold
     share: NDArray[np.float64]  # (steps + 1,), 0 .. 1
@@ -29,9 +29,9 @@ class Node(NamedTuple):
     drawn: NDArray[np.int64]  # (features,), a permutation; the drawn ones come first
 
 
-def workspace(rows: int, features: int, heft: NDArray[np.int64], steps: int, codes: int) -> Node:
+def workspace(rows: int, features: int, class_weight: NDArray[np.int64], steps: int, codes: int) -> Node:
     """Buffers for trees of up to `rows` rows, whose features have up to `codes` codes counted in a histogram."""
-    n_classes = len(heft)
+    n_classes = len(class_weight)
     return Node(
         np.empty(rows, np.float32),
         np.empty(rows, np.uint8),
@@ -40,7 +40,7 @@ def workspace(rows: int, features: int, heft: NDArray[np.int64], steps: int, cod
         np.empty(rows, np.uint64),
         np.empty(rows, np.uint64),
         np.empty(1 << 11, np.int64),
-        heft,
+        class_weight,
         np.empty(n_classes, np.int64),
         np.empty(n_classes, np.int64),
         np.arange(steps + 1) / steps,
@@ -53,11 +53,11 @@ def workspace(rows: int, features: int, heft: NDArray[np.int64], steps: int, cod
 @inlined
 def gather(node, rows, classes, bag):  # type: ignore[no-untyped-def]
     """Fill in the labels, weights and totals of a node; returns its draws, its weight and its heaviest class."""
-    return _gather(node.label, node.weight, node.heft, node.total, rows, classes, bag)
+    return _gather(node.label, node.weight, node.class_weight, node.total, rows, classes, bag)
 
 
 @kernel
-def _gather(label, weight, heft, total, rows, classes, bag):  # type: ignore[no-untyped-def]
+def _gather(label, weight, class_weight, total, rows, classes, bag):  # type: ignore[no-untyped-def]
     """The same, from the buffers themselves: a call that hands over all of them takes longer than a small node."""
     total[:] = 0
     for i in range(len(rows)):
@@ -66,7 +66,7 @@ def _gather(label, weight, heft, total, rows, classes, bag):  # type: ignore[no-
     draws, whole, most = 0, 0, 0
     for c in range(len(total)):
         draws += total[c]
-        total[c] *= heft[c]
+        total[c] *= class_weight[c]
         whole += total[c]
         if total[c] > total[most]:
             most = c

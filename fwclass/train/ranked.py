@@ -83,7 +83,7 @@ def threshold(ranks, feature, low, high):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _counted(histogram, label, weight, heft, total, left, rows, codes, n_codes, whole, table):  # type: ignore[no-untyped-def]
+def _counted(histogram, label, weight, class_weight, total, left, rows, codes, n_codes, whole, table):  # type: ignore[no-untyped-def]
     """(gain, low, high) by counting draws per (code, class)."""
     histogram[:n_codes] = 0
     for i in range(len(rows)):
@@ -106,7 +106,7 @@ def _counted(histogram, label, weight, heft, total, left, rows, codes, n_codes, 
             if gain > best:
                 best, low, high = gain, last, k
         for c in range(len(total)):
-            h = histogram[k, c] * heft[c]
+            h = histogram[k, c] * class_weight[c]
             left[c] += h
             n_left += h
         last = k
@@ -142,7 +142,7 @@ def _by_digits(packed, other, bucket, n_codes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sorted(packed, other, bucket, label, weight, heft, total, left, rows, codes, n_codes, whole, table):  # type: ignore[no-untyped-def]
+def _sorted(packed, other, bucket, label, weight, class_weight, total, left, rows, codes, n_codes, whole, table):  # type: ignore[no-untyped-def]
     """The same by sorting the rows."""
     packed, other = packed[: len(rows)], other[: len(rows)]
     for i in range(len(rows)):
@@ -160,7 +160,7 @@ def _sorted(packed, other, bucket, label, weight, heft, total, left, rows, codes
         above += term(table, total[c])
     for i in range(len(packed) - 1):
         c = packed[i] & _BYTE
-        w = np.int64((packed[i] >> _WEIGHT) & _TIMES) * heft[c]
+        w = np.int64((packed[i] >> _WEIGHT) & _TIMES) * class_weight[c]
         l, r = left[c], total[c] - left[c]
         below += term(table, l + w) - term(table, l)
         above += term(table, r - w) - term(table, r)
@@ -177,11 +177,25 @@ def _sorted(packed, other, bucket, label, weight, heft, total, left, rows, codes
 @inlined
 def best_rank(node, rows, codes, n_codes, whole, table):  # type: ignore[no-untyped-def]
     """(divides, gain, low, high): the best threshold of a feature at a node stands between codes `low` and `high`."""
-    label, weight, heft, total, left = node.label, node.weight, node.heft, node.total, node.left
+    label, weight, class_weight, total, left = node.label, node.weight, node.class_weight, node.total, node.left
     if n_codes <= len(node.histogram) and n_codes <= SPARSE * len(rows):
-        gain, low, high = _counted(node.histogram, label, weight, heft, total, left, rows, codes, n_codes, whole, table)
+        gain, low, high = _counted(
+            node.histogram, label, weight, class_weight, total, left, rows, codes, n_codes, whole, table
+        )
     else:
         gain, low, high = _sorted(
-            node.packed, node.other, node.bucket, label, weight, heft, total, left, rows, codes, n_codes, whole, table
+            node.packed,
+            node.other,
+            node.bucket,
+            label,
+            weight,
+            class_weight,
+            total,
+            left,
+            rows,
+            codes,
+            n_codes,
+            whole,
+            table,
         )
     return high > 0, gain, low, high

@@ -174,10 +174,7 @@ def review(sample: Sample, classes: Sequence[ClassDef]) -> tuple[str, ...]:
         )
     if len(counts) < 2:
         raise InputError(
-            "a forest tells classes apart, and there is only one",
-            where="classes",
-            got=listed,
-            do="add a class",
+            "a forest tells classes apart, and there is only one", where="classes", got=listed, do="add a class"
         )
     notes = [f"class {name!r} has one training row" for name, n in counts.items() if n == 1]
     notes += _balance(sample, counts)

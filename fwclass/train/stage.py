@@ -81,7 +81,7 @@ class Grower:
         self.ranks: Ranks | None = None
         if params.split != "equal-width":
             self.columns, self.ranks = rank(self.columns, params.bins if params.split == "histogram" else None)
-        self.heft = whole_weights(params.class_weights, np.bincount(y, minlength=len(names)), names)
+        self.class_weight = whole_weights(params.class_weights, np.bincount(y, minlength=len(names)), names)
 
     def tree(self, number: int) -> Tree:
         """(feature, threshold, child) as in `Forest`; the same for the same sample, seed and number."""
@@ -89,13 +89,11 @@ class Grower:
         drawn, state = bag(len(self.y), number, params)
         table = GINI
         if params.criterion == "entropy":
-            table = entropy_table(int((drawn * self.heft[self.y]).sum()))
+            table = entropy_table(int((drawn * self.class_weight[self.y]).sum()))
         codes = 0 if self.ranks is None else min(COUNTED, int(self.ranks.missing.max()) + 1)
-        node = workspace(len(self.y), len(self.columns), self.heft, params.steps, codes)
+        node = workspace(len(self.y), len(self.columns), self.class_weight, params.steps, codes)
         per_split = params.per_split(len(self.columns))
-        return grow(
-            self.columns, self.ranks, self.y, drawn, state, per_split, params.min_samples_split, table, node
-        )  # fmt: skip
+        return grow(self.columns, self.ranks, self.y, drawn, state, per_split, params.min_samples_split, table, node)
 
 
 def grow_tree(X: NDArray[np.float32], y: NDArray[np.uint8], n_classes: int, tree: int, params: TrainParams) -> Tree:

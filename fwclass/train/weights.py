@@ -31,9 +31,12 @@ def whole_weights(
         for name, value in asked.items():
             if name not in names:
                 raise ConfigError(
-                    f"no class is called {name!r}", where="train.class_weights",
-                    expected=", ".join(names), got=name, do=nearest(name, names),
-                )  # fmt: skip
+                    f"no class is called {name!r}",
+                    where="train.class_weights",
+                    expected=", ".join(names),
+                    got=name,
+                    do=nearest(name, names),
+                )
             weight[list(names).index(name)] = value
     weight = weight / weight.min()
     if (weight == 1).all():

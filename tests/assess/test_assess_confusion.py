@@ -119,11 +119,7 @@ def test_a_perfect_and_a_chance_prediction():
 
 
 def test_empty_classes_give_null_and_never_nan():
-    for matrix in (
-        np.zeros((3, 3), np.int64),
-        np.diag([4, 0, 0]),
-        np.array([[3, 2, 0], [0, 0, 0], [0, 0, 0]]),
-    ):
+    for matrix in (np.zeros((3, 3), np.int64), np.diag([4, 0, 0]), np.array([[3, 2, 0], [0, 0, 0], [0, 0, 0]])):
         made = figures(matrix, NAMES)
         json.dumps(made, allow_nan=False)
         assert describe(made)

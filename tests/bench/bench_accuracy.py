@@ -25,28 +25,22 @@ from fwclass import conf
 from fwclass.assess.confusion import describe, figures
 from fwclass.assess.intervals import difference, intervals
 from fwclass.conf import Config
+from fwclass.graph import forest
+from fwclass.graph.walk import until_labels, until_tiles
 from fwclass.run.local import Loop
-from fwclass.run.plan import forest
 from fwclass.run.progress import Display
-from fwclass.run.road import Road, ancestors, require_all
+from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.store.arrays import read_arrays
 from fwclass.store.models import load_model
-from workflows.echoes import until_labels, until_tiles
-from workflows.training import training
+from fwclass.study.training import training
 
 DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "ign_hd"
 COLUMNS = ("77050", "77055", "77060")
 ROWS = ("627755", "627760")
 
 PEERS = {
-    "p1": (
-        ("CSF + jakteristics + scikit-learn forest", 87.7, 82.0, 66.8),
-        ("CGAL classification", 90.1, 85.6, 71.0),
-    ),
-    "p4": (
-        ("CSF + jakteristics + scikit-learn forest", 93.1, 72.3, 53.7),
-        ("CGAL classification", 93.2, 72.4, 53.5),
-    ),
+    "p1": (("CSF + jakteristics + scikit-learn forest", 87.7, 82.0, 66.8), ("CGAL classification", 90.1, 85.6, 71.0)),
+    "p4": (("CSF + jakteristics + scikit-learn forest", 93.1, 72.3, 53.7), ("CGAL classification", 93.2, 72.4, 53.5)),
 }
 """Overall accuracy, kappa and mean IoU [%], measured once by the same protocols."""
 
@@ -75,26 +69,26 @@ def judged(split: Split, seed: int, root: Path, data: Path, settings: tuple[str,
     everywhere = "[[-1.0e+7, -1.0e+7, 1.0e+7, 1.0e+7]]"
     common = (f"survey.directory={data}", *settings, f"train.seed={seed}", "areas.test=[]", "features.also=[]")
     with Display() as display:
-        road = Road(root / "train", Loop(), display)
+        runner = Runner(root / "train", Loop(), display)
         learn = (f"survey.sources=[{', '.join(train)}]", f"areas.train={everywhere}")
-        training(conf.load(survey, (*common, *learn)), road, assess=False)
-        model = road.store.path("train", "model", "model")
+        training(conf.load(survey, (*common, *learn)), runner, assess=False)
+        model = runner.store.path("train", "model", "model")
         apply = (f"survey.sources=[{', '.join(test)}]", f"survey.model={model}", "areas.train=[]")
-        return assessed(conf.load(survey, (*common, *apply)), model, Road(root / "test", Loop(), display))
+        return assessed(conf.load(survey, (*common, *apply)), model, Runner(root / "test", Loop(), display))
 
 
-def assessed(config: Config, model: Path, road: Road) -> tuple[dict[str, Any], Any]:
+def assessed(config: Config, model: Path, runner: Runner) -> tuple[dict[str, Any], Any]:
     """What `fwclass run` with a model does up to the assessment; nothing is published."""
     names = load_model(model).features
-    tiled = until_tiles(config, road, names)
+    tiled = until_tiles(config, runner, names)
     tasks = until_labels(tiled, names)
     tasks += forest.classify_tasks(tiled.layout, names, (model, forest.digest_of_model(model)))
     tasks += forest.assess_tasks(tiled.layout, names)
-    require_all(road, ancestors(tasks, [("assess", "all")]))
-    receipt = road.store.receipt("assess", "all")
+    require_all(runner, ancestors(tasks, [("assess", "all")]))
+    receipt = runner.store.receipt("assess", "all")
     if receipt is None:
         sys.exit("nothing was assessed")
-    counts, _ = read_arrays(road.store.path("assess", "all", "counts.zarr"))
+    counts, _ = read_arrays(runner.store.path("assess", "all", "counts.zarr"))
     return dict(receipt.meta["accuracy"]), counts["blocks"]
 
 

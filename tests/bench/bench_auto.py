@@ -19,8 +19,8 @@ from fwclass.ground.filters import ground_points
 from fwclass.ground.measure import measure
 from fwclass.ground.search import search
 from fwclass.read.cloud import read_point_cloud
-from fwclass.run.ground.labels import NAMES, labels_of, matrix_of
-from fwclass.run.ground.search import Trial, ranges_of, start_of
+from fwclass.single_file.ground.labels import NAMES, labels_of, matrix_of
+from fwclass.single_file.ground.search import Trial, ranges_of, start_of
 
 DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data"
 SETS = ("isprs/samp*.txt", "ign_hd/urban_*.laz", "other/delft_ahn3_*.laz")
@@ -54,11 +54,12 @@ def one(path, optimum):
         best = search(ranges, start_of(base, ranges), right, limits).setting
         row.append((100 - 100 * right(best) / (truth >= 0).sum(), 100 * trial.kappa(best)))
     print(
-        f"{path.name:28}" + "".join(f"{e:8.2f}{k:7.1f}" for e, k in row)
+        f"{path.name:28}"
+        + "".join(f"{e:8.2f}{k:7.1f}" for e, k in row)
         + f"   slope {params.smrf.slope:g} threshold {params.smrf.threshold:g} scalar {params.smrf.scalar:g}"
         + f"   measured {cloud.points / max(spent, 1e-9) / 1e6:.2f} M points/s, adapted {adapting:.1f} s",
         flush=True,
-    )  # fmt: skip
+    )
     return row
 
 

@@ -15,13 +15,13 @@ import yaml
 
 from fwclass.classify.shares import answer
 from fwclass.model import ClassDef
-from fwclass.run.compare import fit, timed
 from fwclass.store.arrays import read_arrays
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
-from fwclass.train.others.params import CompareParams
-from fwclass.train.others.prepare import fewer
-from fwclass.train.others.stage import METHODS
+from fwclass.study.compare import fit, timed
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.prepare import fewer
+from fwclass.train.baselines.stage import METHODS
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 
@@ -62,12 +62,14 @@ def peer_time(method, learn, fresh, params, compare):
     )
     svm, boost = compare.rbf_svm, compare.boosting
     peers = {
-        "forest": forest, "sklearn-forest": forest, "linear-svm": LinearSVC(dual=False),
+        "forest": forest,
+        "sklearn-forest": forest,
+        "linear-svm": LinearSVC(dual=False),
         "rbf-svm": SVC(C=svm.c[0], gamma=svm.gamma[0]),
         "boosting": HistGradientBoostingClassifier(
             max_iter=boost.rounds, max_leaf_nodes=boost.leaves, early_stopping=False, max_bins=boost.bins
         ),
-    }  # fmt: skip
+    }
     rows = fewer(learn, svm.max_rows) if method == "rbf-svm" else learn
     X = np.where(np.isnan(rows.X), 0, rows.X)
     with threadpool_limits(1):

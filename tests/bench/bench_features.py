@@ -37,14 +37,39 @@ from fwclass.stage import Chunk
 ROOT = Path(__file__).resolve().parents[2]
 PARAMS = FeaturesParams(**yaml.safe_load((ROOT / "conf" / "base.yaml").read_text())["features"])
 SIXTEEN = (
-    "count", "height_range", "height_std", "height_skewness", "height_kurtosis", "height_above_mean",
-    "height_above_lowest", "eigenvalue_1", "eigenvalue_2", "eigenvalue_3", "plane_std", "inclination", "echo_ratio",
-    "egi", "ebi", "evi",
-)  # fmt: skip
+    "count",
+    "height_range",
+    "height_std",
+    "height_skewness",
+    "height_kurtosis",
+    "height_above_mean",
+    "height_above_lowest",
+    "eigenvalue_1",
+    "eigenvalue_2",
+    "eigenvalue_3",
+    "plane_std",
+    "inclination",
+    "echo_ratio",
+    "egi",
+    "ebi",
+    "evi",
+)
 FOURTEEN = (
-    "height_range", "height_std", "height_skewness", "height_kurtosis", "roughness", "plane_range", "plane_std",
-    "inclination", "eigenvalue_1", "eigenvalue_2", "egi", "ebi", "evi", "intensity_mean",
-)  # fmt: skip
+    "height_range",
+    "height_std",
+    "height_skewness",
+    "height_kurtosis",
+    "roughness",
+    "plane_range",
+    "plane_std",
+    "inclination",
+    "eigenvalue_1",
+    "eigenvalue_2",
+    "egi",
+    "ebi",
+    "evi",
+    "intensity_mean",
+)
 NINE = (40, 50, 60, 70, 80, 90, 100, 120, 150)
 THEIRS = ["PCA1", "PCA2", "linearity", "planarity", "sphericity"]
 
@@ -66,10 +91,16 @@ def cloud(side: float, per_m2: float, seed: int = 1) -> Table:
     number = np.arange(len(row)) - np.repeat(np.cumsum(of) - of, of) + 1
     depth = np.where(crown[row], rng.uniform(2.0, 12.0, len(row)), 0.0)
     depth = np.where((number == of[row]) & (of[row] > 1), 0.0, depth)
-    return Table({
-        "x": (500_000.0 + x[row]).round(3), "y": (5_400_000.0 + y[row]).round(3), "z": (z[row] + depth).round(3),
-        "echo_number": number, "number_of_echoes": of[row], "intensity": rng.integers(1, 2000, len(row)),
-    })  # fmt: skip
+    return Table(
+        {
+            "x": (500_000.0 + x[row]).round(3),
+            "y": (5_400_000.0 + y[row]).round(3),
+            "z": (z[row] + depth).round(3),
+            "echo_number": number,
+            "number_of_echoes": of[row],
+            "intensity": rng.integers(1, 2000, len(row)),
+        }
+    )
 
 
 def chunk_of(table: Table) -> Chunk:

@@ -24,10 +24,23 @@ from fwclass.stage import Chunk
 
 K, ROUNDS = 20, 5
 BASES = (
-    "linearity", "planarity", "sphericity", "omnivariance", "anisotropy", "eigenentropy", "surface_variation",
-    "verticality", "inclination", "roughness", "height_range", "height_std", "height_above_lowest", "first_share",
-    "last_share", "reach",
-)  # fmt: skip
+    "linearity",
+    "planarity",
+    "sphericity",
+    "omnivariance",
+    "anisotropy",
+    "eigenentropy",
+    "surface_variation",
+    "verticality",
+    "inclination",
+    "roughness",
+    "height_range",
+    "height_std",
+    "height_above_lowest",
+    "first_share",
+    "last_share",
+    "reach",
+)
 
 
 def town(n: int, per_m2: float, seed: int = 0) -> Table:

@@ -3,7 +3,7 @@
     python tests/bench/bench_operations.py [--run DIR [--first]] [--survey city-1200m] [--set KEY=VALUE …]
 
 Without ``--run`` the survey is simulated and run on two workers first. The second part sends parts that do nothing
-through the same road, once in the plain loop and once on two workers: what is left is the cost of a part. Run it when
+through the same runner, once in the plain loop and once on two workers: what is left is the cost of a part. Run it when
 nothing else runs.
 """
 
@@ -25,7 +25,7 @@ from fwclass.run.cluster import Cluster
 from fwclass.run.local import Loop
 from fwclass.run.part import Task
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
+from fwclass.run.runner import Runner
 from fwclass.run.tasks import Tasks
 from fwclass.store.atomic import read_json
 from fwclass.store.run_store import Store
@@ -51,10 +51,10 @@ def empty(key: int) -> Task:
 
 def walked(executor, root: Path) -> float:
     with Display() as display:
-        road = Road(root, executor, display)
+        runner = Runner(root, executor, display)
         began = time.perf_counter()
-        road.do(Tasks.of("nothing", range(EMPTY), empty))
-        assert not road.failures
+        runner.do(Tasks.of("nothing", range(EMPTY), empty))
+        assert not runner.failures
         return time.perf_counter() - began
 
 

@@ -65,11 +65,18 @@ def main() -> None:
             plan = json.loads(command("plan", "demo", "--out", str(root), "--json", *settings(size)))
             command("run", "demo", "--out", str(root), "--workers", chosen.workers, *settings(size))
             echoes, seconds, disk, memory = measured(root)
-            print(HEAD.format(
-                size, plan["tiles"]["number"], "plan / run", beside(echoes, plan["echoes"], ""),
-                beside(seconds, plan["seconds"], "s"), beside(disk / 1e6, plan["disk_bytes"] / 1e6, "MB"),
-                beside(memory, plan["memory_mib"], "MiB"),
-            ), flush=True)  # fmt: skip
+            print(
+                HEAD.format(
+                    size,
+                    plan["tiles"]["number"],
+                    "plan / run",
+                    beside(echoes, plan["echoes"], ""),
+                    beside(seconds, plan["seconds"], "s"),
+                    beside(disk / 1e6, plan["disk_bytes"] / 1e6, "MB"),
+                    beside(memory, plan["memory_mib"], "MiB"),
+                ),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

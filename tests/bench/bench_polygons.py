@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
+from fwclass.formats.wkb import shapes
 from fwclass.grid import Box
 from fwclass.label.polygons import Polygons, owners
-from fwclass.read.wkb import shapes
 
 EDGE, TILE, ECHOES, SIDE = 1200, 100, 6_000_000, 316
 

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from fwclass import conf
+from fwclass.graph.work.outputs import delivered_rasters
 from fwclass.grid import Box, TileGrid, Window
-from fwclass.run.work.outputs import delivered_rasters
 from fwclass.store.run_store import peak_mib
 
 GRID = TileGrid(256.0)
@@ -26,7 +26,7 @@ ROW = "{:>8}{:>14}{:>14}{:>12}{:>14}{:>12}"
 
 
 class Noise:
-    """A desk whose parts are drawn when they are read."""
+    """A inputs whose parts are drawn when they are read."""
 
     def arrays(self, stage, part, name):
         block = GRID.tile(part)
@@ -61,10 +61,16 @@ def one(kilometres: float) -> None:
         took = time.process_time() - began
         size = sum(p.stat().st_size for p in Path(folder).rglob("*.tif"))
     cells = told["dtm_cells"]
-    print(ROW.format(
-        f"{kilometres:g}", f"{cells:,}", f"{1e6 * took / cells:.2f}", f"{peak_mib() - before:.0f}",
-        f"{4 * cells / 2**20:.0f}", f"{size / cells:.1f}",
-    ))  # fmt: skip
+    print(
+        ROW.format(
+            f"{kilometres:g}",
+            f"{cells:,}",
+            f"{1e6 * took / cells:.2f}",
+            f"{peak_mib() - before:.0f}",
+            f"{4 * cells / 2**20:.0f}",
+            f"{size / cells:.1f}",
+        )
+    )
 
 
 def main() -> None:

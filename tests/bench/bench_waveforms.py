@@ -287,8 +287,10 @@ def completeness(scale: float) -> list[Figure]:
     for name, maker, least in (("survey mix", wm.survey_mix, ">= 0.97"), ("hard mix", wm.hard_mix, ">= 0.92")):
         waves, truth = maker(int(60_000 * scale), seed=12)
         for label, params, pulse in (
-            ("as delivered", PARAMS, receiver()), ("tail_share 0", ALL, receiver()), ("no receiver", ALL, GAUSSIAN)
-        ):  # fmt: skip
+            ("as delivered", PARAMS, receiver()),
+            ("tail_share 0", ALL, receiver()),
+            ("no receiver", ALL, GAUSSIAN),
+        ):
             fits = fit_waveforms(waves, params, pulse)
             hit = hits_of(truth, fits)
             out.append(share(name, f"completeness, all echoes, {label}", hit, least))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from fwclass.run.desk import Desk
+from fwclass.run.inputs import PartInputs
 
 
-def nothing(desk: Desk, directory: Path) -> Mapping[str, object]:
+def nothing(inputs: PartInputs, directory: Path) -> Mapping[str, object]:
     """Write an empty file."""
     (directory / "nothing.txt").write_text("")
     return {}

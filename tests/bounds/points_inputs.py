@@ -56,11 +56,21 @@ def table_of(x, y, z, rng: np.random.Generator) -> Table:  # type: ignore[no-unt
     n = len(x)
     of = rng.integers(1, 16, n)
     extreme = rng.choice([0.0, 1.0, 65535.0, 1e30, np.nan, np.inf], n)
-    return Table({
-        "strip": rng.integers(0, 3, n), "pulse": np.sort(rng.integers(0, max(n // 2, 1), n)),
-        "gps_time": rng.choice([0.0, 1.0, np.nan], n), "echo_number": rng.integers(0, of + 1), "number_of_echoes": of,
-        "x": x, "y": y, "z": z, "amplitude": extreme, "width": -extreme, "intensity": rng.integers(0, 65536, n),
-    })  # fmt: skip
+    return Table(
+        {
+            "strip": rng.integers(0, 3, n),
+            "pulse": np.sort(rng.integers(0, max(n // 2, 1), n)),
+            "gps_time": rng.choice([0.0, 1.0, np.nan], n),
+            "echo_number": rng.integers(0, of + 1),
+            "number_of_echoes": of,
+            "x": x,
+            "y": y,
+            "z": z,
+            "amplitude": extreme,
+            "width": -extreme,
+            "intensity": rng.integers(0, 65536, n),
+        }
+    )
 
 
 def drive(inputs: int, seed: int) -> int:

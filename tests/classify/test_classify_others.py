@@ -75,9 +75,13 @@ def test_pair_decisions_are_the_sums_of_libsvm(n):
     counts = r.integers(1, 5, n)
     total = int(counts.sum())
     model = KernelMachine(
-        r.normal(size=(total, 3)), r.normal(size=(n - 1, total)), r.normal(size=n * (n - 1) // 2), counts,
-        np.array([0.7]), card(n),
-    )  # fmt: skip
+        r.normal(size=(total, 3)),
+        r.normal(size=(n - 1, total)),
+        r.normal(size=n * (n - 1) // 2),
+        counts,
+        np.array([0.7]),
+        card(n),
+    )
     X = rows(r, 20)
     ready = model.preparation(X)
     k = np.exp(-0.7 * ((ready[:, None, :] - model.vectors[None]) ** 2).sum(axis=2))

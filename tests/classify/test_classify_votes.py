@@ -17,11 +17,7 @@ NAMES = ("zc", "width", "number_of_echoes", "amplitude", "inclination_r100", "ec
 
 
 def card(features=NAMES, codes=(2, 6, 5)):
-    return {
-        "format": FORMAT,
-        "features": list(features),
-        "classes": [{"name": str(c), "code": c} for c in codes],
-    }
+    return {"format": FORMAT, "features": list(features), "classes": [{"name": str(c), "code": c} for c in codes]}
 
 
 def random_tree(r, splits, m, n_classes):
@@ -105,11 +101,7 @@ def test_votes_equal_a_naive_walk_on_anything(seed, splits, n):
 
 
 def test_a_value_on_the_threshold_goes_right():
-    tree = (
-        np.array([0, LEAF, LEAF], np.uint16),
-        np.array([0.1, 0, 0], np.float32),
-        np.array([1, 0, 1], np.uint32),
-    )
+    tree = (np.array([0, LEAF, LEAF], np.uint16), np.array([0.1, 0, 0], np.float32), np.array([1, 0, 1], np.uint32))
     forest = assemble([tree], card(("zc",), (2, 5)))
     t = np.float32(0.1)
     X = np.array([[np.nextafter(t, np.float32(0))], [t], [np.nan]], np.float32)

@@ -60,15 +60,17 @@ def test_class_weights_are_of_the_survey_s_classes():
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("planarity_k501", "at most 500 nearest echoes"), ("planarity_k0", "size must be positive"),
-        ("planarty_k20", "did you mean 'planarity_k20'"), ("amplitud", "did you mean 'amplitude'"),
+        ("planarity_k501", "at most 500 nearest echoes"),
+        ("planarity_k0", "size must be positive"),
+        ("planarty_k20", "did you mean 'planarity_k20'"),
+        ("amplitud", "did you mean 'amplitude'"),
         ("backscatter", "needs the range"),
         ("count_R100", "did you mean 'count_r100'"),
         ("omnivarianc", "did you mean 'omnivariance_r100'"),
     ],
-)  # fmt: skip
+)
 def test_a_survey_s_features_have_a_size_that_can_be_had(name, says):
-    from fwclass.run.plan.layout import check_features
+    from fwclass.graph.layout import check_features
 
     config = conf.load("demo", ("survey.trajectory.files=[]", "radiometry.platform_altitude=null"))
     check_features(config, ("planarity_k500", "planarity_opt", "zc"), "here")

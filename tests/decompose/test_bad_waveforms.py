@@ -22,8 +22,8 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.stage import VENDOR_KEPT, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import FwclassError
-from fwclass.run.decompose_file import decompose_file
 from fwclass.schema import Table
+from fwclass.single_file.decompose import decompose_file
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 PULSE = SystemPulse.gaussian(3.5)
@@ -52,16 +52,29 @@ def waveforms(
     nothing = np.full(n, np.nan)
     pulses = dict.fromkeys(PULSE_COLUMNS, np.zeros(n))
     pulses |= {
-        "pulse": np.arange(n), "step_z": np.full(n, METRES_PER_NS), "anchor_range": nothing, "outgoing_start": nothing,
-        "anchor_time": np.broadcast_to(location, n), "sample_spacing": np.broadcast_to(spacing, n),
-        "saturation": np.broadcast_to(saturation, n), "gain": np.ones(n),
-    }  # fmt: skip
+        "pulse": np.arange(n),
+        "step_z": np.full(n, METRES_PER_NS),
+        "anchor_range": nothing,
+        "outgoing_start": nothing,
+        "anchor_time": np.broadcast_to(location, n),
+        "sample_spacing": np.broadcast_to(spacing, n),
+        "saturation": np.broadcast_to(saturation, n),
+        "gain": np.ones(n),
+    }
     returns = dict.fromkeys(RETURN_COLUMNS, nothing)
     returns |= {
-        "pulse": np.arange(n), "return_number": np.ones(n), "number_of_returns": np.ones(n), "x": np.zeros(n),
-        "y": np.zeros(n), "z": np.zeros(n), "gps_time": np.arange(n), "intensity": np.full(n, 7),
-        "source_class": np.full(n, 2), "location": np.broadcast_to(location, n), "has_packet": np.ones(n, bool),
-    }  # fmt: skip
+        "pulse": np.arange(n),
+        "return_number": np.ones(n),
+        "number_of_returns": np.ones(n),
+        "x": np.zeros(n),
+        "y": np.zeros(n),
+        "z": np.zeros(n),
+        "gps_time": np.arange(n),
+        "intensity": np.full(n, 7),
+        "source_class": np.full(n, 2),
+        "location": np.broadcast_to(location, n),
+        "has_packet": np.ones(n, bool),
+    }
     kind = np.result_type(np.uint8, *(r.dtype for r in records))
     offsets = np.concatenate([[0], np.cumsum([len(r) for r in records])]).astype(np.int64)
     samples = np.concatenate([np.asarray(r, kind) for r in records])
@@ -258,9 +271,17 @@ def survey(path: Path, records: Sequence[NDArray], kinds: Sequence[int], descrip
     ]
     xyz = np.c_[500000.0 + np.arange(n), np.full(n, 5400000.0), np.full(n, 200.0)]
     return write_las(
-        path, xyz, waveforms=list(records), descriptor_of=list(kinds), pulse=np.arange(n), location=location,
-        gps_time=1000.0 + np.arange(n), descriptors=descriptors, classification=2, intensity=np.arange(n) + 1,
-    )  # fmt: skip
+        path,
+        xyz,
+        waveforms=list(records),
+        descriptor_of=list(kinds),
+        pulse=np.arange(n),
+        location=location,
+        gps_time=1000.0 + np.arange(n),
+        descriptors=descriptors,
+        classification=2,
+        intensity=np.arange(n) + 1,
+    )
 
 
 def mixed(path: Path) -> tuple[Path, list[str]]:
@@ -276,9 +297,12 @@ def mixed(path: Path) -> tuple[Path, list[str]]:
         kinds += [kind, 1]
         names += [name, "good"]
     for name, odd in {
-        "no spacing": Odd(spacing_ps=0), "gain NaN": Odd(gain=np.nan), "offset NaN": Odd(offset=np.nan),
-        "gain infinite": Odd(gain=np.inf), "gain 0": Odd(gain=0.0),
-    }.items():  # fmt: skip
+        "no spacing": Odd(spacing_ps=0),
+        "gain NaN": Odd(gain=np.nan),
+        "offset NaN": Odd(offset=np.nan),
+        "gain infinite": Odd(gain=np.inf),
+        "gain 0": Odd(gain=0.0),
+    }.items():
         descriptors[len(descriptors) + 1] = odd
         records.append(good(seed=99))
         kinds.append(len(descriptors))
@@ -352,9 +376,14 @@ def test_a_long_waveform_in_a_file_is_read_once(tmp_path: Path) -> None:
     at = 98_765.4
     record = digitise(gaussian(LONG, [(150.0, at, 3.5)]) + np.random.default_rng(0).normal(0, 1, LONG))
     source = write_las(
-        tmp_path / "l.las", [[0, 0, 0]], waveforms=[record], pulse=[0], location=[at], gps_time=1000.0,
+        tmp_path / "l.las",
+        [[0, 0, 0]],
+        waveforms=[record],
+        pulse=[0],
+        location=[at],
+        gps_time=1000.0,
         descriptors={1: Descriptor(n_samples=LONG)},
-    )  # fmt: skip
+    )
     with patience(30.0):
         decompose_file(source, tmp_path / "o.laz", (), False)
     z = np.asarray(laspy.read(tmp_path / "o.laz").z)

@@ -119,10 +119,16 @@ def test_fast_path_of_one_echo_is_the_general_fit():
         one, many = (np.array([9.0, truth[0] * 0.8, truth[1] + 0.4, truth[2] / FWHM * 1.1, 0, 0, 0]) for _ in range(2))
         many[4:] = (1e-9, 70.0, 1.4)
         work = (
-            np.zeros(padded), np.empty((most, 3, look.table.shape[2])), np.zeros((most, 4), np.int64),
-            np.empty((size, size)), np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size),
+            np.zeros(padded),
+            np.empty((most, 3, look.table.shape[2])),
+            np.zeros((most, 4), np.int64),
+            np.empty((size, size)),
+            np.empty(size),
+            np.empty((size, size)),
+            np.empty(size),
+            np.empty(size),
             np.zeros(size),
-        )  # fmt: skip
+        )
         chi, _ = fit_one(one, y, weight, pad, LENGTH, prior, limits, look, sums)
         square, _ = evaluate(one, 1, y, weight, pad, LENGTH, look, work[0], work[1], work[2])
         np.testing.assert_allclose(square + 0.1 * (one[0] - 10.0) ** 2, chi, rtol=1e-9)

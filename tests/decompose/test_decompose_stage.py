@@ -93,11 +93,18 @@ def test_returns_without_packet_stay(tmp_path, base):
     """Pulse 0 has a waveform, the others do not; nothing is lost and nothing is doubled."""
     y = digitise(gaussian(60, [(100.0, 20.0, 3.6)]))
     path = write_las(
-        tmp_path / "a.las", [(0, 0, 5), (1, 0, 6), (1, 0, 4), (2, 0, 7)], return_number=[1, 2, 1, 1],
-        number_of_returns=[1, 2, 2, 1], intensity=[9, 8, 7, 6], classification=[1, 2, 3, 4],
-        waveforms=[y, y, y], pulse=[0, 1, 1, 2], location=20.0, wave={"size": [60, 6, 6, 6]},
+        tmp_path / "a.las",
+        [(0, 0, 5), (1, 0, 6), (1, 0, 4), (2, 0, 7)],
+        return_number=[1, 2, 1, 1],
+        number_of_returns=[1, 2, 2, 1],
+        intensity=[9, 8, 7, 6],
+        classification=[1, 2, 3, 4],
+        waveforms=[y, y, y],
+        pulse=[0, 1, 1, 2],
+        location=20.0,
+        wave={"size": [60, 6, 6, 6]},
         extra={"Pulse width": ("u2", 0.1, [40, 41, 42, 43])},
-    )  # fmt: skip
+    )
     echoes, links = run(path, base)
     check_sound(echoes, links)
     assert echoes["origin"].tolist() == [0, 1, 1, 1]
@@ -114,9 +121,15 @@ def test_returns_without_packet_stay(tmp_path, base):
 
 def test_a_waveform_without_echo_keeps_the_vendors_return(tmp_path, base):
     path = write_las(
-        tmp_path / "a.las", [(0, 0, 5), (0, 0, 4)], waveforms=[np.full(60, 12)], pulse=[0, 0], return_number=[1, 2],
-        number_of_returns=2, location=[20.0, 27.0], intensity=[3, 4],
-    )  # fmt: skip
+        tmp_path / "a.las",
+        [(0, 0, 5), (0, 0, 4)],
+        waveforms=[np.full(60, 12)],
+        pulse=[0, 0],
+        return_number=[1, 2],
+        number_of_returns=2,
+        location=[20.0, 27.0],
+        intensity=[3, 4],
+    )
     echoes, links = run(path, base)
     check_sound(echoes, links)
     assert echoes["origin"].tolist() == [0, 0] and echoes["fit_flags"].tolist() == [16, 16]

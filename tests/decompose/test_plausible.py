@@ -64,9 +64,13 @@ def test_nothing_is_said_of_too_few_samples():
 def test_plausible_echoes_are_numbered_first():
     pulse = np.array([4, 4, 4, 7, 9, 9])
     echoes = {
-        "pulse": pulse, "echo_number": np.array([1, 2, 3, 1, 1, 2]), "number_of_echoes": np.array([3, 3, 3, 1, 2, 2]),
-        "fit_flags": np.full(6, 2, np.uint8), "source_class": np.full(6, 5), "z": np.arange(6.0),
-    }  # fmt: skip
+        "pulse": pulse,
+        "echo_number": np.array([1, 2, 3, 1, 1, 2]),
+        "number_of_echoes": np.array([3, 3, 3, 1, 2, 2]),
+        "fit_flags": np.full(6, 2, np.uint8),
+        "source_class": np.full(6, 5),
+        "z": np.arange(6.0),
+    }
     made = renumbered(echoes, np.array([True, False, False, False, True, True]))
     np.testing.assert_array_equal(made["z"], [1.0, 2.0, 0.0, 3.0, 4.0, 5.0])
     np.testing.assert_array_equal(made["echo_number"], [1, 2, 3, 1, 1, 2])

@@ -283,15 +283,36 @@ def test_a_stored_pulse_comes_back():
 @pytest.mark.parametrize(
     "change",
     [
-        {"shape": "square"}, {"fwhm": 0.0}, {"fwhm": float("nan")}, {"fwhm": "4"}, {"fwhm": None}, {"fwhm": True},
-        {"step": 0.0}, {"step": -1.0}, {"first": float("inf")}, {"first": 5.0}, {"first": -1.0}, {"values": []},
-        {"values": "1"}, {"values": [0.0] * 200_000}, {"values": [0.0, 1.0, float("nan")] * 9}, {"values": [0.5] * 500},
-        {"values": [None] * 9}, {"values": [10**400] * 9}, {"values": [[0.0, 1.0]] * 9}, {"echoes": -1},
-        {"channels": [{}]}, {"channels": [1]}, {"channels": {}}, {"channels": [None] * 1000}, {"shape_error": 2.0},
-        {"colour": "red"}, {"shape": []},
+        {"shape": "square"},
+        {"fwhm": 0.0},
+        {"fwhm": float("nan")},
+        {"fwhm": "4"},
+        {"fwhm": None},
+        {"fwhm": True},
+        {"step": 0.0},
+        {"step": -1.0},
+        {"first": float("inf")},
+        {"first": 5.0},
+        {"first": -1.0},
+        {"values": []},
+        {"values": "1"},
+        {"values": [0.0] * 200_000},
+        {"values": [0.0, 1.0, float("nan")] * 9},
+        {"values": [0.5] * 500},
+        {"values": [None] * 9},
+        {"values": [10**400] * 9},
+        {"values": [[0.0, 1.0]] * 9},
+        {"echoes": -1},
+        {"channels": [{}]},
+        {"channels": [1]},
+        {"channels": {}},
+        {"channels": [None] * 1000},
+        {"shape_error": 2.0},
+        {"colour": "red"},
+        {"shape": []},
     ],
     ids=lambda c: str(c)[:30],
-)  # fmt: skip
+)
 def test_a_strangers_pulse_is_refused(change):
     with pytest.raises(InputError):
         SystemPulse.from_json({**stored(), **change}, "pulse.json")

@@ -186,9 +186,16 @@ def test_bounds_hold_for_other_spacings_and_depths(params):
     """The same echoes at 0.5 ns and 16 bits, at 2 ns and 8 bits."""
     for spacing, bits, samples, scale in ((0.5, 16, 144, 20.0), (2.0, 8, 40, 1.0)):
         waves, truth = wm.fixed(
-            4000, [90.0 * scale], width=4.0, spacing=spacing, bits=bits, samples=samples, noise=1.5 * scale,
-            baseline=15.0 * scale, seed=39,
-        )  # fmt: skip
+            4000,
+            [90.0 * scale],
+            width=4.0,
+            spacing=spacing,
+            bits=bits,
+            samples=samples,
+            noise=1.5 * scale,
+            baseline=15.0 * scale,
+            seed=39,
+        )
         fits = fit_waveforms(waves, params, ALONE)
         assert at_most((fits.count > 1).sum(), 4000, 0.005)
         i, error, sigma = errors(truth, fits)

@@ -26,9 +26,17 @@ def params(base):
 def records(n=600, seed=51, **options):
     """16 bit waveforms of 1 to 4 clear echoes, well inside the record, as (n, samples)."""
     waves, truth = wm.mix(
-        n, (1, 1, 1, 1), amplitude=(60, 400), gap=(8, 14), noise=(1.5, 1.5), bits=16, samples=90, baseline=40.0,
-        seed=seed, **options,
-    )  # fmt: skip
+        n,
+        (1, 1, 1, 1),
+        amplitude=(60, 400),
+        gap=(8, 14),
+        noise=(1.5, 1.5),
+        bits=16,
+        samples=90,
+        baseline=40.0,
+        seed=seed,
+        **options,
+    )
     return waves.samples.reshape(n, -1), truth
 
 
@@ -224,9 +232,7 @@ def test_a_gaussian_given_as_values_is_a_gaussian(params, step):
 def test_the_model_explains_the_samples(params, pulse):
     """`model_of` is what was fitted: its residuals have the noise's size and the misfit's chi-square."""
     shape = wm.skewed() if pulse.shape == "measured" else wm.Pulse()
-    waves, truth = wm.mix(
-        100, (0.5, 0.5), amplitude=(40, 100), gap=(9, 20), noise=(1.5, 1.5), pulse=shape, seed=55
-    )  # fmt: skip
+    waves, truth = wm.mix(100, (0.5, 0.5), amplitude=(40, 100), gap=(9, 20), noise=(1.5, 1.5), pulse=shape, seed=55)
     fits = fit_waveforms(waves, params, pulse)
     y = waves.samples.reshape(100, -1).astype(float)
     residual = np.empty_like(y)

@@ -9,10 +9,10 @@ from faultmaker import SMALL, running, words
 from runmaker import SETTINGS, delivered
 
 from fwclass import conf
+from fwclass.graph.survey import simulate_tasks
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
-from fwclass.run.survey import simulate_tasks
+from fwclass.run.runner import Runner
 
 
 @pytest.fixture(scope="session")
@@ -20,9 +20,9 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One strip with its reference."""
     root = tmp_path_factory.mktemp("survey")
     with Display() as display:
-        road = Road(root, Loop(), display)
-        road.do(simulate_tasks(conf.load("demo", (*SETTINGS, *SMALL)).simulate, "."))
-        assert not road.failures
+        runner = Runner(root, Loop(), display)
+        runner.do(simulate_tasks(conf.load("demo", (*SETTINGS, *SMALL)).simulate, "."))
+        assert not runner.failures
     return root
 
 

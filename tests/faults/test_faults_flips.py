@@ -15,9 +15,9 @@ from objectstore import quick, serving, used
 from runmaker import delivered, walk
 
 from fwclass.errors import DamagedError
-from fwclass.run.status.verify import remove, verify
-from fwclass.store.home import open_store
+from fwclass.operate.status.verify import remove, verify
 from fwclass.store.remote_read import Remote
+from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
 
 pytestmark = pytest.mark.faults
@@ -79,8 +79,8 @@ def test_nothing_is_made_of_a_flipped_bit(survey, copy, clean, stage):
     verified = verify(Store(copy, read_only=True))
     assert [d.name for d in verified.parts] == [(stage, part)]
     repaired(copy)
-    road, _ = walk(survey, copy, *CHANGED)
-    assert not road.failures and delivered(copy) == clean
+    runner, _ = walk(survey, copy, *CHANGED)
+    assert not runner.failures and delivered(copy) == clean
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -89,8 +89,8 @@ def test_what_was_made_of_a_flipped_bit_goes_with_it(survey, copy, clean, monkey
     flip(a_file_of(copy, stage))
     with monkeypatch.context() as patch:
         patch.setattr("fwclass.store.run_store.check_file", lambda path, digest: None)
-        road, _ = walk(survey, copy, *CHANGED)
-    assert not road.failures
+        runner, _ = walk(survey, copy, *CHANGED)
+    assert not runner.failures
     verified = verify(Store(copy, read_only=True))
     after = {s for s, _ in verified.made_from}
     assert {"publish-tile" if stage != "terrain" else "publish-rasters"} <= after and "index" not in after
@@ -141,8 +141,9 @@ def test_the_manifest_names_every_file(copy):
     current = (copy / "current").resolve()
     files = json.loads((current / "manifest.json").read_text())["files"]
     assert set(files) == {p.relative_to(current).as_posix() for p in current.rglob("*") if p.is_file()} - {
-        "generation.json", "manifest.json"
-    }  # fmt: skip
+        "generation.json",
+        "manifest.json",
+    }
     assert not (copy / "manifest.json").is_symlink()
     flip(current / "manifest.json")
     assert verify(Store(copy)).delivered == ("manifest.json",)
@@ -159,8 +160,8 @@ def test_object_storage_is_watched_too(survey, expected, tmp_path, monkeypatch):
         place, out = s3.url("survey"), s3.url()
         s3.write_all(place, survey, "strips", "reference")
         s3.write(place / "trajectory.csv", (survey / "trajectory.csv").read_bytes())
-        home = Remote(out, quick())
-        walk(place, home, *SMALL)
+        location = Remote(out, quick())
+        walk(place, location, *SMALL)
         assert s3.delivered(out) == expected
         keys = s3.keys(out)
 
@@ -173,25 +174,25 @@ def test_object_storage_is_watched_too(survey, expected, tmp_path, monkeypatch):
                 s3.write(out / key, bytes(len(s3.read(out)[key])))
 
         lose("laz", False)
-        walk(place, home, *SMALL)
-        assert open_store(home).generations.current().number == 2 and s3.delivered(out) == expected
+        walk(place, location, *SMALL)
+        assert open_store(location).generations.current().number == 2 and s3.delivered(out) == expected
         lose("parquet", True)
-        walk(place, home, *SMALL)
-        assert open_store(home).generations.current().number == 3 and s3.delivered(out) == expected
+        walk(place, location, *SMALL)
+        assert open_store(location).generations.current().number == 3 and s3.delivered(out) == expected
         part = next(k for k in keys if k.startswith("store/features/") and k.endswith("table.parquet"))
         held = bytearray(s3.read(out)[part])
         held[len(held) // 2] ^= 1
         s3.write(out / part, bytes(held))
         monkeypatch.setenv("FWCLASS_SCRATCH", str(tmp_path / "other"))
-        road, _ = walk(place, home, *CHANGED)
-        assert road.failures and all("not what was written" in o.message for o in road.failures)
-        store = open_store(home, lists=True)
+        runner, _ = walk(place, location, *CHANGED)
+        assert runner.failures and all("not what was written" in o.message for o in runner.failures)
+        store = open_store(location, lists=True)
         verified = verify(store)
         assert [d.stage for d in verified.parts] == ["features"] and not verified.delivered
         remove(verified, store)
-        walk(place, home, *SMALL)
+        walk(place, location, *SMALL)
         assert s3.delivered(out) == expected
-        assert verify(open_store(home, lists=True)).sound
+        assert verify(open_store(location, lists=True)).sound
 
 
 def test_a_copy_on_this_host_that_rots_is_fetched_again(tmp_path, monkeypatch):

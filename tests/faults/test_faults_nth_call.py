@@ -17,8 +17,8 @@ from nthcall import Calls, Disk, Left, PowerCut, fails, loses_its_answer
 from smallgraph import delivered, made, run, untorn
 
 from fwclass.errors import FwclassError
-from fwclass.run.history import past_runs
-from fwclass.run.status.verify import verify
+from fwclass.operate.history import past_runs
+from fwclass.operate.status.verify import verify
 from fwclass.store.lock import holder
 from fwclass.store.run_store import Store
 

@@ -19,11 +19,11 @@ from obstore.exceptions import GenericError
 from smallgraph import delivered, made, run
 
 from fwclass.errors import FwclassError
-from fwclass.run.history import past_runs
-from fwclass.run.status.verify import verify
-from fwclass.store.home import open_store
+from fwclass.operate.history import past_runs
+from fwclass.operate.status.verify import verify
 from fwclass.store.objects import Objects
 from fwclass.store.remote_read import Remote, unit_of
+from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
 from fwclass.store.url import Url
 
@@ -75,24 +75,24 @@ class Case:
     clean: tuple[dict, dict]
 
     def begun(self) -> Remote:
-        home = Remote(self.place(), PARAMS)
+        location = Remote(self.place(), PARAMS)
         for key, data in self.before.items():
-            home.objects.put(key, data)
-        return home
+            location.objects.put(key, data)
+        return location
 
-    def run(self, home: Remote) -> list[str]:
-        return run(home, self.source, self.parts, self.text)
+    def run(self, location: Remote) -> list[str]:
+        return run(location, self.source, self.parts, self.text)
 
-    def check(self, home: Remote) -> None:
+    def check(self, location: Remote) -> None:
         """The same again, undisturbed: all is there, and nothing else."""
-        assert self.run(home) == []
-        there = everything(home.objects)
+        assert self.run(location) == []
+        there = everything(location.objects)
         address = json.loads(there["current.json"])["address"]
         shown = {
             k[len(address) + 1 :]: hashlib.sha256(d).hexdigest() for k, d in there.items() if k.startswith(address)
         }
         own = {n: d for n, d in shown.items() if n not in ("generation.json", "manifest.json")}
-        store = open_store(home, lists=True)
+        store = open_store(location, lists=True)
         assert (own, made(store)) == self.clean
         assert verify(store).sound
         assert not [k for k in there if k.startswith(("store/staging", "store/failures"))]
@@ -100,7 +100,7 @@ class Case:
         named = {unit_of(r) for name in store.parts() if (r := store.receipt(*name)) is not None}
         units = {"/".join(k.split("/")[:4]) for k in there if k.startswith("store/") and k.count("/") > 3}
         assert units == named
-        assert "done" in [r["word"] for r in past_runs(home)]  # two may have begun in one second
+        assert "done" in [r["word"] for r in past_runs(location)]  # two may have begun in one second
 
 
 def everything(objects: Objects) -> dict[str, bytes]:
@@ -108,9 +108,9 @@ def everything(objects: Objects) -> dict[str, bytes]:
     return {key: data[0] for key, data in zip(keys, objects.many(keys), strict=True) if data is not None}
 
 
-def untorn(home: Remote) -> None:
+def untorn(location: Remote) -> None:
     """What readers see at this moment, if anything, is all of one generation."""
-    there = everything(home.objects)
+    there = everything(location.objects)
     if "current.json" in there:
         below = json.loads(there["current.json"])["address"]
         for name, facts in json.loads(there[f"{below}/manifest.json"])["files"].items():
@@ -148,9 +148,9 @@ def case(request, tmp_path_factory, place) -> Case:
     source.write_bytes(b"x" * 100)
     wanted = ("ab", "one") if request.param == "first" else ("ac", "two")
     if request.param == "second":
-        home = Remote(place(), PARAMS)
-        assert run(home, source, "ab", "one") == []
-        before = everything(home.objects)
+        location = Remote(place(), PARAMS)
+        assert run(location, source, "ab", "one") == []
+        before = everything(location.objects)
     assert run(clean, source, *wanted) == []
     return Case(source, place, before, *wanted, (delivered(clean), made(Store(clean))))
 
@@ -158,23 +158,23 @@ def case(request, tmp_path_factory, place) -> Case:
 @pytest.mark.parametrize("how", ["some", pytest.param("all", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_request_that_fails_harms_nothing(case, kind, how):
-    home = case.begun()
+    location = case.begun()
     with counted_requests(Calls(Path("/nowhere"))) as calls:
-        assert case.run(home) == []
-    case.check(home)
+        assert case.run(location) == []
+    case.check(location)
     total = len(calls.names)
     assert total > 80 and set(calls.names) == {"get", "put", "list", "delete", "copy"}, total
     for n in range(total) if how == "all" else sorted({k * total // SAMPLE for k in range(SAMPLE)}):
-        home = case.begun()
+        location = case.begun()
         with counted_requests(struck(n, kind)) as calls:
             try:
-                failed = case.run(home)
+                failed = case.run(location)
             except FwclassError as fault:
                 failed = [str(fault)]
         try:
             assert kind not in ("fails", "lost") or not failed, failed  # it was asked again
-            untorn(home)
-            case.check(home)
+            untorn(location)
+            case.check(location)
         except BaseException as fault:
             fault.add_note(f"{kind} at request {n} of {total}: {calls.names[max(0, n - 3) : n + 2]}")
             raise

@@ -22,11 +22,11 @@ from racingserver import Bucket, racing
 from smallgraph import delivered, made, run
 
 from fwclass.errors import FwclassError
-from fwclass.run.status.verify import verify
-from fwclass.store.home import open_store
+from fwclass.operate.status.verify import verify
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote import RemoteStore
 from fwclass.store.remote_read import Remote, key_of_receipt, unit_of
+from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
 from fwclass.store.url import Url
 
@@ -81,7 +81,7 @@ def test_of_writers_without_a_lock_each_commit_that_is_told_was_done_once(tmp_pa
         monkeypatch.setenv(name, value)
     with racing(lost, 5) as (address, bucket):
         monkeypatch.setenv("AWS_ENDPOINT_URL", address)
-        home = Remote(Url(f"s3://{place}"), quick(parallel=4))
+        location = Remote(Url(f"s3://{place}"), quick(parallel=4))
         told: dict[str, str] = {}
 
         def write(who: str) -> None:
@@ -94,7 +94,7 @@ def test_of_writers_without_a_lock_each_commit_that_is_told_was_done_once(tmp_pa
                     return {"text": text}
 
                 try:
-                    RemoteStore.at(home).commit("stage", part, text, {}, "store", work)
+                    RemoteStore.at(location).commit("stage", part, text, {}, "store", work)
                     told[text] = "acknowledged"
                 except FwclassError as fault:
                     told[text] = fault.what
@@ -167,20 +167,21 @@ def test_two_runs_that_take_over_from_each_other_never_mix(tmp_path, monkeypatch
         for name, value in {**KEYS, "AWS_ENDPOINT_URL": address, "FWCLASS_SCRATCH": str(tmp_path / "last")}.items():
             monkeypatch.setenv(name, value)
         bucket.lost = 0.0
-        home = Remote(Url(f"s3://{place}"), quick(dead=0.6))
+        location = Remote(Url(f"s3://{place}"), quick(dead=0.6))
         for _ in range(3):  # the first may meet what a sleeper has removed: in words, and made anew
             with contextlib.suppress(FwclassError):
-                if not run(home, source, "ab", "last"):
+                if not run(location, source, "ab", "last"):
                     break
-        assert run(home, source, "ab", "last") == []
+        assert run(location, source, "ab", "last") == []
         assert shown(bucket, place)[-1] == "last"
         clean = tmp_path / "clean"
         run(clean, source, "ab", "last")
-        store = open_store(home, lists=True)
+        store = open_store(location, lists=True)
         assert made(store) == made(Store(clean)) and verify(store).sound
         below = json.loads(bucket.held()[f"{place}/current.json"])["address"]
         own = {
             k.removeprefix(f"{place}/{below}/"): hashlib.sha256(d).hexdigest()
-            for k, d in bucket.held().items() if k.startswith(f"{place}/{below}/")
-        }  # fmt: skip
+            for k, d in bucket.held().items()
+            if k.startswith(f"{place}/{below}/")
+        }
         assert {n: d for n, d in own.items() if n not in ("generation.json", "manifest.json")} == delivered(clean)

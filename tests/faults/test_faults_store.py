@@ -17,17 +17,17 @@ from faultmaker import SMALL, words
 from runmaker import SETTINGS, delivered, walk
 
 from fwclass import conf
-from fwclass.cli.road import open_road
+from fwclass.cli.runner import open_runner
 from fwclass.errors import InputError, StoreError
-from fwclass.run.desk import Desk
+from fwclass.graph.work.sources import Digests
+from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop
 from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
-from fwclass.run.work.sources import Digests
+from fwclass.run.runner import Runner
 from fwclass.store.atomic import staged
-from fwclass.store.home import locked
 from fwclass.store.lock import writer
+from fwclass.store.run_location import locked
 from fwclass.store.run_store import Store
 from workflows import WORKFLOWS
 
@@ -41,9 +41,9 @@ def copy(finished, tmp_path):
     return root
 
 
-def statuses(road) -> dict[str, int]:
+def statuses(runner) -> dict[str, int]:
     found: dict[str, int] = {}
-    for outcome in road.outcomes.values():
+    for outcome in runner.outcomes.values():
         found[outcome.status] = found.get(outcome.status, 0) + 1
     return found
 
@@ -105,13 +105,13 @@ def test_clocks_that_jump_make_nothing_stale(survey, copy, tmp_path):
     """Times of everything in the store in the past and in the future, in no order; sources are looked at again."""
     own, rng = tmp_path / "survey", random.Random(5)  # noqa: S311
     shutil.copytree(survey, own)
-    road, _ = walk(own, copy, *SMALL)
-    assert set(statuses(road)) == {"skipped"}
+    runner, _ = walk(own, copy, *SMALL)
+    assert set(statuses(runner)) == {"skipped"}
     for path in (*sorted((copy / "store").rglob("*")), *sorted(own.rglob("*"))):
         when = time.time() + rng.uniform(-3e8, 3e8)
         os.utime(path, (when, when), follow_symlinks=False)
-    road, _ = walk(own, copy, *SMALL)
-    assert set(statuses(road)) == {"skipped"}
+    runner, _ = walk(own, copy, *SMALL)
+    assert set(statuses(runner)) == {"skipped"}
 
 
 def test_features_and_classes_of_pieces_are_those_of_the_tile(survey, copy, finished):
@@ -139,7 +139,7 @@ def test_features_and_classes_of_pieces_are_those_of_the_tile(survey, copy, fini
     for (stage, part), digests in held.items():
         receipt = Store(copy).receipt(stage, part)
         assert {n: o["digest"] for n, o in receipt.outputs.items()} == digests, (stage, part)
-    assert Desk(Store(copy)).split == 1
+    assert PartInputs(Store(copy)).split == 1
 
 
 @pytest.mark.parametrize("when", ["before", "meanwhile"])
@@ -149,7 +149,7 @@ def test_a_part_has_no_receipt_for_bytes_that_a_file_has_lost(tmp_path, when):
     source.write_bytes(b"x" * 100)
     digests = Digests(Store(tmp_path)).of([source])
 
-    def work(desk, directory):
+    def work(inputs, directory):
         (directory / "made").write_bytes(source.read_bytes())
         if when == "meanwhile":
             os.truncate(source, 50)
@@ -210,10 +210,10 @@ def test_a_store_that_is_removed_at_the_very_end_is_not_delivered(survey, copy, 
         Display() as display,
         locked(copy, display.say) as (own, held),
     ):
-        road = Road(own, Loop(), display, held=held)
-        WORKFLOWS["classification"](config, road, None)
+        runner = Runner(own, Loop(), display, held=held)
+        WORKFLOWS["classification"](config, runner, None)
         shutil.rmtree(copy / what)
-        road.publish(3)
+        runner.publish(3)
     assert (copy / "current").readlink() == before and not (copy / "generations" / "0002").exists()
 
 
@@ -236,14 +236,14 @@ def test_what_another_run_cleared_away_is_not_committed(tmp_path):
 def test_what_workers_left_that_were_killed_goes_at_the_end_of_the_run(tmp_path):
     """Killed when its part had been moved to its place: nothing tells whose directory it was."""
 
-    def work(desk: Desk, directory: Path) -> dict:
+    def work(inputs: PartInputs, directory: Path) -> dict:
         (tmp_path / "store" / "staging" / "left" / "one").mkdir(parents=True)
         return {}
 
-    with open_road(tmp_path, 0, None, conf.load("demo", ()).run) as road:
-        road.do([Task("one", "a", 1, {}, work)])
+    with open_runner(tmp_path, 0, None, conf.load("demo", ()).run) as runner:
+        runner.do([Task("one", "a", 1, {}, work)])
         assert list((tmp_path / "store").glob("staging/*"))
-    assert not road.failures and not list((tmp_path / "store").glob("staging/*"))
+    assert not runner.failures and not list((tmp_path / "store").glob("staging/*"))
 
 
 def test_what_is_under_way_is_told_while_it_comes_and_goes(tmp_path):
@@ -267,7 +267,7 @@ def test_what_is_under_way_is_told_while_it_comes_and_goes(tmp_path):
 
 def test_what_a_killed_writer_left_beside_goes(tmp_path):
     store = Store(tmp_path)
-    task = Task("one", "a", 1, {"x": 1}, lambda desk, directory: {})
+    task = Task("one", "a", 1, {"x": 1}, lambda inputs, directory: {})
     execute(tmp_path, task)
     left = [store.directory / "one" / "a" / ".receipt.json.1", store.directory / "params" / ".p.1"]
     for path in (*left, store.directory / ".inputs.json.1"):

@@ -22,12 +22,18 @@ def table_of(n=3000, side=30.0, seed=1, height=25.0):
     rng = np.random.default_rng(seed)
     of = rng.integers(1, 4, n)
     amplitude = np.where(rng.random(n) < 0.3, np.nan, rng.uniform(0, 300, n))
-    return Table({
-        "x": rng.uniform(-side / 3, side, n).round(3), "y": rng.uniform(0, side, n).round(3),
-        "z": (200 + rng.uniform(0, height, n)).round(3), "number_of_echoes": of,
-        "echo_number": np.minimum(rng.integers(1, 4, n), of), "amplitude": amplitude,
-        "width": rng.uniform(2, 9, n), "intensity": rng.integers(0, 65536, n),
-    })  # fmt: skip
+    return Table(
+        {
+            "x": rng.uniform(-side / 3, side, n).round(3),
+            "y": rng.uniform(0, side, n).round(3),
+            "z": (200 + rng.uniform(0, height, n)).round(3),
+            "number_of_echoes": of,
+            "echo_number": np.minimum(rng.integers(1, 4, n), of),
+            "amplitude": amplitude,
+            "width": rng.uniform(2, 9, n),
+            "intensity": rng.integers(0, 65536, n),
+        }
+    )
 
 
 def of_all(table, edge):
@@ -43,15 +49,24 @@ def reference(table, edge):
         n = at.sum()
         same = np.ptp(z) == 0
         found = {
-            "count": n, "density": n / edge**2, "height_range": np.ptp(z), "height_std": z.std(),
-            "height_variance": z.var(), "height_skewness": 0 if same else skew(z),
-            "height_kurtosis": 0 if same else kurtosis(z, fisher=False), "height_above_mean": table["z"][i] - z.mean(),
-            "height_above_lowest": table["z"][i] - z.min(), "height_below_highest": z.max() - table["z"][i],
-            "single_share": np.mean(of == 1), "first_share": np.mean((of > 1) & (number == 1)),
+            "count": n,
+            "density": n / edge**2,
+            "height_range": np.ptp(z),
+            "height_std": z.std(),
+            "height_variance": z.var(),
+            "height_skewness": 0 if same else skew(z),
+            "height_kurtosis": 0 if same else kurtosis(z, fisher=False),
+            "height_above_mean": table["z"][i] - z.mean(),
+            "height_above_lowest": table["z"][i] - z.min(),
+            "height_below_highest": z.max() - table["z"][i],
+            "single_share": np.mean(of == 1),
+            "first_share": np.mean((of > 1) & (number == 1)),
             "intermediate_share": np.mean((number > 1) & (number < of)),
             "last_share": np.mean((of > 1) & (number == of)),
-            "egi": np.mean(number == of), "ebi": np.mean(number == 1), "evi": np.mean((of > 1) & (number < of)),
-        }  # fmt: skip
+            "egi": np.mean(number == of),
+            "ebi": np.mean(number == 1),
+            "evi": np.mean((of > 1) & (number < of)),
+        }
         for name in ("amplitude", "width", "intensity"):
             v = table[name][at].astype(float)
             v = v[np.isfinite(v)]

@@ -9,7 +9,7 @@ from commandline import fwclass
 
 from fwclass import conf
 from fwclass.features import orientation, spheres
-from fwclass.features.dense import Crowd, thinned, told_crowd
+from fwclass.features.dense import Crowd, crowd_facts, thinned
 from fwclass.features.gather import slices
 from fwclass.features.params import NORMAL, Asked
 from fwclass.features.stage import features
@@ -21,10 +21,20 @@ PARAMS = conf.section("features").model_copy(
     update={"optimal_radii": (0.5, 1.0), "nearest_reach": 2.0, "orientation_rounds": 2, "pulse_reach": 3.0}
 )
 NAMES = (
-    "planarity_r100", "density_c150", "height_above_p50_c100", "plane_range_r70", "echo_ratio_r50", "verticality_opt",
-    "optimal_radius", "linearity_k20", "oriented_inclination_r50", "count_g100", "amplitude_mean_c100", "zc",
+    "planarity_r100",
+    "density_c150",
+    "height_above_p50_c100",
+    "plane_range_r70",
+    "echo_ratio_r50",
+    "verticality_opt",
+    "optimal_radius",
+    "linearity_k20",
+    "oriented_inclination_r50",
+    "count_g100",
+    "amplitude_mean_c100",
+    "zc",
     "pulse_intensity_variance",
-)  # fmt: skip
+)
 EAST, NORTH = 500_000.0, 5_400_000.0
 WHOLE = Tile(0, 0, 1e7)
 
@@ -32,12 +42,21 @@ WHOLE = Tile(0, 0, 1e7)
 def table_of(x, y, z, seed=3):
     """Echoes at the given places, in canonical order as they stand."""
     n, rng = len(x), np.random.default_rng(seed)
-    return Table({
-        "strip": np.zeros(n, int), "pulse": np.arange(n), "gps_time": np.arange(n) * 1e-5,
-        "echo_number": np.ones(n, int), "number_of_echoes": np.ones(n, int),
-        "x": (EAST + x).round(3), "y": (NORTH + y).round(3), "z": np.round(290.0 + z, 3),
-        "amplitude": rng.uniform(5, 200, n), "width": rng.uniform(3, 7, n), "intensity": rng.integers(0, 65536, n),
-    })  # fmt: skip
+    return Table(
+        {
+            "strip": np.zeros(n, int),
+            "pulse": np.arange(n),
+            "gps_time": np.arange(n) * 1e-5,
+            "echo_number": np.ones(n, int),
+            "number_of_echoes": np.ones(n, int),
+            "x": (EAST + x).round(3),
+            "y": (NORTH + y).round(3),
+            "z": np.round(290.0 + z, 3),
+            "amplitude": rng.uniform(5, 200, n),
+            "width": rng.uniform(3, 7, n),
+            "intensity": rng.integers(0, 65536, n),
+        }
+    )
 
 
 def crowded(n=4000, blob=(5.0, 5.0), seed=1):
@@ -102,7 +121,7 @@ def test_up_to_the_bound_all_echoes_count():
         x, y, z = rng.uniform(0.0, 0.099, (3, n))
         table = table_of(x, y, z)
         assert (thinned(whole(table), PARAMS) is not None) == dense
-        assert (told_crowd(whole(table), PARAMS) is not None) == dense
+        assert (crowd_facts(whole(table), PARAMS) is not None) == dense
     assert thinned(whole(table_of(*np.empty((3, 0)))), PARAMS) is None
 
 
@@ -116,14 +135,14 @@ def test_what_counts_is_bounded_by_the_room_it_fills():
 
 def test_the_densest_place_is_told_whatever_the_tiles():
     table = crowded()
-    crowd = Crowd.of_parts([told_crowd(whole(table), PARAMS)])
+    crowd = Crowd.of_parts([crowd_facts(whole(table), PARAMS)])
     _, cube, held = np.unique(cubes(table, 100), axis=0, return_inverse=True, return_counts=True)
     assert crowd.most == held.max() and crowd.echoes == (held[cube.ravel()] > PARAMS.dense_echoes).sum()
     parts = []
     for tile in TileGrid(1.3).touching(Box(EAST, NORTH, EAST + 10, NORTH + 10)):
         near = np.flatnonzero(tile.box.grown(0.2).contains(table["x"], table["y"]))
         core = np.flatnonzero(tile.box.contains(table["x"][near], table["y"][near]))
-        parts.append(told_crowd(Chunk(table.take(near), core, tile), PARAMS))
+        parts.append(crowd_facts(Chunk(table.take(near), core, tile), PARAMS))
     assert Crowd.of_parts(parts) == crowd
     assert Crowd.of_parts([None, None]) is None
 

@@ -71,11 +71,16 @@ def heights(z):
     """Measures of heights relative to the echo [mm]."""
     flat = np.ptp(z) == 0
     made = {
-        "count": len(z), "height_range": np.ptp(z) / 1e3, "height_std": z.std() / 1e3,
-        "height_variance": z.var() / 1e6, "height_skewness": 0.0 if flat else stats.skew(z),
-        "height_kurtosis": 0.0 if flat else stats.kurtosis(z, fisher=False), "height_above_mean": -z.mean() / 1e3,
-        "height_above_lowest": -z.min() / 1e3, "height_below_highest": z.max() / 1e3,
-    }  # fmt: skip
+        "count": len(z),
+        "height_range": np.ptp(z) / 1e3,
+        "height_std": z.std() / 1e3,
+        "height_variance": z.var() / 1e6,
+        "height_skewness": 0.0 if flat else stats.skew(z),
+        "height_kurtosis": 0.0 if flat else stats.kurtosis(z, fisher=False),
+        "height_above_mean": -z.mean() / 1e3,
+        "height_above_lowest": -z.min() / 1e3,
+        "height_below_highest": z.max() / 1e3,
+    }
     ranks = np.percentile(z, PERCENTILES, method="inverted_cdf")
     return made | {f"height_above_p{p:02d}": -v / 1e3 for p, v in zip(PERCENTILES, ranks, strict=True)}
 
@@ -104,18 +109,28 @@ def shape(places):
     s = np.array([l1, l2, l3]) / (l1 + l2 + l3)
     some = s[s > 1e-15]
     made = {
-        "eigenvalue_1": s[0], "eigenvalue_2": s[1], "eigenvalue_3": s[2], "surface_variation": s[2],
-        "eigenvalue_sum": (l1 + l2 + l3) / 1e6, "linearity": (l1 - l2) / l1, "planarity": (l2 - l3) / l1,
-        "sphericity": l3 / l1, "anisotropy": (l1 - l3) / l1, "omnivariance": np.cbrt(l1 * l2 * l3) / 1e6,
-        "eigenentropy": -np.sum(some * np.log(some)), "plane_std": np.sqrt(l3) / 1e3,
-    }  # fmt: skip
+        "eigenvalue_1": s[0],
+        "eigenvalue_2": s[1],
+        "eigenvalue_3": s[2],
+        "surface_variation": s[2],
+        "eigenvalue_sum": (l1 + l2 + l3) / 1e6,
+        "linearity": (l1 - l2) / l1,
+        "planarity": (l2 - l3) / l1,
+        "sphericity": l3 / l1,
+        "anisotropy": (l1 - l3) / l1,
+        "omnivariance": np.cbrt(l1 * l2 * l3) / 1e6,
+        "eigenentropy": -np.sum(some * np.log(some)),
+        "plane_std": np.sqrt(l3) / 1e3,
+    }
     if l2 > LINE * l1 and l2 - l3 > TIE * l1:
         up = v[:, 0] * (np.sign(v[2, 0]) or 1.0)
         along = places @ up
         made |= {
-            "verticality": 1.0 - abs(up[2]), "inclination": np.degrees(np.arccos(min(1.0, up[2]))),
-            "roughness": abs(along.mean()) / 1e3, "plane_range": np.ptp(along) / 1e3,
-        }  # fmt: skip
+            "verticality": 1.0 - abs(up[2]),
+            "inclination": np.degrees(np.arccos(min(1.0, up[2]))),
+            "roughness": abs(along.mean()) / 1e3,
+            "plane_range": np.ptp(along) / 1e3,
+        }
         made |= dict(zip(NORMAL, up, strict=True))
     return made
 

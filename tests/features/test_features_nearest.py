@@ -25,11 +25,18 @@ def table_of(points, seed=0):
     x, y, z = np.asarray(points, float).T
     of = rng.integers(1, 4, n)
     amplitude = np.where(rng.random(n) < 0.2, np.nan, rng.uniform(0, 300, n))
-    return Table({
-        "x": x.round(3), "y": y.round(3), "z": z.round(3), "number_of_echoes": of,
-        "echo_number": np.minimum(rng.integers(1, 4, n), of), "amplitude": amplitude,
-        "width": rng.uniform(2, 9, n), "intensity": rng.integers(0, 65536, n),
-    })  # fmt: skip
+    return Table(
+        {
+            "x": x.round(3),
+            "y": y.round(3),
+            "z": z.round(3),
+            "number_of_echoes": of,
+            "echo_number": np.minimum(rng.integers(1, 4, n), of),
+            "amplitude": amplitude,
+            "width": rng.uniform(2, 9, n),
+            "intensity": rng.integers(0, 65536, n),
+        }
+    )
 
 
 def chunk_of(table, core=None):
@@ -43,9 +50,25 @@ def keys_of(table, k, reach):
     found, count = np.empty((table.rows, k), np.int64), np.empty(table.rows, np.int64)
     room = np.empty((2, table.rows), np.int64)
     nearest(
-        columns.x, columns.y, columns.z, i.x, i.y, i.z, i.order, i.start, i.ncols, i.nrows, i.cell,
-        np.arange(table.rows), k, round(reach * 1000), room[0], room[1], found, count,
-    )  # fmt: skip
+        columns.x,
+        columns.y,
+        columns.z,
+        i.x,
+        i.y,
+        i.z,
+        i.order,
+        i.start,
+        i.ncols,
+        i.nrows,
+        i.cell,
+        np.arange(table.rows),
+        k,
+        round(reach * 1000),
+        room[0],
+        room[1],
+        found,
+        count,
+    )
     squares, rows = np.full((table.rows, k), -1), np.full((table.rows, k), -1)
     for p, row in enumerate(i.order):
         key = found[p, : count[p]]
@@ -128,16 +151,19 @@ def reference(table, k, reach):
         near = p[at] - p[i]
         z, number, of = near[:, 2], table["echo_number"][at], table["number_of_echoes"][at]
         row = {
-            "reach": np.linalg.norm(near, axis=1).max(), "height_range": np.ptp(z), "height_std": z.std(),
-            "height_variance": z.var(), "height_skewness": skew(z) if np.ptp(z) > 0 else 0.0,
-            "height_kurtosis": kurtosis(z, fisher=False) if np.ptp(z) > 0 else 0.0, "height_above_mean": -z.mean(),
-            "height_above_lowest": -z.min(), "height_below_highest": z.max(),
-        }  # fmt: skip
+            "reach": np.linalg.norm(near, axis=1).max(),
+            "height_range": np.ptp(z),
+            "height_std": z.std(),
+            "height_variance": z.var(),
+            "height_skewness": skew(z) if np.ptp(z) > 0 else 0.0,
+            "height_kurtosis": kurtosis(z, fisher=False) if np.ptp(z) > 0 else 0.0,
+            "height_above_mean": -z.mean(),
+            "height_above_lowest": -z.min(),
+            "height_below_highest": z.max(),
+        }
         for q in (5, 10, 25, 50, 75, 90, 95):
             row[f"height_above_p{q:02d}"] = -np.percentile(z, q, method="inverted_cdf")
-        kind = {
-            "single": of == 1, "first": (of > 1) & (number == 1), "last": (of > 1) & (number == of),
-        }  # fmt: skip
+        kind = {"single": of == 1, "first": (of > 1) & (number == 1), "last": (of > 1) & (number == of)}
         share = {name: np.mean(mask) for name, mask in kind.items()}
         share["intermediate"] = 1 - sum(share.values())
         row |= {f"{name}_share": value for name, value in share.items()}
@@ -162,10 +188,16 @@ def shape(near):
     s = np.array([l1, l2, l3]) / (l1 + l2 + l3)
     row = dict(zip(("eigenvalue_1", "eigenvalue_2", "eigenvalue_3"), s, strict=True))
     row |= {
-        "eigenvalue_sum": l1 + l2 + l3, "linearity": (l1 - l2) / l1, "planarity": (l2 - l3) / l1,
-        "sphericity": l3 / l1, "anisotropy": (l1 - l3) / l1, "omnivariance": (l1 * l2 * l3) ** (1 / 3),
-        "eigenentropy": -sum(a * np.log(a) for a in s if a > 0), "surface_variation": s[2], "plane_std": np.sqrt(l3),
-    }  # fmt: skip
+        "eigenvalue_sum": l1 + l2 + l3,
+        "linearity": (l1 - l2) / l1,
+        "planarity": (l2 - l3) / l1,
+        "sphericity": l3 / l1,
+        "anisotropy": (l1 - l3) / l1,
+        "omnivariance": (l1 * l2 * l3) ** (1 / 3),
+        "eigenentropy": -sum(a * np.log(a) for a in s if a > 0),
+        "surface_variation": s[2],
+        "plane_std": np.sqrt(l3),
+    }
     if l2 > 1e-6 * l1 and l2 - l3 > 1e-7 * l1:
         normal = v[:, 0]
         row["verticality"] = 1 - abs(normal[2])

@@ -17,9 +17,15 @@ BOTH = ("pulse_intensity_variance", "pulse_amplitude_variance")
 def table_of(**columns):
     n = len(columns["pulse"])
     rest = {
-        "strip": np.zeros(n), "x": np.zeros(n), "y": np.zeros(n), "intensity": np.zeros(n), "amplitude": np.ones(n),
-        "gps_time": np.full(n, np.nan), "echo_number": np.ones(n, int), "number_of_echoes": np.ones(n, int),
-    }  # fmt: skip
+        "strip": np.zeros(n),
+        "x": np.zeros(n),
+        "y": np.zeros(n),
+        "intensity": np.zeros(n),
+        "amplitude": np.ones(n),
+        "gps_time": np.full(n, np.nan),
+        "echo_number": np.ones(n, int),
+        "number_of_echoes": np.ones(n, int),
+    }
     return Table({**rest, **columns})
 
 
@@ -76,9 +82,13 @@ def test_without_waveforms_returns_of_one_time_are_a_pulse():
     intensity = rng.integers(0, 65536, len(time))
     place = np.repeat(rng.uniform(0, 200, 300), of)
     table = table_of(
-        pulse=np.arange(len(time)), gps_time=time[mixed], echo_number=number[mixed], x=place[mixed],
-        number_of_echoes=np.repeat(of, of)[mixed], intensity=intensity[mixed],
-    )  # fmt: skip
+        pulse=np.arange(len(time)),
+        gps_time=time[mixed],
+        echo_number=number[mixed],
+        x=place[mixed],
+        number_of_echoes=np.repeat(of, of)[mixed],
+        intensity=intensity[mixed],
+    )
     expected = [intensity[time == t].astype(float).var() for t in time[mixed]]
     np.testing.assert_allclose(variances(table)[BOTH[0]], expected, rtol=1e-6)
 
@@ -86,16 +96,23 @@ def test_without_waveforms_returns_of_one_time_are_a_pulse():
 def test_a_time_that_tells_no_pulse_gives_no_value():
     """Two second returns at one time within reach; a pulse of the same time further away is not touched by them."""
     table = table_of(
-        pulse=np.arange(6), gps_time=np.full(6, 7.0), number_of_echoes=np.full(6, 3), echo_number=[1, 2, 2, 1, 2, 3],
-        x=[0, 0, 0.5, 100, 100, 100], intensity=[5, 6, 7, 0, 3, 6],
-    )  # fmt: skip
+        pulse=np.arange(6),
+        gps_time=np.full(6, 7.0),
+        number_of_echoes=np.full(6, 3),
+        echo_number=[1, 2, 2, 1, 2, 3],
+        x=[0, 0, 0.5, 100, 100, 100],
+        intensity=[5, 6, 7, 0, 3, 6],
+    )
     np.testing.assert_array_equal(variances(table)[BOTH[0]], [np.nan, np.nan, np.nan, 6, 6, 6])
 
 
 def test_a_file_of_one_time_throughout_ends_quickly():
     n = 20_000
     table = table_of(
-        pulse=np.arange(n), gps_time=np.zeros(n), number_of_echoes=np.full(n, 2), x=np.linspace(0, 50, n),
+        pulse=np.arange(n),
+        gps_time=np.zeros(n),
+        number_of_echoes=np.full(n, 2),
+        x=np.linspace(0, 50, n),
         echo_number=np.arange(n) % 2 + 1,
-    )  # fmt: skip
+    )
     assert np.isnan(variances(table)[BOTH[0]]).all()

@@ -39,12 +39,21 @@ def cloud(side=40.0, per_m2=3.0, seed=1):
     z = 290.0 + np.where(rng.random(n) < 0.6, 0.05 * (x - 500_000.0), rng.uniform(0, 12, n))
     amplitude = np.where(rng.random(n) < 0.1, np.nan, rng.uniform(5, 200, n))
     discrete = pulse % 2 == 1  # strip 1 has no waveforms: every return is told as a pulse of its own
-    return Table({
-        "strip": discrete.astype(int), "pulse": np.where(discrete, pulses + np.arange(n), pulse),
-        "gps_time": pulse * 1e-5, "echo_number": number, "number_of_echoes": of[pulse],
-        "x": x.round(3), "y": y, "z": z.round(3), "amplitude": amplitude, "width": rng.uniform(3, 7, n),
-        "intensity": rng.integers(0, 65536, n),
-    })  # fmt: skip
+    return Table(
+        {
+            "strip": discrete.astype(int),
+            "pulse": np.where(discrete, pulses + np.arange(n), pulse),
+            "gps_time": pulse * 1e-5,
+            "echo_number": number,
+            "number_of_echoes": of[pulse],
+            "x": x.round(3),
+            "y": y,
+            "z": z.round(3),
+            "amplitude": amplitude,
+            "width": rng.uniform(3, 7, n),
+            "intensity": rng.integers(0, 65536, n),
+        }
+    )
 
 
 CLOUD = cloud()
@@ -125,14 +134,27 @@ def test_few_coincident_and_collinear_echoes_have_the_stated_values(kind):
     """The same in every kind of neighbourhood."""
     bases = [c.name for c in DECLARED if kind in c.scales and c.name != "oriented_inclination"]
     names = {base: f"{base}_{ENDS[kind]}" for base in bases}
-    eigen = {"eigenvalue_1", "eigenvalue_2", "eigenvalue_3", "eigenvalue_sum", "linearity", "planarity", "sphericity",
-             "anisotropy", "omnivariance", "eigenentropy", "surface_variation", "plane_std"}  # fmt: skip
+    eigen = {
+        "eigenvalue_1",
+        "eigenvalue_2",
+        "eigenvalue_3",
+        "eigenvalue_sum",
+        "linearity",
+        "planarity",
+        "sphericity",
+        "anisotropy",
+        "omnivariance",
+        "eigenentropy",
+        "surface_variation",
+        "plane_std",
+    }
     plane = {"verticality", "inclination", "roughness", "plane_range"}
     fill = CLOUD.take(np.arange(3)).with_columns({"amplitude": np.full(3, np.nan), "z": np.zeros(3)})
     places = {
-        "few": ([0.2, 0.3], eigen | plane), "coincident": ([0.2, 0.2, 0.2], eigen | plane),
-        "line": ([0.1, 0.2, 0.4], plane)
-    }  # fmt: skip
+        "few": ([0.2, 0.3], eigen | plane),
+        "coincident": ([0.2, 0.2, 0.2], eigen | plane),
+        "line": ([0.1, 0.2, 0.4], plane),
+    }
     for told, (x, nothing) in places.items():
         table = fill.take(np.arange(len(x))).with_columns({"x": x, "y": np.full(len(x), 0.1)})
         got = whole(table, tuple(names.values()))
@@ -175,10 +197,12 @@ def test_no_rows_no_core_rows_and_no_names():
 @pytest.mark.parametrize(
     ("name", "lacks"),
     [
-        ("single_share_r100", "number_of_echoes"), ("width_mean_k20", "width"), ("intensity_std_g200", "intensity"),
+        ("single_share_r100", "number_of_echoes"),
+        ("width_mean_k20", "width"),
+        ("intensity_std_g200", "intensity"),
         ("pulse_amplitude_variance", "amplitude"),
     ],
-)  # fmt: skip
+)
 def test_a_missing_column_is_named(name, lacks):
     table = CLOUD.select([n for n in CLOUD if n != lacks])
     with pytest.raises(InputError, match=lacks):
@@ -203,11 +227,17 @@ def test_names_that_are_no_features():
 @pytest.mark.parametrize(
     "change",
     [
-        {"optimal_radii": (1.0,)}, {"optimal_radii": (1.0, 1.0)}, {"optimal_radii": (-1.0, 1.0)}, {"cell_x": 0.0},
-        {"normal_radius": 0.0}, {"nearest_reach": 1000.0}, {"orientation_rounds": 0}, {"radii": (1.0,)},
+        {"optimal_radii": (1.0,)},
+        {"optimal_radii": (1.0, 1.0)},
+        {"optimal_radii": (-1.0, 1.0)},
+        {"cell_x": 0.0},
+        {"normal_radius": 0.0},
+        {"nearest_reach": 1000.0},
+        {"orientation_rounds": 0},
+        {"radii": (1.0,)},
         {"pulse_reach": -1.0},
     ],
-)  # fmt: skip
+)
 def test_params_that_do_not_fit_are_refused(change):
     with pytest.raises(ValidationError):
         FeaturesParams(**{**conf.section("features").model_dump(), **change})
@@ -216,10 +246,17 @@ def test_params_that_do_not_fit_are_refused(change):
 @pytest.mark.parametrize(
     ("names", "reach"),
     [
-        ((), 1.0), (("zc",), 12.0), (("height_std_r1500",), 15.0), (("planarity_k20",), 3.0), (("planarity_opt",), 2.0),
-        (("optimal_radius",), 2.0), (("oriented_inclination_r200",), 8.0), (("count_g500",), 5.0),
-        (("pulse_intensity_variance",), 6.0), (("zc", "height_std_c1300"), 13.0),
+        ((), 1.0),
+        (("zc",), 12.0),
+        (("height_std_r1500",), 15.0),
+        (("planarity_k20",), 3.0),
+        (("planarity_opt",), 2.0),
+        (("optimal_radius",), 2.0),
+        (("oriented_inclination_r200",), 8.0),
+        (("count_g500",), 5.0),
+        (("pulse_intensity_variance",), 6.0),
+        (("zc", "height_std_c1300"), 13.0),
     ],
-)  # fmt: skip
+)
 def test_reach_holds_what_is_asked(names, reach):
     assert Asked.of(names).reach(PARAMS) == reach

@@ -78,9 +78,13 @@ def tried(reader: str, seed: str, recipe: str, folder: Path) -> dict[str, object
         signal.setitimer(signal.ITIMER_PROF, 0)
         resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     return {
-        "ended": ended, "told": told, "seconds": time.process_time() - began, "size": size,
-        "grown": max(0, _status("VmHWM") - before), "allowed": allowed,
-    }  # fmt: skip
+        "ended": ended,
+        "told": told,
+        "seconds": time.process_time() - began,
+        "size": size,
+        "grown": max(0, _status("VmHWM") - before),
+        "allowed": allowed,
+    }
 
 
 def _frames(fault: BaseException) -> list[traceback.FrameSummary]:

@@ -73,10 +73,12 @@ def patch(folder: Path, name: str = "a.las", point_format: int = 6, seed: int = 
 def moved(seed: Seed, folder: str) -> Seed:
     """The seed with its files in a directory."""
     return replace(
-        seed, main=f"{folder}/{seed.main}", files={f"{folder}/{n}": d for n, d in seed.files.items()},
+        seed,
+        main=f"{folder}/{seed.main}",
+        files={f"{folder}/{n}": d for n, d in seed.files.items()},
         fields=tuple(Field(f"{folder}/{f.name}", f.at, f.size) for f in seed.fields),
         texts=tuple(f"{folder}/{n}" for n in seed.texts),
-    )  # fmt: skip
+    )
 
 
 def both(first: Seed, second: Seed) -> Seed:
@@ -94,13 +96,22 @@ def given(some: list[Seed], *words: str, fixed: Files | None = None, mark: str =
 def _clouds(folder: Path) -> list[Seed]:
     """Points of all formats, and patches."""
     patches = [patch(folder / "p1", point_format=1), patch(folder / "p6"), patch(folder / "pz", "a.laz")]
-    return [*patches, *seeds.las_seeds(folder / "las"), *seeds.laz_seeds(folder / "laz"),
-            *seeds.copc_seeds(folder / "copc")]  # fmt: skip
+    return [
+        *patches,
+        *seeds.las_seeds(folder / "las"),
+        *seeds.laz_seeds(folder / "laz"),
+        *seeds.copc_seeds(folder / "copc"),
+    ]
 
 
 def _info(folder: Path) -> list[Case]:
-    made = [*_clouds(folder), *seeds.pls_seeds(folder / "pls"), *seeds.text_seeds(folder),
-            *seeds.polygon_seeds(folder / "polygons"), *seeds.geoparquet_seeds(folder / "geoparquet")]  # fmt: skip
+    made = [
+        *_clouds(folder),
+        *seeds.pls_seeds(folder / "pls"),
+        *seeds.text_seeds(folder),
+        *seeds.polygon_seeds(folder / "polygons"),
+        *seeds.geoparquet_seeds(folder / "geoparquet"),
+    ]
     made = [replace(s, name=f"{s.name}.{Path(s.main).suffix[1:]}") for s in made]
     return given(made, "info", "{}") + given(made, "info", "{}", "--json", mark="-json")
 
@@ -138,10 +149,16 @@ def _model(folder: Path) -> dict[str, Seed]:
         card = {**model.card, "features": ["height_range_c100", "planarity_r100"]}
         save_model(folder / kind / "m", replace(model, card=card))
         found = seeds._taken(folder / kind, kind, "m", (), ("m/card.json",))
-        made[kind] = replace(found, fields=tuple(
-            Field(n, at, w) for n in found.files if n.endswith(".npy") for at in (*range(0, 12, 2), *range(128, 152, 4))
-            for w in (2, 4)
-        ))  # fmt: skip
+        made[kind] = replace(
+            found,
+            fields=tuple(
+                Field(n, at, w)
+                for n in found.files
+                if n.endswith(".npy")
+                for at in (*range(0, 12, 2), *range(128, 152, 4))
+                for w in (2, 4)
+            ),
+        )
     return made
 
 
@@ -158,9 +175,10 @@ def _normalize(folder: Path) -> list[Case]:
     heights = ("tin", "nearest", "raster")
     clouds = _clouds(folder)
     return [
-        case for k, seed in enumerate(clouds)
+        case
+        for k, seed in enumerate(clouds)
         for case in given([seed], "normalize", "{}", "o.laz", "--height", heights[k % 3], "--method", "slope")
-    ]  # fmt: skip
+    ]
 
 
 def _assess(folder: Path) -> list[Case]:
@@ -168,8 +186,10 @@ def _assess(folder: Path) -> list[Case]:
     texts = [s for s in seeds.text_seeds(folder) if s.name != "t3"]
     other = replace(patch(folder / "other", seed=1), name="other")  # no point has its like: the nearest is looked for
     pairs = [both(clouds[1], other), *(both(s, s) for s in (*clouds, *texts))]
-    return [Case(p, ("assess", p.main, "b" + p.main[1:], *more)) for p, more in
-            zip(pairs, (("--ground",), ("--map", "a=2;b=5,1", "--json")) * len(pairs), strict=False)]  # fmt: skip
+    return [
+        Case(p, ("assess", p.main, "b" + p.main[1:], *more))
+        for p, more in zip(pairs, (("--ground",), ("--map", "a=2;b=5,1", "--json")) * len(pairs), strict=False)
+    ]
 
 
 def trajectories() -> list[Seed]:
@@ -225,8 +245,9 @@ def _plan(folder: Path) -> list[Case]:
     text = Seed("small", "c.yaml", {"c.yaml": SURVEY.encode()}, (), ("c.yaml",))
     shipped = [
         replace(s, main="c.yaml", files={"c.yaml": s.files["a.yaml"]}, texts=("c.yaml",))
-        for s in seeds.conf_seeds(folder) if s.name.startswith("surveys/")
-    ]  # fmt: skip
+        for s in seeds.conf_seeds(folder)
+        if s.name.startswith("surveys/")
+    ]
     sources = given([source], *words, fixed={"c.yaml": SURVEY.encode()})
     return given([text, *shipped], *words, fixed=source.files) + sources
 
@@ -294,20 +315,43 @@ def _export(folder: Path) -> list[Case]:
 
 
 COMMANDS = {
-    "info": Command(_info, 30), "info-waveforms": Command(_waveforms, 2), "ground": Command(_ground, 12),
-    "features": Command(_features, 12), "classify": Command(_classify, 10), "normalize": Command(_normalize, 8),
-    "assess": Command(_assess, 12), "decompose": Command(_decompose, 10), "plan": Command(_plan, 5),
-    "labels": Command(_labelled, 1), "export": Command(_export, 3), "status": Command(_on_run("status", "r"), 3),
+    "info": Command(_info, 30),
+    "info-waveforms": Command(_waveforms, 2),
+    "ground": Command(_ground, 12),
+    "features": Command(_features, 12),
+    "classify": Command(_classify, 10),
+    "normalize": Command(_normalize, 8),
+    "assess": Command(_assess, 12),
+    "decompose": Command(_decompose, 10),
+    "plan": Command(_plan, 5),
+    "labels": Command(_labelled, 1),
+    "export": Command(_export, 3),
+    "status": Command(_on_run("status", "r"), 3),
     "verify": Command(_on_run("status", "c.yaml", "--out", "r", "--verify"), 1.5),
-    "history": Command(_on_run("history", "r"), 3), "seams": Command(_on_run("seams", "r", "--share", "1"), 0.5),
+    "history": Command(_on_run("history", "r"), 3),
+    "seams": Command(_on_run("seams", "r", "--share", "1"), 0.5),
     "rerun": Command(_on_run("run", "c.yaml", "--out", "r", "--workers", "0"), 0.5),
     "run": Command(_on_survey("run", "c.yaml", "--out", "r", "--workers", "0"), 1),
     "train": Command(_on_survey("train", "c.yaml", "--model", "m", "--out", "r", "--workers", "0"), 1),
     "select": Command(
-        _on_survey("select", "c.yaml", "--method", "fscore", "--set", "select.block=2", "--set", "select.gap=0.5",
-                   "--out", "r", "--workers", "0", count=1), 0.5,
+        _on_survey(
+            "select",
+            "c.yaml",
+            "--method",
+            "fscore",
+            "--set",
+            "select.block=2",
+            "--set",
+            "select.gap=0.5",
+            "--out",
+            "r",
+            "--workers",
+            "0",
+            count=1,
+        ),
+        0.5,
     ),
-}  # fmt: skip
+}
 """By name, as ``--command`` takes it. `schedule` is left out (it starts `run`), and `simulate`, `demo`, whose only
 input is a configuration, which `plan` reads."""
 
@@ -323,9 +367,14 @@ HOSTILE = {
     b"</OGRVRTLayer></OGRVRTDataSource>",
     "wfs": b"<OGRWFSDataSource><URL>http://127.0.0.1:9/wfs</URL></OGRWFSDataSource>",
     "pipeline": b'{"type":"gdal_streamed_alg","command_line":"gdal vector pipeline ! read http://127.0.0.1:9/a"}',
-    "empty": b"", "zeros": bytes(5000), "spaces": b" " * 5000, "text": b"lorem ipsum\n" * 50, "pickle": b"\x80\x04N.",
-    "zip": b"PK\x03\x04" + bytes(100), "python": b"import os\n",
-}  # fmt: skip
+    "empty": b"",
+    "zeros": bytes(5000),
+    "spaces": b" " * 5000,
+    "text": b"lorem ipsum\n" * 50,
+    "pickle": b"\x80\x04N.",
+    "zip": b"PK\x03\x04" + bytes(100),
+    "python": b"import os\n",
+}
 """Content that no reader is for."""
 
 
@@ -341,13 +390,25 @@ def foreign() -> dict[str, bytes]:
     """A file of every kind, by name."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        some = [patch(folder / "las"), patch(folder / "laz", "a.laz"), *seeds.copc_seeds(folder / "copc"),
-                *seeds.pls_seeds(folder / "pls")[:1], *seeds.text_seeds(folder)[:1], *trajectories()[::2],
-                *seeds.polygon_seeds(folder / "polygons"), *seeds.geoparquet_seeds(folder / "gp")[:1]]  # fmt: skip
+        some = [
+            patch(folder / "las"),
+            patch(folder / "laz", "a.laz"),
+            *seeds.copc_seeds(folder / "copc"),
+            *seeds.pls_seeds(folder / "pls")[:1],
+            *seeds.text_seeds(folder)[:1],
+            *trajectories()[::2],
+            *seeds.polygon_seeds(folder / "polygons"),
+            *seeds.geoparquet_seeds(folder / "gp")[:1],
+        ]
         made = {Path(s.main).suffix[1:]: s.files[s.main] for s in some}
         model = _model(folder / "models")["forest"]
-        return {**made, **HOSTILE, "npy": model.files["m/feature.npy"], "card": model.files["m/card.json"],
-                "yaml": SURVEY.encode()}  # fmt: skip
+        return {
+            **made,
+            **HOSTILE,
+            "npy": model.files["m/feature.npy"],
+            "card": model.files["m/card.json"],
+            "yaml": SURVEY.encode(),
+        }
 
 
 def case_of(command: str, name: str) -> Case:

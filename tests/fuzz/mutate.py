@@ -25,15 +25,65 @@ REAL = tuple(
     struct.pack("<d", v) for v in (float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 5e-324, 0.0, -1.0, 1e-9)
 )
 NUMBERS = (
-    b"0", b"-1", b"1e308", b"-1e308", b"1e-320", b"1e999", b"nan", b"inf", b"NaN", b"1" + b"0" * 12, b"9", b"0x",
-    b".nan", b".inf", b"1_000", b"01", b"65536", b"4294967296", b"18446744073709551616", b"1:2:3", b"2001-99-99",
-)  # fmt: skip
+    b"0",
+    b"-1",
+    b"1e308",
+    b"-1e308",
+    b"1e-320",
+    b"1e999",
+    b"nan",
+    b"inf",
+    b"NaN",
+    b"1" + b"0" * 12,
+    b"9",
+    b"0x",
+    b".nan",
+    b".inf",
+    b"1_000",
+    b"01",
+    b"65536",
+    b"4294967296",
+    b"18446744073709551616",
+    b"1:2:3",
+    b"2001-99-99",
+)
 WORDS = (
-    b"null", b"true", b"''", b"[]", b"{}", b"[[], {}]", b"!!python/object/apply:os.system [id]", b"!!binary x", b"*a",
-    b"!!timestamp x", b"&a [*a, *a]", b"? [a, b] : c", b"<<: {a: b}", b'"../../x"', b"/etc/passwd", b'"\\u0000"',
-    b"'\\x1b[31m'", b"<script>", b"a\x00b", b"\xff\xfe", b"a\nb", b"%", b"@", b"- - - -", b"#", b",", b";;;", b"\t",
-    b"EPSG:0", b"[", b"{a: ", b'{"a":', b"- ", b"&x [a, a, a, a]", b"a",
-)  # fmt: skip
+    b"null",
+    b"true",
+    b"''",
+    b"[]",
+    b"{}",
+    b"[[], {}]",
+    b"!!python/object/apply:os.system [id]",
+    b"!!binary x",
+    b"*a",
+    b"!!timestamp x",
+    b"&a [*a, *a]",
+    b"? [a, b] : c",
+    b"<<: {a: b}",
+    b'"../../x"',
+    b"/etc/passwd",
+    b'"\\u0000"',
+    b"'\\x1b[31m'",
+    b"<script>",
+    b"a\x00b",
+    b"\xff\xfe",
+    b"a\nb",
+    b"%",
+    b"@",
+    b"- - - -",
+    b"#",
+    b",",
+    b";;;",
+    b"\t",
+    b"EPSG:0",
+    b"[",
+    b"{a: ",
+    b'{"a":',
+    b"- ",
+    b"&x [a, a, a, a]",
+    b"a",
+)
 OPENING = (b"9", b"[", b"{a: ", b'{"a":', b"- ", b"a")
 """These are written many times."""
 TOKEN = re.compile(rb"[-+.\w]*\d[-+.\w]*|[A-Za-z_][\w-]*|[\[\]{}:,]")
@@ -121,8 +171,10 @@ def _token(name: str, data: bytes, rng: random.Random) -> str:
 def _anywhere(name: str, data: bytes, rng: random.Random) -> str:
     """Bits, extreme numbers, pieces cut out, doubled or exchanged, an end cut off: mostly near the ends of a file."""
     size = len(data)
-    at = min(rng.choice((rng.randrange(size), rng.randrange(min(size, 400)), size - 1 - rng.randrange(min(size, 400)))),
-             size - 1)  # fmt: skip
+    at = min(
+        rng.choice((rng.randrange(size), rng.randrange(min(size, 400)), size - 1 - rng.randrange(min(size, 400)))),
+        size - 1,
+    )
     kind = rng.randrange(7)
     if kind == 0:
         return f"{name}:{at}-{at + 1}={data[at] ^ (1 << rng.randrange(8)):02x}"

@@ -25,14 +25,33 @@ class Seed:
 
 
 LAS_FIELDS = (
-    (4, 2), (6, 2), (24, 1), (25, 1), (94, 2), (96, 4), (100, 4), (104, 1), (105, 2), (107, 4), *((111 + 4 * k, 4)
-    for k in range(5)), *((131 + 8 * k, 8) for k in range(12)),
-)  # fmt: skip
+    (4, 2),
+    (6, 2),
+    (24, 1),
+    (25, 1),
+    (94, 2),
+    (96, 4),
+    (100, 4),
+    (104, 1),
+    (105, 2),
+    (107, 4),
+    *((111 + 4 * k, 4) for k in range(5)),
+    *((131 + 8 * k, 8) for k in range(12)),
+)
 LAS14_FIELDS = ((227, 8), (235, 8), (243, 4), (247, 8), (255, 8), (263, 8))
 PLS_FIELDS = (
-    (172, 1), (173, 1), (174, 2), (176, 8), (184, 8), (192, 4), (200, 4), (204, 4), (216, 4), (220, 4),
+    (172, 1),
+    (173, 1),
+    (174, 2),
+    (176, 8),
+    (184, 8),
+    (192, 4),
+    (200, 4),
+    (204, 4),
+    (216, 4),
+    (220, 4),
     *((224 + 8 * k, 8) for k in range(16)),
-)  # fmt: skip
+)
 
 
 def _taken(folder: Path, name: str, main: str, fields=(), texts=()) -> Seed:
@@ -52,8 +71,9 @@ def las_fields(data: bytes, name: str) -> list[tuple[str, int, int]]:
         found += [(at + 18, 2), (at + 20, 2), *((at + 54 + k, 2) for k in range(0, min(body, 40), 2))]
         found += [(at + 54 + k, w) for k, w in ((0, 1), (1, 1), (2, 4), (6, 4), (10, 8), (18, 8), (12, 4), (16, 8))]
         at += 54 + body
-    found += [(start, 8)] * 3 + [(start + length * k + j, w) for k in range(3) for j in range(0, length, 4)
-                                 for w in (1, 4)]  # fmt: skip
+    found += [(start, 8)] * 3 + [
+        (start + length * k + j, w) for k in range(3) for j in range(0, length, 4) for w in (1, 4)
+    ]
     found += [(len(data) - k, w) for k in (8, 16, 60, 100) for w in (4, 8)]
     return [(name, at, size) for at, size in found if 0 <= at <= len(data) - size]
 
@@ -78,14 +98,15 @@ def las_seeds(folder: Path) -> list[Seed]:
                 more = {"Amplitude": ("u2", 0.01, np.arange(12)), "Pulse width": ("f4", 1.0, np.ones(12))}
                 lasmaker.write_las(path, xyz, point_format=number, extra=more if number in (1, 6) else None)
             else:
-                lasmaker.survey(path, pulses=8, point_format=number, where=where, bits=16 if number == 5 else 8,
-                                n_samples=40)  # fmt: skip
+                lasmaker.survey(
+                    path, pulses=8, point_format=number, where=where, bits=16 if number == 5 else 8, n_samples=40
+                )
             made.append(_taken(own, own.name, "a.las", _las_numbers(path)))
     return made
 
 
 def _las_numbers(path: Path) -> list[tuple[str, int, int]]:
-    from fwclass.read.header import WAVE_OFFSET, read_header
+    from fwclass.formats.las_header import WAVE_OFFSET, read_header
 
     data, head = path.read_bytes(), read_header(path)
     found = las_fields(data, path.name)

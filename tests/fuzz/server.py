@@ -117,9 +117,16 @@ class Server:
         self._seen |= new
         code = os.waitstatus_to_exitcode(status)
         return {
-            "ended": "wrong" if wrong else "done" if code == 0 else "refused", "told": wrong, "code": code,
-            "seconds": cpu, "size": size, "grown": grown, "allowed": allowed, "new": len(new), "err": err[-400:],
-        }  # fmt: skip
+            "ended": "wrong" if wrong else "done" if code == 0 else "refused",
+            "told": wrong,
+            "code": code,
+            "seconds": cpu,
+            "size": size,
+            "grown": grown,
+            "allowed": allowed,
+            "new": len(new),
+            "err": err[-400:],
+        }
 
     def _child(self, words: tuple[str, ...], told: int, allowed: int, seconds: float) -> None:
         before = _status("VmSize")

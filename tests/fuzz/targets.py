@@ -123,7 +123,7 @@ def _polygons(path: Path) -> Actions:
 
 
 def _wkb(path: Path) -> Actions:
-    from fwclass.read.wkb import shapes
+    from fwclass.formats.wkb import shapes
 
     return [lambda: shapes([path.read_bytes(), None], path)]
 
@@ -149,7 +149,7 @@ def _conf(path: Path) -> Actions:
 
 
 def _store(path: Path) -> Actions:
-    from fwclass.run.request import Request
+    from fwclass.operate.request import Request
     from fwclass.store.lock import holder
     from fwclass.store.run_store import Store
 
@@ -163,9 +163,13 @@ def _store(path: Path) -> Actions:
             store.path("publish", receipt.part, "laz/a.laz")
 
     return [
-        receipts, store.failures.all, lambda: Request.kept(store).command(), lambda: holder(root),
-        lambda: store.done("publish", "1_run", "0" * 24), lambda: store.forget_others("publish", ["1_store"]),
-    ]  # fmt: skip
+        receipts,
+        store.failures.all,
+        lambda: Request.kept(store).command(),
+        lambda: holder(root),
+        lambda: store.done("publish", "1_run", "0" * 24),
+        lambda: store.forget_others("publish", ["1_store"]),
+    ]
 
 
 TARGETS = {

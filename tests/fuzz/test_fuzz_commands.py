@@ -15,9 +15,18 @@ from commands import COMMANDS, cases_of, foreign
 from watch import Child
 
 QUICK = {
-    "info": 200, "assess": 60, "ground": 25, "features": 30, "classify": 30, "normalize": 25, "decompose": 20,
-    "export": 25, "history": 15, "status": 12, "plan": 6,
-}  # fmt: skip
+    "info": 200,
+    "assess": 60,
+    "ground": 25,
+    "features": 30,
+    "classify": 30,
+    "normalize": 25,
+    "decompose": 20,
+    "export": 25,
+    "history": 15,
+    "status": 12,
+    "plan": 6,
+}
 """Drawn inputs of the commands that do not run a survey, for the fast suite: some 50 s of the processor with all else
 that it does here. The slow one has all commands, and 2 000 inputs."""
 
@@ -97,9 +106,17 @@ def test_two_thousand_drawn_inputs_do_no_harm(command: str, whole: Child) -> Non
 
 @pytest.mark.parametrize(
     ("does", "told"),
-    [("crash", "SIGSEGV"), ("hang", "of the processor"), ("hoard", "MiB, where"), ("raise", "ZeroDivisionError"),
-     ("warn", "warning"), ("colour", "control"), ("mute", "without a word"), ("odd", "exit code 7")],
-)  # fmt: skip
+    [
+        ("crash", "SIGSEGV"),
+        ("hang", "of the processor"),
+        ("hoard", "MiB, where"),
+        ("raise", "ZeroDivisionError"),
+        ("warn", "warning"),
+        ("colour", "control"),
+        ("mute", "without a word"),
+        ("odd", "exit code 7"),
+    ],
+)
 def test_a_command_that_does_harm_is_found_out(does: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("FUZZ_CPU_SECONDS", "1")
     with Child("harm", script="server.py") as child:

@@ -19,9 +19,13 @@ WALL_SECONDS = 150.0
 """An input that waits for so long without using the processor hangs too."""
 
 PLAIN = {
-    "MALLOC_ARENA_MAX": "1", "ARROW_DEFAULT_MEMORY_POOL": "system", "RUST_BACKTRACE": "0", "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1",
-}  # fmt: skip
+    "MALLOC_ARENA_MAX": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+    "RUST_BACKTRACE": "0",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+}
 """Set before the process starts: memory is what is used, not what is set aside for threads; names of frames, which Rust
 looks up in a full address space, hang it."""
 
@@ -54,8 +58,16 @@ class Child:
         reader, seed, recipe = line.split(" ", 2)
         if seed == "*":
             seed, recipe = drawn(reader, int(recipe))
-        return {"seed": seed, "recipe": recipe, "ended": "wrong", "told": self._end(), "seconds": 0.0, "size": 1,
-                "grown": 0, "allowed": 1}  # fmt: skip
+        return {
+            "seed": seed,
+            "recipe": recipe,
+            "ended": "wrong",
+            "told": self._end(),
+            "seconds": 0.0,
+            "size": 1,
+            "grown": 0,
+            "allowed": 1,
+        }
 
     def _start(self) -> None:
         line = [sys.executable, "-X", "faulthandler", str(Path(__file__).with_name(self._script)), *self.readers]

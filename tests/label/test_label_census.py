@@ -69,9 +69,15 @@ def test_the_nearest_tested_echo_is_as_far_as_pythagoras_says():
 
 def counted(**changes):
     base = {
-        "echoes": 10_000, "unlabelled": 0, "other": {}, "labelled": [5000, 5000], "train": [1000, 1000],
-        "boxes": [[500, 500], [500, 500]], "test": [900, 900], "nearest": 16.0,
-    }  # fmt: skip
+        "echoes": 10_000,
+        "unlabelled": 0,
+        "other": {},
+        "labelled": [5000, 5000],
+        "train": [1000, 1000],
+        "boxes": [[500, 500], [500, 500]],
+        "test": [900, 900],
+        "nearest": 16.0,
+    }
     return {**base, **changes}
 
 
@@ -99,7 +105,7 @@ def test_nothing_is_said_where_nothing_is_wrong():
         ({"tiles": {"0_0": {"train": [9, 0]}, "0_1": {"train": [9, 5]}}}, "'vegetation' come from one tile, 0_1"),
         ({"test": (Box(5, 5, 50, 50),)}, "Test area [5, 5, 50, 50] overlaps training area [0, 0, 10, 10]"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_is_said(changes, words):
     whole = changes.pop("whole", counted())
     found = told(whole, **changes)

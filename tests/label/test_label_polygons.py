@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fwclass.errors import InputError
+from fwclass.formats.wkb import shapes
+from fwclass.graph.work import reference
 from fwclass.grid import Box, Tile
 from fwclass.label.polygons import AMBIGUOUS, NONE, WIDEST, Polygons, from_polygons, owners
-from fwclass.read.wkb import shapes
-from fwclass.run.work import reference
 from fwclass.schema import Table
 from fwclass.stage import Chunk
 from fwclass.waveforms import IMPLAUSIBLE
@@ -102,9 +102,13 @@ def test_any_rings_are_what_fractions_say(rings, origin, unit):
     points = np.concatenate(closed)
     n = len(rings)
     made = Polygons(
-        points[:, 0].copy(), points[:, 1].copy(), lengths, np.arange(n + 1), np.full(n, 2, np.uint8),
+        points[:, 0].copy(),
+        points[:, 1].copy(),
+        lengths,
+        np.arange(n + 1),
+        np.full(n, 2, np.uint8),
         np.arange(n).astype(np.int16),
-    )  # fmt: skip
+    )
     at = np.array([(x, y) for x in range(0, 41, 4) for y in range(0, 41, 4)], np.int64) * unit + origin
     at = np.concatenate([at, points[:20]])
     _, group = owners(at[:, 0].copy(), at[:, 1].copy(), made)
@@ -187,6 +191,6 @@ def test_implausible_echoes_have_no_label_whatever_polygon_is_above(tmp_path, mo
     monkeypatch.setattr(reference, "from_polygons", lambda *_: (Table({"reference": [6, 6]}), 0))
     monkeypatch.setattr(reference, "polygons_at", lambda *_: SimpleNamespace(within=lambda box: None))
     monkeypatch.setattr(reference, "write_labels", lambda made, _: {"codes": made["reference"].tolist()})
-    desk = SimpleNamespace(chunk=lambda tile, halo, columns, present: chunk)
-    made = reference.labelled_by_polygons(chunk.tile, (), desk, tmp_path)
+    inputs = SimpleNamespace(chunk=lambda tile, halo, columns, present: chunk)
+    made = reference.labelled_by_polygons(chunk.tile, (), inputs, tmp_path)
     assert made == {"codes": [6, 0], "ambiguous": 0}

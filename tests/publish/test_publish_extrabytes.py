@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fwclass.columns import COLUMNS, PER_CODE
-from fwclass.publish.extrabytes import descriptor, extra_bytes, free_name, packed, published
+from fwclass.formats.extra_bytes import descriptor, extra_bytes, free_name, packed, published
 from fwclass.publish.params import PublishParams
 from fwclass.publish.stage import write_strip_laz, write_tile_laz
 from fwclass.schema import Table, column
@@ -104,8 +104,14 @@ def test_values_are_rounded_and_held_to_the_range() -> None:
     wanted = [0, 1, -1, 32767, 32767, 32767, -32767, -32767, -32767, 32767, -32767, INT16_NONE]
     assert stored_as("amplitude_db", big, "<i2").tolist() == wanted
     assert stored_as("deviation", [0.4, 0.6, 65534, 65535, 7e8, -3, np.nan], "<u2").tolist() == [
-        0, 1, 65534, 65534, 65534, 0, UINT16_NONE,
-    ]  # fmt: skip
+        0,
+        1,
+        65534,
+        65534,
+        65534,
+        0,
+        UINT16_NONE,
+    ]
 
 
 def test_values_beyond_the_range_are_counted(

@@ -12,7 +12,7 @@ import pyproj
 import pytest
 
 from fwclass.errors import InputError
-from fwclass.publish.extrabytes import description
+from fwclass.formats.extra_bytes import description
 from fwclass.publish.params import PublishParams
 from fwclass.publish.stage import write_tile_laz
 from fwclass.schema import COLUMNS, Table

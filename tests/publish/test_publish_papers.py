@@ -13,9 +13,9 @@ from fwclass.conf.papers import checked, paper
 from fwclass.errors import ConfigError
 from fwclass.publish.papers import plots, tables
 from fwclass.publish.papers.page import _claims
-from fwclass.run.papers import fan_claims, xiong_claims
-from fwclass.run.papers.claims import of_gain
-from fwclass.run.papers.xiong import importances, radii
+from fwclass.study.papers import fan_claims, xiong_claims
+from fwclass.study.papers.claims import of_gain
+from fwclass.study.papers.xiong import importances, radii
 
 CLASSES = [{"name": "ground", "code": 2}, {"name": "building", "code": 6}, {"name": "vegetation", "code": 5}]
 
@@ -102,9 +102,7 @@ def _pair(value: float, low: float | None, high: float | None) -> dict:
     ],
 )
 def test_a_gain_holds_only_beyond_chance(low: float | None, high: float | None, verdict: str) -> None:
-    facts = {
-        "thesis": {"seeds": [1]}, "differences": {"with-1/without-1": _pair(0.01, low, high)},
-    }  # fmt: skip
+    facts = {"thesis": {"seeds": [1]}, "differences": {"with-1/without-1": _pair(0.01, low, high)}}
     assert fan_claims.CLAIMS["waveform"](facts)[1] == verdict
     facts = {
         "chosen": ["a"],
@@ -145,11 +143,14 @@ def _xiong_facts(names: list[str]) -> dict:
     drop = {n: {"mean": 0.01, "std": 0.0} for n in names}
     printed = paper("xiong2018")
     return {
-        "candidates": names, "chosen": names, "printed": printed,
+        "candidates": names,
+        "chosen": names,
+        "printed": printed,
         "importance": importances({"drop": drop, "repeats": 1}, printed["groups"]),
-        "radii": radii(names, names, printed["radii"]), "strategies": {"rf_selected": {"omission": {"ground": 0.1}}},
+        "radii": radii(names, names, printed["radii"]),
+        "strategies": {"rf_selected": {"omission": {"ground": 0.1}}},
         "thinning": {"lowest": 1.0, "steps": [{"rate": 1.0, "accuracy": 0.9}]},
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize(
@@ -190,11 +191,15 @@ def test_claims_of_fan_on_features_that_a_run_lacks_are_not_comparable(names: li
     curve = {"steps": steps, "candidates": names, "chosen": names}
     box = dict.fromkeys(("p5", "p25", "p50", "p75", "p95"), 1.0)
     facts = {
-        "features": names, "classes": CLASSES, "printed": paper("fan2013"),
+        "features": names,
+        "classes": CLASSES,
+        "printed": paper("fan2013"),
         "selection": {"paper": curve, "best": curve},
-        "distribution": {n: {"ground": box, "building": box} for n in names}, "thesis": None,
-        "splits": {"2": {"overall_accuracy": 0.9}}, "every_feature": {"overall_accuracy": 0.9},
-    }  # fmt: skip
+        "distribution": {n: {"ground": box, "building": box} for n in names},
+        "thesis": None,
+        "splits": {"2": {"overall_accuracy": 0.9}},
+        "every_feature": {"overall_accuracy": 0.9},
+    }
     for claim in [*claims, "split", "waveform", "accuracy"]:
         told = fan_claims.CLAIMS[claim](facts)
         assert told[1] == "not comparable", claim
@@ -205,13 +210,16 @@ def test_claims_of_fan_on_features_that_a_run_lacks_are_not_comparable(names: li
 
 def test_importances_are_scaled_to_the_first_and_summed_by_kind() -> None:
     drop = {
-        "egi_r50": {"mean": 0.02, "std": 0.001}, "egi_r100": {"mean": 0.01, "std": None},
+        "egi_r50": {"mean": 0.02, "std": 0.001},
+        "egi_r100": {"mean": 0.01, "std": None},
         "height_above_ground": {"mean": 0.04, "std": 0.002},
-    }  # fmt: skip
+    }
     made = importances({"drop": drop, "repeats": 2}, paper("xiong2018")["groups"])
     assert [(r["name"], r["score"]) for r in made["rows"]] == [
-        ("height_above_ground", 100.0), ("egi_r50", 50.0), ("egi_r100", 25.0),
-    ]  # fmt: skip
+        ("height_above_ground", 100.0),
+        ("egi_r50", 50.0),
+        ("egi_r100", 25.0),
+    ]
     assert made["groups"] == {"normalised height": 100.0, "echoes": 75.0}
 
 
@@ -219,8 +227,10 @@ def test_survivors_are_counted_at_their_radius() -> None:
     names = ["height_above_ground", "egi_r50", "egi_r100", "height_std_r100", "planarity_k20"]
     made = radii(names, ["height_above_ground", "height_std_r100"], {"0.5": ["egi"], "1.0": [], "1.5": ["ebi"]})
     assert [(r["radius"], r["ours"], r["of"], r["paper"]) for r in made] == [
-        (0.5, [], 1, ["egi"]), (1.0, ["height_std"], 2, []), (1.5, [], 0, ["ebi"]),
-    ]  # fmt: skip
+        (0.5, [], 1, ["egi"]),
+        (1.0, ["height_std"], 2, []),
+        (1.5, [], 0, ["ebi"]),
+    ]
 
 
 def test_plots_draw_what_is_missing_as_nothing_and_repeat_to_the_byte() -> None:

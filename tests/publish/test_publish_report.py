@@ -26,7 +26,11 @@ def full(survey: str = "city") -> dict[str, Any]:
             "faults": {"packet past the end": 3},
         },
         "counts": {
-            "pulses": 1000, "echoes_decomposed": 1234, "echoes_in_tiles": 1234, "tiles": 4, "returns": 1200,
+            "pulses": 1000,
+            "echoes_decomposed": 1234,
+            "echoes_in_tiles": 1234,
+            "tiles": 4,
+            "returns": 1200,
             "returns_without_packet": 3,
         },
         "stages": [
@@ -35,9 +39,18 @@ def full(survey: str = "city") -> dict[str, Any]:
         ],
         "classes": CLASSES,
         "accuracy": {
-            "classes": ["ground", "building"], "confusion": [[90, 10], [5, 45]], "overall_accuracy": 0.9,
-            "kappa": 0.7788, "producers_accuracy": [0.9, 0.9], "users_accuracy": [0.947, 0.818], "iou": [0.857, None],
-            "mean_iou": 0.8, "type_i": 0.1, "type_ii": 0.1, "total_error": 0.1, "area": "one tile",
+            "classes": ["ground", "building"],
+            "confusion": [[90, 10], [5, 45]],
+            "overall_accuracy": 0.9,
+            "kappa": 0.7788,
+            "producers_accuracy": [0.9, 0.9],
+            "users_accuracy": [0.947, 0.818],
+            "iou": [0.857, None],
+            "mean_iou": 0.8,
+            "type_i": 0.1,
+            "type_ii": 0.1,
+            "total_error": 0.1,
+            "area": "one tile",
         },
         "training": {"samples": {"ground": 500, "building": 400}, "trees": 100, "features": ["zc", "echo_ratio_r100"]},
         "distribution": {
@@ -51,7 +64,7 @@ def full(survey: str = "city") -> dict[str, Any]:
         "outputs": {"laz": [f"laz/tiles/{i}.laz" for i in range(12)], "parquet": [], "rasters": ["rasters/dtm.tif"]},
         "config": {"tile": {"size": 100.0}},
         "seconds": 12.5,
-    }  # fmt: skip
+    }
 
 
 class Page(HTMLParser):
@@ -94,14 +107,23 @@ def rendered(report: dict[str, Any], tmp_path: Path, figures: dict[str, bytes] |
 
 def test_everything_is_there(tmp_path: Path) -> None:
     text, page = rendered(full(), tmp_path, {"relief": PNG, "map": PNG})
-    assert page.ids == [
-        "maps", "accuracy", "training", "distribution", "input", "stages", "outputs", "config",
-    ]  # fmt: skip
+    assert page.ids == ["maps", "accuracy", "training", "distribution", "input", "stages", "outputs", "config"]
     said = re.sub(r"\s+", " ", page.text)
     for words in (
-        "90.0 %", "0.779", "type II error", "packet past the end", "All 1 234 decomposed echoes are in tiles",
-        "strips/a.las", "≈ 0 m", "3–10 m", "size: 100.0", "one tile", "echo ratio ER, r = 1 m", "12.5 s", "4 more",
-    ):  # fmt: skip
+        "90.0 %",
+        "0.779",
+        "type II error",
+        "packet past the end",
+        "All 1 234 decomposed echoes are in tiles",
+        "strips/a.las",
+        "≈ 0 m",
+        "3–10 m",
+        "size: 100.0",
+        "one tile",
+        "echo ratio ER, r = 1 m",
+        "12.5 s",
+        "4 more",
+    ):
         assert words in said, words
     assert text.index('alt="Classes"') < text.index('alt="Terrain"'), "the map comes first"
     assert text.count("width:100.0%") == 1 and text.count("width:25.0%") == 1, "bars of 8 s and 2 s"
@@ -203,5 +225,12 @@ def test_numbers_are_written_for_reading() -> None:
         "2 h 10 min",
     )
     assert [measure(v) for v in (0, 3.14159, 12.345, 1234.5, 0.0125, 2e-5, None, float("nan"))] == [
-        "0", "3.14", "12.3", "1234", "0.013", "2.00e-05", "–", "–",
-    ]  # fmt: skip
+        "0",
+        "3.14",
+        "12.3",
+        "1234",
+        "0.013",
+        "2.00e-05",
+        "–",
+        "–",
+    ]

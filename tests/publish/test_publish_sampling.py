@@ -17,18 +17,39 @@ COUNTS = {"labelled": [600, 45], "taken": [500, 45]}
 
 def made(boxes=2, **changes):
     found = {
-        "reference": "polygons", "echoes": 10_000, "labelled": 4500, "unlabelled": 5400, "other_codes": {"9": 100},
-        "ambiguous": 7, "classes": CLASSES,
+        "reference": "polygons",
+        "echoes": 10_000,
+        "labelled": 4500,
+        "unlabelled": 5400,
+        "other_codes": {"9": 100},
+        "ambiguous": 7,
+        "classes": CLASSES,
         "boxes": [{"box": [10.0 * k, 0.0, 10.0 * k + 8, 10.0], **COUNTS} for k in range(boxes)],
         "test_boxes": [[60.0, 0.0, 100.0, 40.0]],
         "tiles": [
-            {"key": "0_0", "box": [0.0, 0.0, 50.0, 50.0], "echoes": 5000, "labelled": [3000, 500], "train": [1200, 90],
-             "taken": [1000, 90], "test": [0, 0]},
-            {"key": "1_0", "box": [50.0, 0.0, 100.0, 50.0], "echoes": 5000, "labelled": [1000, 0], "train": [0, 0],
-             "taken": [0, 0], "test": [700, 0]},
+            {
+                "key": "0_0",
+                "box": [0.0, 0.0, 50.0, 50.0],
+                "echoes": 5000,
+                "labelled": [3000, 500],
+                "train": [1200, 90],
+                "taken": [1000, 90],
+                "test": [0, 0],
+            },
+            {
+                "key": "1_0",
+                "box": [50.0, 0.0, 100.0, 50.0],
+                "echoes": 5000,
+                "labelled": [1000, 0],
+                "train": [0, 0],
+                "taken": [0, 0],
+                "test": [700, 0],
+            },
         ],
-        "gap": {"asked": 15.0, "found": 42.0}, "polygons": [], "remarks": ["'<b>building</b>' has 90 rows."],
-    }  # fmt: skip
+        "gap": {"asked": 15.0, "found": 42.0},
+        "polygons": [],
+        "remarks": ["'<b>building</b>' has 90 rows."],
+    }
     return {**found, **changes}
 
 

@@ -15,9 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fwclass.errors import ConfigError, FwclassError, InputError, StoreError
+from fwclass.formats.las_bytes import extended_records, point_chunks, read_head
+from fwclass.formats.laz_writer import LazWriter
 from fwclass.publish import packets as packets_room
-from fwclass.publish.lasbytes import extended_records, point_chunks, read_head
-from fwclass.publish.lazwriter import LazWriter
 from fwclass.publish.params import PublishParams
 from fwclass.publish.stage import write_strip_laz
 

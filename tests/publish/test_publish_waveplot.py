@@ -23,12 +23,21 @@ def picture(n: int = 60, echoes: int = 2, returns: int = 1, **changed: Any) -> W
 
     model = curve(time).sum(axis=0) - 10.0 * (echoes - 1)
     fields: dict[str, Any] = {
-        "title": "pulse 7, GPS time 1000.000007 s, misfit 1.02", "subtitle": "most echoes; noise 0.90 DN", "time": time,
-        "samples": np.rint(model + rng.normal(0, 1, n)), "clipped": np.zeros(n, bool), "model": model,
-        "sigma": np.ones(n), "fine": fine, "total": curve(fine).sum(axis=0) - 10.0 * (echoes - 1),
-        "curves": curve(fine), "echoes": at, "heights": np.full(echoes, 90.0),
-        "new": np.arange(echoes) >= returns, "vendor": at[:returns] + 0.1,
-    }  # fmt: skip
+        "title": "pulse 7, GPS time 1000.000007 s, misfit 1.02",
+        "subtitle": "most echoes; noise 0.90 DN",
+        "time": time,
+        "samples": np.rint(model + rng.normal(0, 1, n)),
+        "clipped": np.zeros(n, bool),
+        "model": model,
+        "sigma": np.ones(n),
+        "fine": fine,
+        "total": curve(fine).sum(axis=0) - 10.0 * (echoes - 1),
+        "curves": curve(fine),
+        "echoes": at,
+        "heights": np.full(echoes, 90.0),
+        "new": np.arange(echoes) >= returns,
+        "vendor": at[:returns] + 0.1,
+    }
     return WavePicture(**{**fields, **changed})
 
 

@@ -58,12 +58,23 @@ def survey(gains: dict[int, float], spans: dict[int, tuple[float, float]], seed:
         energy[faulty] *= 2.0
         rows.append(
             {
-                "strip": np.full(n, strip), "x": LEFT + x, "y": BOTTOM + y, "z": np.zeros(n), "gps_time": np.zeros(n),
-                "beam_x": np.sin(slant), "beam_y": np.zeros(n), "beam_z": -np.cos(slant), "energy": energy,
-                "number_of_echoes": 1 + several, "fit_flags": np.where(faulty, 1, 0), "beam_range": np.full(n, np.nan),
-                "normal_x": np.zeros(n), "normal_y": np.zeros(n), "normal_z": np.ones(n),
+                "strip": np.full(n, strip),
+                "x": LEFT + x,
+                "y": BOTTOM + y,
+                "z": np.zeros(n),
+                "gps_time": np.zeros(n),
+                "beam_x": np.sin(slant),
+                "beam_y": np.zeros(n),
+                "beam_z": -np.cos(slant),
+                "energy": energy,
+                "number_of_echoes": 1 + several,
+                "fit_flags": np.where(faulty, 1, 0),
+                "beam_range": np.full(n, np.nan),
+                "normal_x": np.zeros(n),
+                "normal_y": np.zeros(n),
+                "normal_z": np.ones(n),
             }
-        )  # fmt: skip
+        )
     return Table({name: np.concatenate([r[name] for r in rows]) for name in rows[0]})
 
 

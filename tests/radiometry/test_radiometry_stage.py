@@ -11,14 +11,7 @@ from pydantic import ValidationError
 
 from fwclass.errors import InputError
 from fwclass.grid import Tile
-from fwclass.radiometry.stage import (
-    RADIOMETRY,
-    Calibration,
-    RadiometryParams,
-    pointing_error,
-    radiometry,
-    ranges,
-)
+from fwclass.radiometry.stage import RADIOMETRY, Calibration, RadiometryParams, pointing_error, radiometry, ranges
 from fwclass.schema import Table, column
 from fwclass.stage import Chunk
 from fwclass.units import AREA_PER_FWHM
@@ -35,10 +28,22 @@ SECTION: dict[str, Any] = {
     "overlap": {"cell": 2.0, "least_echoes": 4, "max_spread": 0.3, "max_incidence": 30.0, "least_cells": 20},
 }
 ONE = {
-    "strip": 0, "x": 0.0, "y": 0.0, "z": 60.0, "gps_time": 100.0, "beam_x": 0.0, "beam_y": 0.0, "beam_z": -1.0,
-    "energy": 40.0, "number_of_echoes": 1, "fit_flags": 0, "beam_range": np.nan, "normal_x": 0.0, "normal_y": 0.0,
+    "strip": 0,
+    "x": 0.0,
+    "y": 0.0,
+    "z": 60.0,
+    "gps_time": 100.0,
+    "beam_x": 0.0,
+    "beam_y": 0.0,
+    "beam_z": -1.0,
+    "energy": 40.0,
+    "number_of_echoes": 1,
+    "fit_flags": 0,
+    "beam_range": np.nan,
+    "normal_x": 0.0,
+    "normal_y": 0.0,
     "normal_z": 1.0,
-}  # fmt: skip
+}
 GIVEN = Calibration(constant=1e-15, source="given", others=True)
 
 

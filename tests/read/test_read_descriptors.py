@@ -41,16 +41,25 @@ def patched(path, index, at, form, value):
 def test_several_descriptors_in_one_file(tmp_path, params, where, point_format):
     """Lengths, spacings and widths of samples differ from pulse to pulse."""
     kinds = {
-        1: Descriptor(8, 60, 1000), 2: Descriptor(8, 256, 2000), 5: Descriptor(12, 30, 500), 7: Descriptor(16, 1, 1000),
+        1: Descriptor(8, 60, 1000),
+        2: Descriptor(8, 256, 2000),
+        5: Descriptor(12, 30, 500),
+        7: Descriptor(16, 1, 1000),
         9: Descriptor(n_samples=0),
-    }  # fmt: skip
+    }
     rng = np.random.default_rng(3)
     owner = rng.permutation(np.repeat([1, 2, 5, 7], 12))
     waveforms = [rng.integers(0, 2 ** kinds[k].bits, kinds[k].n_samples) for k in owner]
     path = write_las(
-        tmp_path / "a.las", rng.uniform(0, 50, (48, 3)), waveforms=waveforms, descriptor_of=owner.tolist(),
-        descriptors=kinds, location=1.0, where=where, point_format=point_format,
-    )  # fmt: skip
+        tmp_path / "a.las",
+        rng.uniform(0, 50, (48, 3)),
+        waveforms=waveforms,
+        descriptor_of=owner.tolist(),
+        descriptors=kinds,
+        location=1.0,
+        where=where,
+        point_format=point_format,
+    )
     waves = read(path, params)
     assert waves.faults == {} and waves.samples.dtype == np.uint16
     np.testing.assert_array_equal(waves.samples, np.concatenate(waveforms))
@@ -66,9 +75,15 @@ def test_256_samples_of_8_bits_every_2_ns_inside_the_file(tmp_path, params, poin
     peaks = rng.uniform(60, 440, n)
     waveforms = [digitise(gaussian(256, [(150.0, t, 8.0)], 12.0, 2.0) + rng.normal(0, 1, 256)) for t in peaks]
     path = write_las(
-        tmp_path / "a.las", rng.uniform(0, 50, (n, 3)), waveforms=waveforms, location=peaks, where="internal",
-        descriptors={1: Descriptor(8, 256, 2000)}, point_format=point_format, gps_time=1000 + 1e-5 * np.arange(n),
-    )  # fmt: skip
+        tmp_path / "a.las",
+        rng.uniform(0, 50, (n, 3)),
+        waveforms=waveforms,
+        location=peaks,
+        where="internal",
+        descriptors={1: Descriptor(8, 256, 2000)},
+        point_format=point_format,
+        gps_time=1000 + 1e-5 * np.arange(n),
+    )
     source = open_source(path)
     check_source(source, params)
     waves = read(path, params)
@@ -86,9 +101,13 @@ def test_a_gain_that_is_no_number_is_told_and_counted(tmp_path, params, at, valu
     """Samples stay as the digitiser wrote them: gain and offset only turn them into volts."""
     kinds = {1: Descriptor(), 2: Descriptor()}
     path = write_las(
-        tmp_path / "a.las", np.zeros((6, 3)), waveforms=[np.arange(60)] * 6, descriptor_of=[1, 1, 2, 2, 2, 2],
-        descriptors=kinds, location=10.0,
-    )  # fmt: skip
+        tmp_path / "a.las",
+        np.zeros((6, 3)),
+        waveforms=[np.arange(60)] * 6,
+        descriptor_of=[1, 1, 2, 2, 2, 2],
+        descriptors=kinds,
+        location=10.0,
+    )
     patched(path, 1, at, "<d", value)
     waves = read(path, params)
     assert waves.pulses.rows == 6
@@ -119,19 +138,27 @@ def test_gain_and_offset_leave_the_samples_alone(tmp_path, params):
 )
 def test_one_bad_descriptor_of_two(tmp_path, params, name, descriptor):
     path = write_las(
-        tmp_path / "a.las", np.zeros((6, 3)), waveforms=[np.arange(60)] * 6, descriptor_of=[1, 2] * 3,
-        descriptors={1: Descriptor(), 2: descriptor}, location=10.0, wave={"size": 60},
+        tmp_path / "a.las",
+        np.zeros((6, 3)),
+        waveforms=[np.arange(60)] * 6,
+        descriptor_of=[1, 2] * 3,
+        descriptors={1: Descriptor(), 2: descriptor},
+        location=10.0,
+        wave={"size": 60},
         return_number=[1] * 6,
-    )  # fmt: skip
+    )
     waves = read(path, params)
     assert waves.faults[name] == 3 and waves.pulses.rows <= 3 and waves.returns.rows == 6
 
 
 def test_one_bad_descriptor_alone_is_refused(tmp_path, params):
     path = write_las(
-        tmp_path / "a.las", np.zeros((6, 3)), waveforms=[np.arange(60)] * 6, location=10.0,
+        tmp_path / "a.las",
+        np.zeros((6, 3)),
+        waveforms=[np.arange(60)] * 6,
+        location=10.0,
         descriptors={1: Descriptor(spacing_ps=0)},
-    )  # fmt: skip
+    )
     with pytest.raises(InputError, match="6 returns: invalid sample spacing"):
         check_source(open_source(path), params)
 
@@ -140,9 +167,12 @@ def test_one_bad_descriptor_alone_is_refused(tmp_path, params):
 @pytest.mark.parametrize("n", [1, 100_000])
 def test_constant_waveforms_of_any_length(tmp_path, params, value, n):
     path = write_las(
-        tmp_path / "a.las", np.zeros((2, 3)), waveforms=[np.full(n, value)] * 2, location=0.0,
+        tmp_path / "a.las",
+        np.zeros((2, 3)),
+        waveforms=[np.full(n, value)] * 2,
+        location=0.0,
         descriptors={1: Descriptor(n_samples=n)},
-    )  # fmt: skip
+    )
     waves = read(path, params)
     assert np.diff(waves.offsets).tolist() == [n, n] and (waves.samples == value).all()
 
@@ -154,9 +184,13 @@ def test_constant_waveforms_of_any_length(tmp_path, params, value, n):
 def test_gains_are_told_relative_to_the_first_descriptor(tmp_path, params, gains, relative):
     """What a DN is worth; of a gain that is no positive number, or absurd, nothing is made."""
     path = write_las(
-        tmp_path / "a.las", [(0, 0, 5), (1, 0, 6)], waveforms=[digitise(gaussian(60, [(90.0, 20.0, 3.5)]))] * 2,
-        descriptor_of=[1, 4], descriptors={1: Descriptor(), 4: Descriptor()}, location=20.0,
-    )  # fmt: skip
+        tmp_path / "a.las",
+        [(0, 0, 5), (1, 0, 6)],
+        waveforms=[digitise(gaussian(60, [(90.0, 20.0, 3.5)]))] * 2,
+        descriptor_of=[1, 4],
+        descriptors={1: Descriptor(), 4: Descriptor()},
+        location=20.0,
+    )
     for index, gain in zip((1, 4), gains, strict=True):
         patched(path, index, GAIN, "<d", gain)
     waves = read(path, params)

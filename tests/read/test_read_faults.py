@@ -92,9 +92,14 @@ def test_a_bad_descriptor(tmp_path, params, name, descriptor):
 def test_the_anchor_is_the_first_sane_return(tmp_path, params):
     """Numbered 2, 1, 3 in the file; return 1 has no sane location, so return 2 is the anchor."""
     path = write_las(
-        tmp_path / "a.las", [(0, 0, 2), (0, 0, 1), (0, 0, 3)], return_number=[2, 1, 3], number_of_returns=3,
-        waveforms=[np.arange(60)], pulse=[0, 0, 0], location=[20.0, 1e8, 30.0],
-    )  # fmt: skip
+        tmp_path / "a.las",
+        [(0, 0, 2), (0, 0, 1), (0, 0, 3)],
+        return_number=[2, 1, 3],
+        number_of_returns=3,
+        waveforms=[np.arange(60)],
+        pulse=[0, 0, 0],
+        location=[20.0, 1e8, 30.0],
+    )
     waves = read(path, params)
     assert waves.pulses["anchor_z"].tolist() == [2.0]
     assert waves.pulses["anchor_time"].tolist() == [20.0]
@@ -104,9 +109,13 @@ def test_the_anchor_is_the_first_sane_return(tmp_path, params):
 def test_descriptors_that_make_packets_overlap_are_refused(tmp_path, params):
     n = 300
     path = write_las(
-        tmp_path / "a.las", np.zeros((n, 3)), waveforms=[np.arange(60)] * n, location=10.0,
-        descriptors={1: Descriptor(n_samples=6000)}, wave={"size": 2**31},
-    )  # fmt: skip
+        tmp_path / "a.las",
+        np.zeros((n, 3)),
+        waveforms=[np.arange(60)] * n,
+        location=10.0,
+        descriptors={1: Descriptor(n_samples=6000)},
+        wave={"size": 2**31},
+    )
     with pytest.raises(InputError, match="overlap"):
         read(path, params)
 
@@ -168,9 +177,12 @@ def test_no_such_file(tmp_path):
 def test_a_cut_laz_is_an_input_error(tmp_path, params, point_format, keep):
     n = 3000
     path = write_las(
-        tmp_path / "a.las", np.random.default_rng(0).uniform(0, 99, (n, 3)), point_format=point_format,
-        waveforms=[np.arange(60)] * n, location=10.0,
-    )  # fmt: skip
+        tmp_path / "a.las",
+        np.random.default_rng(0).uniform(0, 99, (n, 3)),
+        point_format=point_format,
+        waveforms=[np.arange(60)] * n,
+        location=10.0,
+    )
     laz = to_laz(path, tmp_path / "a.laz")
     raw = laz.read_bytes()
     start = int.from_bytes(raw[96:100], "little")
@@ -203,16 +215,25 @@ def test_crs_faults(tmp_path):
 def test_info_tells_faults_of_the_points(tmp_path):
     xyz = np.random.default_rng(0).uniform(0, 20, (500, 3))
     xyz[7, 2] = 2000.0
-    path = write_las(tmp_path / "a.las", xyz, point_format=1, intensity=0, return_number=np.r_[0, 2, [1] * 498],
-                     number_of_returns=np.r_[1, 2, [1] * 498])  # fmt: skip
+    path = write_las(
+        tmp_path / "a.las",
+        xyz,
+        point_format=1,
+        intensity=0,
+        return_number=np.r_[0, 2, [1] * 498],
+        number_of_returns=np.r_[1, 2, [1] * 498],
+    )
     raw = bytearray(path.read_bytes())
     struct.pack_into("<d", raw, 179, 5.0)
     path.write_bytes(raw)
     text = "\n".join(info(path)["faults"])
     for expected in (
-        "1 z outliers", "all intensities are zero", "1 points have return number 0", "at least 1 returns",
+        "1 z outliers",
+        "all intensities are zero",
+        "1 points have return number 0",
+        "at least 1 returns",
         "header's bounds disagree",
-    ):  # fmt: skip
+    ):
         assert expected in text
 
 

@@ -10,7 +10,7 @@ from commandline import fwclass
 from lasmaker import survey, write_las
 from pyproj import CRS
 
-from fwclass.read.flat import DEGREES, GEOCENTRIC, not_flat
+from fwclass.formats.flat import DEGREES, GEOCENTRIC, not_flat
 
 RNG = np.random.default_rng(1)
 LONLAT = np.column_stack(
@@ -44,9 +44,11 @@ def test_every_command_that_measures_refuses(tmp_path, kind):
     path, words = write(tmp_path, kind)
     out = tmp_path / "out.laz"
     for line in (
-        ("decompose", path, out), ("ground", path, out), ("normalize", path, out, "--method", "smrf"),
+        ("decompose", path, out),
+        ("ground", path, out),
+        ("normalize", path, out, "--method", "smrf"),
         ("features", path, tmp_path / "out.parquet"),
-    ):  # fmt: skip
+    ):
         ended = fwclass(*line)
         assert ended.returncode == 1 and words in ended.stderr and "reproject" in ended.stderr, (line, ended.stderr)
     (tmp_path / "t.yaml").write_text(CONFIG)

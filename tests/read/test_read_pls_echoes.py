@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from plsmaker import survey
 
-from fwclass.run.decompose_file import decompose_file
+from fwclass.single_file.decompose import decompose_file
 
 
 @pytest.mark.parametrize("bits", [8, pytest.param(16, marks=pytest.mark.slow)])

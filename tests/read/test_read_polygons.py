@@ -12,14 +12,7 @@ from pyproj import CRS
 
 from fwclass.errors import ConfigError, InputError
 from fwclass.read.info import describe, info
-from fwclass.read.polygons import (
-    check_field,
-    open_polygons,
-    read_polygons,
-    reprojected,
-    source_crs,
-    values_of,
-)
+from fwclass.read.polygons import check_field, open_polygons, read_polygons, reprojected, source_crs, values_of
 
 FORMATS = ["gpkg", "geojson", "shp", "parquet"]
 HOLED = shapely.Polygon(

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fwclass.errors import InputError
-from fwclass.read.wkb import WkbError, parse, shapes
+from fwclass.formats.wkb import WkbError, parse, shapes
 
 SQUARE = shapely.box(0, 0, 10, 10)
 HOLED = shapely.Polygon([(20, 0), (30, 0), (30, 10), (20, 10)], [[(22, 2), (24, 2), (24, 4), (22, 4)]])

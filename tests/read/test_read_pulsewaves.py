@@ -113,9 +113,16 @@ def test_every_width_of_the_counts(tmp_path, params, duration_bits, segment_bits
     """Durations are signed, scaled and offset; counts are fixed or stored in one or two bytes."""
     rng = np.random.default_rng(0)
     sampling = Sampling(
-        duration_bits=duration_bits, scale=0.5, offset=3000.0, segment_bits=segment_bits, length_bits=length_bits,
-        segments=0 if segment_bits else 2, samples=0 if length_bits else 30, bits=16, padding=4,
-    )  # fmt: skip
+        duration_bits=duration_bits,
+        scale=0.5,
+        offset=3000.0,
+        segment_bits=segment_bits,
+        length_bits=length_bits,
+        segments=0 if segment_bits else 2,
+        samples=0 if length_bits else 30,
+        bits=16,
+        padding=4,
+    )
     segments = [(2950.0, rng.integers(0, 65536, 30)), (3040.5, rng.integers(0, 65536, 30))]
     descriptor = Descriptor([sampling], extra=5, padding=12)
     path = write_pls(tmp_path / "a.pls", [Pulse(ANCHOR, AWAY, [segments])] * 3, {1: descriptor})

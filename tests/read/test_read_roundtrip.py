@@ -98,9 +98,13 @@ def test_several_descriptors_of_different_bits_and_spacing(tmp_path, params):
     rng = np.random.default_rng(0)
     waveforms = [rng.integers(0, 255, 40), rng.integers(0, 65535, 30), rng.integers(0, 255, 40)]
     path = write_las(
-        tmp_path / "a.las", np.zeros((3, 3)), waveforms=[digitise(w, 16) for w in waveforms],
-        descriptor_of=[1, 7, 1], descriptors=descriptors, location=[3.0, 4.0, 5.0],
-    )  # fmt: skip
+        tmp_path / "a.las",
+        np.zeros((3, 3)),
+        waveforms=[digitise(w, 16) for w in waveforms],
+        descriptor_of=[1, 7, 1],
+        descriptors=descriptors,
+        location=[3.0, 4.0, 5.0],
+    )
     source = open_source(path)
     waves = read_span(source, index_source(source, params)[0], params)
     np.testing.assert_array_equal(waves.offsets, [0, 40, 70, 110])
@@ -117,9 +121,15 @@ def test_files_without_waveforms(tmp_path, params, point_format, compress):
     xyz = rng.uniform(0, 50, (n, 3))
     extra = {"Amplitude": ("i2", 0.01, np.arange(n) * 10), "Pulse width": ("u2", 0.1, np.arange(n))}
     path = write_las(
-        tmp_path / "a.las", xyz, point_format=point_format, return_number=np.arange(n) % 3 + 1, number_of_returns=3,
-        classification=np.arange(n) % 6, gps_time=np.arange(n) * 0.5, extra=extra,
-    )  # fmt: skip
+        tmp_path / "a.las",
+        xyz,
+        point_format=point_format,
+        return_number=np.arange(n) % 3 + 1,
+        number_of_returns=3,
+        classification=np.arange(n) % 6,
+        gps_time=np.arange(n) * 0.5,
+        extra=extra,
+    )
     path = to_laz(path, tmp_path / "a.laz") if compress else path
     source = open_source(path)
     spans = index_source(source, params.model_copy(update={"chunk_pulses": 7}))

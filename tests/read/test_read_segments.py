@@ -38,12 +38,18 @@ def segmented(path, starts, *, per_segment=1, pulses=1, tilt=0.1, change=None, w
                 step.append(beam)
                 time.append(1000.0 + 1e-5 * p)
     made = {
-        "xyz": np.array(xyz), "return_number": np.array(number), "pulse": np.array(packet),
-        "number_of_returns": np.full(len(xyz), len(starts) * per_segment), "location": np.array(location),
-        "step": np.array(step), "gps_time": np.array(time), "waveforms": waveforms,
+        "xyz": np.array(xyz),
+        "return_number": np.array(number),
+        "pulse": np.array(packet),
+        "number_of_returns": np.full(len(xyz), len(starts) * per_segment),
+        "location": np.array(location),
+        "step": np.array(step),
+        "gps_time": np.array(time),
+        "waveforms": waveforms,
         "descriptors": {1: Descriptor(n_samples=N), 2: Descriptor(n_samples=N, spacing_ps=2000)},
-        "descriptor_of": wave_kinds or [], **options,
-    }  # fmt: skip
+        "descriptor_of": wave_kinds or [],
+        **options,
+    }
     if change:
         change(made)
     return write_las(path, made.pop("xyz"), **made), waveforms

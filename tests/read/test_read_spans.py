@@ -103,9 +103,12 @@ def test_points_without_packet_are_pulses_of_their_own(tmp_path, base):
 def test_a_packet_that_everything_refers_to_is_no_pulse(tmp_path, base):
     n = 600
     path = write_las(
-        tmp_path / "a.las", np.zeros((n, 3)), waveforms=[np.arange(60)] * 2,
-        pulse=np.r_[np.zeros(n - 1, int), 1], location=10.0,
-    )  # fmt: skip
+        tmp_path / "a.las",
+        np.zeros((n, 3)),
+        waveforms=[np.arange(60)] * 2,
+        pulse=np.r_[np.zeros(n - 1, int), 1],
+        location=10.0,
+    )
     source = open_source(path)
     params = whole(base, chunk_pulses=100)
     spans = index_source(source, params)
@@ -118,9 +121,12 @@ def test_a_packet_that_everything_refers_to_is_no_pulse(tmp_path, base):
 
 def test_a_file_that_cannot_be_cut_says_so(tmp_path, base):
     path = write_las(
-        tmp_path / "a.las", np.zeros((100, 3)), waveforms=[np.arange(60)] * 50,
-        pulse=np.r_[np.arange(50), np.arange(50)], location=10.0,
-    )  # fmt: skip
+        tmp_path / "a.las",
+        np.zeros((100, 3)),
+        waveforms=[np.arange(60)] * 50,
+        pulse=np.r_[np.arange(50), np.arange(50)],
+        location=10.0,
+    )
     with pytest.raises(InputError, match="sort the file by GPS time"):
         index_source(open_source(path), whole(base, chunk_pulses=10, max_span_points=60))
 

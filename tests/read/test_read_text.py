@@ -93,7 +93,7 @@ def test_numbers_that_are_none_stay_in_their_place(tmp_path):
         (b"\x00\x01\x02\xff" * 50, ["this is no text", "byte 0"]),
         ("1 2 3\n".encode("utf-16"), ["UTF-16"]),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_table_is_told_by_line(tmp_path, content, told):
     with pytest.raises(InputError) as fault:
         read_text(text(tmp_path / "bad.txt", content))

@@ -8,10 +8,10 @@ import pytest
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
+from fwclass.graph.survey import simulate_tasks
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
-from fwclass.run.survey import simulate_tasks
+from fwclass.run.runner import Runner
 
 
 @pytest.fixture(scope="session")
@@ -19,10 +19,10 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two strips over 80 m x 80 m with their reference."""
     root = tmp_path_factory.mktemp("survey")
     with Display() as display:
-        road = Road(root, Loop(), display)
+        runner = Runner(root, Loop(), display)
         config = conf.load("demo", SETTINGS)
-        road.do(simulate_tasks(config.simulate, "."))
-        assert not road.failures
+        runner.do(simulate_tasks(config.simulate, "."))
+        assert not runner.failures
     return root
 
 
@@ -30,6 +30,6 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def finished(survey: Path, tmp_path_factory: pytest.TempPathFactory):
     """The survey run in the plain loop: (root, report)."""
     root = tmp_path_factory.mktemp("loop")
-    road, report = walk(survey, root)
-    assert not road.failures, road.failures
+    runner, report = walk(survey, root)
+    assert not runner.failures, runner.failures
     return root, report

@@ -11,10 +11,10 @@ from pyproj import CRS
 
 from fwclass import conf
 from fwclass.grid import Box
-from fwclass.run.planning.headers import SourceFacts, SurveyFacts
-from fwclass.run.planning.limits import Room
-from fwclass.run.planning.output import deliver
-from fwclass.run.planning.whole import planned
+from fwclass.operate.estimate.headers import SourceFacts, SurveyFacts
+from fwclass.operate.estimate.limits import Room
+from fwclass.operate.estimate.output import deliver
+from fwclass.operate.estimate.whole import planned
 from fwclass.store.run_store import peak_mib
 
 STRIPS, PIECES, EDGE = 250, 40, 100_000.0
@@ -25,12 +25,16 @@ def headers() -> tuple[SourceFacts, ...]:
     wide, long = EDGE / STRIPS, EDGE / PIECES
     return tuple(
         SourceFacts(
-            Path(f"{s:03d}_{p:02d}.las"), 10_000_000, 0, True, 800_000_000,
+            Path(f"{s:03d}_{p:02d}.las"),
+            10_000_000,
+            0,
+            True,
+            800_000_000,
             Box(4e5 + (s - 0.25) * wide, 5.3e6 + p * long, 4e5 + (s + 1.25) * wide, 5.3e6 + (p + 1) * long),
         )
         for s in range(STRIPS)
         for p in range(PIECES)
-    )  # fmt: skip
+    )
 
 
 def main(directory: Path) -> None:
@@ -40,11 +44,14 @@ def main(directory: Path) -> None:
     plan = planned(config, facts, 64, Room(64 * 16_000.0, 1e15))
     paths = deliver(plan, directory)
     told = {
-        "cpu_seconds": time.process_time(), "seconds": time.perf_counter() - began,
-        "tiles": plan.tiles.number, "points": float(plan.counts.points.sum()),
-        "peak_mib": peak_mib(), "fits": plan.fits,
+        "cpu_seconds": time.process_time(),
+        "seconds": time.perf_counter() - began,
+        "tiles": plan.tiles.number,
+        "points": float(plan.counts.points.sum()),
+        "peak_mib": peak_mib(),
+        "fits": plan.fits,
         "bytes": [p.stat().st_size for p in paths],
-    }  # fmt: skip
+    }
     sys.stdout.write(json.dumps(told))
 
 

@@ -11,7 +11,7 @@ from runmaker import walk
 
 from fwclass.assess.intervals import FEW, FIGURES, caution
 from fwclass.errors import InputError
-from fwclass.run.assess_runs import assess_runs, describe
+from fwclass.operate.assess_runs import assess_runs, describe
 from fwclass.store.arrays import read_arrays
 from fwclass.store.run_store import Store
 

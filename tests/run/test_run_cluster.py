@@ -22,7 +22,7 @@ from fwclass.run.cluster import Cluster
 from fwclass.run.part import Task
 
 
-def slow(desk, directory):
+def slow(inputs, directory):
     (directory.parents[2] / "begun").touch()
     time.sleep(60)
     return {}
@@ -73,5 +73,5 @@ def test_outcomes_are_heard_and_not_asked_for(tmp_path: Path) -> None:
     assert asked == [False] * 20
 
 
-def quick(desk: object, directory: Path) -> dict[str, object]:
+def quick(inputs: object, directory: Path) -> dict[str, object]:
     return {}

@@ -8,7 +8,7 @@ import pytest
 from lasmaker import METRES_PER_NS, digitise, gaussian, survey, write_las
 
 from fwclass.errors import ConfigError, InputError
-from fwclass.run.decompose_file import decompose_file
+from fwclass.single_file.decompose import decompose_file
 
 HEIGHT = 800.0
 
@@ -66,10 +66,15 @@ def test_returns_that_no_echo_explains_are_told(tmp_path):
     pulse = np.repeat(np.arange(n), 2)
     late = np.tile([0.0, 10.0], n)
     path = write_las(
-        tmp_path / "a.las", np.column_stack([pulse, pulse * 0.0, 100.0 - late * METRES_PER_NS]),
-        waveforms=[digitise(y) for y in rows], pulse=pulse, return_number=late / 10.0 + 1, number_of_returns=2,
-        location=20.0 + late, gps_time=pulse * 1e-5,
-    )  # fmt: skip
+        tmp_path / "a.las",
+        np.column_stack([pulse, pulse * 0.0, 100.0 - late * METRES_PER_NS]),
+        waveforms=[digitise(y) for y in rows],
+        pulse=pulse,
+        return_number=late / 10.0 + 1,
+        number_of_returns=2,
+        location=20.0 + late,
+        gps_time=pulse * 1e-5,
+    )
     told, _ = decompose_file(path, tmp_path / "b.laz", (), False)
     assert f"{n} returns have no echo within 5 ns" in told
     wide, _ = decompose_file(path, tmp_path / "c.laz", ("decompose.vendor_tolerance=12",), False)

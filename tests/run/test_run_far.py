@@ -12,23 +12,27 @@ from commandline import fwclass
 
 from fwclass import conf
 from fwclass.errors import InputError
+from fwclass.graph import ground as ground_plan
+from fwclass.graph import tiles as of_tiles
 from fwclass.grid import Tile, TileGrid, Window, groups
+from fwclass.operate.estimate.headers import survey_facts
+from fwclass.operate.estimate.limits import Room
+from fwclass.operate.estimate.text import describe
+from fwclass.operate.estimate.whole import planned
 from fwclass.run.local import Loop
-from fwclass.run.plan import ground as ground_plan
-from fwclass.run.plan import tiles as of_tiles
-from fwclass.run.planning.headers import survey_facts
-from fwclass.run.planning.limits import Room
-from fwclass.run.planning.text import describe
-from fwclass.run.planning.whole import planned
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
-from fwclass.store.home import locked
+from fwclass.run.runner import Runner
+from fwclass.store.run_location import locked
 from workflows import WORKFLOWS
 
 SETTINGS = (
-    "train.trees=2", "train.samples_per_class=100", "publish.figure_pixels=200", "ground.block=64", "terrain.block=64",
+    "train.trees=2",
+    "train.samples_per_class=100",
+    "publish.figure_pixels=200",
+    "ground.block=64",
+    "terrain.block=64",
     "ground.block_halo=16",
-)  # fmt: skip
+)
 SURVEY = """
 survey:
   name: far
@@ -77,16 +81,16 @@ def far(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def walked(survey: Path, root: Path, *settings: str):
     config = conf.load(survey / "S.yaml", (*SETTINGS, *settings))
     with Display() as display, locked(root, display.say) as (own, held):
-        road = Road(own, Loop(), display, held=held)
-        report = WORKFLOWS["classification"](config, road, None)
-        made = road.publish(config.run.keep_generations)
-        return road, report, made
+        runner = Runner(own, Loop(), display, held=held)
+        report = WORKFLOWS["classification"](config, runner, None)
+        made = runner.publish(config.run.keep_generations)
+        return runner, report, made
 
 
 def test_a_stray_point_leaves_the_delivery_whole_and_is_named(far, tmp_path, capsys):
     """Finding A8: 1.8 GB, exit 3, never whole."""
-    road, report, made = walked(far, tmp_path / "run")
-    assert not road.failures, road.failures
+    runner, report, made = walked(far, tmp_path / "run")
+    assert not runner.failures, runner.failures
     assert made.whole
     said = capsys.readouterr().err
     assert "2 places far apart" in said
@@ -123,9 +127,9 @@ def test_a_failed_check_leaves_the_delivery_whole(stage, far, tmp_path, monkeypa
     if stage == "seams":
         monkeypatch.setattr(ground_plan.ground, "measured_seams", broken)
     else:
-        monkeypatch.setattr("fwclass.run.plan.forest.forest.judged", broken)
-    road, _, made = walked(far, tmp_path / "run", "survey.sources=[a.las]")
-    assert {o.stage for o in road.failures} == {stage}
+        monkeypatch.setattr("fwclass.graph.forest.forest.judged", broken)
+    runner, _, made = walked(far, tmp_path / "run", "survey.sources=[a.las]")
+    assert {o.stage for o in runner.failures} == {stage}
     assert made.whole
     assert (tmp_path / "run" / "current").readlink().name == made.name
 
@@ -134,9 +138,9 @@ def test_a_failed_part_of_the_delivery_is_not_whole(far, tmp_path, monkeypatch):
     def broken(*_):
         raise InputError("no")
 
-    monkeypatch.setattr("fwclass.run.plan.outputs.outputs.delivered_rasters", broken)
-    road, _, made = walked(far, tmp_path / "run", "survey.sources=[a.las]")
-    assert road.failures
+    monkeypatch.setattr("fwclass.graph.outputs.outputs.delivered_rasters", broken)
+    runner, _, made = walked(far, tmp_path / "run", "survey.sources=[a.las]")
+    assert runner.failures
     assert not made.whole
 
 
@@ -158,8 +162,8 @@ def test_tiles_that_touch_are_one_group():
 
 def test_a_file_without_waveforms_costs_few_parts_and_files(far, tmp_path):
     """Finding on 2 000 files of 60 points: what is not there was written, flushed and read again for each of them."""
-    road, _, _ = walked(far, tmp_path / "run", "survey.sources=[a.las]")
-    assert not {"pulse", "read"} & set(road.tallies)
+    runner, _, _ = walked(far, tmp_path / "run", "survey.sources=[a.las]")
+    assert not {"pulse", "read"} & set(runner.tallies)
     store = tmp_path / "run" / "store"
     kept = {p.name for p in (store / "decompose").rglob("*") if p.is_file()}
     assert kept == {"table.parquet", "links.parquet", "receipt.json"}

@@ -18,10 +18,10 @@ from fwclass.conf.sets import feature_set, shipped_sets
 from fwclass.errors import ConfigError, InputError
 from fwclass.features.stage import features
 from fwclass.grid import Tile
-from fwclass.run.features.file import FeaturesJob, features_file
-from fwclass.run.features.names import sorted_settings, wanted
-from fwclass.run.features.text import describe
 from fwclass.schema import Table
+from fwclass.single_file.features.file import FeaturesJob, features_file
+from fwclass.single_file.features.names import sorted_settings, wanted
+from fwclass.single_file.features.text import describe
 from fwclass.stage import Chunk
 
 NAMES = ("height_above_ground", "echo_number", "zc", "planarity_r100", "height_std_k20", "count_g200", "egi_c100")
@@ -34,11 +34,19 @@ def cloud(rng, pulses=4000, side=30.0):
     x, y = (rng.uniform(0, side, (2, pulses))[:, pulse]).round(3)
     low = number == of[pulse]
     z = np.where(low, 0.1 * x, 0.1 * x + 9 - 2 * number).round(3)
-    return Table({
-        "strip": np.zeros(len(x)), "pulse": pulse, "echo_number": number, "number_of_echoes": of[pulse],
-        "x": x + 500_000, "y": y + 5_400_000, "z": z + 100, "intensity": rng.integers(0, 60_000, len(x)),
-        "source_class": np.where(low, 2, 5),
-    })  # fmt: skip
+    return Table(
+        {
+            "strip": np.zeros(len(x)),
+            "pulse": pulse,
+            "echo_number": number,
+            "number_of_echoes": of[pulse],
+            "x": x + 500_000,
+            "y": y + 5_400_000,
+            "z": z + 100,
+            "intensity": rng.integers(0, 60_000, len(x)),
+            "source_class": np.where(low, 2, 5),
+        }
+    )
 
 
 @pytest.fixture(scope="module")
@@ -131,16 +139,24 @@ def test_a_text_has_places_and_perhaps_classes(truth, tmp_path):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["--set", "nowhere"], "no such feature set"), (["--features", "planarity"], "lacks its scale"),
-        (["--features", "planarity_g100"], "other neighbourhoods"), (["--features", "planarty_r100"], "did you mean"),
-        (["--set", "fan2013", "--features", "zc"], "named twice"), (["--set", "fan2013", "--set", "shi2019"], "two"),
-        (["--set", "train.trees=3"], "no effect here"), (["--features", "count_c50000"], "reaches too far"),
-        (["--features", "planarty_k20"], "did you mean 'planarity_k20'?"), (["--features", "planarity_k0"], "positive"),
-        (["--features", "height_std_r0"], "size must be positive"), (["--features", "planarity_k501"], "at most 500"),
-        (["--features", "height_std_r0100"], "without leading 0"), (["--set", "nowhere"], "where: --set"),
-        (["--features", "x"], "not a feature"), (["--features", ","], "no feature is named"),
+        (["--set", "nowhere"], "no such feature set"),
+        (["--features", "planarity"], "lacks its scale"),
+        (["--features", "planarity_g100"], "other neighbourhoods"),
+        (["--features", "planarty_r100"], "did you mean"),
+        (["--set", "fan2013", "--features", "zc"], "named twice"),
+        (["--set", "fan2013", "--set", "shi2019"], "two"),
+        (["--set", "train.trees=3"], "no effect here"),
+        (["--features", "count_c50000"], "reaches too far"),
+        (["--features", "planarty_k20"], "did you mean 'planarity_k20'?"),
+        (["--features", "planarity_k0"], "positive"),
+        (["--features", "height_std_r0"], "size must be positive"),
+        (["--features", "planarity_k501"], "at most 500"),
+        (["--features", "height_std_r0100"], "without leading 0"),
+        (["--set", "nowhere"], "where: --set"),
+        (["--features", "x"], "not a feature"),
+        (["--features", ","], "no feature is named"),
     ],
-)  # fmt: skip
+)
 def test_wrong_words_are_refused(las, tmp_path, words, says):
     result = CliRunner().invoke(cli, ["features", str(las), str(tmp_path / "o.parquet"), *words])
     assert isinstance(result.exception, ConfigError)
@@ -164,9 +180,20 @@ def test_a_place_that_cannot_be_written_is_named(las):
 
 
 def test_one_of_a_thing_is_told_as_one():
-    facts = {"input": "a", "echoes": 1, "features": ["zc"], "set": "--features", "notes": [], "reach": 1.0, "tiles": 1,
-             "left_out": {}, "without_value": {}, "output": "b", "bytes": 1,
-             "seconds": {"compiling": 0.0, "all": 1.0}}  # fmt: skip
+    facts = {
+        "input": "a",
+        "echoes": 1,
+        "features": ["zc"],
+        "set": "--features",
+        "notes": [],
+        "reach": 1.0,
+        "tiles": 1,
+        "left_out": {},
+        "without_value": {},
+        "output": "b",
+        "bytes": 1,
+        "seconds": {"compiling": 0.0, "all": 1.0},
+    }
     told = describe(facts)
     assert "1 echo, 1 feature of" in told and told.splitlines()[1].endswith("; 1 tile")
     assert "2 features of" in describe({**facts, "features": ["zc", "egi_r50"]})

@@ -1,4 +1,4 @@
-"""The whole road over files of every waveform format, and over damaged ones: nothing is lost, everything is counted."""
+"""Whole runs over files of every waveform format, and over damaged ones: nothing is lost, everything is counted."""
 
 import contextlib
 import struct
@@ -15,7 +15,7 @@ from fwclass.read.spans import Span
 from fwclass.read.stage import open_source, read_span
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
+from fwclass.run.runner import Runner
 from workflows import WORKFLOWS
 
 CONFIG = """
@@ -37,10 +37,10 @@ def run(directory, name, *settings):
     path.write_text(CONFIG.format(name=name))
     config = conf.load(path, settings)
     with Display() as display, contextlib.nullcontext(Loop()) as loop:
-        road = Road(directory / "run", loop, display)
-        report = WORKFLOWS["classification"](config, road, None)
-        road.publish(config.run.keep_generations)
-    assert not road.failures, road.failures
+        runner = Runner(directory / "run", loop, display)
+        report = WORKFLOWS["classification"](config, runner, None)
+        runner.publish(config.run.keep_generations)
+    assert not runner.failures, runner.failures
     return report
 
 

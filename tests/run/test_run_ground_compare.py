@@ -10,7 +10,7 @@ import pytest
 
 from fwclass.errors import ConfigError
 from fwclass.ground.filters import FILTERS, Flags
-from fwclass.run.ground.compare import agreement, by_cell, compare, describe, methods_of, speed
+from fwclass.single_file.ground.compare import agreement, by_cell, compare, describe, methods_of, speed
 
 
 @pytest.fixture(scope="module")

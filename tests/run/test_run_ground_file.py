@@ -7,8 +7,8 @@ from fwclass import conf
 from fwclass.errors import ConfigError
 from fwclass.ground.filters import FILTERS, Flags
 from fwclass.read.cloud import read_point_cloud
-from fwclass.run.ground.file import classes_of, shown_points
-from fwclass.run.ground.params import ALIASES, ground_params, names_of, used
+from fwclass.single_file.ground.file import classes_of, shown_points
+from fwclass.single_file.ground.params import ALIASES, ground_params, names_of, used
 
 PRESETS = ("wilderness", "nature", "town", "city", "metro", "dense-forest", "steep")
 

@@ -12,10 +12,10 @@ from rich.console import Console
 
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.read.cloud import read_point_cloud
-from fwclass.run.ground.file import GroundJob, ground_file
-from fwclass.run.ground.params import ground_params
-from fwclass.run.ground.steps import ONCE, CompileClock, Steps
-from fwclass.run.ground.stray import stray_points, told
+from fwclass.single_file.ground.file import GroundJob, ground_file
+from fwclass.single_file.ground.params import ground_params
+from fwclass.single_file.ground.steps import ONCE, CompileClock, Steps
+from fwclass.single_file.ground.stray import stray_points, told
 
 
 def test_lines_come_now_and_then_and_say_what_is_done():

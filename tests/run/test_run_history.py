@@ -10,8 +10,8 @@ import socket
 import pytest
 
 from fwclass.errors import InputError, LockedError, QualityError
-from fwclass.run.history import Entry, past_runs, recorded, table, word_of
-from fwclass.run.request import Request
+from fwclass.operate.history import Entry, past_runs, recorded, table, word_of
+from fwclass.operate.request import Request
 from fwclass.store import history
 from fwclass.store.lock import writer
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import yaml
 
+from fwclass.graph.work import forest
 from fwclass.model import ClassDef
-from fwclass.run.work import forest
 from fwclass.store.arrays import read_arrays
 from fwclass.store.models import load_model
 from fwclass.train.importance import importance
@@ -31,15 +31,15 @@ def test_importance_in_parts(tmp_path):
         (tmp_path / stage / part).mkdir(parents=True, exist_ok=True)
         return tmp_path / stage / part / name
 
-    desk = SimpleNamespace(
+    inputs = SimpleNamespace(
         store=SimpleNamespace(path=path), arrays=lambda stage, part, name: read_arrays(path(stage, part, name))
     )
     forest._save_sample(path("training", "all"), sample)
     for first, count in ((0, 3), (3, 1)):
         part = f"{first:05d}"
-        forest.grown(first, count, NAMES, params, CLASSES, desk, path("trees", part))
-        forest.weighed(first, NAMES, params, desk, path("importance", part))
-    made = forest.trained(("00000", "00003"), NAMES, params, CLASSES, {}, desk, path("train", "model"))
+        forest.grown(first, count, NAMES, params, CLASSES, inputs, path("trees", part))
+        forest.weighed(first, NAMES, params, inputs, path("importance", part))
+    made = forest.trained(("00000", "00003"), NAMES, params, CLASSES, {}, inputs, path("train", "model"))
     expected = importance(sample, grow_trees(sample, CLASSES, 0, 4, params), 2, params, 3)
     for card in (made["card"], load_model(path("train", "model", forest.MODEL)).card):
         told = card["importance"]

@@ -12,11 +12,11 @@ import pytest
 
 from fwclass import conf
 from fwclass.errors import ConfigError
+from fwclass.operate.schedule.delivery import take
+from fwclass.operate.schedule.inbox import Inbox
+from fwclass.operate.schedule.places import Places, places_of
+from fwclass.operate.schedule.ticks import Now
 from fwclass.paths import path_matches
-from fwclass.run.schedule.delivery import take
-from fwclass.run.schedule.inbox import Inbox
-from fwclass.run.schedule.places import Places, places_of
-from fwclass.run.schedule.ticks import Now
 
 
 @dataclass

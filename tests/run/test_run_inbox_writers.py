@@ -16,16 +16,16 @@ from schedulemaker import FAILS_AT_ONCE, NOWHERE, strip, under_way, until
 
 from fwclass import conf
 from fwclass.errors import InputError
+from fwclass.operate.schedule import delivery, watch
+from fwclass.operate.schedule.inbox import Inbox
+from fwclass.operate.schedule.intake import Intake
+from fwclass.operate.schedule.places import Places
+from fwclass.operate.schedule.state import State
+from fwclass.operate.schedule.ticks import Now
 from fwclass.read.cloud import read_point_cloud
 from fwclass.read.pls_waves import read_records
 from fwclass.read.points import ZEROS
 from fwclass.read.source import PulseSource, open_source
-from fwclass.run.schedule import delivery, watch
-from fwclass.run.schedule.inbox import Inbox
-from fwclass.run.schedule.intake import Intake
-from fwclass.run.schedule.places import Places
-from fwclass.run.schedule.state import State
-from fwclass.run.schedule.ticks import Now
 
 
 @pytest.fixture

@@ -11,10 +11,31 @@ from runmaker import delivered, walk
 from fwclass.run.cluster import Cluster
 
 COLUMNS = [
-    "strip", "pulse", "echo_number", "x", "y", "z", "classification", "confidence", "ground", "height_above_ground",
-    "zc", "echo_ratio_r100", "inclination_r100", "amplitude", "width", "energy", "range_sigma", "deviation",
-    "amplitude_db", "range", "incidence", "cross_section", "backscatter", "reflectance",
-]  # fmt: skip
+    "strip",
+    "pulse",
+    "echo_number",
+    "x",
+    "y",
+    "z",
+    "classification",
+    "confidence",
+    "ground",
+    "height_above_ground",
+    "zc",
+    "echo_ratio_r100",
+    "inclination_r100",
+    "amplitude",
+    "width",
+    "energy",
+    "range_sigma",
+    "deviation",
+    "amplitude_db",
+    "range",
+    "incidence",
+    "cross_section",
+    "backscatter",
+    "reflectance",
+]
 
 
 def echoes(root: Path) -> dict[str, np.ndarray]:

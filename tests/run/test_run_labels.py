@@ -13,16 +13,16 @@ from runmaker import SETTINGS, walk
 
 from fwclass import conf
 from fwclass.errors import ConfigError, FwclassError, InputError
-from fwclass.run.desk import Desk
+from fwclass.graph.report import summary
+from fwclass.graph.tiles import label_tasks
+from fwclass.graph.walk import until_tiles
+from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop
-from fwclass.run.plan.tiles import label_tasks
 from fwclass.run.progress import Display
-from fwclass.run.report import summary
-from fwclass.run.road import Road
-from fwclass.run.training_text import describe
+from fwclass.run.runner import Runner
 from fwclass.store.lock import writer
-from workflows.echoes import until_tiles
-from workflows.training import training
+from fwclass.study.training import training
+from fwclass.study.training_text import describe
 
 CLASSES = {2: "ground", 5: "vegetation", 6: "building", 64: "artificial"}
 FAST = ("survey.features=[height_above_ground, amplitude]", "features.also=[]", "train.trees=4")
@@ -49,20 +49,20 @@ def asked(path, **more):
 
 
 def labelled(survey: Path, root: Path, *settings: str):
-    """Labels alone: the road, and (identity, x, y, reference) of all echoes."""
+    """Labels alone: the run, and (identity, x, y, reference) of all echoes."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *FAST, *settings))
     root.mkdir(parents=True, exist_ok=True)
     with writer(root), Display() as display:
-        road = Road(root, Loop(), display)
-        tiled = until_tiles(config, road, config.features_asked)
-        road.do(label_tasks(tiled.layout))
-        assert not road.failures, road.failures
-        desk = Desk(road.store)
+        runner = Runner(root, Loop(), display)
+        tiled = until_tiles(config, runner, config.features_asked)
+        runner.do(label_tasks(tiled.layout))
+        assert not runner.failures, runner.failures
+        inputs = PartInputs(runner.store)
         columns = {**dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile"), "reference": "label"}
-        tables = [desk.rows(t.key, columns) for t in tiled.layout.tiles]
+        tables = [inputs.rows(t.key, columns) for t in tiled.layout.tiles]
     found = {n: np.concatenate([t[n] for t in tables]) for n in columns}
     order = np.lexsort((found["echo_number"], found["pulse"], found["strip"]))
-    return road, {n: v[order] for n, v in found.items()}
+    return runner, {n: v[order] for n, v in found.items()}
 
 
 @pytest.fixture(scope="module")
@@ -132,16 +132,20 @@ def reported(survey, drawn, tmp_path_factory):
     """A whole run on overlapping and unsound polygons: (root, report)."""
     root = tmp_path_factory.mktemp("reported")
     extra = geopandas.GeoDataFrame(
-        {"klass": ["building", "nothing"], "code": [6, 0]}, crs=25832,
+        {"klass": ["building", "nothing"], "code": [6, 0]},
+        crs=25832,
         geometry=[shapely.box(512000, 5403000, 512030, 5403008), None],
-    )  # fmt: skip
+    )
     both = geopandas.GeoDataFrame(geopandas.pd.concat([drawn, extra], ignore_index=True), crs=25832)
     both.to_parquet(root / "labels.parquet")
-    road, report = walk(
-        survey, root / "run", asked(root / "labels.parquet", values="{nothing: null}"), *FAST,
+    runner, report = walk(
+        survey,
+        root / "run",
+        asked(root / "labels.parquet", values="{nothing: null}"),
+        *FAST,
         "areas.train=[[512000, 5403000, 512060, 5403120], [512500, 5403000, 512510, 5403010]]",
-    )  # fmt: skip
-    assert not road.failures, road.failures
+    )
+    assert not runner.failures, runner.failures
     return root / "run", report
 
 
@@ -181,12 +185,13 @@ def test_a_training_tells_how_many_echoes_are_ambiguous(reported, survey):
     """In the run's own directory, so that all is made: every tile is looked at."""
     root, report = reported
     settings = (
-        asked(root.parent / "labels.parquet", values="{nothing: null}"), *FAST,
+        asked(root.parent / "labels.parquet", values="{nothing: null}"),
+        *FAST,
         "areas.train=[[512000, 5403000, 512060, 5403120], [512500, 5403000, 512510, 5403010]]",
-    )  # fmt: skip
+    )
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
     with writer(root), Display() as display:
-        made = training(config, Road(root, Loop(), display), True)
+        made = training(config, Runner(root, Loop(), display), True)
     assert made["ambiguous"] == report["sampling"]["ambiguous"]
     assert f"{made['ambiguous']} echoes lie in polygons of different classes" in describe(made)
     assert "polygons" not in describe({**made, "ambiguous": 0})
@@ -255,19 +260,19 @@ def test_a_system_that_is_given_stands_for_the_file_s_own(survey, drawn, squares
 @pytest.mark.slow
 def test_a_class_that_no_polygon_has_is_told_with_the_codes_that_are_there(survey, drawn, tmp_path):
     drawn[drawn["code"] != 64].to_parquet(tmp_path / "three.parquet")
-    road, report = walk(survey, tmp_path / "run", asked(tmp_path / "three.parquet"), *FAST)
-    assert any("no training rows of class 'artificial'" in o.message for o in road.failures)
+    runner, report = walk(survey, tmp_path / "run", asked(tmp_path / "three.parquet"), *FAST)
+    assert any("no training rows of class 'artificial'" in o.message for o in runner.failures)
     assert any("No echo is labelled 'artificial' (codes 64)" in text for text in report["sampling"]["remarks"])
     assert (tmp_path / "run" / "report.html").exists()
 
 
 @pytest.mark.slow
 def test_a_cloud_whose_codes_no_class_counts_is_told(survey, tmp_path):
-    classes = "survey.classes=[{name: water, code: 9, codes: [9]}, {name: road, code: 11, codes: [11]}]"
-    road, report = walk(survey, tmp_path, classes, *FAST)
-    assert any("no training rows of class 'water', 'road'" in o.message for o in road.failures)
+    classes = "survey.classes=[{name: water, code: 9, codes: [9]}, {name: runner, code: 11, codes: [11]}]"
+    runner, report = walk(survey, tmp_path, classes, *FAST)
+    assert any("no training rows of class 'water', 'runner'" in o.message for o in runner.failures)
     told = " ".join(report["sampling"]["remarks"])
-    assert "No echo is labelled 'water' (codes 9), 'road' (codes 11)" in told
+    assert "No echo is labelled 'water' (codes 9), 'runner' (codes 11)" in told
     assert "the reference also has the codes 2 (" in told
 
 
@@ -286,8 +291,8 @@ def test_one_training_row_of_a_class_works_and_is_told(survey, drawn, squares, t
     one = geopandas.GeoDataFrame({"klass": ["artificial"], "code": [64]}, geometry=[tiny], crs=25832)
     others = drawn[(drawn["code"] != 64) & ~drawn.intersects(tiny)]
     geopandas.GeoDataFrame(geopandas.pd.concat([others, one]), crs=25832).to_parquet(tmp_path / "one.parquet")
-    road, report = walk(survey, tmp_path / "run", asked(tmp_path / "one.parquet"), *FAST)
-    assert not road.failures, road.failures
+    runner, report = walk(survey, tmp_path / "run", asked(tmp_path / "one.parquet"), *FAST)
+    assert not runner.failures, runner.failures
     assert report["training"]["samples"]["artificial"] == 1
     told = " ".join(report["sampling"]["remarks"])
     assert "Class 'artificial' has 1 training row: fewer than 100" in told

@@ -16,24 +16,24 @@ from distributed import LocalCluster
 from objectstore import quick, serving, used
 
 from fwclass.errors import FwclassError
+from fwclass.operate.status.walk import look_at
 from fwclass.run import libraries as told
 from fwclass.run.cluster import Cluster
 from fwclass.run.libraries import announced
 from fwclass.run.local import Loop
 from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
-from fwclass.run.status.look import look_at
+from fwclass.run.runner import Runner
 from fwclass.store import libraries, remote, run_store
-from fwclass.store.home import open_store
 from fwclass.store.remote_read import Remote
+from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
 
 THEN = {"python": "3.11.7", "numpy": "2.4.6", "pyarrow": "26.0.1"}
 NOW = {**THEN, "pyarrow": "22.0.0"}
 
 
-def written(text, desk, directory):
+def written(text, inputs, directory):
     (directory / "a").write_text(text)
     return {}
 
@@ -43,9 +43,9 @@ def tasks(count=2):
     return [first, *(Task("two", str(k), 1, {}, partial(written, str(k)), needs=(first.name,)) for k in range(count))]
 
 
-def workflow(road):
-    road.do(tasks())
-    road.finish(whole=False)
+def workflow(runner):
+    runner.do(tasks())
+    runner.finish(whole=False)
 
 
 def here(monkeypatch, versions, source="0123456789abcdef") -> None:
@@ -59,9 +59,9 @@ def here(monkeypatch, versions, source="0123456789abcdef") -> None:
 
 
 def made(root, **settings) -> list[str]:
-    road = Road(root, Loop(), Display(), **settings)
-    workflow(road)
-    return [o.status for o in road.outcomes.values()]
+    runner = Runner(root, Loop(), Display(), **settings)
+    workflow(runner)
+    return [o.status for o in runner.outcomes.values()]
 
 
 def test_parts_made_with_other_libraries_are_stale_told_and_made_again(tmp_path, monkeypatch):
@@ -85,10 +85,10 @@ def test_other_libraries_are_done_where_that_is_asked_for(tmp_path, monkeypatch)
     here(monkeypatch, NOW)
     [line] = announced(Store(tmp_path), True)
     assert "count as done" in line
-    road = Road(tmp_path, Loop(), Display(), accept_libraries=True)
-    workflow(road)
-    assert {o.status for o in road.outcomes.values()} == {"skipped"}
-    assert told.reported(road)["accepted"] == {"pyarrow 26.0.1 to 22.0.0": 3}
+    runner = Runner(tmp_path, Loop(), Display(), accept_libraries=True)
+    workflow(runner)
+    assert {o.status for o in runner.outcomes.values()} == {"skipped"}
+    assert told.reported(runner)["accepted"] == {"pyarrow 26.0.1 to 22.0.0": 3}
     assert look_at(tmp_path, workflow, accept_libraries=True).all_done
     assert not look_at(tmp_path, workflow).all_done
     [task, *_] = tasks()
@@ -207,15 +207,15 @@ def test_on_object_storage_too(tmp_path, monkeypatch):
     with serving() as s3:
         for name, value in used(s3, tmp_path / "copies").items():
             monkeypatch.setenv(name, value)
-        home = Remote(s3.url(), quick())
+        location = Remote(s3.url(), quick())
         here(monkeypatch, THEN)
-        made(home)
+        made(location)
         monkeypatch.setattr(libraries, "_KNOWN", {})
         here(monkeypatch, NOW)
-        store = open_store(home, lists=True)
+        store = open_store(location, lists=True)
         assert store.fingerprints() == [{"fwclass": "0.1.0", "source": "0123456789abcdef", **THEN}]
         assert announced(store, False)[0].startswith(
             "3 parts were made with other libraries (pyarrow 26.0.1 to 22.0.0)"
         )
-        assert made(home, accept_libraries=True) == ["skipped"] * 3
-        assert made(home) == ["computed"] * 3 and made(home) == ["skipped"] * 3
+        assert made(location, accept_libraries=True) == ["skipped"] * 3
+        assert made(location) == ["computed"] * 3 and made(location) == ["skipped"] * 3

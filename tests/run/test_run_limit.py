@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from fwclass import conf
-from fwclass.run.limit import ended_after, told_after
+from fwclass.operate.estimate.estimate import estimated
+from fwclass.operate.estimate.headers import simulated_facts
+from fwclass.operate.estimate.limits import Room, limits
+from fwclass.run.limit import ended_after, warned_after
 from fwclass.run.local import Loop
 from fwclass.run.lost import TIME, Losses, cause_of
 from fwclass.run.part import Task
-from fwclass.run.planning.estimate import estimated
-from fwclass.run.planning.headers import simulated_facts
-from fwclass.run.planning.limits import Room, limits
 
 
 def test_a_process_that_hears_nobody_is_ended():
@@ -49,14 +49,14 @@ def test_the_plain_loop_says_so(tmp_path):
         said.append(text)
         heard.set()
 
-    def slow(desk, directory):
+    def slow(inputs, directory):
         assert heard.wait(30.0)
         return {}
 
     ended = list(Loop(0.05 / 3600.0, say).run(tmp_path, [Task("one", "a", 1, {}, slow)]))
     assert [o.status for o in ended] == ["computed"]
     assert said and said[0].startswith("one/a has taken longer than run.part_hours")
-    with told_after(3600.0, ("one", "b"), said.append):
+    with warned_after(3600.0, ("one", "b"), said.append):
         pass
     assert len(said) == 1
 
@@ -79,12 +79,12 @@ def test_a_plan_tells_the_longest_part():
     assert "run.part_hours" in told.do
 
 
-def _sleeps(desk, directory):
+def _sleeps(inputs, directory):
     time.sleep(600.0)
     return {}
 
 
-def _works(desk, directory):
+def _works(inputs, directory):
     return {}
 
 

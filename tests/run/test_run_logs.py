@@ -11,7 +11,7 @@ from fwclass.run.local import Loop
 from fwclass.run.logs import LIMIT, attempted, line, log_path
 from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
+from fwclass.run.runner import Runner
 
 
 def parsed(text):
@@ -22,28 +22,28 @@ def parsed(text):
     return found
 
 
-def made(desk, directory):
+def made(inputs, directory):
     (directory / "a").write_text("12345")
     return {"rows": 7, "faults": {"no_packet": 3, "far": 1}}
 
 
 def test_every_attempt_is_a_line(tmp_path):
-    def refused(desk, directory):
+    def refused(inputs, directory):
         raise InputError('no "oil"', where="tank 3", do="fill it")
 
-    def broken(desk, directory):
+    def broken(inputs, directory):
         raise RuntimeError("disk on fire\nand\x1b[31m red")
 
     for work in (refused, broken, made, made):  # the last finds it done: no attempt
-        road = Road(tmp_path, Loop(), Display())
-        road.do([Task("one", "a", 1, {}, work)])
+        runner = Runner(tmp_path, Loop(), Display())
+        runner.do([Task("one", "a", 1, {}, work)])
     rows = log_path(tmp_path, "one", "a").read_text().splitlines()
     first, second, third = map(parsed, rows)
     assert [r["status"] for r in (first, second, third)] == ["failed", "failed", "computed"]
     assert first["message"] == 'no "oil"\n  where: tank 3\n  what to do: fill it' and "traceback" not in first
     assert second["message"].startswith("RuntimeError: disk on fire\nand\x1b[31m red")
     assert "in broken" in second["traceback"] and "disk on fire" in second["traceback"]
-    receipt = road.store.receipt("one", "a")
+    receipt = runner.store.receipt("one", "a")
     assert third["key"] == receipt.key and float(third["seconds"]) == pytest.approx(receipt.seconds, abs=0.001)
     assert (third["rows"], third["bytes"], third["faults"]) == ("7", "5", "no_packet:3,far:1")
     assert float(third["peak_mib"]) > 10 and third["stage"] == "one" and third["part"] == "a"
@@ -92,7 +92,7 @@ def test_a_log_that_cannot_be_written_stops_nothing(tmp_path):
 def test_ctrl_c_in_compiled_code_is_no_fault_of_the_part(tmp_path):
     """numba answers it by a `SystemError`: the run ends as interrupted, and no part has failed."""
 
-    def stopped(desk, directory):
+    def stopped(inputs, directory):
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt as fault:
@@ -116,7 +116,7 @@ def test_a_worker_that_is_lost_is_in_the_log(tmp_path: Path):
     assert last["status"] == "failed" and "worker was lost" in last["message"]
 
 
-def _dies(desk, directory):
+def _dies(inputs, directory):
     import os
 
     os._exit(1)

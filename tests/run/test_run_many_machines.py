@@ -104,8 +104,11 @@ def test_seams_and_damage_are_seen_on_object_storage(s3, stored, survey, host):
 def _read_as_the_manual_says(s3: Server, out: Url) -> None:
     address = s3.address.removeprefix("http://")
     fs = pyarrow.fs.S3FileSystem(
-        access_key="test", secret_key="test", endpoint_override=address, scheme="http"  # noqa: S106
-    )  # fmt: skip
+        access_key="test",
+        secret_key="test",  # noqa: S106
+        endpoint_override=address,
+        scheme="http",
+    )
     run = out.removeprefix("s3://")
     with fs.open_input_stream(f"{run}/current.json") as stream:
         below = f"{run}/{json.load(stream)['address']}"
@@ -184,9 +187,11 @@ def test_a_run_in_trouble_all_the_way_delivers_the_same_bytes(s3, stored, finish
         return meant
 
     troubles = [
-        Trouble("busy", 100, every(0, 17)), Trouble("torn", 100, every(3, 17)), Trouble("deaf", 60, every(5, 17)),
+        Trouble("busy", 100, every(0, 17)),
+        Trouble("torn", 100, every(3, 17)),
+        Trouble("deaf", 60, every(5, 17)),
         Trouble("slow", 60, every(7, 17), seconds=0.2),
-    ]  # fmt: skip
+    ]
     with s3.trouble(*troubles):
         road, _ = walk(stored[0], Remote(out, quick(dead=5.0)), *QUICK)
     assert not road.failures, road.failures

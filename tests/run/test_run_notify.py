@@ -10,8 +10,8 @@ import pytest
 from hook import Hook
 
 from fwclass import conf
-from fwclass.run.schedule.notify import command, longest, post, tell_within
-from fwclass.run.schedule.signals import Signals
+from fwclass.operate.schedule.notify import command, longest, post, tell_within
+from fwclass.operate.schedule.signals import Signals
 
 HIDDEN = "Xy7HIDDENz"
 RECORD = {"id": "1", "word": "done", "exit_code": 0, "why": {"trigger": "cron"}, "run": "/r"}
@@ -123,9 +123,12 @@ def test_a_command_gets_record_and_key_facts(tmp_path, monkeypatch, capfd):
     assert record == RECORD and told.fault == "exit code 5" and told.place.startswith("python")
     facts = {k: v for k, v in environment.items() if k.startswith("FWCLASS_")}
     assert facts == {
-        "FWCLASS_RUN": "/r", "FWCLASS_WORD": "done", "FWCLASS_ID": "1", "FWCLASS_EXIT_CODE": "0",
+        "FWCLASS_RUN": "/r",
+        "FWCLASS_WORD": "done",
+        "FWCLASS_ID": "1",
+        "FWCLASS_EXIT_CODE": "0",
         "FWCLASS_TRIGGER": "cron",
-    }  # fmt: skip
+    }
     assert "HOOK_TOKEN" not in environment
     out, err = capfd.readouterr()
     assert out == "" and "printed" in err

@@ -12,46 +12,58 @@ from runmaker import SETTINGS
 
 from fwclass import conf
 from fwclass.errors import ConfigError
+from fwclass.operate.request import Request
+from fwclass.operate.seams.walk import Asked, seams
+from fwclass.operate.status.replay import task_alone
+from fwclass.operate.status.summary import NO_STAGES
+from fwclass.operate.status.walk import Looked, Silent, look_at
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
-from fwclass.run.request import Request
-from fwclass.run.road import Road
-from fwclass.run.status.look import Looked, Silent, look_at
-from fwclass.run.status.replay import task_alone
-from fwclass.run.status.told import NO_STAGES
+from fwclass.run.runner import Runner
 from fwclass.store.lock import writer
 from fwclass.store.run_store import Store
 from workflows import WORKFLOWS
-from workflows.seams import Asked, seams
 
 SMALL = (
     *SETTINGS,
     "survey.classes=[{name: ground, code: 2, codes: [2]}, {name: building, code: 6, codes: [6]},"
     " {name: vegetation, code: 5, codes: [3, 4, 5]}]",
     "papers.more_classes=[{name: artificial, code: 64, codes: [64]}]",
-    "papers.block=10", "papers.seeds=[1, 2]", "papers.test_echoes=20000", "papers.repeats=2",
-    "select.block=15", "select.folds=2", "select.trees=4", "select.samples_per_class=500", "select.timing_repeats=1",
-    "select.timing_echoes=1000", "select.rates=[1.0, 0.1]", "select.drop=0.5", "select.least=3",
-    "compare.rbf_svm.max_rows=1000", "compare.rbf_svm.search_rows=300", "compare.rbf_svm.gamma=[0.3]",
-)  # fmt: skip
+    "papers.block=10",
+    "papers.seeds=[1, 2]",
+    "papers.test_echoes=20000",
+    "papers.repeats=2",
+    "select.block=15",
+    "select.folds=2",
+    "select.trees=4",
+    "select.samples_per_class=500",
+    "select.timing_repeats=1",
+    "select.timing_echoes=1000",
+    "select.rates=[1.0, 0.1]",
+    "select.drop=0.5",
+    "select.least=3",
+    "compare.rbf_svm.max_rows=1000",
+    "compare.rbf_svm.search_rows=300",
+    "compare.rbf_svm.gamma=[0.3]",
+)
 
 
 def follow(name: str, survey: Path, root: Path, *settings: str, tiles=None):
     config = conf.load("demo", (*SMALL, f"survey.directory={survey}", *settings))
     root.mkdir(parents=True, exist_ok=True)
     with writer(root), Display() as display:
-        road = Road(root, Loop(), display)
-        report = WORKFLOWS[name](config, road, tiles)
-        road.publish(config.run.keep_generations)
-        return road, report
+        runner = Runner(root, Loop(), display)
+        report = WORKFLOWS[name](config, runner, tiles)
+        runner.publish(config.run.keep_generations)
+        return runner, report
 
 
 @pytest.fixture(scope="module")
 def fan(survey: Path, tmp_path_factory: pytest.TempPathFactory):
     """(root, facts) of the workflow fan2013."""
     root = tmp_path_factory.mktemp("fan")
-    road, _ = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
-    assert not road.failures
+    runner, _ = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
+    assert not runner.failures
     return root, json.loads((root / "fan2013.json").read_text())
 
 
@@ -103,16 +115,17 @@ def test_every_claim_has_a_verdict_and_the_page_stands_alone(fan) -> None:
 
 def test_a_second_run_makes_nothing(fan, survey: Path) -> None:
     root, facts = fan
-    road, _ = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
-    assert {o.status for o in road.outcomes.values()} == {"skipped"}
+    runner, _ = follow("fan2013", survey, root, "survey.features=fan2013-six", "features.also=[backscatter]")
+    assert {o.status for o in runner.outcomes.values()} == {"skipped"}
     assert json.loads((root / "fan2013.json").read_text()) == {
-        **facts, "selection": json.loads((root / "fan2013.json").read_text())["selection"],
-    }  # fmt: skip
+        **facts,
+        "selection": json.loads((root / "fan2013.json").read_text())["selection"],
+    }
 
 
 def looked_at(name: str, survey: Path, root: Path, *settings: str) -> Looked:
     config = conf.load("demo", (*SMALL, f"survey.directory={survey}", *settings))
-    return look_at(root, lambda road: WORKFLOWS[name](config, road))
+    return look_at(root, lambda runner: WORKFLOWS[name](config, runner))
 
 
 def test_status_tells_the_page_s_own_parts(fan, survey: Path) -> None:
@@ -146,17 +159,22 @@ def test_the_figures_need_the_whole_survey(survey: Path, tmp_path: Path) -> None
 
 NAMES = ["height_above_ground", *(f"{b}_r{r}" for r in (50, 100) for b in ("height_std", "inclination", "egi"))]
 XIONG = (
-    f"survey.features=[{', '.join(NAMES)}]", "features.also=[]", "train.split=exact", "train.criterion=gini",
-    "train.bagging=0.9", "train.replacement=false", "papers.more_classes=[]",
-)  # fmt: skip
+    f"survey.features=[{', '.join(NAMES)}]",
+    "features.also=[]",
+    "train.split=exact",
+    "train.criterion=gini",
+    "train.bagging=0.9",
+    "train.replacement=false",
+    "papers.more_classes=[]",
+)
 
 
 @pytest.fixture(scope="module")
 def xiong(survey: Path, tmp_path_factory: pytest.TempPathFactory):
     """(root, facts) of the workflow xiong2018 with few features."""
     root = tmp_path_factory.mktemp("xiong")
-    road, report = follow("xiong2018", survey, root, *XIONG)
-    assert not road.failures
+    runner, report = follow("xiong2018", survey, root, *XIONG)
+    assert not runner.failures
     return root, json.loads((root / "xiong2018.json").read_text()), report
 
 
@@ -217,11 +235,11 @@ def test_status_replay_and_seams_of_a_run_that_chooses_its_features(xiong, surve
 def test_features_that_the_paper_lacks_are_computed_once(survey: Path, tmp_path: Path) -> None:
     """The selection looks at the paper's own among them, in the tables that the run has anyway."""
     more = ("survey.features=[height_above_ground, amplitude, width, zc, height_std_r100]", "features.also=[egi_r50]")
-    road, _ = follow("fan2013", survey, tmp_path, *more, "papers.more_classes=[]")
-    assert not road.failures, road.failures
+    runner, _ = follow("fan2013", survey, tmp_path, *more, "papers.more_classes=[]")
+    assert not runner.failures, runner.failures
     assert looked_at("fan2013", survey, tmp_path, *more, "papers.more_classes=[]").all_done
-    road, _ = follow("fan2013", survey, tmp_path, *more, "papers.more_classes=[]")
-    assert {o.status for o in road.outcomes.values()} == {"skipped"}
+    runner, _ = follow("fan2013", survey, tmp_path, *more, "papers.more_classes=[]")
+    assert {o.status for o in runner.outcomes.values()} == {"skipped"}
 
 
 @pytest.mark.slow
@@ -230,10 +248,10 @@ def test_a_survey_that_has_little_of_what_a_paper_has_gets_its_page(
     name: str, claims: int, survey: Path, tmp_path: Path
 ) -> None:
     """Two features, one that only a waveform tells: the claims on all others are not comparable, none ends the run."""
-    road, _ = follow(
+    runner, _ = follow(
         name, survey, tmp_path, "survey.features=[amplitude, width]", "features.also=[]", "papers.more_classes=[]"
     )
-    assert not road.failures
+    assert not runner.failures
     facts = json.loads((tmp_path / f"{name}.json").read_text())
     assert len(facts["claims"]) == claims
     verdicts = {c["name"]: c["verdict"] for c in facts["claims"]}

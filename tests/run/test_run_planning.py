@@ -17,15 +17,15 @@ from runmaker import SETTINGS
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
+from fwclass.operate.estimate.amounts import amounts
+from fwclass.operate.estimate.estimate import choices, estimated, proposed
+from fwclass.operate.estimate.headers import facts_of, sampled, survey_facts
+from fwclass.operate.estimate.limits import Room, limits, refuse, room_at
+from fwclass.operate.estimate.measured import WHOLE, measured
+from fwclass.operate.estimate.output import deliver
+from fwclass.operate.estimate.spread import Spread
+from fwclass.operate.estimate.whole import planned
 from fwclass.read.source import las_of, open_source
-from fwclass.run.planning.amounts import amounts
-from fwclass.run.planning.estimate import choices, estimated, proposed
-from fwclass.run.planning.headers import facts_of, sampled, survey_facts
-from fwclass.run.planning.limits import Room, limits, refuse, room_at
-from fwclass.run.planning.measured import WHOLE, measured
-from fwclass.run.planning.output import deliver
-from fwclass.run.planning.spread import Spread
-from fwclass.run.planning.whole import planned
 from fwclass.store.run_store import Store
 
 ROOM = Room(16_000.0, 1e12)
@@ -188,10 +188,13 @@ def test_larger_tiles_take_more_memory_and_have_fewer_parts(walked) -> None:
     by_size = {c.size: c for c in plan.choices}
     assert by_size[50.0].tiles > by_size[100.0].tiles >= by_size[1000.0].tiles >= 1
     features = [
-        next(s.memory_mib for s in estimated(plan.config, plan.facts, size, 2, plan.config.plan.stages).stages
-             if s.name == "features")
+        next(
+            s.memory_mib
+            for s in estimated(plan.config, plan.facts, size, 2, plan.config.plan.stages).stages
+            if s.name == "features"
+        )
         for size in (20.0, 50.0, 100.0)
-    ]  # fmt: skip
+    ]
     assert features == sorted(features) and features[0] < features[-1]
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from fwclass import conf
-from fwclass.run.planning.density import costs_at_density, density_known, too_dense
-from fwclass.run.planning.headers import Sample, SurveyFacts, simulated_facts
+from fwclass.operate.estimate.density import costs_at_density, density_known, too_dense
+from fwclass.operate.estimate.headers import Sample, SurveyFacts, simulated_facts
 
 
 def facts_at(config: conf.Config, density: float, even: float = 1.0) -> SurveyFacts:

@@ -26,7 +26,7 @@ def shown(live):
 
 
 def task(stage, n):
-    return Task(stage, f"{n}", 1, {}, lambda desk, directory: {})
+    return Task(stage, f"{n}", 1, {}, lambda inputs, directory: {})
 
 
 def test_many_parts_are_few_lines():

@@ -11,9 +11,9 @@ from commandline import fwclass
 from lasmaker import survey, write_las
 
 from fwclass.errors import ConfigError
+from fwclass.graph.quantities import check_learned, joint, quantities_by_feature
 from fwclass.read.quantities import COUNTS, DECIBELS, FITTED, INTENSITY, NONE, READ, Quantities, quantities_of
 from fwclass.read.source import open_source
-from fwclass.run.quantities import check_learned, joint, quantities_by_feature
 
 CONFIG = """
 survey:
@@ -36,10 +36,16 @@ def discrete(source, target, extra=None):
     """The returns of a file without its waveforms."""
     las = laspy.read(source)
     return write_las(
-        target, np.column_stack([las.x, las.y, las.z]), point_format=6, return_number=np.asarray(las.return_number),
-        number_of_returns=np.asarray(las.number_of_returns), intensity=np.asarray(las.intensity),
-        classification=np.asarray(las.classification), gps_time=np.asarray(las.gps_time), extra=extra,
-    )  # fmt: skip
+        target,
+        np.column_stack([las.x, las.y, las.z]),
+        point_format=6,
+        return_number=np.asarray(las.return_number),
+        number_of_returns=np.asarray(las.number_of_returns),
+        intensity=np.asarray(las.intensity),
+        classification=np.asarray(las.classification),
+        gps_time=np.asarray(las.gps_time),
+        extra=extra,
+    )
 
 
 def write(folder, kind="source", features=AMPLITUDE):
@@ -105,8 +111,11 @@ def test_what_depends_on_which_quantity():
     names = ("zc", "echo_number", "amplitude_std_k20", "energy", "backscatter", "width_mean_r100", "intensity")
     made = quantities_by_feature(names, RIEGL)
     assert {n: one["quantity"] for n, one in made.items()} == {
-        "amplitude_std_k20": DECIBELS, "energy": DECIBELS, "backscatter": DECIBELS, "width_mean_r100": READ,
-    }  # fmt: skip
+        "amplitude_std_k20": DECIBELS,
+        "energy": DECIBELS,
+        "backscatter": DECIBELS,
+        "width_mean_r100": READ,
+    }
     assert made["width_mean_r100"]["unit"] == "ns"
 
 

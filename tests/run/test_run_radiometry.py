@@ -13,10 +13,22 @@ from runmaker import walk
 
 from fwclass import conf
 from fwclass.errors import ConfigError
-from fwclass.run.plan.layout import check_features
+from fwclass.graph.layout import check_features
 
-NAMES = ["strip", "x", "y", "z", "classification", "number_of_echoes", "range", "incidence", "cross_section",
-         "backscatter", "reflectance", "radiometry_flags"]  # fmt: skip
+NAMES = [
+    "strip",
+    "x",
+    "y",
+    "z",
+    "classification",
+    "number_of_echoes",
+    "range",
+    "incidence",
+    "cross_section",
+    "backscatter",
+    "reflectance",
+    "radiometry_flags",
+]
 POLYGON = "[[512000, 5403000], [512120, 5403000], [512120, 5403120], [512000, 5403120]]"
 
 
@@ -43,15 +55,27 @@ def test_ranges_come_from_the_trajectory_and_columns_are_delivered(finished):
     assert ((found["number_of_echoes"] > 1) == (found["radiometry_flags"] & 1 > 0)).all()
     with laspy.open(next((root / "laz" / "tiles").glob("*.laz"))) as file:
         names = set(file.header.point_format.extra_dimension_names)
-    assert names >= {"Amplitude", "Reflectance", "Deviation", "echo width", "cross section", "backscatter",
-                     "incidence angle", "echo energy", "range sigma"}  # fmt: skip
+    assert names >= {
+        "Amplitude",
+        "Reflectance",
+        "Deviation",
+        "echo width",
+        "cross section",
+        "backscatter",
+        "incidence angle",
+        "echo energy",
+        "range sigma",
+    }
 
 
 @pytest.fixture(scope="module")
 def balanced(survey, tmp_path_factory):
     root = tmp_path_factory.mktemp("balanced")
-    settings = ("radiometry.balance=true", "radiometry.calibration=null",
-                f"radiometry.target={{polygon: {POLYGON}, reflectance: 0.3}}")  # fmt: skip
+    settings = (
+        "radiometry.balance=true",
+        "radiometry.calibration=null",
+        f"radiometry.target={{polygon: {POLYGON}, reflectance: 0.3}}",
+    )
     _, report = walk(survey, root, *settings)
     return root, report, settings
 
@@ -91,8 +115,12 @@ def test_no_range_no_radiometry(survey):
 def test_pulsewaves_go_the_whole_road(finished, tmp_path):
     """A format without returns, classified by a given forest: ranges of its own, no strips to deliver."""
     pulsewaves(tmp_path / "a.pls", pulses=300)
-    settings = ("survey.sources=[a.pls]", "survey.trajectory.files=[]", f"survey.model={finished[0] / 'model'}",
-                "survey.reference={kind: none}")  # fmt: skip
+    settings = (
+        "survey.sources=[a.pls]",
+        "survey.trajectory.files=[]",
+        f"survey.model={finished[0] / 'model'}",
+        "survey.reference={kind: none}",
+    )
     road, report = walk(tmp_path, tmp_path / "run", *settings)
     assert not road.failures
     assert report["counts"]["pulses"] == 300 <= report["counts"]["echoes_in_tiles"]

@@ -11,13 +11,13 @@ import pytest
 import rasterio
 
 from fwclass import conf
+from fwclass.graph import report
+from fwclass.graph.work.outputs import delivered_rasters
+from fwclass.graph.work.rasters import Mosaic, stripes, write_rasters
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.figures import class_map
 from fwclass.publish.shade import hillshade
-from fwclass.run import report
-from fwclass.run.desk import Desk
-from fwclass.run.work.outputs import delivered_rasters
-from fwclass.run.work.rasters import Mosaic, stripes, write_rasters
+from fwclass.run.inputs import PartInputs
 from fwclass.store.run_store import Store
 
 SIZE = 32.0
@@ -25,8 +25,8 @@ BOX = Box(512_010.0, 5_403_005.0, 512_150.0, 5_403_190.0)
 NAMES = {2: "ground", 6: "building"}
 
 
-class Counted(Desk):
-    """A desk that counts how often each part is read."""
+class Counted(PartInputs):
+    """A inputs that counts how often each part is read."""
 
     def arrays(self, stage: str, part: str, name: str):
         self.read[stage, part] = self.read.get((stage, part), 0) + 1
@@ -52,7 +52,7 @@ def written(arrays: dict[str, np.ndarray], window: Window, directory: Path) -> d
 
 @pytest.fixture(params=[1.0, 3.0])
 def laid(request, tmp_path: Path):
-    """(desk, blocks, cell): blocks with a gap of two rows of them; of 3 m cells neighbours share some."""
+    """(inputs, blocks, cell): blocks with a gap of two rows of them; of 3 m cells neighbours share some."""
     cell, store = request.param, Store(tmp_path / "run")
     blocks = tuple(b for b in TileGrid(SIZE).touching(BOX) if b.iy % 5 not in (2, 3))
     for block in blocks:
@@ -80,31 +80,31 @@ def expected(blocks: tuple[Tile, ...], cell: float, window: Window) -> dict[str,
 
 @pytest.mark.parametrize("rows", [1, 7, 64, 1000])
 def test_stripes_of_any_width_make_the_whole_and_read_each_block_once(laid, rows: int) -> None:
-    desk, blocks, cell = laid
+    inputs, blocks, cell = laid
     window, empty = Window.covering(BOX, cell), {"dtm": np.float32(np.nan), "dsm": np.float32(np.nan)}
     whole = expected(blocks, cell, window)
-    mosaic, found = Mosaic(desk, "terrain", blocks, cell, empty), []
+    mosaic, found = Mosaic(inputs, "terrain", blocks, cell, empty), []
     for stripe in stripes(window, rows):
         found.append(mosaic.laid(stripe))
         there = np.isfinite(found[-1]["dtm"]).any()
         assert mosaic.touches(stripe) or not there
-    assert set(desk.read.values()) == {1} and len(desk.read) == len(blocks)
+    assert set(inputs.read.values()) == {1} and len(inputs.read) == len(blocks)
     for name in empty:
         assert np.array_equal(np.concatenate([f[name] for f in found[::-1]]), whole[name], equal_nan=True)
 
 
 @pytest.mark.parametrize("step", [1, 2, 7, 500])
 def test_a_thinned_mosaic_is_every_so_manyth_cell(laid, step: int) -> None:
-    desk, blocks, cell = laid
+    inputs, blocks, cell = laid
     window = Window.covering(BOX, cell)
     empty = {"dtm": np.float32(np.nan), "dsm": np.float32(np.nan)}
     whole = expected(blocks, cell, window)
-    for name, raster in Mosaic(desk, "terrain", blocks, cell, empty).thinned(window, step).items():
+    for name, raster in Mosaic(inputs, "terrain", blocks, cell, empty).thinned(window, step).items():
         assert np.array_equal(raster, whole[name][::step, ::step], equal_nan=True)
 
 
 def test_a_map_of_a_large_survey_is_drawn_from_the_cells_that_it_shows(laid, monkeypatch) -> None:
-    desk, blocks, cell = laid
+    inputs, blocks, cell = laid
     config = conf.load("demo", ())
     config = replace(config, publish=config.publish.model_copy(update={"figure_pixels": 20}))
     window = Window.covering(BOX, cell)
@@ -112,7 +112,7 @@ def test_a_map_of_a_large_survey_is_drawn_from_the_cells_that_it_shows(laid, mon
     drawn, report_cells = {}, report.MAP_CELLS
     for limit in (report_cells, 100):
         monkeypatch.setattr(report, "MAP_CELLS", limit)
-        mosaic = Mosaic(desk, "class-block", blocks, cell, {"classes": np.uint8(0)})
+        mosaic = Mosaic(inputs, "class-block", blocks, cell, {"classes": np.uint8(0)})
         drawn[limit] = report.drawable(mosaic, window, config)
     assert np.array_equal(drawn[report_cells][0], classes)
     few = drawn[100][0]
@@ -123,11 +123,11 @@ def test_a_map_of_a_large_survey_is_drawn_from_the_cells_that_it_shows(laid, mon
 
 def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> None:
     """Light on a stripe's edge asks for the rows beyond it; a stripe without any block has no data."""
-    desk, blocks, cell = laid
+    inputs, blocks, cell = laid
     params = conf.load("demo", ()).publish.model_copy(update={"class_cell": cell})
     window = Window.covering(BOX, cell)
     whole = expected(blocks, cell, window)
-    told = delivered_rasters(BOX, cell, blocks, NAMES, "EPSG:25832", params, "rasters", desk, tmp_path)
+    told = delivered_rasters(BOX, cell, blocks, NAMES, "EPSG:25832", params, "rasters", inputs, tmp_path)
     there = np.isfinite(whole["dtm"])
     assert told == {"dtm_cells": there.sum(), "class_cells": (whole["classes"] > 0).sum()}
     tone = np.where(there, 1 + 254 * hillshade(whole["dtm"], cell, params), 0).astype(np.uint8)

@@ -12,8 +12,8 @@ from runmaker import delivered, looked, walk
 
 from fwclass import conf
 from fwclass.features.params import Asked, is_feature
+from fwclass.graph.numbering import NUMBERS, numbers
 from fwclass.grid import Box, TileGrid
-from fwclass.run.plan.numbering import NUMBERS, numbers
 from fwclass.store.cells import CELL
 
 TILE = 40.0

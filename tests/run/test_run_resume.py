@@ -14,12 +14,12 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.run.local import Loop, WhenNeeded
 from fwclass.run.part import Task
 from fwclass.run.progress import Display
-from fwclass.run.road import Road, require_all
+from fwclass.run.runner import Runner, require_all
 
 
-def statuses(road):
+def statuses(runner):
     found = {}
-    for outcome in road.outcomes.values():
+    for outcome in runner.outcomes.values():
         found.setdefault(outcome.stage, set()).add(outcome.status)
     return found
 
@@ -32,13 +32,13 @@ def copy(finished, tmp_path):
 
 
 def test_a_second_run_makes_nothing(survey, copy):
-    road, _ = walk(survey, copy)
-    assert {s for found in statuses(road).values() for s in found} == {"skipped"}
+    runner, _ = walk(survey, copy)
+    assert {s for found in statuses(runner).values() for s in found} == {"skipped"}
 
 
 def test_a_changed_parameter_re_runs_its_stage_and_what_follows(survey, copy, tmp_path):
-    road, _ = walk(survey, copy, "train.trees=11")
-    found = statuses(road)
+    runner, _ = walk(survey, copy, "train.trees=11")
+    found = statuses(runner)
     for stage in ("read", "decompose", "tile", "ground-filter", "ground", "terrain", "height", "features", "label"):
         assert found[stage] == {"skipped"}, stage
     assert "computed" in found["trees"] and found["train"] == found["classify"] == {"computed"}
@@ -51,18 +51,18 @@ def test_lost_and_damaged_parts_are_made_again(survey, copy, finished):
     shutil.rmtree(next((copy / "store" / "features").iterdir()))
     victim = next((copy / "laz" / "tiles").iterdir())
     victim.write_bytes(b"")
-    road, _ = walk(survey, copy)
-    assert not road.failures
-    assert "computed" in statuses(road)["features"]
+    runner, _ = walk(survey, copy)
+    assert not runner.failures
+    assert "computed" in statuses(runner)["features"]
     assert delivered(copy) == delivered(finished[0])
 
 
 def test_a_model_of_another_run_classifies_without_labels(survey, finished, tmp_path):
     root = finished[0]
     given = (f"survey.model={root / 'model'}", "survey.reference={kind: none, files: []}", "areas.train=[]")
-    road, report = walk(survey, tmp_path, *given)
-    assert not road.failures and report["accuracy"] is None
-    assert "sample" not in statuses(road) and "trees" not in statuses(road)
+    runner, report = walk(survey, tmp_path, *given)
+    assert not runner.failures and report["accuracy"] is None
+    assert "sample" not in statuses(runner) and "trees" not in statuses(runner)
     before, after = delivered(root), delivered(tmp_path)
     assert after == {n: d for n, d in before.items() if not n.startswith("model/")}
     (tmp_path / "bad").mkdir()
@@ -72,8 +72,8 @@ def test_a_model_of_another_run_classifies_without_labels(survey, finished, tmp_
 
 def test_chosen_tiles_of_a_finished_run_are_reported_alone(survey, finished, copy):
     key = sorted(n for n in delivered(finished[0]) if n.startswith("parquet/"))[0].split("/")[1].split(".")[0]
-    road, report = walk(survey, copy, tiles=frozenset({key}))
-    assert statuses(road)["publish-tile"] == {"skipped"} and not report["whole"]
+    runner, report = walk(survey, copy, tiles=frozenset({key}))
+    assert statuses(runner)["publish-tile"] == {"skipped"} and not report["whole"]
     assert report["outputs"]["laz"] == [f"laz/tiles/{key}.laz"] and not report["outputs"]["rasters"]
     assert delivered(copy) == delivered(finished[0])  # it lies aside
 
@@ -81,8 +81,8 @@ def test_chosen_tiles_of_a_finished_run_are_reported_alone(survey, finished, cop
 def test_chosen_tiles_come_out_as_in_a_whole_run(survey, finished, tmp_path):
     whole = delivered(finished[0])
     key = sorted(n for n in whole if n.startswith("parquet/"))[0].split("/")[1].split(".")[0]
-    road, _ = walk(survey, tmp_path, tiles=frozenset({key}))
-    assert not road.failures
+    runner, _ = walk(survey, tmp_path, tiles=frozenset({key}))
+    assert not runner.failures
     part = delivered(tmp_path)
     assert {n for n in part if "model" not in n} == {f"parquet/{key}.parquet", f"laz/tiles/{key}.laz"}
     assert part == {n: whole[n] for n in part}
@@ -101,11 +101,11 @@ def test_another_tiling_leaves_nothing_of_the_old_one(survey, copy, tmp_path):
 
 
 def test_a_part_that_fails_stops_only_what_needs_it(tmp_path):
-    def work(desk, directory):
+    def work(inputs, directory):
         (directory / "a").write_text("a")
         return {}
 
-    def broken(desk, directory):
+    def broken(inputs, directory):
         raise RuntimeError("disk on fire")
 
     tasks = [
@@ -114,26 +114,26 @@ def test_a_part_that_fails_stops_only_what_needs_it(tmp_path):
         Task("two", "a", 1, {}, work, needs=(("one", "a"),)),
         Task("two", "b", 1, {}, work, needs=(("one", "b"),)),
     ]
-    road = Road(tmp_path, Loop(), Display())
-    done = road.do(tasks)
+    runner = Runner(tmp_path, Loop(), Display())
+    done = runner.do(tasks)
     assert set(done) == {("one", "a"), ("two", "a")}
-    assert {n: o.status for n, o in road.outcomes.items() if not o.ok} == {
+    assert {n: o.status for n, o in runner.outcomes.items() if not o.ok} == {
         ("one", "b"): "failed",
         ("two", "b"): "blocked",
     }
-    assert "disk on fire" in road.failures[0].message
+    assert "disk on fire" in runner.failures[0].message
     assert "disk on fire" in (tmp_path / "logs" / "one" / "b.log").read_text()
 
 
 def test_a_failure_is_told_once(tmp_path, capsys):
     """Parts that fail alike, and the error that ends the run, do not repeat what stands above."""
 
-    def broken(desk, directory):
+    def broken(inputs, directory):
         raise InputError("no oil", where="tank", do="fill it")
 
-    road = Road(tmp_path, Loop(), Display())
+    runner = Runner(tmp_path, Loop(), Display())
     with pytest.raises(InputError, match="no oil") as ended:
-        require_all(road, [Task("one", part, 1, {}, broken) for part in "abc"])
+        require_all(runner, [Task("one", part, 1, {}, broken) for part in "abc"])
     shown = capsys.readouterr().err
     assert shown.count("fill it") == 1 and shown.count("as above") == 2
     assert "fill it" not in str(ended.value)
@@ -142,17 +142,17 @@ def test_a_failure_is_told_once(tmp_path, capsys):
 def test_a_failure_of_today_does_not_let_yesterdays_part_through(tmp_path):
     """If the source of a part breaks, a part that read its older version must not count as done."""
 
-    def work(desk, directory):
+    def work(inputs, directory):
         (directory / "a").write_text("a")
         return {}
 
-    def broken(desk, directory):
+    def broken(inputs, directory):
         raise RuntimeError
 
     follow = Task("two", "a", 1, {}, work, needs=(("one", "a"),))
-    assert len(Road(tmp_path, Loop(), Display()).do([Task("one", "a", 1, {}, work), follow])) == 2
-    road = Road(tmp_path, Loop(), Display())
-    assert road.do([Task("one", "a", 2, {}, broken), follow]) == {}
+    assert len(Runner(tmp_path, Loop(), Display()).do([Task("one", "a", 1, {}, work), follow])) == 2
+    runner = Runner(tmp_path, Loop(), Display())
+    assert runner.do([Task("one", "a", 2, {}, broken), follow]) == {}
 
 
 def test_reference_of_another_place_is_refused(survey, tmp_path):
@@ -184,13 +184,13 @@ def test_workers_start_for_the_first_part_and_never_for_none(tmp_path):
         yield Loop()
         states.append("ended")
 
-    def work(desk, directory):
+    def work(inputs, directory):
         (directory / "made.txt").write_text("x")
         return {}
 
     tasks = [Task("one", part, 1, {}, work) for part in "abc"]
     for expected in (["started", "ended"], ["started", "ended"]):  # the second time nothing is left to do
         with WhenNeeded(workers) as executor, Display() as display:
-            road = Road(tmp_path, executor, display)
-            assert len(road.do(tasks[:2])) == 2 and len(road.do(tasks)) == 3
+            runner = Runner(tmp_path, executor, display)
+            assert len(runner.do(tasks[:2])) == 2 and len(runner.do(tasks)) == 3
         assert states == expected

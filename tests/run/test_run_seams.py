@@ -13,16 +13,16 @@ from runmaker import SETTINGS, rewrite_table, walk
 from fwclass import conf
 from fwclass.errors import ConfigError, QualityError, StoreError
 from fwclass.features.params import Asked as Features
-from fwclass.run.desk import Desk
-from fwclass.run.shifted.differ import Seam, differs
-from fwclass.run.shifted.places import chosen, places, shift_of
-from fwclass.run.shifted.told import as_data, as_text
-from fwclass.run.status.look import Silent, look_at
+from fwclass.operate.seams.differ import Seam, differs
+from fwclass.operate.seams.places import chosen, places, shift_of
+from fwclass.operate.seams.summary import as_data, as_text
+from fwclass.operate.seams.walk import Asked, seams
+from fwclass.operate.status.walk import Silent, look_at
+from fwclass.run.inputs import PartInputs
 from fwclass.store.lock import writer
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table
 from workflows import WORKFLOWS
-from workflows.seams import Asked, seams
 
 CHECK = ("seams.width=4", "seams.share=1")
 SMALL = "tile.size=30"
@@ -137,7 +137,7 @@ def test_a_halo_too_small_is_found(survey, copy, tmp_path, monkeypatch):
 
     def near_sighted(part, table):
         (tmp_path / part).mkdir()
-        looked.tasks["features", part].work(Desk(Store(copy)), tmp_path / part)
+        looked.tasks["features", part].work(PartInputs(Store(copy)), tmp_path / part)
         return read_table(tmp_path / part / "table.parquet")
 
     damage(copy, "features", near_sighted)

@@ -13,19 +13,19 @@ from runmaker import SETTINGS, walk
 from fwclass import conf
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.work.forest import within
 from fwclass.grid import Box
 from fwclass.run.cluster import Cluster
-from fwclass.run.desk import Desk
+from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
-from fwclass.run.select import output
-from fwclass.run.select.sample import TRAINING, training_of
-from fwclass.run.work.forest import within
+from fwclass.run.runner import Runner
 from fwclass.schema import Table, canonical_key
 from fwclass.store.run_store import Store
-from workflows.selection import selection
-from workflows.thinning import thinning
+from fwclass.study.select import output
+from fwclass.study.select.sample import TRAINING, training_of
+from fwclass.study.selection import selection
+from fwclass.study.thinning import thinning
 
 CANDIDATES = ("zc", "echo_number", "amplitude", "inclination_r100", "width")
 SMALL = ("select.block=15", "select.trees=5", "select.samples_per_class=500", "select.timing_repeats=1")
@@ -34,9 +34,11 @@ SMALL = ("select.block=15", "select.trees=5", "select.samples_per_class=500", "s
 def _chosen(survey: Path, root: Path, method: str, *settings: str, executor=None, names=CANDIDATES, **asked):
     config = conf.load("demo", (*SETTINGS, *SMALL, f"survey.directory={survey}", *settings))
     with Display() as display:
-        road = Road(root, executor or Loop(), display)
+        runner = Runner(root, executor or Loop(), display)
         return (
-            thinning(config, road, names) if method == "thinning" else selection(config, road, names, method, **asked)
+            thinning(config, runner, names)
+            if method == "thinning"
+            else selection(config, runner, names, method, **asked)
         )
 
 
@@ -67,7 +69,7 @@ def test_forward_tells_curve_cost_and_set(forwards):
 
 def test_only_training_areas_are_read(survey, root, forwards):
     config = conf.load("demo", (*SETTINGS, *SMALL))
-    placed, folds = training_of(Desk(Store(root)), CANDIDATES)
+    placed, folds = training_of(PartInputs(Store(root)), CANDIDATES)
     boxes = config.areas.boxes("train")
     n = placed.sample.rows
     table = Table({"x": placed.x, "y": placed.y})
@@ -150,10 +152,10 @@ def test_thinning_curve(survey, root, tmp_path):
 
 def _classes(root: Path) -> dict[int, tuple[int, bool]]:
     """(class code, sampled) of every echo by its key."""
-    desk, found = Desk(Store(root)), {}
+    inputs, found = PartInputs(Store(root)), {}
     identity = dict.fromkeys(("strip", "pulse", "echo_number"), "tile")
     for receipt in Store(root).receipts("classify"):
-        table = desk.rows(receipt.part, {**identity, "classification": "classify", "sampled": "thin"})
+        table = inputs.rows(receipt.part, {**identity, "classification": "classify", "sampled": "thin"})
         values = zip(table["classification"].tolist(), table["sampled"].tolist(), strict=True)
         found |= dict(zip(canonical_key(table).tolist(), values, strict=True))
     return found
@@ -162,8 +164,8 @@ def _classes(root: Path) -> dict[int, tuple[int, bool]]:
 @pytest.mark.slow
 def test_a_thinned_run_is_the_same_for_any_tiles(survey, finished, tmp_path):
     shutil.copytree(finished[0], tmp_path / "a", symlinks=True)
-    road, report = walk(survey, tmp_path / "a", "thin.rate=0.2")
-    assert not road.failures, road.failures
+    runner, report = walk(survey, tmp_path / "a", "thin.rate=0.2")
+    assert not runner.failures, runner.failures
     other, _ = walk(survey, tmp_path / "b", "thin.rate=0.2", "tile.size=35")
     assert not other.failures, other.failures
     one, two = _classes(tmp_path / "a"), _classes(tmp_path / "b")

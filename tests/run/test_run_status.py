@@ -12,47 +12,47 @@ from runmaker import SETTINGS, walk
 
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError, PartialError
+from fwclass.operate.request import Request
+from fwclass.operate.status.replay import task_alone
+from fwclass.operate.status.summary import as_data, as_text
+from fwclass.operate.status.walk import look_at
+from fwclass.operate.status.why import differences
 from fwclass.run.cluster import Cluster
 from fwclass.run.local import Loop
 from fwclass.run.part import Task
 from fwclass.run.progress import Display
-from fwclass.run.request import Request
-from fwclass.run.road import Road, require_all
-from fwclass.run.status.look import look_at
-from fwclass.run.status.replay import task_alone
-from fwclass.run.status.told import as_data, as_text
-from fwclass.run.status.why import differences
-from fwclass.store.foreign import Foreign
+from fwclass.run.runner import Runner, require_all
+from fwclass.store.external_file import ExternalFile
 from fwclass.store.lock import holder, writer
 from workflows import WORKFLOWS
 
 
 def written(text):
-    def work(desk, directory):
+    def work(inputs, directory):
         (directory / "a").write_text(text)
         return {}
 
     return work
 
 
-def broken(desk, directory):
+def broken(inputs, directory):
     raise InputError("no oil", where="tank", do="fill it")
 
 
 def flow(*tasks):
     """A workflow of one batch."""
 
-    def run(road):
-        road.do(tasks)
-        road.finish(whole=False)
+    def run(runner):
+        runner.do(tasks)
+        runner.finish(whole=False)
 
     return run
 
 
 def made(root, *tasks, **settings):
-    road = Road(root, Loop(), Display(), **settings)
-    flow(*tasks)(road)
-    return road
+    runner = Runner(root, Loop(), Display(), **settings)
+    flow(*tasks)(runner)
+    return runner
 
 
 def seen(root, *tasks):
@@ -63,7 +63,7 @@ def seen(root, *tasks):
 
 def pair(text="x", version=1, params=None, file="d1"):
     """A part that reads a file, and one that reads it."""
-    first = Task("one", "a", version, params or {"cell": 0.5}, written(text), external=(Foreign("a.las", file),))
+    first = Task("one", "a", version, params or {"cell": 0.5}, written(text), external=(ExternalFile("a.las", file),))
     return first, Task("two", "a", 1, {}, written("y"), needs=(("one", "a"),))
 
 
@@ -91,9 +91,7 @@ def test_nothing_made_all_made_and_lost(tmp_path):
 )
 def test_a_change_is_named_and_what_follows_waits(tmp_path, change, reason):
     made(tmp_path, *pair())
-    assert seen(tmp_path, *pair(**change)) == {
-        "one/a": ("stale", [reason]), "two/a": ("stale", ["needs one/a, stale"]),
-    }  # fmt: skip
+    assert seen(tmp_path, *pair(**change)) == {"one/a": ("stale", [reason]), "two/a": ("stale", ["needs one/a, stale"])}
 
 
 def test_a_part_made_anew_a_new_one_and_one_that_is_gone(tmp_path):
@@ -147,7 +145,7 @@ def test_a_failed_part_keeps_its_words_until_it_is_made(tmp_path):
 def test_a_part_under_way_is_running_only_while_its_run_lives(tmp_path):
     found = []
 
-    def looks(desk, directory):
+    def looks(inputs, directory):
         found.append(seen(tmp_path, task)["one/a"][0])
         found.append(holder(tmp_path))
         return {}
@@ -176,10 +174,10 @@ def test_a_name_left_by_a_killed_run_is_not_believed(tmp_path):
 def test_the_plan_ends_where_what_follows_is_not_known(tmp_path):
     first, follow = pair()
 
-    def run(road):
-        require_all(road, [first])
-        road.do([follow])
-        road.finish(whole=True)
+    def run(runner):
+        require_all(runner, [first])
+        runner.do([follow])
+        runner.finish(whole=True)
 
     looked = look_at(tmp_path, run)
     assert looked.ends == "one/a is missing" and set(looked.states) == {("one", "a")} and not looked.all_done
@@ -192,24 +190,24 @@ def test_fail_fast_stops_and_keep_going_does_not(tmp_path):
     with pytest.raises(PartialError, match="first part that failed"):
         made(tmp_path / "fast", bad, good, fail_fast=True)
     assert seen(tmp_path / "fast", bad, good)["one/b"][0] == "missing"
-    road = made(tmp_path / "on", bad, good)
-    assert [o.part for o in road.failures] == ["a"]
+    runner = made(tmp_path / "on", bad, good)
+    assert [o.part for o in runner.failures] == ["a"]
     assert seen(tmp_path / "on", bad, good)["one/b"][0] == "done"
 
 
 def test_fail_fast_begins_nothing_more_on_a_cluster(tmp_path):
-    def slow(desk, directory):
+    def slow(inputs, directory):
         time.sleep(0.3)
         return {}
 
-    def fails(desk, directory):
+    def fails(inputs, directory):
         raise RuntimeError("no oil")
 
     tasks = [Task("one", "a", 1, {}, fails), *(Task("one", f"b{k}", 1, {}, slow) for k in range(12))]
     with Cluster(None, 1, 1.0, 1000) as cluster:
-        road = Road(tmp_path, cluster, Display(), fail_fast=True)
+        runner = Runner(tmp_path, cluster, Display(), fail_fast=True)
         with pytest.raises(PartialError):
-            road.do(tasks)
+            runner.do(tasks)
     standings = [s for s, _ in seen(tmp_path, *tasks).values()]
     assert standings[0] == "failed" and standings.count("done") < 6
 
@@ -251,16 +249,19 @@ def test_differences_in_words():
     now = {"a": 1, "b": {"c": [2, 1], "d": 0.5}, "names": ["x", "z"], "k": [{"code": 3}], "new": "v" * 99}
     told = differences(then, now)
     assert told[:5] == [
-        "b.c: in another order", "b.d: null to 0.5", "gone: 1 is gone", "k[0].code: 2 to 3",
+        "b.c: in another order",
+        "b.d: null to 0.5",
+        "gone: 1 is gone",
+        "k[0].code: 2 to 3",
         "names: now without y and with z",
-    ]  # fmt: skip
+    ]
     assert told[5].startswith("new: vvv") and len(told[5]) < 70
     assert differences(then, then) == []
 
 
 def looked_at(survey, root, *settings):
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
-    return look_at(root, lambda road: WORKFLOWS["classification"](config, road, None))
+    return look_at(root, lambda runner: WORKFLOWS["classification"](config, runner, None))
 
 
 def test_a_whole_run_is_done_and_looking_writes_nothing(survey, finished):
@@ -280,8 +281,8 @@ def test_a_run_makes_what_was_told_to_be_stale_and_no_more(survey, finished, tmp
     assert {r.text for n in own if n[0] == "label" for r in left[n].reasons} == {
         f"parameter max_distance: {conf.load('demo').label.max_distance} to 0.4"
     }
-    road, _ = walk(survey, root, "train.trees=11", "label.max_distance=0.4")
-    computed = {n for n, o in road.outcomes.items() if o.status == "computed"}
+    runner, _ = walk(survey, root, "train.trees=11", "label.max_distance=0.4")
+    computed = {n for n, o in runner.outcomes.items() if o.status == "computed"}
     assert own <= computed <= left.keys()
     assert looked_at(survey, root, "train.trees=11", "label.max_distance=0.4").all_done
 

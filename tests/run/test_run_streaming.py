@@ -10,13 +10,13 @@ from fwclass.run.cluster import Cluster
 from fwclass.run.local import Loop
 from fwclass.run.part import Task
 from fwclass.run.progress import Display
-from fwclass.run.road import Road
+from fwclass.run.runner import Runner
 from fwclass.run.tasks import Tasks
 
 WINDOW = 8
 
 
-def nothing(fails, desk, directory):
+def nothing(fails, inputs, directory):
     (directory / "nothing.txt").write_text("x")
     if fails:
         raise ValueError("on purpose")
@@ -48,15 +48,15 @@ class Made:
 
 def walked(root, executor, tasks):
     with Display() as display:
-        road = Road(root, executor, display)
-        return road, road.do(tasks)
+        runner = Runner(root, executor, display)
+        return runner, runner.do(tasks)
 
 
 def test_the_loop_holds_one_task(tmp_path):
     made = Made()
-    road, done = walked(tmp_path, Loop(), made.plan(200))
+    runner, done = walked(tmp_path, Loop(), made.plan(200))
     assert len(done) == 400 and made.most <= 3
-    assert Counter(o.status for o in road.outcomes.values()) == {"computed": 400}
+    assert Counter(o.status for o in runner.outcomes.values()) == {"computed": 400}
     again, _ = walked(tmp_path, Loop(), made.plan(200))
     assert Counter(o.status for o in again.outcomes.values()) == {"skipped": 400} and made.most <= 3
 
@@ -64,10 +64,10 @@ def test_the_loop_holds_one_task(tmp_path):
 def test_the_cluster_knows_a_window_and_failures_block_what_follows(tmp_path):
     made = Made(fails={3, 57})
     with Cluster(None, 2, 2.0, WINDOW) as cluster:
-        road, done = walked(tmp_path, cluster, made.plan(60))
+        runner, done = walked(tmp_path, cluster, made.plan(60))
     assert made.most <= WINDOW + 2
-    assert {n for n, o in road.outcomes.items() if o.status == "failed"} == {("first", "3"), ("first", "57")}
-    assert {n for n, o in road.outcomes.items() if o.status == "blocked"} == {("second", "3"), ("second", "57")}
+    assert {n for n, o in runner.outcomes.items() if o.status == "failed"} == {("first", "3"), ("first", "57")}
+    assert {n for n, o in runner.outcomes.items() if o.status == "blocked"} == {("second", "3"), ("second", "57")}
     assert len(done) == 116 and ("first", "3") not in done
 
 

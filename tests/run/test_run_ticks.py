@@ -7,7 +7,7 @@ from zoneinfo import ZoneInfo
 
 import pytest
 
-from fwclass.run.schedule.ticks import Cron, Interval, Now, now, tick_after
+from fwclass.operate.schedule.ticks import Cron, Interval, Now, now, tick_after
 
 BERLIN = ZoneInfo("Europe/Berlin")
 HOUR, DAY = 3600.0, 86400.0

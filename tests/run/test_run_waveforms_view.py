@@ -11,9 +11,9 @@ from commandline import Ended, fwclass
 from lasmaker import METRES_PER_NS, Descriptor, digitise, gaussian, write_las
 
 from fwclass.errors import ConfigError, InputError
-from fwclass.run.waveforms_seen import tie
-from fwclass.run.waveforms_text import describe
-from fwclass.run.waveforms_view import STRONGEST, look
+from fwclass.single_file.waveforms.shown import tie
+from fwclass.single_file.waveforms.text import describe
+from fwclass.single_file.waveforms.view import STRONGEST, look
 
 SINGLES = 60
 SATURATED, SEVERAL, EMPTY = SINGLES, SINGLES + 1, SINGLES + 2
@@ -32,10 +32,16 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     number = np.concatenate([np.arange(len(v)) + 1 for v in vendor])
     xyz = np.c_[5e5 + 0.5 * pulse, np.full(len(pulse), 5.4e6), 200 - times * METRES_PER_NS]
     return write_las(
-        tmp_path_factory.mktemp("view") / "a.las", xyz, waveforms=waves, pulse=pulse, location=times,
-        return_number=number, number_of_returns=np.array([len(v) for v in vendor])[pulse],
-        descriptors={1: Descriptor(8, 150)}, gps_time=1000 + pulse * 1e-5,
-    )  # fmt: skip
+        tmp_path_factory.mktemp("view") / "a.las",
+        xyz,
+        waveforms=waves,
+        pulse=pulse,
+        location=times,
+        return_number=number,
+        number_of_returns=np.array([len(v) for v in vendor])[pulse],
+        descriptors={1: Descriptor(8, 150)},
+        gps_time=1000 + pulse * 1e-5,
+    )
 
 
 def test_it_shows_what_a_user_wants_to_see(survey: Path, tmp_path: Path) -> None:
@@ -147,9 +153,16 @@ def test_a_cropped_pulse_is_not_held_against_the_vendor(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     waves = [digitise(gaussian(90, [(150, 20, 3.5), (80, 60, 3.5)], 10) + rng.normal(0, 1, 90)) for _ in range(2)]
     source = write_las(
-        tmp_path / "c.las", [[0, 0, 0], [1, 0, 0]], waveforms=waves, pulse=[0, 1], location=60.0, return_number=[2, 1],
-        number_of_returns=[2, 1], descriptors={1: Descriptor(8, 90)}, gps_time=[1.0, 2.0],
-    )  # fmt: skip
+        tmp_path / "c.las",
+        [[0, 0, 0], [1, 0, 0]],
+        waveforms=waves,
+        pulse=[0, 1],
+        location=60.0,
+        return_number=[2, 1],
+        number_of_returns=[2, 1],
+        descriptors={1: Descriptor(8, 90)},
+        gps_time=[1.0, 2.0],
+    )
     found = look(source, (), (), tmp_path / "a.png", False)
     assert found["unexplained"]["count"] == 1 and found["unexplained"]["incomplete_pulses"] == 1
     assert found["unexplained"]["strongest"][0]["pulse"] == 1
@@ -170,9 +183,14 @@ def test_the_list_of_missed_echoes_is_short(survey: Path, tmp_path: Path) -> Non
     heights = rng.permutation(np.linspace(15, 120, 40))
     waves = [digitise(gaussian(90, [(150, 20, 3.5), (a, 60, 3.5)], 10) + rng.normal(0, 1, 90)) for a in heights]
     source = write_las(
-        tmp_path / "m.las", np.c_[5e5 + np.arange(40), np.full(40, 5.4e6), np.full(40, 200.0)], waveforms=waves,
-        pulse=np.arange(40), location=20.0, descriptors={1: Descriptor(8, 90)}, gps_time=1000.0 + np.arange(40),
-    )  # fmt: skip
+        tmp_path / "m.las",
+        np.c_[5e5 + np.arange(40), np.full(40, 5.4e6), np.full(40, 200.0)],
+        waveforms=waves,
+        pulse=np.arange(40),
+        location=20.0,
+        descriptors={1: Descriptor(8, 90)},
+        gps_time=1000.0 + np.arange(40),
+    )
     missed = look(source, (), ("read.chunk_pulses=9",), tmp_path / "a.png", False)["unexplained"]
     assert missed["count"] == 40 and len(missed["strongest"]) == STRONGEST
     order = [row["significance"] for row in missed["strongest"]]

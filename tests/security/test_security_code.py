@@ -72,12 +72,24 @@ def test_no_module_runs_what_a_file_says() -> None:
 @pytest.mark.parametrize(
     "code",
     [
-        "import pickle", "from marshal import loads", "import shelve as s", "eval('1')", "exec(x)", "yaml.load(text)",
-        "yaml.unsafe_load(text)", "np.load(path)", "np.load(path, allow_pickle=True)", "np.save(path, a)",
-        "subprocess.run(words, shell=True)", "os.system(words)", "subprocess.Popen(words, shell=wanted)",
-        "__import__(name)", "numpy.load(path, allow_pickle=wanted)", "def f():\n  import cloudpickle",
+        "import pickle",
+        "from marshal import loads",
+        "import shelve as s",
+        "eval('1')",
+        "exec(x)",
+        "yaml.load(text)",
+        "yaml.unsafe_load(text)",
+        "np.load(path)",
+        "np.load(path, allow_pickle=True)",
+        "np.save(path, a)",
+        "subprocess.run(words, shell=True)",
+        "os.system(words)",
+        "subprocess.Popen(words, shell=wanted)",
+        "__import__(name)",
+        "numpy.load(path, allow_pickle=wanted)",
+        "def f():\n  import cloudpickle",
     ],
-)  # fmt: skip
+)
 def test_the_scan_sees_what_it_looks_for(code: str) -> None:
     assert faults(ast.parse(code))
 

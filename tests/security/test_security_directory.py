@@ -19,22 +19,83 @@ from schedulemaker import NOWHERE, strip
 
 from fwclass import isolation
 from fwclass.errors import ConfigError
-from fwclass.read.gdal import offline
+from fwclass.formats.gdal import offline
 
 ROOT = Path(__file__).parents[2]
 ENTRY = "from fwclass.cli import main\n\nif __name__ == '__main__':\n    main()\n"
 """As pip writes the command: a script, beside which Python looks for modules, and not in the current directory."""
 
 OTHERS = {
-    "PIL", "affine", "attr", "bokeh", "boto3", "certifi", "click", "cligj", "cloudpickle", "conf", "contourpy",
-    "cronsim", "cycler", "dask", "dateutil", "distributed", "donfig", "evil_backend", "fontTools", "fsspec", "fwclass",
-    "google_crc32c", "jinja2", "kiwisolver", "laspy", "laszip", "lazrs", "llvmlite", "locket", "markdown_it",
-    "markupsafe", "matplotlib", "mdurl", "mpl_toolkits", "msgpack", "numba", "numcodecs", "numpy", "obstore",
-    "packaging", "pandas", "psutil", "pyarrow", "pydantic", "pydantic_core", "pygments", "pyogrio", "pyparsing",
-    "pyproj", "rasterio", "rich", "scipy", "shapely", "sitecustomize", "sklearn", "sortedcontainers", "tblib",
-    "threadpoolctl", "toolz", "tornado", "typing_extensions", "tzdata", "urllib3", "usercustomize", "workflows",
-    "xyzservices", "yaml", "zarr", "zict",
-}  # fmt: skip
+    "PIL",
+    "affine",
+    "attr",
+    "bokeh",
+    "boto3",
+    "certifi",
+    "click",
+    "cligj",
+    "cloudpickle",
+    "conf",
+    "contourpy",
+    "cronsim",
+    "cycler",
+    "dask",
+    "dateutil",
+    "distributed",
+    "donfig",
+    "evil_backend",
+    "fontTools",
+    "fsspec",
+    "fwclass",
+    "google_crc32c",
+    "jinja2",
+    "kiwisolver",
+    "laspy",
+    "laszip",
+    "lazrs",
+    "llvmlite",
+    "locket",
+    "markdown_it",
+    "markupsafe",
+    "matplotlib",
+    "mdurl",
+    "mpl_toolkits",
+    "msgpack",
+    "numba",
+    "numcodecs",
+    "numpy",
+    "obstore",
+    "packaging",
+    "pandas",
+    "psutil",
+    "pyarrow",
+    "pydantic",
+    "pydantic_core",
+    "pygments",
+    "pyogrio",
+    "pyparsing",
+    "pyproj",
+    "rasterio",
+    "rich",
+    "scipy",
+    "shapely",
+    "sitecustomize",
+    "sklearn",
+    "sortedcontainers",
+    "tblib",
+    "threadpoolctl",
+    "toolz",
+    "tornado",
+    "typing_extensions",
+    "tzdata",
+    "urllib3",
+    "usercustomize",
+    "workflows",
+    "xyzservices",
+    "yaml",
+    "zarr",
+    "zict",
+}
 
 FILES = {
     ".numba_config.yaml": "cache_dir: ./kernels\ndisable_jit: 1\n",
@@ -148,13 +209,19 @@ def test_every_command_in_a_strangers_directory(place: Path) -> None:
         json.dumps({"type": "Feature", "properties": {}, "geometry": {"type": "Point", "coordinates": [0, 0]}})
     )
     for words in (
-        ("info", source, polygons), ("ground", source, place / "g.laz", "--dtm", place / "dtm.tif"),
-        ("normalize", source, place / "n.laz"), ("features", source, place / "f.parquet"),
+        ("info", source, polygons),
+        ("ground", source, place / "g.laz", "--dtm", place / "dtm.tif"),
+        ("normalize", source, place / "n.laz"),
+        ("features", source, place / "f.parquet"),
         ("classify", source, place / "k.laz", "--model", home / "model"),
         ("assess", source, place / "g.laz", "--ground"),
-        ("plan", place / "c.yaml", "--out", place / "p"), ("status", home), ("status", home, "--verify"),
-        ("history", home), ("seams", home), ("demo", "--help"),
-    ):  # fmt: skip
+        ("plan", place / "c.yaml", "--out", place / "p"),
+        ("status", home),
+        ("status", home, "--verify"),
+        ("history", home),
+        ("seams", home),
+        ("demo", "--help"),
+    ):
         ended = start(place, *words)
         assert ended.returncode == 0, (words, ended.stderr)
         untouched(place)
@@ -181,7 +248,7 @@ SEES = """
 import json, os, sys
 sys.path[:] = [p for p in sys.path if os.path.isabs(p)]
 from fwclass.publish import figures
-import fwclass.run.ground.steps
+import fwclass.single_file.ground.steps
 import matplotlib, numba
 numba.core.config.reload_config()
 found = numba.core.config

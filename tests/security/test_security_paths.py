@@ -11,17 +11,30 @@ import pytest
 
 from fwclass import paths
 from fwclass.errors import InputError, StoreError
+from fwclass.graph.files import _matches
+from fwclass.graph.survey import _distinct
+from fwclass.operate.request import Request
 from fwclass.paths import below, path_matches
-from fwclass.run.files import _matches
-from fwclass.run.request import Request
-from fwclass.run.survey import _distinct
 from fwclass.store.params import StoreParams
 from fwclass.store.run_store import Store
 
 NAMES = [
-    "..", ".", "", "../x", "a/../../x", "/etc/x", "a//b", "a/./b", "a\nb", "a\x1b[31mb", "a\u202eb", "a\\b", "a\x00b",
-    "a" * 201, "é" * 150,
-]  # fmt: skip
+    "..",
+    ".",
+    "",
+    "../x",
+    "a/../../x",
+    "/etc/x",
+    "a//b",
+    "a/./b",
+    "a\nb",
+    "a\x1b[31mb",
+    "a\u202eb",
+    "a\\b",
+    "a\x00b",
+    "a" * 201,
+    "é" * 150,
+]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -66,9 +79,23 @@ TREE = ("a.las", "x/a.las", "x/y/b.las", "x/y/z/c.LAS", ".h/d.las", "x/.h/e.las"
 
 @pytest.mark.parametrize(
     "pattern",
-    ["**/*.las", "**/**/*.las", "x/**/*.las", "**/y/**/*.las", "**/y/*.[lL][aA][sS]", "**/.h/*.las", "*/**/b.las",
-     "**/[[]1].las", "**", "x/**", "../s/**/*.las", "**/x/../*.las", "*.las", "none/**/*.las"],
-)  # fmt: skip
+    [
+        "**/*.las",
+        "**/**/*.las",
+        "x/**/*.las",
+        "**/y/**/*.las",
+        "**/y/*.[lL][aA][sS]",
+        "**/.h/*.las",
+        "*/**/b.las",
+        "**/[[]1].las",
+        "**",
+        "x/**",
+        "../s/**/*.las",
+        "**/x/../*.las",
+        "*.las",
+        "none/**/*.las",
+    ],
+)
 def test_patterns_find_what_glob_finds(pattern: str, tmp_path: Path, base: dict[str, Any]) -> None:
     root = tmp_path / "s"
     for name in TREE:
@@ -124,9 +151,11 @@ def test_a_receipt_that_was_tampered_with_deletes_nothing(field: str, value: obj
     del told["seal"]  # with it the receipt would only say nothing
     path.write_text(json.dumps(told))
     for use in (
-        lambda: store.forget_others("simulate", []), lambda: store.done("simulate", "one", "k1"),
-        lambda: store.path("simulate", "one", "a"), lambda: list(store.receipts("simulate")),
-    ):  # fmt: skip
+        lambda: store.forget_others("simulate", []),
+        lambda: store.done("simulate", "one", "k1"),
+        lambda: store.path("simulate", "one", "a"),
+        lambda: list(store.receipts("simulate")),
+    ):
         with pytest.raises(StoreError) as fault:
             use()
         assert str(path) in str(fault.value)

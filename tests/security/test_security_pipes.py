@@ -13,13 +13,13 @@ from schedulemaker import FAILS_AT_ONCE, strip
 from fwclass import conf
 from fwclass.conf.files import read
 from fwclass.errors import FwclassError, InputError
+from fwclass.graph.files import found_files
 from fwclass.paths import open_regular
 from fwclass.read.cloud import read_point_cloud
 from fwclass.read.polygons import open_polygons
 from fwclass.read.source import open_source
 from fwclass.read.text import read_text
 from fwclass.read.trajectory import read_trajectory
-from fwclass.run.files import found_files
 from fwclass.store.models import load_model
 
 
@@ -32,14 +32,29 @@ def place(tmp_path: Path) -> Path:
 
 
 WORDS = [
-    ("info", "P"), ("info", "a.las", "P"), ("info", "P", "--waveforms"), ("decompose", "P", "o.laz"),
-    ("decompose", "a.las", "o.laz", "--trajectory", "P"), ("assess", "P", "a.las"), ("assess", "a.las", "P"),
-    ("ground", "P", "o.laz"), ("normalize", "P", "o.laz"), ("features", "P", "o.parquet"),
-    ("classify", "P", "o.laz", "--model", "m"), ("classify", "a.las", "o.laz", "--model", "P"), ("run", "P"),
-    ("run", "c.yaml", "--aoi", "P"), ("plan", "P"), ("status", "P"), ("history", "P"),
+    ("info", "P"),
+    ("info", "a.las", "P"),
+    ("info", "P", "--waveforms"),
+    ("decompose", "P", "o.laz"),
+    ("decompose", "a.las", "o.laz", "--trajectory", "P"),
+    ("assess", "P", "a.las"),
+    ("assess", "a.las", "P"),
+    ("ground", "P", "o.laz"),
+    ("normalize", "P", "o.laz"),
+    ("features", "P", "o.parquet"),
+    ("classify", "P", "o.laz", "--model", "m"),
+    ("classify", "a.las", "o.laz", "--model", "P"),
+    ("run", "P"),
+    ("run", "c.yaml", "--aoi", "P"),
+    ("plan", "P"),
+    ("status", "P"),
+    ("history", "P"),
     ("schedule", "P", "--every", "1h"),
-    ("schedule", "c.yaml", "--inbox", "P"), ("run", "c.yaml", "--out", "P"), ("seams", "P"), ("export", "P", "o.onnx"),
-]  # fmt: skip
+    ("schedule", "c.yaml", "--inbox", "P"),
+    ("run", "c.yaml", "--out", "P"),
+    ("seams", "P"),
+    ("export", "P", "o.onnx"),
+]
 
 
 @pytest.mark.parametrize("words", WORDS, ids=lambda words: "-".join(words))
@@ -58,10 +73,18 @@ def test_devices_and_sockets_are_refused(place: Path) -> None:
 
 
 READERS = {
-    "a.las": open_source, "a.pls": open_source, "a.txt": read_text, "b.las": read_point_cloud, "a.gpkg": open_polygons,
-    "a.geojson": open_polygons, "a.shp": open_polygons, "a.parquet": open_polygons, "a.csv": read_trajectory,
-    "a.yaml": read, "a": open_regular,
-}  # fmt: skip
+    "a.las": open_source,
+    "a.pls": open_source,
+    "a.txt": read_text,
+    "b.las": read_point_cloud,
+    "a.gpkg": open_polygons,
+    "a.geojson": open_polygons,
+    "a.shp": open_polygons,
+    "a.parquet": open_polygons,
+    "a.csv": read_trajectory,
+    "a.yaml": read,
+    "a": open_regular,
+}
 
 
 @pytest.mark.parametrize("name", READERS)

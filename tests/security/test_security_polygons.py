@@ -19,9 +19,9 @@ import pytest
 from commandline import fwclass
 
 from fwclass.errors import FwclassError, InputError
-from fwclass.read.gdal import DRIVERS, vector_gdal
+from fwclass.formats.gdal import DRIVERS, vector_gdal
+from fwclass.graph.area_of_interest import Area
 from fwclass.read.polygons import open_polygons, read_polygons
-from fwclass.run.restrict import Area
 
 SQUARE = [[[0, 0], [10, 0], [10, 10], [0, 0]]]
 
@@ -74,9 +74,15 @@ def sound(tmp_path: Path) -> Path:
     shape = np.array([struct.pack("<BIII8d", 1, 3, 1, 4, 0, 0, 10, 0, 10, 10, 0, 0)], object)
     for driver, ending in (("GPKG", "gpkg"), ("ESRI Shapefile", "shp")):
         vector_gdal().raw.write(
-            str(tmp_path / f"good.{ending}"), shape, [np.array(["a"], object)], np.array(["class"], object),
-            layer="good", driver=driver, geometry_type="Polygon", crs="EPSG:25832",
-        )  # fmt: skip
+            str(tmp_path / f"good.{ending}"),
+            shape,
+            [np.array(["a"], object)],
+            np.array(["class"], object),
+            layer="good",
+            driver=driver,
+            geometry_type="Polygon",
+            crs="EPSG:25832",
+        )
     (tmp_path / "good.geojson").write_text(json.dumps(collection()))
     return tmp_path
 
@@ -99,9 +105,9 @@ CONTENTS: dict[str, Callable[[str], str]] = {
     "service": lambda url: json.dumps({"stac_version": "1.0.0", "href": url, "links": [{"href": url}]}),
     "mbtiles": lambda url: json.dumps({"tilejson": "2.0", "tiles": [f"{url}/{{z}}"]}),
     "map service": lambda url: f"<GDAL_WMS><Service name='TMS'><ServerUrl>{url}</ServerUrl></Service></GDAL_WMS>",
-    "table": lambda url: f"WKT,url\n\"POINT (0 0)\",{url}\n",
+    "table": lambda url: f'WKT,url\n"POINT (0 0)",{url}\n',
     "text of a database": lambda url: f"PG:host=127.0.0.1 port={url.rsplit(':', 1)[1]}",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("ending", ["gpkg", "geojson", "json", "shp"])
@@ -137,9 +143,18 @@ def test_a_coordinate_system_is_not_fetched(kind: str, key: str, tmp_path: Path,
 
 @pytest.mark.parametrize(
     "name",
-    ["/vsicurl/{}/a.geojson", "/vsizip//vsicurl/{}/a.zip/a.gpkg", "{}/a.geojson", "PG:host=127.0.0.1 dbname=a.gpkg",
-     "WFS:{}/a.gpkg", "/vsimem/a.gpkg", "GPKG:{}.gpkg", "zip://{}/a.geojson", "/vsistdin/a.json"],
-)  # fmt: skip
+    [
+        "/vsicurl/{}/a.geojson",
+        "/vsizip//vsicurl/{}/a.zip/a.gpkg",
+        "{}/a.geojson",
+        "PG:host=127.0.0.1 dbname=a.gpkg",
+        "WFS:{}/a.gpkg",
+        "/vsimem/a.gpkg",
+        "GPKG:{}.gpkg",
+        "zip://{}/a.geojson",
+        "/vsistdin/a.json",
+    ],
+)
 def test_a_name_that_gdal_would_understand_is_the_name_of_a_file(name: str, host: Hosts) -> None:
     for path in (Path(name.format(host.url)), Path(name.format(f"/vsicurl/{host.url}"))):
         with pytest.raises(InputError):
@@ -164,9 +179,13 @@ GEOMETRY = "insert into gpkg_geometry_columns values('v', '{}', 'POLYGON', 25832
 
 @pytest.mark.parametrize(
     "expression",
-    ["load_extension('/tmp/none.so')", "ogr_geocode('x', 'y')", "ogr_datasource_load_layers('{}/a.geojson')",
-     "readfile('/etc/passwd')"],
-)  # fmt: skip
+    [
+        "load_extension('/tmp/none.so')",
+        "ogr_geocode('x', 'y')",
+        "ogr_datasource_load_layers('{}/a.geojson')",
+        "readfile('/etc/passwd')",
+    ],
+)
 def test_a_view_of_a_geopackage_calls_nothing(expression: str, sound: Path, host: Hosts) -> None:
     view = f"create view v as select fid, geom, {expression.format(host.url)} as class from good"  # noqa: S608 - made here
     path = changed(sound, view, LISTED, GEOMETRY.format("geom"))
@@ -181,9 +200,12 @@ def test_a_view_of_a_geopackage_calls_nothing(expression: str, sound: Path, host
 def test_a_geopackage_opens_no_other_file(table: str, sound: Path, host: Hosts) -> None:
     text = f"CREATE VIRTUAL TABLE v USING {table.format(sound / 'good')}".replace("'", "''")
     path = changed(
-        sound, "pragma writable_schema = 1", LISTED, GEOMETRY.format("geometry"),
+        sound,
+        "pragma writable_schema = 1",
+        LISTED,
+        GEOMETRY.format("geometry"),
         f"insert into sqlite_master(type, name, tbl_name, rootpage, sql) values('table', 'v', 'v', 0, '{text}')",
-    )  # fmt: skip
+    )
     with pytest.raises(InputError, match="not what its name says") as fault:
         open_polygons(path, "v")
     assert "reads other files" in str(fault.value)
@@ -223,7 +245,7 @@ def test_foreign_files_reach_gdal_through_one_door() -> None:
 def test_gdal_that_cannot_be_restricted_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     from pyogrio import _ogr
 
-    from fwclass.read import gdal
+    from fwclass.formats import gdal
 
     monkeypatch.setattr(gdal, "DRIVERS", {"GPKG"})
     monkeypatch.setattr(_ogr, "_register_drivers", lambda: None)

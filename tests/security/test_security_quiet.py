@@ -16,9 +16,9 @@ import pytest
 from commandline import process
 
 from fwclass.errors import InputError
+from fwclass.formats import geoparquet
 from fwclass.publish import files
 from fwclass.publish.files import whole
-from fwclass.read import geoparquet
 from fwclass.read.packets import References
 from fwclass.read.polygons import open_polygons, values_of
 

@@ -38,16 +38,26 @@ def report() -> dict[str, object]:
     """A report with a text from a file wherever one can stand."""
     classes = [{"name": SCRIPT, "code": 2}, {"name": "b", "code": 6}]
     return {
-        "survey": SCRIPT, "fwclass": SCRIPT, "seconds": 1.0, "classes": classes,
-        "counts": {SCRIPT: 5, "b": 3}, "config": {"survey": {"name": SCRIPT, "about": SCRIPT}},
+        "survey": SCRIPT,
+        "fwclass": SCRIPT,
+        "seconds": 1.0,
+        "classes": classes,
+        "counts": {SCRIPT: 5, "b": 3},
+        "config": {"survey": {"name": SCRIPT, "about": SCRIPT}},
         "input": {"files": [{"path": SCRIPT, "points": 1, "pulses": 1, "point_format": 9}], "faults": {SCRIPT: 3}},
         "outputs": {"laz": [f"laz/{SCRIPT}.laz", "javascript:alert(3)", "../../etc/passwd"], SCRIPT: [SCRIPT]},
         "stages": [{"name": SCRIPT, "parts": 1, "computed": 1, "skipped": 0, "failed": 0, "seconds": 1.0}],
         "accuracy": {
-            "classes": [SCRIPT, "b"], "confusion": [[4, 1], [1, 2]], "overall_accuracy": 0.75, "kappa": 0.5,
-            "producers_accuracy": [0.8, 0.7], "users_accuracy": [0.8, 0.7], "iou": [0.6, 0.5], "mean_iou": 0.55,
+            "classes": [SCRIPT, "b"],
+            "confusion": [[4, 1], [1, 2]],
+            "overall_accuracy": 0.75,
+            "kappa": 0.5,
+            "producers_accuracy": [0.8, 0.7],
+            "users_accuracy": [0.8, 0.7],
+            "iou": [0.6, 0.5],
+            "mean_iou": 0.55,
         },
-    }  # fmt: skip
+    }
 
 
 def test_the_report_shows_a_script_as_text(tmp_path: Path) -> None:
@@ -86,8 +96,16 @@ def test_a_name_with_dollars_is_drawn_as_it_is(base: dict) -> None:
 def test_tags_of_a_raster_hold_a_script_as_text(tmp_path: Path, base: dict) -> None:
     params = PublishParams(**base["publish"])
     path = tmp_path / "a.tif"
-    write_cog(np.full((8, 8), 2, np.uint8), Window(1.0, 0, 0, 8, 8), path, CRS.from_epsg(25832), params, nodata=0,
-              names={2: SCRIPT}, tags={"what": "]]></Item>" + SCRIPT})  # fmt: skip
+    write_cog(
+        np.full((8, 8), 2, np.uint8),
+        Window(1.0, 0, 0, 8, 8),
+        path,
+        CRS.from_epsg(25832),
+        params,
+        nodata=0,
+        names={2: SCRIPT},
+        tags={"what": "]]></Item>" + SCRIPT},
+    )
     with rasterio.open(path) as file:
         assert file.tags(1)["CLASS_2"] == SCRIPT and file.tags()["what"].endswith(SCRIPT)
 
@@ -103,8 +121,14 @@ def test_a_report_as_json_is_plain_ascii(tmp_path: Path) -> None:
 def hostile_las(tmp_path: Path) -> Path:
     """A file whose header, records and coordinate system are full of control characters and markup."""
     wkt = CRS.from_epsg(25832).to_wkt("WKT1_GDAL").replace('PROJCS["ETRS89 / UTM zone 32N"', f'PROJCS["{ANSI}"')
-    path = write_las(tmp_path / "a.las", [[0, 0, 0], [1, 1, 1]], point_format=6, keys=None, wkt=wkt,
-                     extra={"a\x1b[31m": ("u1", 1.0, [1, 2])})  # fmt: skip
+    path = write_las(
+        tmp_path / "a.las",
+        [[0, 0, 0], [1, 1, 1]],
+        point_format=6,
+        keys=None,
+        wkt=wkt,
+        extra={"a\x1b[31m": ("u1", 1.0, [1, 2])},
+    )
     data = bytearray(path.read_bytes())
     data[26:58] = ANSI.encode("utf-8")[:32].ljust(32, b"x")
     data[58:90] = (b"\x1b]0;title\x07\n  no faults found").ljust(32, b"y")
@@ -149,8 +173,10 @@ def test_progress_writes_control_characters_out_and_reads_no_markup() -> None:
 
 
 def test_what_a_run_directory_tells_of_failures_is_plain(tmp_path: Path) -> None:
-    write_json(tmp_path / "store" / "failures" / "tile" / "1_1.json",
-               {"stage": "tile", "part": "1_1", "key": "k", "message": f"first\n{ANSI}"})  # fmt: skip
+    write_json(
+        tmp_path / "store" / "failures" / "tile" / "1_1.json",
+        {"stage": "tile", "part": "1_1", "key": "k", "message": f"first\n{ANSI}"},
+    )
     ((failure, _),) = Store(tmp_path).failures.all().values()
     assert failure.message.startswith("first\n") and not controls(failure.message)
 

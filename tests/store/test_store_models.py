@@ -84,12 +84,18 @@ def rewrite(directory, **changes):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"kind": "oracle"}, "kind 'oracle' is unknown"), ({"kind": None}, "kind None"), ({"kind": []}, "kind"),
-        ({"kind": "linear-svm"}, "weights.npy"), ({"format": FORMAT + 1}, "its layout is"),
-        ({"features": ["zc"]}, "damaged"), ({"classes": [{"name": "a", "code": 300}] * 3}, "damaged"),
-        ({"classes": "abc"}, "damaged"), ({"features": {"a": 1}}, "damaged"), ({"features": 7}, "damaged"),
+        ({"kind": "oracle"}, "kind 'oracle' is unknown"),
+        ({"kind": None}, "kind None"),
+        ({"kind": []}, "kind"),
+        ({"kind": "linear-svm"}, "weights.npy"),
+        ({"format": FORMAT + 1}, "its layout is"),
+        ({"features": ["zc"]}, "damaged"),
+        ({"classes": [{"name": "a", "code": 300}] * 3}, "damaged"),
+        ({"classes": "abc"}, "damaged"),
+        ({"features": {"a": 1}}, "damaged"),
+        ({"features": 7}, "damaged"),
     ],
-)  # fmt: skip
+)
 def test_a_card_that_does_not_fit_is_refused(tmp_path, change, told):
     save_model(tmp_path / "m", models()["forest"])
     rewrite(tmp_path / "m", **change)
@@ -100,11 +106,15 @@ def test_a_card_that_does_not_fit_is_refused(tmp_path, change, told):
 @pytest.mark.parametrize(
     "ready",
     [
-        None, [], {"fill": [0, 0], "shift": [0, 0]}, {"fill": [0], "shift": [0, 0], "scale": [1, 1]},
-        {"fill": [0, 0], "shift": [0, 0], "scale": [1, 0]}, {"fill": [0, 1e999], "shift": [0, 0], "scale": [1, 1]},
+        None,
+        [],
+        {"fill": [0, 0], "shift": [0, 0]},
+        {"fill": [0], "shift": [0, 0], "scale": [1, 1]},
+        {"fill": [0, 0], "shift": [0, 0], "scale": [1, 0]},
+        {"fill": [0, 1e999], "shift": [0, 0], "scale": [1, 1]},
         {"fill": ["a", 0], "shift": [0, 0], "scale": [1, 1]},
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("kind", ["linear-svm", "rbf-svm"])
 def test_a_machine_without_a_sound_preparation_is_refused(tmp_path, kind, ready):
     save_model(tmp_path / "m", models()[kind])
@@ -116,10 +126,14 @@ def test_a_machine_without_a_sound_preparation_is_refused(tmp_path, kind, ready)
 @pytest.mark.parametrize(
     "change",
     [
-        {"features": list(NAMES[::-1])}, {"computed": {"cell_x": 20.0}}, {"params": {"trees": 2}}, {"digest": None},
-        {"classes": [{"name": f"c{k}", "code": 4 - k, "codes": [4 - k]} for k in range(3)]}, {"digest": []},
+        {"features": list(NAMES[::-1])},
+        {"computed": {"cell_x": 20.0}},
+        {"params": {"trees": 2}},
+        {"digest": None},
+        {"classes": [{"name": f"c{k}", "code": 4 - k, "codes": [4 - k]} for k in range(3)]},
+        {"digest": []},
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("kind", KINDS)
 def test_card_and_arrays_belong_together(tmp_path, kind, change):
     """Whatever decides cannot be edited by accident; remarks can."""
@@ -193,9 +207,15 @@ def test_any_nodes_are_sound_boosted_trees_or_an_error(feature, child, cuts, n):
     offsets = np.array([0, *sorted(cuts), 9])
     scores = 1 if n == 2 else n
     model = Boosted(
-        asked, np.linspace(-1, 1, 9).astype(np.float32), np.array(child, np.uint32), np.arange(9, dtype=np.uint8) % 2,
-        np.ones(9), offsets, np.zeros(scores), card(n),
-    )  # fmt: skip
+        asked,
+        np.linspace(-1, 1, 9).astype(np.float32),
+        np.array(child, np.uint32),
+        np.arange(9, dtype=np.uint8) % 2,
+        np.ones(9),
+        offsets,
+        np.zeros(scores),
+        card(n),
+    )
     X = np.array([[0.3, np.nan], [-5, 2], [np.nan, np.nan]], np.float32)
     try:
         winner, shares = answer(X, model)
@@ -211,9 +231,13 @@ def test_any_nodes_are_sound_boosted_trees_or_an_error(feature, child, cuts, n):
 )
 def test_any_shapes_are_a_sound_machine_or_an_error(rows, columns, duals, counts, n):
     model = KernelMachine(
-        np.ones((rows, columns)), np.ones((duals, rows)), np.zeros(n * (n - 1) // 2), np.array(counts, np.int64),
-        np.array([1.0]), card(n),
-    )  # fmt: skip
+        np.ones((rows, columns)),
+        np.ones((duals, rows)),
+        np.zeros(n * (n - 1) // 2),
+        np.array(counts, np.int64),
+        np.array([1.0]),
+        card(n),
+    )
     try:
         winner, shares = answer(np.zeros((2, 2), np.float32), model)
     except InputError:

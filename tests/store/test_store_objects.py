@@ -60,9 +60,7 @@ def test_a_conditional_write_whose_answer_is_lost_is_still_won(s3: Server, objec
 
 @pytest.mark.faults
 @pytest.mark.parametrize("kind", ["busy", "torn", "slow"])
-def test_a_server_in_trouble_for_a_while_is_waited_for(
-    s3: Server, objects: Objects, kind: str, tmp_path: Path
-) -> None:  # fmt: skip
+def test_a_server_in_trouble_for_a_while_is_waited_for(s3: Server, objects: Objects, kind: str, tmp_path: Path) -> None:
     data = bytes(range(256)) * 100
     with s3.trouble(Trouble(kind, 7, seconds=0.1)):
         objects.put("a", data)

@@ -7,7 +7,7 @@ from objectstore import Server, quick
 
 from fwclass.errors import InputError
 from fwclass.store.atomic import file_digest
-from fwclass.store.outside import directory_outside, found_outside, local
+from fwclass.store.remote_file import directory_outside, found_outside, local
 from fwclass.store.url import Url
 
 NAMES = ("strips/a.las", "strips/a.wdp", "strips/A2.LAS", "strips/a.txt", "strips/deep/b.las", "flight.csv", "o[1].las")

@@ -96,9 +96,12 @@ def forest():
         "classes": [{"name": "a", "code": 2}, {"name": "b", "code": 6}],
     }
     return Forest(
-        np.array([0, LEAF, 1, LEAF, LEAF], np.uint16), np.array([1, 0, 2, 0, 0], np.float32),
-        np.array([1, 0, 3, 1, 0], np.uint32), np.array([0, 5]), card,
-    )  # fmt: skip
+        np.array([0, LEAF, 1, LEAF, LEAF], np.uint16),
+        np.array([1, 0, 2, 0, 0], np.float32),
+        np.array([1, 0, 3, 1, 0], np.uint32),
+        np.array([0, 5]),
+        card,
+    )
 
 
 def test_a_forest_round_trips(tmp_path):

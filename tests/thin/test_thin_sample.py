@@ -54,9 +54,7 @@ def test_rate_one_keeps_all_and_order_changes_nothing(params):
 
 def _table(x, y, z):
     n = len(x)
-    return Table({
-        "x": x, "y": y, "z": z, "strip": np.zeros(n), "pulse": np.arange(n), "echo_number": np.ones(n),
-    })  # fmt: skip
+    return Table({"x": x, "y": y, "z": z, "strip": np.zeros(n), "pulse": np.arange(n), "echo_number": np.ones(n)})
 
 
 def test_tiles_with_their_halo_give_the_whole(params):

@@ -87,10 +87,13 @@ def test_reference_points_have_one_order():
     n = 500
     cloud = Table(
         {
-            "x": r.integers(0, 5, n), "y": r.integers(0, 5, n), "z": r.integers(0, 3, n),
-            "gps_time": r.integers(0, 4, n), "source_class": r.integers(1, 7, n),
+            "x": r.integers(0, 5, n),
+            "y": r.integers(0, 5, n),
+            "z": r.integers(0, 3, n),
+            "gps_time": r.integers(0, 4, n),
+            "source_class": r.integers(1, 7, n),
         }
-    )  # fmt: skip
+    )
     a = assemble_points([cloud])
     b = assemble_points([cloud.take(slice(100, None)), cloud.take(slice(0, 100))])
     for name in a:

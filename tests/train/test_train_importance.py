@@ -27,8 +27,10 @@ def grown(n, seed, trees=10, **values):
     """Feature 0 says almost all, 1 repeats it with noise, 2 a little, 3 nothing, 4 is constant."""
     r = np.random.default_rng(seed)
     y = r.integers(0, 3, n).astype(np.uint8)
-    X = np.stack([y + 0.3 * r.normal(size=n), y + r.normal(size=n), 0.4 * y + r.normal(size=n), r.normal(size=n),
-                  np.ones(n)], axis=1).astype(np.float32)  # fmt: skip
+    X = np.stack(
+        [y + 0.3 * r.normal(size=n), y + r.normal(size=n), 0.4 * y + r.normal(size=n), r.normal(size=n), np.ones(n)],
+        axis=1,
+    ).astype(np.float32)
     X[r.random(n) < 0.05, 2] = np.nan
     key = np.arange(n, dtype=np.uint64)
     sample = Sample(tuple("abcde"), X, y, key, key, np.bincount(y))

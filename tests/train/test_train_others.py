@@ -12,11 +12,11 @@ from fwclass.classify.machines import linear_scores, pair_decisions
 from fwclass.classify.shares import answer
 from fwclass.errors import ConfigError, InputError
 from fwclass.model import ClassDef
-from fwclass.train.others import fit
-from fwclass.train.others.params import CompareParams
-from fwclass.train.others.prepare import fewer, pieces, preparation
-from fwclass.train.others.stage import METHODS, train_other
-from fwclass.train.others.trees import beyond
+from fwclass.train.baselines import fit
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.prepare import fewer, pieces, preparation
+from fwclass.train.baselines.stage import METHODS, train_other
+from fwclass.train.baselines.trees import beyond
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 
@@ -136,9 +136,15 @@ def test_boosting_sums_as_scikit_learn_does_to_the_last_digits():
     arrays = fit.boosting(made.X, made.y, own, 5, None)
     model = trained("boosting", settings=params(seed=1))
     peer = ensemble.HistGradientBoostingClassifier(
-        max_iter=own.rounds, learning_rate=own.learning_rate, max_leaf_nodes=own.leaves, max_bins=own.bins,
-        min_samples_leaf=own.min_samples_leaf, l2_regularization=own.l2, early_stopping=False, random_state=5,
-    ).fit(made.X, made.y)  # fmt: skip
+        max_iter=own.rounds,
+        learning_rate=own.learning_rate,
+        max_leaf_nodes=own.leaves,
+        max_bins=own.bins,
+        min_samples_leaf=own.min_samples_leaf,
+        l2_regularization=own.l2,
+        early_stopping=False,
+        random_state=5,
+    ).fit(made.X, made.y)
     same = type(model)(**arrays, card=model.card)
     np.testing.assert_allclose(raw_scores(X, same), peer.decision_function(X), atol=1e-12)
 

@@ -72,8 +72,8 @@ def test_every_node_takes_the_best_threshold_there_is(rule, criterion, weights):
     p = params(split=rule, criterion=criterion, features_per_split="all", bins=7, class_weights=weights)
     feature, limit, child = grow_tree(X, y, 3, 0, p)
     counts = bag(120, 0, p)[0]
-    heft = whole_weights(p.class_weights, np.bincount(y), ["0", "1", "2"])
-    w = (counts * heft[y]).astype(float)
+    class_weight = whole_weights(p.class_weights, np.bincount(y), ["0", "1", "2"])
+    w = (counts * class_weight[y]).astype(float)
     columns = np.ascontiguousarray(X.T)
     ranks = ranked.rank(columns, 7 if rule == "histogram" else None)[1]
     at, checked = [(0, np.flatnonzero(counts))], 0
@@ -256,9 +256,14 @@ def test_features_per_split(asked, features, expected):
 
 @pytest.mark.parametrize(
     "bad",
-    [{"split": "best"}, {"features_per_split": 0}, {"bins": 256}, {"class_weights": {"a": 0.0}},
-     {"importance_repeats": 1, "bagging": 1.0, "replacement": False}],
-)  # fmt: skip
+    [
+        {"split": "best"},
+        {"features_per_split": 0},
+        {"bins": 256},
+        {"class_weights": {"a": 0.0}},
+        {"importance_repeats": 1, "bagging": 1.0, "replacement": False},
+    ],
+)
 def test_impossible_parameters_are_refused(bad):
     with pytest.raises(ValidationError):
         params(**bad)

@@ -73,9 +73,21 @@ def _apart(
     found = np.zeros(len(heights), bool)
     for level in range(LEVELS):
         _below_gaps(
-            heights, index.start, index.ncols, index.nrows, 1 << level, index.cell, index.x0 // index.cell,
-            index.y0 // index.cell, params.points, gap * 1000.0, params.steepest, shape, SURROUNDINGS, found,
-        )  # fmt: skip
+            heights,
+            index.start,
+            index.ncols,
+            index.nrows,
+            1 << level,
+            index.cell,
+            index.x0 // index.cell,
+            index.y0 // index.cell,
+            params.points,
+            gap * 1000.0,
+            params.steepest,
+            shape,
+            SURROUNDINGS,
+            found,
+        )
     return found
 
 
@@ -192,9 +204,19 @@ def _beyond_sigma(
     order, start = sort_by_cell(y // edge * ncols + x // edge, ncols * nrows)
     found = np.zeros(len(x), bool)
     _sigma_rule(
-        x[order], y[order], z[order], start, ncols, nrows, radius, params.sigma, params.sigma_least * 1000.0,
-        params.sigma_neighbours, params.sigma_above, found,
-    )  # fmt: skip
+        x[order],
+        y[order],
+        z[order],
+        start,
+        ncols,
+        nrows,
+        radius,
+        params.sigma,
+        params.sigma_least * 1000.0,
+        params.sigma_neighbours,
+        params.sigma_above,
+        found,
+    )
     out[order] = found
     return out
 

@@ -9,14 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.ground.methods.densify import Limits, densify
-from fwclass.ground.methods.seeds import (
-    Cloud,
-    lowest_of_cells,
-    opened_seeds,
-    plausible,
-    sliding_seeds,
-    stand_ins,
-)
+from fwclass.ground.methods.seeds import Cloud, lowest_of_cells, opened_seeds, plausible, sliding_seeds, stand_ins
 from fwclass.ground.params import IptdParams, PtdParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.lattice import window_over

@@ -39,9 +39,20 @@ def slope(
     ground = np.empty(len(x), bool)
     kept = np.empty(len(x), bool)
     _not_undercut(
-        index.x, index.y, index.z, index.start, values, firsts, rows, cols, index.cell, radius, params.slope,
-        params.tolerance * 1000.0, kept,
-    )  # fmt: skip
+        index.x,
+        index.y,
+        index.z,
+        index.start,
+        values,
+        firsts,
+        rows,
+        cols,
+        index.cell,
+        radius,
+        params.slope,
+        params.tolerance * 1000.0,
+        kept,
+    )
     ground[index.order] = kept
     return ground
 

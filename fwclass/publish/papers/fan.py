@@ -12,9 +12,14 @@ from fwclass.publish.sections import distribution, number
 from fwclass.schema import split_name
 
 SIGNS = {
-    "zc": "Zc", "echo_number": "echo number", "amplitude": "amplitude", "echo_ratio": "echo ratio ER",
-    "backscatter": "backscatter γ", "inclination": "inclination A", "width": "echo width",
-}  # fmt: skip
+    "zc": "Zc",
+    "echo_number": "echo number",
+    "amplitude": "amplitude",
+    "echo_ratio": "echo ratio ER",
+    "backscatter": "backscatter γ",
+    "inclination": "inclination A",
+    "width": "echo width",
+}
 MACHINES = {"rbf-svm": "RBF SVM", "linear-svm": "linear SVM"}
 
 
@@ -58,10 +63,12 @@ def _facts(facts: Mapping[str, Any], made: Mapping[str, Any]) -> list[tuple[str,
     told, printed = ours(made), facts["printed"]["splits"]["3"]
     rbf = facts["machines"]["rbf-svm"]
     found = [
-        ("overall, ours", f"{told['overall_accuracy']} %"), ("overall, Fan 2013", f"{printed['overall']} %"),
-        ("kappa, ours", told["kappa"]), ("RBF SVM, ours", f"{ours(rbf)['overall_accuracy']} %"),
+        ("overall, ours", f"{told['overall_accuracy']} %"),
+        ("overall, Fan 2013", f"{printed['overall']} %"),
+        ("kappa, ours", told["kappa"]),
+        ("RBF SVM, ours", f"{ours(rbf)['overall_accuracy']} %"),
         ("SVM, Fan 2013", f"{facts['printed']['svm']['overall']} %"),
-    ]  # fmt: skip
+    ]
     if facts["thesis"]:
         gains = [facts["differences"][f"with-{s}/without-{s}"] for s in facts["thesis"]["seeds"]]
         mean = sum(g["overall_accuracy"]["value"] for g in gains) / len(gains)
@@ -90,31 +97,41 @@ def _distribution(facts: Mapping[str, Any], classes: list[Mapping[str, Any]]) ->
 
 
 def _selection(facts: Mapping[str, Any]) -> dict[str, Any]:
-    printed = dict(
-        zip(facts["printed"]["selection"]["order"], facts["printed"]["selection"]["accuracy"], strict=True)
-    )  # fmt: skip
+    printed = dict(zip(facts["printed"]["selection"]["order"], facts["printed"]["selection"]["accuracy"], strict=True))
     curves = facts["selection"]
     rows = [
         {
-            "name": sign(s["tried"][0]), "accuracy": share(s["accuracy"]), "std": share(s["accuracy_std"]),
-            "kappa": f"{s['kappa']:.3f}", "kept": s["kept"], "paper": printed.get(base_of(s["tried"][0])),
+            "name": sign(s["tried"][0]),
+            "accuracy": share(s["accuracy"]),
+            "std": share(s["accuracy_std"]),
+            "kappa": f"{s['kappa']:.3f}",
+            "kept": s["kept"],
+            "paper": printed.get(base_of(s["tried"][0])),
         }
         for s in curves["paper"]["steps"]
-    ]  # fmt: skip
+    ]
     best = [
         {
-            "name": sign(s["tried"][0]), "accuracy": share(s["accuracy"]), "std": share(s["accuracy_std"]),
-            "kappa": f"{s['kappa']:.3f}", "chosen": s["features"] == curves["best"]["chosen"],
+            "name": sign(s["tried"][0]),
+            "accuracy": share(s["accuracy"]),
+            "std": share(s["accuracy_std"]),
+            "kappa": f"{s['kappa']:.3f}",
+            "chosen": s["features"] == curves["best"]["chosen"],
             "time": f"{s['microseconds']:.1f}",
         }
         for s in curves["best"]["steps"]
-    ]  # fmt: skip
+    ]
     chosen = [sign(n) for n in curves["best"]["chosen"]]
     sample, params = curves["paper"]["sample"], curves["paper"]["params"]
     return {
-        "rows": rows, "best": best, "chosen": chosen, "echoes": number(sample["rows"]), "blocks": sample["blocks"],
-        "folds": params["folds"], "edge": f"{params['block']:g}",
-    }  # fmt: skip
+        "rows": rows,
+        "best": best,
+        "chosen": chosen,
+        "echoes": number(sample["rows"]),
+        "blocks": sample["blocks"],
+        "folds": params["folds"],
+        "edge": f"{params['block']:g}",
+    }
 
 
 def _curves(facts: Mapping[str, Any]) -> bytes:
@@ -137,13 +154,16 @@ def _split(
     paper = printed.get(m) or {}
     fits = [c["name"] for c in facts["classes"]] == list(facts["printed"]["classes"].values())
     return {
-        "m": m, **ours(made), "paper": paper.get("overall", "–"),
+        "m": m,
+        **ours(made),
+        "paper": paper.get("overall", "–"),
         "tables": matrices(made, classes, paper.get("confusion") if fits else None),
         "producers": [share(v) for v in made["producers_accuracy"]],
         "users": [share(v) for v in made["users_accuracy"]],
         "paper_producers": list(paper.get("producers", ())) if fits else [],
-        "names": list(made["classes"]), "out_of_bag": share(made["out_of_bag"]),
-    }  # fmt: skip
+        "names": list(made["classes"]),
+        "out_of_bag": share(made["out_of_bag"]),
+    }
 
 
 def _machines(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -174,9 +194,11 @@ def _machines(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _times(one: Mapping[str, Any]) -> dict[str, str]:
     return {
-        "train": seconds_of(one["train"]), "test": seconds_of(one["test"]), "train_rows": number(one["train_rows"]),
+        "train": seconds_of(one["train"]),
+        "test": seconds_of(one["test"]),
+        "train_rows": number(one["train_rows"]),
         "test_rows": number(one["test_rows"]),
-    }  # fmt: skip
+    }
 
 
 def _machine_table(name: str, facts: Mapping[str, Any], classes: list[Mapping[str, Any]]) -> dict[str, Any]:
@@ -196,26 +218,34 @@ def _thesis(facts: Mapping[str, Any]) -> dict[str, Any] | None:
         one = facts["differences"][f"with-{seed}/without-{seed}"]
         rows.append(
             {
-                "seed": seed, "with": ours(thesis["with"][k]), "without": ours(thesis["without"][k]),
-                "gain": difference(one), "blocks": one["blocks"], "caution": one.get("caution"),
+                "seed": seed,
+                "with": ours(thesis["with"][k]),
+                "without": ours(thesis["without"][k]),
+                "gain": difference(one),
+                "blocks": one["blocks"],
+                "caution": one.get("caution"),
             }
-        )  # fmt: skip
+        )
     names = thesis["with"][0]["classes"]
     gains = [(str(s), facts["differences"][f"with-{s}/without-{s}"]) for s in thesis["seeds"]]
     per_class = [
         {
-            "name": name, **{
+            "name": name,
+            **{
                 f"{side}_{key}": share(_mean([made[f"{key}_accuracy"][i] for made in thesis[side]]))
-                for side in ("with", "without") for key in ("producers", "users")
+                for side in ("with", "without")
+                for key in ("producers", "users")
             },
         }
         for i, name in enumerate(names)
-    ]  # fmt: skip
+    ]
     return {
-        "rows": rows, "per_class": per_class, "with": [sign(n) for n in thesis["features"]["with"]],
+        "rows": rows,
+        "per_class": per_class,
+        "with": [sign(n) for n in thesis["features"]["with"]],
         "without": [sign(n) for n in thesis["features"]["without"]],
         "plot": data_uri(draw_thesis(gains)),
-    }  # fmt: skip
+    }
 
 
 def _mean(values: list[float | None]) -> float | None:

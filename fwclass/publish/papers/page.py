@@ -31,10 +31,17 @@ def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) ->
     """
     name = str(facts["paper"])
     view = {
-        "style": _style(), "survey": facts["survey"], "version": facts["fwclass"], "citation": facts["citation"],
-        "doi": facts["doi"], "data": facts["data"], "notes": list(facts["notes"]), "claims": _claims(facts),
-        "map": data_uri(picture) if picture else "", **VIEWS[name](facts),
-    }  # fmt: skip
+        "style": _style(),
+        "survey": facts["survey"],
+        "version": facts["fwclass"],
+        "citation": facts["citation"],
+        "doi": facts["doi"],
+        "data": facts["data"],
+        "notes": list(facts["notes"]),
+        "claims": _claims(facts),
+        "map": data_uri(picture) if picture else "",
+        **VIEWS[name](facts),
+    }
     page = environment().get_template(f"papers/{name}.html.j2").render(view)
     with whole(path) as beside:
         beside.write_text(page, encoding="utf-8", newline="\n")
@@ -45,8 +52,12 @@ def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) ->
 def _claims(facts: Mapping[str, Any]) -> dict[str, Any]:
     rows = [{**c, "badge": VERDICTS[c["verdict"]]} for c in facts["claims"]]
     count = {v: sum(r["verdict"] == v for r in rows) for v in VERDICTS}
-    words = {"holds": "hold", "does not hold": "do not hold", "undecided": "are undecided",
-             "not comparable": "cannot be compared"}  # fmt: skip
+    words = {
+        "holds": "hold",
+        "does not hold": "do not hold",
+        "undecided": "are undecided",
+        "not comparable": "cannot be compared",
+    }
     told = ", ".join(
         f"{n} {v if n == 1 and v in ('holds', 'does not hold') else words[v]}" for v, n in count.items() if n
     )

@@ -82,9 +82,10 @@ def _box(axes: Any, x: float, row: Mapping[str, Any], colour: str) -> None:
 
 
 def draw_curves(
-    paper: Sequence[tuple[str, float]], given: Sequence[tuple[str, float, float, bool]],
+    paper: Sequence[tuple[str, float]],
+    given: Sequence[tuple[str, float, float, bool]],
     best: Sequence[tuple[str, float, float, bool]],
-) -> bytes:  # fmt: skip
+) -> bytes:
     """Two panels: accuracy [%] as features are added in the paper's order beside the paper's; in our best order.
 
     Steps are (feature, accuracy, standard deviation over folds, kept).
@@ -148,8 +149,14 @@ def draw_importance(bars: Sequence[tuple[str, float, float, str]], colours: Mapp
     figure = sheet(9.6, 0.9 + 0.185 * len(bars))
     axes = figure.add_subplot()
     place = range(len(bars))
-    axes.barh(place, [b[1] for b in bars], xerr=[b[2] for b in bars], color=[colours[b[3]] for b in bars], height=0.72,
-              error_kw={"ecolor": INK, "elinewidth": 0.7})  # fmt: skip
+    axes.barh(
+        place,
+        [b[1] for b in bars],
+        xerr=[b[2] for b in bars],
+        color=[colours[b[3]] for b in bars],
+        height=0.72,
+        error_kw={"ecolor": INK, "elinewidth": 0.7},
+    )
     axes.set_yticks(place, [b[0] for b in bars])
     axes.set_ylim(len(bars) - 0.4, -0.6)
     axes.set_xlim(left=min(0.0, *(b[1] - b[2] for b in bars)))

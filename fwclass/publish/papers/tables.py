@@ -53,12 +53,14 @@ def _printed(confusion: Sequence[Sequence[int]], names: Sequence[str]) -> dict[s
     chance = sum(r * c for r, c in zip(rows, columns, strict=True)) / total**2
     agreed = sum(right) / total
     return {
-        "classes": list(names), "confusion": [list(r) for r in confusion], "overall_accuracy": agreed,
+        "classes": list(names),
+        "confusion": [list(r) for r in confusion],
+        "overall_accuracy": agreed,
         "kappa": (agreed - chance) / (1 - chance),
         "producers_accuracy": [a / b for a, b in zip(right, rows, strict=True)],
         "users_accuracy": [a / b for a, b in zip(right, columns, strict=True)],
         "iou": [a / (b + c - a) for a, b, c in zip(right, rows, columns, strict=True)],
-    }  # fmt: skip
+    }
 
 
 def difference(one: Mapping[str, Any], digits: int = 2) -> dict[str, str]:

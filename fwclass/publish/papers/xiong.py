@@ -16,15 +16,32 @@ SHOWN = 30
 """Features of the importance chart."""
 
 COLOURS = {
-    "normalised height": "#1d2a35", "height statistics": "#5f8fb4", "surface": "#17697a",
-    "spatial distribution": "#8a6bb0", "echoes": "#d0742e", "intensity": "#c2a83e", "other": "#9aa5ae",
-}  # fmt: skip
+    "normalised height": "#1d2a35",
+    "height statistics": "#5f8fb4",
+    "surface": "#17697a",
+    "spatial distribution": "#8a6bb0",
+    "echoes": "#d0742e",
+    "intensity": "#c2a83e",
+    "other": "#9aa5ae",
+}
 SIGNS = {
-    "height_above_ground": "NH", "height_range": "Hr", "height_std": "H std", "height_skewness": "H skewness",
-    "height_kurtosis": "H kurtosis", "roughness": "roughness N", "plane_range": "S range", "plane_std": "S std",
-    "inclination": "Sn", "eigenvalue_1": "λ1", "eigenvalue_2": "λ2", "eigenvalue_3": "λ3", "egi": "EGI", "ebi": "EBI",
-    "evi": "EVI", "intensity_mean": "AI",
-}  # fmt: skip
+    "height_above_ground": "NH",
+    "height_range": "Hr",
+    "height_std": "H std",
+    "height_skewness": "H skewness",
+    "height_kurtosis": "H kurtosis",
+    "roughness": "roughness N",
+    "plane_range": "S range",
+    "plane_std": "S std",
+    "inclination": "Sn",
+    "eigenvalue_1": "λ1",
+    "eigenvalue_2": "λ2",
+    "eigenvalue_3": "λ3",
+    "egi": "EGI",
+    "ebi": "EBI",
+    "evi": "EVI",
+    "intensity_mean": "AI",
+}
 
 
 def xiong_view(facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -84,19 +101,29 @@ def _facts(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _strategy(key: str, made: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
     paper, times = facts["printed"]["strategies"][key], facts["times"][key]
     return {
-        "key": key, "title": paper["title"], **ours(made), "features": made["features"],
+        "key": key,
+        "title": paper["title"],
+        **ours(made),
+        "features": made["features"],
         "paper": {"overall": paper["overall"], "kappa": f"{paper['kappa']:.3f}"},
         "errors": [
             {
-                "name": n, "omission": share(made["omission"][n]), "commission": share(made["commission"][n]),
-                "paper_omission": paper["omission"].get(n, "–"), "paper_commission": paper["commission"].get(n, "–"),
+                "name": n,
+                "omission": share(made["omission"][n]),
+                "commission": share(made["commission"][n]),
+                "paper_omission": paper["omission"].get(n, "–"),
+                "paper_commission": paper["commission"].get(n, "–"),
             }
             for n in made["omission"]
         ],
-        "train": seconds_of(times["train"]), "test": seconds_of(times["test"]),
-        "paper_train": seconds_of(paper["train"]), "paper_test": seconds_of(paper["test"]),
-        "train_rows": number(times["train_rows"]), "test_rows": number(times["test_rows"]), "notes": made["notes"],
-    }  # fmt: skip
+        "train": seconds_of(times["train"]),
+        "test": seconds_of(times["test"]),
+        "paper_train": seconds_of(paper["train"]),
+        "paper_test": seconds_of(paper["test"]),
+        "train_rows": number(times["train_rows"]),
+        "test_rows": number(times["test_rows"]),
+        "notes": made["notes"],
+    }
 
 
 def _difference(key: str, one: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -130,9 +157,7 @@ def _selection(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _elimination(facts: Mapping[str, Any]) -> bytes:
-    steps = [
-        (len(s["features"]), 100 * s["accuracy"], 100 * s["accuracy_std"]) for s in facts["selection"]["steps"]
-    ]  # fmt: skip
+    steps = [(len(s["features"]), 100 * s["accuracy"], 100 * s["accuracy_std"]) for s in facts["selection"]["steps"]]
     printed = facts["printed"]["selection"]
     return draw_elimination(steps, len(facts["chosen"]), (printed["chosen"], printed["accuracy"]))
 
@@ -165,11 +190,13 @@ def _important(facts: Mapping[str, Any]) -> dict[str, Any]:
 
 def _radius(row: Mapping[str, Any]) -> dict[str, Any]:
     return {
-        "radius": f"{row['radius']:g}", "ours": ", ".join(SIGNS.get(n, n) for n in row["ours"]) or "–",
-        "count": len(row["ours"]), "of": row["of"],
+        "radius": f"{row['radius']:g}",
+        "ours": ", ".join(SIGNS.get(n, n) for n in row["ours"]) or "–",
+        "count": len(row["ours"]),
+        "of": row["of"],
         "paper": "–" if row["paper"] is None else ", ".join(SIGNS.get(n, n) for n in row["paper"]) or "none",
         "paper_count": "–" if row["paper"] is None else len(row["paper"]),
-    }  # fmt: skip
+    }
 
 
 def _radii(facts: Mapping[str, Any]) -> bytes:
@@ -182,12 +209,18 @@ def _radii(facts: Mapping[str, Any]) -> bytes:
 def _thinning(facts: Mapping[str, Any]) -> dict[str, Any]:
     rows = [
         {
-            "rate": f"{100 * s['rate']:g}", "kept": number(s["kept"]), "trained": number(s["trained"]),
-            "accuracy": share(s["accuracy"]), "std": share(s["accuracy_std"]), "kappa": f"{s['kappa']:.3f}",
-            "train": seconds_of(s["train_seconds"]), "micro": f"{s['microseconds']['total']:.2f}",
-            "features": f"{s['microseconds']['features']:.2f}", "vote": f"{s['microseconds']['vote']:.2f}",
+            "rate": f"{100 * s['rate']:g}",
+            "kept": number(s["kept"]),
+            "trained": number(s["trained"]),
+            "accuracy": share(s["accuracy"]),
+            "std": share(s["accuracy_std"]),
+            "kappa": f"{s['kappa']:.3f}",
+            "train": seconds_of(s["train_seconds"]),
+            "micro": f"{s['microseconds']['total']:.2f}",
+            "features": f"{s['microseconds']['features']:.2f}",
+            "vote": f"{s['microseconds']['vote']:.2f}",
             "chosen": s["rate"] == facts["thinning"]["lowest"],
         }
         for s in facts["thinning"]["steps"]
-    ]  # fmt: skip
+    ]
     return {"rows": rows, "lowest": f"{100 * facts['thinning']['lowest']:g}"}

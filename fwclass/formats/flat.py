@@ -1,0 +1,118 @@
+"""Coordinates that are no lengths on a plane: degrees, and places that count from the middle of the earth.
+
+Everything here measures in metres, with z up. A file says by its coordinate system that it does not, or by its numbers
+where it names none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from fwclass.errors import InputError
+
+DEGREES, GEOCENTRIC = "in degrees", "geocentric"
+
+_WORDS = {
+    DEGREES: "the coordinates are in degrees",
+    GEOCENTRIC: "the coordinates are geocentric: they count from the middle of the earth, and z is not up",
+}
+_LIKE = {
+    DEGREES: "the coordinates look like degrees",
+    GEOCENTRIC: "the coordinates look geocentric, as if they counted from the middle of the earth",
+}
+
+LONGEST, HIGHEST = 360.0, 90.0
+"""Degrees: no longitude, and no latitude, is larger."""
+
+WIDEST = 5.0
+"""Degrees that a file spans at most; 500 km of a flight."""
+
+FINEST = 2e-5
+"""Step of stored coordinates up to which they may be degrees (2 m); lengths are stored in coarser ones, of 1e-4 and
+more, and degrees in such steps would be places 10 m and more apart."""
+
+STEEP = 10.0
+"""Heights of so many times the width are no piece of land in metres, whatever the step."""
+
+RADIUS, ABOUT = 6.371e6, 6e4
+"""Of the earth [m], and how far a place on it or above it is from that."""
+
+NO_HEIGHT = 1e5
+"""m, higher than anything over land or sea."""
+
+
+class Placed(Protocol):
+    """A file that says where its points lie: bounds (6) with the least x, y, z before the largest, steps of x, y, z."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def bounds(self) -> tuple[float, ...]: ...
+    @property
+    def scales(self) -> tuple[float, ...]: ...
+    @property
+    def crs(self) -> Any: ...
+
+
+def not_flat(crs: Any, low: Sequence[float], high: Sequence[float], step: float | None = None) -> str:
+    """`DEGREES`, `GEOCENTRIC` or "".
+
+    Parameters
+    ----------
+    crs : `pyproj.CRS` of the coordinates, or None: only then degrees are told from the numbers.
+    low, high : least and largest x, y and z; numbers that are not finite say nothing.
+    step : of the stored x and y, None where they are text.
+    """
+    if crs is not None and crs.is_geographic:
+        return DEGREES
+    if crs is not None and crs.is_geocentric:
+        return GEOCENTRIC
+    if not all(map(math.isfinite, (*low, *high))):
+        return ""
+    away = math.hypot(*((a + b) / 2.0 for a, b in zip(low, high, strict=True)))
+    if abs(away - RADIUS) < ABOUT and min(abs(low[2]), abs(high[2])) > NO_HEIGHT:
+        return GEOCENTRIC
+    wide, deep, up = (b - a for a, b in zip(low, high, strict=True))
+    small = max(abs(low[0]), abs(high[0])) <= LONGEST and max(abs(low[1]), abs(high[1])) <= HIGHEST
+    if crs is not None or not small or not 0.0 < max(wide, deep) <= WIDEST:
+        return ""
+    fine = step is not None and step <= FINEST
+    return DEGREES if fine or up > STEEP * max(wide, deep) else ""
+
+
+def words(kind: str, crs: Any) -> str:
+    """What `not_flat` told, in words: certain where the system says it."""
+    return (_LIKE if crs is None else _WORDS)[kind]
+
+
+def refuse_unless_flat(
+    crs: Any, low: Sequence[float], high: Sequence[float], where: object, step: float | None = None
+) -> None:
+    """`InputError` for what `not_flat` tells; the parameters are its own."""
+    kind = not_flat(crs, low, high, step)
+    if kind:
+        x, y, z = (f"{a} {u:.10g} to {v:.10g}" for a, u, v in zip("xyz", low, high, strict=True))
+        raise InputError(
+            words(kind, crs),
+            where=where,
+            expected="a projected coordinate system in metres: every distance here is a length, and z is up",
+            got=f"{crs.name}; {x}, {y}, {z}" if crs is not None else f"no coordinate system named; {x}, {y}, {z}",
+            do="reproject the file first (for example with PDAL's filters.reprojection)"
+            + (", or name the system that its metres are in" if crs is None else ""),
+        )
+
+
+def refuse_source(source: Placed, crs: Any) -> None:
+    """`InputError` where the header of `source` says that its coordinates are not flat; `crs` is what holds for it."""
+    refuse_unless_flat(crs, source.bounds[:3], source.bounds[3:], source.path, max(source.scales[:2]))
+
+
+def flat_faults(source: Placed, low: Sequence[float], high: Sequence[float]) -> list[str]:
+    """What `info` says of a file whose coordinates lie within `low` and `high`; its own degrees are told already."""
+    kind = not_flat(source.crs, low, high, max(source.scales[:2]))
+    if not kind or (source.crs is not None and source.crs.is_geographic):
+        return []
+    return [f"{words(kind, source.crs)}: reproject the file to metres first"]

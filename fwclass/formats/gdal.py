@@ -1,0 +1,77 @@
+"""GDAL for files of polygons: the drivers of three formats, and no network.
+
+GDAL goes by what a file holds, and has drivers for texts that name other files, addresses and whole pipelines.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+from fwclass.errors import FwclassError
+from fwclass.isolation import away_from
+
+DRIVERS = {"GPKG", "GeoJSON", "ESRI Shapefile", "MEM"}
+"""``MEM`` reads no file; GeoTIFF's driver may need it."""
+
+_NOWHERE = "refused://127.0.0.1:1"
+"""A proxy of no scheme that curl knows: every request fails before anything is looked up or connected to."""
+
+_OPTIONS = {
+    "GDAL_HTTP_PROXY": _NOWHERE,
+    "GDAL_HTTPS_PROXY": _NOWHERE,
+    "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
+    "OGR_SQLITE_ALLOW_EXTERNAL_ACCESS": "NO",
+    "ALLOW_OGR_SQL_FUNCTIONS_FROM_TRIGGER_AND_VIEW": "NO",
+    "OGR_SQLITE_LOAD_EXTENSIONS": None,
+}
+
+_EXCEPTIONS = ("no_proxy", "NO_PROXY")
+"""Hosts that curl reaches without the proxy, by the environment."""
+
+_PROJ = ("proj.ini", "proj.db")
+"""What PROJ looks for in the current directory, after its own places."""
+
+_alone = threading.Lock()
+
+
+@cache
+def vector_gdal() -> Any:
+    """The module `pyogrio`, its GDAL restricted for the rest of this process; `FwclassError` if it cannot be."""
+    import pyogrio  # loads GDAL, which only a survey with polygons needs
+    from pyogrio import _ogr, raw  # noqa: F401 - loads pyogrio.raw
+
+    others = sorted(set(pyogrio.list_drivers()) - DRIVERS)
+    pyogrio.set_gdal_config_options(_OPTIONS | {"GDAL_SKIP": ",".join(others)})
+    _ogr._register_drivers()  # takes those away that are to be skipped
+    left = sorted(set(pyogrio.list_drivers()) - DRIVERS)
+    if left:
+        raise FwclassError(
+            "GDAL cannot be kept from opening files of other formats",
+            where=f"pyogrio {pyogrio.__version__}",
+            expected="drivers of GeoPackage, GeoJSON and Shapefile alone",
+            got=", ".join(left),
+            do="install the version of pyogrio that requirements.lock names, or convert the polygons to GeoParquet",
+        )
+    return pyogrio
+
+
+@contextmanager
+def offline() -> Iterator[Any]:
+    """`vector_gdal` while it reaches no host and prints nothing: what is wrong with a file is told by who reads it.
+
+    It may be elsewhere than in the current directory meanwhile: paths that it is given have to be absolute.
+    """
+    module = vector_gdal()
+    with _alone, away_from(*_PROJ), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        kept = {name: os.environ.pop(name) for name in _EXCEPTIONS if name in os.environ}
+        try:
+            yield module
+        finally:
+            os.environ.update(kept)

@@ -1,0 +1,126 @@
+"""GeoParquet 1.x: the header, and the rows of a field with geometries as well-known binary."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from fwclass.errors import InputError
+from fwclass.formats.vector import Header
+from fwclass.lazy_module import LazyModule
+from fwclass.paths import open_regular
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+else:
+    pa, pq = LazyModule("pyarrow"), LazyModule("pyarrow.parquet")
+
+_CODE = re.compile(r"[A-Za-z]+:[A-Za-z0-9]+")
+"""Authority and code."""
+
+WITHOUT_CRS = "OGC:CRS84"
+"""What a column that does not speak of its CRS is in (GeoParquet 1.1)."""
+
+
+def header(path: Path) -> Header:
+    """What the file holds; ``column`` names the geometry beside the keys of `vector.header`.
+
+    Raises
+    ------
+    InputError
+        No Parquet, no GeoParquet, or another encoding than well-known binary.
+    """
+    with _opened(path) as file:
+        schema, features = file.schema_arrow, file.metadata.num_rows
+    about = _geo(path, schema)
+    column = about.get("primary_column")
+    columns = about.get("columns")
+    if not isinstance(columns, dict) or not isinstance(columns.get(column), dict) or column not in schema.names:
+        raise _foreign(path, "metadata that names no geometry column")
+    own = columns[column]
+    binary = pa.types.is_binary(schema.field(column).type) or pa.types.is_large_binary(schema.field(column).type)
+    if own.get("encoding") != "WKB" or not binary:
+        raise InputError(
+            "the geometries are encoded in a way that is not read",
+            where=f"{path}: column {column}",
+            expected="encoding WKB",
+            got=own.get("encoding"),
+            do="write the file again with WKB geometries (geopandas: geometry_encoding='WKB')",
+        )
+    boxes = {_root(path) for path in (own.get("covering") or {}).get("bbox", {}).values()}
+    fields = {f.name: str(f.type) for f in schema if f.name != column and f.name not in boxes}
+    kinds = own.get("geometry_types") or []
+    return {
+        "layer": path.stem,
+        "fields": fields,
+        "crs": _crs(path, own),
+        "features": int(features),
+        "geometry": ", ".join(map(str, kinds)) or "unknown",
+        "column": column,
+    }
+
+
+def rows(path: Path, geometry: str, field: str | None) -> tuple[list[Any], list[bytes | None]]:
+    """As `vector.rows`, for the column `geometry`."""
+    return column(path, field) if field else [], column(path, geometry)
+
+
+def column(path: Path, name: str) -> list[Any]:
+    """Values of one column, in the file's order."""
+    with _opened(path) as file:
+        try:
+            return list(file.read([name]).column(name).to_pylist())
+        except (pa.ArrowException, OSError, UnicodeDecodeError) as fault:
+            raise _foreign(path, str(fault)) from fault
+
+
+def _opened(path: Path) -> Any:
+    try:
+        open_regular(path).close()  # Arrow would wait for a pipe
+        return pq.ParquetFile(path)
+    except (pa.ArrowException, OSError) as fault:
+        raise _foreign(path, str(fault).splitlines()[0]) from fault
+
+
+def _geo(path: Path, schema: Any) -> dict[str, Any]:
+    text = (schema.metadata or {}).get(b"geo")
+    if text is None:
+        raise _foreign(path, "Parquet without geographic metadata")
+    try:
+        about = json.loads(text)
+    except ValueError as fault:
+        raise _foreign(path, "metadata that is no JSON") from fault
+    if not isinstance(about, dict):
+        raise _foreign(path, "metadata that is no object")
+    return about
+
+
+def _root(path: Any) -> str:
+    return str(path[0]) if isinstance(path, list) and path else ""
+
+
+def _crs(path: Path, own: dict[str, Any]) -> CRS | None:
+    """PROJJSON of the column; longitude and latitude where it says nothing, None where it says null."""
+    told = own.get("crs", WITHOUT_CRS)
+    if isinstance(told, str) and not _CODE.fullmatch(told):  # PROJ's own words could name files
+        raise _foreign(path, "a coordinate system that is neither PROJJSON nor a code")
+    try:
+        return CRS.from_user_input(told) if told is not None else None
+    except (CRSError, TypeError) as fault:
+        raise _foreign(path, "a coordinate system that cannot be understood") from fault
+
+
+def _foreign(path: Path, got: str) -> InputError:
+    return InputError(
+        "this is no GeoParquet file that can be read",
+        where=path,
+        expected="GeoParquet 1.0 or 1.1",
+        got=got,
+        do="write it again, for example with geopandas or GDAL",
+    )

@@ -1,0 +1,282 @@
+"""LAS and LAZ files as bytes: header, records, points; nothing is interpreted that need not be.
+
+Copying a strip must not lose what a library does not know, so its header and its variable length records are
+carried as they are. Points go through LASzip, which keeps every byte of every point format, wave packets too.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import laszip
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError, StoreError
+
+POINT_SIZE = {0: 20, 1: 28, 2: 26, 3: 34, 4: 57, 5: 63, 6: 30, 7: 36, 8: 38, 9: 59, 10: 67}
+"""Bytes of a point record without extra bytes, by point format (LAS 1.4 R15, tables 7 to 17)."""
+
+HEADER_SIZE = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
+"""Bytes of the public header block, by minor version."""
+
+VLR_HEADER, EVLR_HEADER = 54, 60
+EXTRA_BYTES = ("LASF_Spec", 4)
+LASZIP = ("laszip encoded", 22204)
+WAVEFORM_PACKETS = 65535
+INTERNAL, EXTERNAL, WKT = 2, 4, 16
+"""Bits of the global encoding."""
+
+AT_ENCODING, AT_OFFSET, AT_FORMAT, AT_PACKETS, AT_EVLRS = 6, 96, 104, 227, 235
+BLOCK = 1 << 20
+EVERYTHING = 0xFFFFFFFF
+MAX_CHUNK = 1 << 28
+"""Bytes of points held at once."""
+
+MAX_HEAD = 1 << 28
+"""Header and records above this size [bytes] are refused before they are read."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One variable length record, with its own header in `raw`; `start` is its place in the file."""
+
+    user: str
+    number: int
+    raw: bytes
+    start: int = 0
+
+    @property
+    def data(self) -> bytes:
+        return self.raw[VLR_HEADER:]
+
+
+@dataclass(frozen=True)
+class LasHead:
+    """Header block and variable length records of a file, as bytes.
+
+    Attributes
+    ----------
+    block : the public header block, user bytes included.
+    records : the variable length records, in order.
+    gap : bytes between the last record and the first point.
+    """
+
+    path: Path
+    block: bytes
+    records: tuple[Record, ...]
+    gap: bytes
+    file_size: int
+
+    @property
+    def minor(self) -> int:
+        return self.block[25]
+
+    @property
+    def point_format(self) -> int:
+        return self.block[AT_FORMAT] & 0x3F
+
+    @property
+    def compressed(self) -> bool:
+        return bool(self.block[AT_FORMAT] & 0x80)
+
+    @property
+    def encoding(self) -> int:
+        return self._get("<H", AT_ENCODING)
+
+    @property
+    def point_offset(self) -> int:
+        return self._get("<I", AT_OFFSET)
+
+    @property
+    def point_size(self) -> int:
+        return self._get("<H", 105)
+
+    @property
+    def points(self) -> int:
+        count = self._get("<Q", 247) if self.minor >= 4 else 0
+        return count or self._get("<I", 107)
+
+    @property
+    def packets_start(self) -> int:
+        return self._get("<Q", AT_PACKETS) if self.minor >= 3 else 0
+
+    @property
+    def evlrs_start(self) -> int:
+        return self._get("<Q", AT_EVLRS) if self.minor >= 4 else 0
+
+    @property
+    def evlrs(self) -> int:
+        return self._get("<I", AT_EVLRS + 8) if self.minor >= 4 else 0
+
+    def _get(self, kind: str, at: int) -> int:
+        return int(struct.unpack_from(kind, self.block, at)[0])
+
+
+def kept_records(head: LasHead) -> LasHead:
+    """`head` without the records that say how points are stored (LASzip, COPC)."""
+    kept = tuple(r for r in head.records if (r.user, r.number) != LASZIP and r.user != "copc")
+    return replace(head, records=kept)
+
+
+def class_byte(point_format: int) -> int:
+    """Place of the classification in a point record."""
+    return 16 if point_format >= 6 else 15
+
+
+def copy_bytes(source: BinaryIO, target: BinaryIO, start: int, length: int) -> int:
+    """Copy `length` bytes from `start`, in blocks; the number of bytes that were there."""
+    source.seek(start)
+    left = length
+    while left > 0 and (block := source.read(min(left, BLOCK))):
+        target.write(block)
+        left -= len(block)
+    return length - left
+
+
+def broken(path: Path, what: str, expected: object, got: object) -> InputError:
+    return InputError(
+        what,
+        where=path,
+        expected=expected,
+        got=got,
+        do="the file is damaged or incomplete: fetch it again from its source",
+    )
+
+
+def differs(copy: Path, what: str, wanted: object, got: object) -> StoreError:
+    return StoreError(
+        f"read back, {what} differs from the source",
+        where=copy,
+        expected=wanted,
+        got=got,
+        do="nothing was published; report this with the source's point format (fwclass info)",
+    )
+
+
+def read_head(path: Path) -> LasHead:
+    """Header and records of a LAS or LAZ file; `InputError` where sizes contradict each other."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(0)
+        first = file.read(227)
+        if len(first) < 227 or first[:4] != b"LASF":
+            raise broken(path, "not a LAS file", "a header of 227 bytes that starts with LASF", first[:4])
+        minor, (header_size, offset, count) = first[25], struct.unpack_from("<HII", first, 94)
+        if first[24] != 1 or minor not in HEADER_SIZE:
+            raise broken(path, "a LAS version that is not known here", "1.0 to 1.4", f"{first[24]}.{minor}")
+        if not HEADER_SIZE[minor] <= header_size <= offset <= min(size, MAX_HEAD):
+            raise broken(path, "the header's sizes do not fit", f"at most {size} bytes", (header_size, offset))
+        file.seek(0)
+        head = file.read(offset)
+    records, at = _records(path, head, header_size, count)
+    made = LasHead(path, head[:header_size], records, head[at:], size)
+    least = POINT_SIZE.get(made.point_format)
+    if least is None or made.point_size < least:
+        raise broken(
+            path,
+            "point format and record length do not fit",
+            f"format 0 to 10, {least} bytes or more",
+            f"format {made.point_format}, {made.point_size} bytes",
+        )
+    if not made.compressed and made.point_offset + made.points * made.point_size > size:
+        raise broken(path, "the file ends before its last point", f"{made.points} points", f"{size} bytes")
+    return made
+
+
+def _records(path: Path, head: bytes, at: int, count: int) -> tuple[tuple[Record, ...], int]:
+    records = []
+    for _ in range(count):
+        if at + VLR_HEADER > len(head):
+            raise broken(path, "a variable length record passes the first point", len(head), at)
+        _, user, number, length, _ = struct.unpack_from("<H16sHH32s", head, at)
+        end = at + VLR_HEADER + length
+        if end > len(head):
+            raise broken(path, "a variable length record passes the first point", len(head), end)
+        records.append(Record(text(user), number, head[at:end], at))
+        at = end
+    return tuple(records), at
+
+
+def text(field: bytes) -> str:
+    return field.split(b"\0", 1)[0].decode("latin-1")
+
+
+@dataclass(frozen=True)
+class ExtendedRecord:
+    """Place of an extended record: `start` of its 60-byte header, `length` of the data that follows it."""
+
+    user: str
+    number: int
+    start: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        return self.start + EVLR_HEADER + self.length
+
+
+def read_extended(file: BinaryIO, head: LasHead, start: int) -> ExtendedRecord:
+    """The extended record at `start`; `InputError` if its header does not lie in the file."""
+    if not head.point_offset <= start <= head.file_size - EVLR_HEADER:
+        raise broken(head.path, "an extended record lies outside the file", f"below {head.file_size}", start)
+    file.seek(start)
+    _, user, number, length, _ = struct.unpack("<H16sHQ32s", file.read(EVLR_HEADER))
+    return ExtendedRecord(text(user), number, start, length)
+
+
+def extended_records(file: BinaryIO, head: LasHead) -> list[ExtendedRecord]:
+    """Every extended record that the header lists, in order."""
+    found: list[ExtendedRecord] = []
+    at = head.evlrs_start
+    for _ in range(head.evlrs):
+        record = read_extended(file, head, at)
+        found.append(record)
+        at = record.end
+    return found
+
+
+def chunk_rows(wanted: int, point_size: int) -> int:
+    """`wanted` points, or fewer where a header claims a point size that would fill the memory."""
+    return max(1, min(wanted, MAX_CHUNK // point_size))
+
+
+def point_chunks(head: LasHead, chunk: int) -> Iterator[NDArray[np.uint8]]:
+    """Points in file order as byte arrays of shape (at most `chunk`, point size); the array is used again."""
+    chunk = chunk_rows(chunk, head.point_size)
+    buffer = np.empty((min(chunk, head.points), head.point_size), np.uint8)
+    with head.path.open("rb") as file:
+        take = _decompressor(head, file) if head.compressed and head.points else _plain(head, file)
+        for first in range(0, head.points, chunk):
+            part = buffer[: min(chunk, head.points - first)]
+            take(part)
+            yield part
+
+
+def _plain(head: LasHead, file: BinaryIO) -> Any:
+    file.seek(head.point_offset)
+
+    def take(part: NDArray[np.uint8]) -> None:
+        if file.readinto(part.reshape(-1).data) != part.size:  # type: ignore[attr-defined]
+            raise broken(head.path, "the file ends before its last point", head.points, "fewer")
+
+    return take
+
+
+def _decompressor(head: LasHead, file: BinaryIO) -> Any:
+    try:
+        reader = laszip.LasUnZipper(file, EVERYTHING)
+    except Exception as fault:
+        raise broken(head.path, "the compressed points cannot be read", "LAZ", fault) from fault
+
+    def take(part: NDArray[np.uint8]) -> None:
+        try:
+            reader.decompress_into(part.reshape(-1))
+        except Exception as fault:
+            raise broken(head.path, "the compressed points cannot be read", "LAZ", fault) from fault
+
+    return take

@@ -1,0 +1,257 @@
+"""The LAS header and its variable length records, read with every size checked before it is used.
+
+Source: ASPRS LAS 1.4 R15; record layouts of LAS 1.0 to 1.3 are prefixes of it.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from fwclass.errors import InputError
+from fwclass.formats.checks import check_length, check_scales
+from fwclass.paths import open_regular
+
+WAVE_OFFSET = {4: 28, 5: 34, 9: 30, 10: 38}
+"""Byte of the 29-byte wave packet block in a point record, by point format."""
+
+RECORD_LENGTH = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
+"""Shortest point record, by point format."""
+
+WPD_FIRST, WPD_LAST, WDP_RECORD = 100, 354, 65535
+SPEC_USERS = ("LASF_Spec", "LAS_Spec")
+"""User ids of the specification's own records; the second is a common misspelling."""
+
+VLR_HEADER, EVLR_HEADER = 54, 60
+MAX_EVLR_BODY = 1 << 22
+"""Bytes of an extended record that are kept; longer ones (waveforms, images) are only located."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A variable length record: who wrote it, where it starts in the file, its length and its bytes."""
+
+    user: str
+    number: int
+    start: int
+    length: int
+    body: bytes
+
+
+@dataclass(frozen=True)
+class Header:
+    """The public header block, checked against the size of the file.
+
+    Attributes
+    ----------
+    point_format : 0 to 10, without the compression bits.
+    record_length : bytes of a point record.
+    bounds : xmin, ymin, zmin, xmax, ymax, zmax as the header states them [m].
+    wave_start : byte of the internal waveform record's header; 0 if none is stated.
+    by_return : points per return number as the header states them.
+    vlrs, evlrs : the records that lie whole in the file.
+    faults : what is wrong without making the file useless.
+    """
+
+    path: Path
+    size: int
+    version: tuple[int, int]
+    global_encoding: int
+    system: str
+    software: str
+    header_size: int
+    points_start: int
+    point_format: int
+    record_length: int
+    compressed: bool
+    n_points: int
+    by_return: tuple[int, ...]
+    scales: tuple[float, float, float]
+    offsets: tuple[float, float, float]
+    bounds: tuple[float, float, float, float, float, float]
+    wave_start: int
+    vlrs: tuple[Record, ...]
+    evlrs: tuple[Record, ...]
+    faults: tuple[str, ...]
+
+    @property
+    def has_waves(self) -> bool:
+        """The point format holds waveform packets."""
+        return self.point_format in WAVE_OFFSET
+
+    @property
+    def has_gps_time(self) -> bool:
+        return self.point_format not in (0, 2)
+
+    def records(self, number: int, users: tuple[str, ...]) -> list[Record]:
+        return [r for r in (*self.vlrs, *self.evlrs) if r.number == number and r.user in users]
+
+
+def read_header(path: Path) -> Header:
+    """Parse the header of `path`; `InputError` if it is no LAS file or cannot be used."""
+    try:
+        size = path.stat().st_size
+        stream = open_regular(path)
+    except OSError as error:
+        raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
+    with stream:
+        if path.suffix.lower() == ".wdp":
+            raise InputError("this file holds waveforms, not points", where=path, do="give the .las or .laz beside it")
+        return _parse(stream, path, size)
+
+
+def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
+    head = stream.read(375)
+    _refuse_foreign(head, path, size)
+    faults: list[str] = []
+    version = (head[24], head[25])
+    header_size, points_start, n_vlrs = struct.unpack_from("<HII", head, 94)
+    raw_format, record_length, legacy_count = struct.unpack_from("<BHI", head, 104)
+    point_format = raw_format & 0x3F
+    compressed = bool(raw_format & 0xC0)
+    by_return: tuple[int, ...] = struct.unpack_from("<5I", head, 111)
+    wave_start, n_points, first_evlr, n_evlrs = 0, legacy_count, 0, 0
+    if version >= (1, 3) and header_size >= 235 and len(head) >= 235:
+        (wave_start,) = struct.unpack_from("<Q", head, 227)
+    if version >= (1, 4) and header_size >= 375 and len(head) >= 375:
+        first_evlr, n_evlrs, count = struct.unpack_from("<QIQ", head, 235)
+        n_points = count or legacy_count
+        by_return = struct.unpack_from("<15Q", head, 255) if count else by_return
+    elif version >= (1, 4):
+        faults.append(f"header of {header_size} bytes is too short for LAS 1.4 (375)")
+    _check_layout(path, size, header_size, points_start, point_format, record_length)
+    if not compressed:
+        check_length(path, size, points_start, record_length, n_points, "points")
+    scales = struct.unpack_from("<3d", head, 131)
+    offsets = struct.unpack_from("<3d", head, 155)
+    check_scales(path, scales, offsets)
+    b = struct.unpack_from("<6d", head, 179)
+    vlrs = _vlrs(stream, path, header_size, n_vlrs, points_start)
+    evlrs = _evlrs(stream, first_evlr, n_evlrs, size, faults)
+    return Header(
+        path,
+        size,
+        version,
+        struct.unpack_from("<H", head, 6)[0],
+        _text(head[26:58]),
+        _text(head[58:90]),
+        header_size,
+        points_start,
+        point_format,
+        record_length,
+        compressed,
+        n_points,
+        by_return,
+        scales,
+        offsets,
+        (b[1], b[3], b[5], b[0], b[2], b[4]),
+        wave_start,
+        vlrs,
+        evlrs,
+        tuple(faults),
+    )
+
+
+def _refuse_foreign(head: bytes, path: Path, size: int) -> None:
+    if size == 0:
+        raise InputError(
+            "the file is empty", where=path, expected="a LAS or LAZ file", got="0 bytes", do="copy it again"
+        )
+    if head[:4] != b"LASF":
+        raise InputError(
+            "this is no LAS or LAZ file",
+            where=path,
+            expected="the signature LASF",
+            got=repr(head[:4]),
+            do="give a LAS, LAZ or COPC file",
+        )
+    if len(head) < 227:
+        raise InputError(
+            "the file ends inside its header",
+            where=path,
+            expected="at least 227 bytes",
+            got=f"{len(head)} bytes",
+            do="copy it again",
+        )
+    version = (head[24], head[25])
+    if not (1, 0) <= version <= (1, 4):
+        raise InputError(
+            "unknown LAS version",
+            where=path,
+            expected="1.0 to 1.4",
+            got=f"{version[0]}.{version[1]}",
+            do="convert the file to LAS 1.4",
+        )
+
+
+def _check_layout(
+    path: Path, size: int, header_size: int, points_start: int, point_format: int, record_length: int
+) -> None:
+    if point_format >= len(RECORD_LENGTH):
+        raise InputError(
+            "unknown point format", where=path, expected="0 to 10", got=point_format, do="convert the file"
+        )
+    if record_length < RECORD_LENGTH[point_format]:
+        raise InputError(
+            "the point records are too short for their format",
+            where=path,
+            expected=f"at least {RECORD_LENGTH[point_format]} bytes for format {point_format}",
+            got=f"{record_length} bytes",
+            do="the header is damaged; export the file again",
+        )
+    if not 227 <= header_size <= points_start <= size:
+        raise InputError(
+            "the header's offsets do not fit the file",
+            where=path,
+            expected=f"227 <= header size <= start of points <= {size} bytes",
+            got=f"header size {header_size}, start of points {points_start}",
+            do="the file is cut short or its header damaged; copy or export it again",
+        )
+
+
+def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tuple[Record, ...]:
+    found, at = [], start
+    for i in range(count):
+        stream.seek(at)
+        head = stream.read(VLR_HEADER) if at + VLR_HEADER <= end else b""
+        user, number, length = struct.unpack_from("<16sHH", head, 2) if head else (b"", 0, end)
+        if at + VLR_HEADER + length > end:
+            raise InputError(
+                "the header's records run into the points",
+                where=path,
+                expected=f"{count} variable length records up to byte {end}",
+                got=f"{i} whole ones",
+                do="the header is damaged; copy or export the file again",
+            )
+        found.append(Record(_text(user), number, at, length, stream.read(length)))
+        at += VLR_HEADER + length
+    return tuple(found)
+
+
+def _evlrs(stream: BinaryIO, start: int, count: int, size: int, faults: list[str]) -> tuple[Record, ...]:
+    found: list[Record] = []
+    at = start
+    for i in range(count):
+        record = evlr_at(stream, at, size)
+        if record is None:
+            faults.append(f"the header promises {count} extended records, {i} lie in the file")
+            break
+        found.append(record)
+        at += EVLR_HEADER + record.length
+    return tuple(found)
+
+
+def evlr_at(stream: BinaryIO, at: int, size: int) -> Record | None:
+    """The extended record whose header starts at byte `at`, or None; its body only where it is short and whole."""
+    if at < 227 or at + EVLR_HEADER > size:
+        return None
+    stream.seek(at)
+    user, number, length = struct.unpack_from("<16sHQ", stream.read(EVLR_HEADER), 2)
+    whole = length <= min(MAX_EVLR_BODY, size - at - EVLR_HEADER)
+    return Record(_text(user), number, at, length, stream.read(length) if whole else b"")
+
+
+def _text(raw: bytes) -> str:
+    return raw.split(b"\0")[0].decode("latin1").strip()

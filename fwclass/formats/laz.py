@@ -1,0 +1,178 @@
+"""The tables of a LAZ file, checked before a decompressor believes them.
+
+The decompressors take every number of a file for true: a length that is none makes one allocate gigabytes and the
+other write beside its memory. So whatever states a count, a length or a place is held against the file first.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import BinaryIO, NoReturn
+
+import lazrs
+
+from fwclass.errors import InputError
+from fwclass.formats.las_header import RECORD_LENGTH, Header
+
+VARIABLE_CHUNKS = 0xFFFFFFFF
+POINTS_PER_BYTE = 64
+"""No survey compresses to an eighth of a bit a point."""
+
+CHUNKED, LAYERED = 2, 3
+"""Compressors: point after point, and the fields of a chunk one after another."""
+
+_SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
+"""Bytes of an item of a point, by its type; those of bytes (0, 14) vary."""
+
+_BYTES, _BYTES14 = 0, 14
+_LEGACY = {0: (6,), 1: (6, 7), 2: (6, 8), 3: (6, 7, 8), 4: (6, 7, 9), 5: (6, 7, 8, 9)}
+_MODERN = {6: (10,), 7: (10, 11), 8: (10, 12), 9: (10, 13), 10: (10, 12, 13)}
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers of an item; a byte is one layer."""
+
+_SOUND: set[tuple[str, int, int, int, int]] = set()
+"""Files whose chunks this process has found sound, by path, inode, size and times: a run opens each for every part."""
+
+Item = tuple[int, int, int]
+"""Type, size [bytes], version."""
+
+
+def _laz_record(header: Header) -> bytes:
+    record = next((r for r in header.vlrs if r.user == "laszip encoded" and r.number == 22204), None)
+    if record is None or len(record.body) < 34:
+        _refuse(header, "a LASzip record of at least 34 bytes", len(record.body) if record else "none")
+    return record.body
+
+
+def varies_chunks(header: Header) -> bool:
+    """The chunks differ in their number of points, as in COPC."""
+    return _chunk_size(header) == VARIABLE_CHUNKS
+
+
+def _chunk_size(header: Header) -> int:
+    return int(struct.unpack_from("<I", _laz_record(header), 12)[0])
+
+
+def check_laz(header: Header) -> None:
+    """Refuse a LAZ file whose tables would make a decompressor allocate, or make up, more than the file can hold."""
+    body = _laz_record(header)
+    items = _items(header, body)
+    if header.n_points == 0:
+        return
+    if header.n_points > POINTS_PER_BYTE * header.size:
+        _refuse(header, f"at most {POINTS_PER_BYTE} points a byte", f"{header.n_points} in {header.size} bytes")
+    facts = header.path.stat()
+    known = (str(header.path), facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns)
+    if known in _SOUND:
+        return
+    with header.path.open("rb") as stream:
+        table_at, n_chunks = _chunk_table_place(header, stream)
+        _check_count(header, n_chunks, _chunk_size(header))
+        chunks = _chunk_table(header, stream, body, table_at)
+        if struct.unpack_from("<H", body)[0] == LAYERED:
+            _check_layers(header, stream, items, chunks)
+    if len(_SOUND) >= 1000:
+        _SOUND.clear()
+    _SOUND.add(known)
+
+
+def _items(header: Header, body: bytes) -> list[Item]:
+    """What a stored point is made of, as the point format demands it."""
+    compressor, coder = struct.unpack_from("<HH", body)
+    (n_items,) = struct.unpack_from("<H", body, 32)
+    items: list[Item] = [struct.unpack_from("<3H", body, at) for at in range(34, len(body) - 5, 6)][:n_items]
+    told = ", ".join(f"type {t} of {size} bytes, version {v}" for t, size, v in items[:8])
+    layered = header.point_format in _MODERN
+    if compressor != (LAYERED if layered else CHUNKED) or coder != 0:
+        wanted = f"compressor {LAYERED if layered else CHUNKED}, coder 0"
+        _refuse(header, f"{wanted} for point format {header.point_format}", f"compressor {compressor}, coder {coder}")
+    wanted_items = (_MODERN if layered else _LEGACY)[header.point_format]
+    extra = header.record_length - RECORD_LENGTH[header.point_format]
+    types = [t for t, _, _ in items]
+    sizes = [_SIZES[t] for t in wanted_items]
+    rest, rest_sizes = types[len(wanted_items) :], [size for _, size, _ in items[len(wanted_items) :]]
+    sound = len(items) == n_items and tuple(types[: len(wanted_items)]) == wanted_items
+    sound = sound and [size for _, size, _ in items[: len(wanted_items)]] == sizes
+    sound = sound and set(rest) <= {_BYTES14 if layered else _BYTES} and sum(rest_sizes) == extra
+    versions = {v for _, _, v in items}
+    if not sound or not versions <= ({3, 4} if layered else {1, 2}):
+        _refuse(header, f"the items of point format {header.point_format} with {extra} extra bytes", told or "none")
+    return items
+
+
+def _check_count(header: Header, n_chunks: int, chunk_size: int) -> None:
+    most = (header.size - header.points_start) // header.record_length + 1  # the first point of a chunk is stored whole
+    if n_chunks > most:
+        _refuse(header, f"at most {most} chunks", n_chunks)
+    if chunk_size == 0 or (chunk_size != VARIABLE_CHUNKS and n_chunks != -(-header.n_points // chunk_size)):
+        _refuse(header, f"chunks of {chunk_size} for {header.n_points} points", f"{n_chunks} chunks")
+
+
+def _chunk_table_place(header: Header, stream: BinaryIO) -> tuple[int, int]:
+    """Byte of the chunk table and the chunks that it states; its place is the first word of the point data, or the
+    file's last."""
+    stream.seek(header.points_start)
+    word = stream.read(8)
+    at = struct.unpack("<q", word)[0] if len(word) == 8 else -1
+    if at == -1:
+        stream.seek(max(0, header.size - 8))
+        at = struct.unpack("<q", stream.read(8))[0]
+    if not header.points_start + 8 <= at <= header.size - 8:
+        _refuse(header, "a chunk table inside the file", f"byte {at} of {header.size}")
+    stream.seek(at)
+    version, count = struct.unpack("<II", stream.read(8))
+    if version != 0:
+        _refuse(header, "a chunk table of version 0", version)
+    return int(at), int(count)
+
+
+def _chunk_table(header: Header, stream: BinaryIO, body: bytes, table_at: int) -> list[tuple[int, int, int]]:
+    """Points, first byte and bytes of every chunk."""
+    stream.seek(header.points_start)
+    try:
+        table = lazrs.read_chunk_table(stream, lazrs.LazVlr(body))
+    except Exception as error:
+        _refuse(header, "a readable chunk table", error)
+    except BaseException as error:  # a panic of lazrs is no `Exception`
+        if isinstance(error, KeyboardInterrupt | SystemExit | MemoryError):
+            raise
+        _refuse(header, "a readable chunk table", error)
+    points, length = sum(p for p, _ in table), sum(b for _, b in table)
+    room = table_at - header.points_start - 8
+    if points < header.n_points or length > room or any(b < header.record_length for _, b in table):
+        _refuse(
+            header,
+            f"chunks of {header.n_points} points in {room} bytes, none shorter than a point",
+            f"a chunk table of {points} points in {length} bytes",
+        )
+    found, at = [], header.points_start + 8
+    for count, bytes_ in table:
+        found.append((int(count), at, int(bytes_)))
+        at += bytes_
+    return found
+
+
+def _check_layers(header: Header, stream: BinaryIO, items: list[Item], chunks: list[tuple[int, int, int]]) -> None:
+    """The layers of every chunk must fill it: their stated lengths are what is allocated."""
+    layers = sum(_LAYERS.get(kind, size) for kind, size, _ in items)
+    head = header.record_length + 4 + 4 * layers
+    for number, (_, at, length) in enumerate(chunks):
+        stream.seek(at + header.record_length)
+        told = stream.read(head - header.record_length) if head <= length else b""
+        sizes = struct.unpack(f"<I{layers}I", told)[1:] if len(told) == head - header.record_length else ()
+        if not sizes or head + sum(sizes) != length:
+            _refuse(
+                header,
+                f"chunk {number} of {length} bytes to be {layers} layers behind {head} bytes",
+                f"layers of {sum(sizes)} bytes" if sizes else "no room for them",
+            )
+
+
+def _refuse(header: Header, expected: object, got: object) -> NoReturn:
+    raise InputError(
+        "the compressed points cannot be read",
+        where=header.path,
+        expected=expected,
+        got=got,
+        do="the file is damaged or cut short; copy or export it again",
+    )

@@ -1,0 +1,93 @@
+"""Lengths of a coordinate system in metres: x and y, and z, which may be counted in another unit."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+from fwclass.errors import InputError
+from fwclass.formats.crs import Records
+from fwclass.formats.flat import DEGREES, GEOCENTRIC, words
+from fwclass.formats.las_header import Record
+
+_KEYS, _VERTICAL_UNITS = 34735, 4099
+_USERS = ("LASF_Projection", "LAS_Projection", "liblas")
+_EPSG_UNITS = {9001: ("metre", 1.0), 9002: ("foot", 0.3048), 9003: ("US survey foot", 1200.0 / 3937.0)}
+
+
+@dataclass(frozen=True)
+class LinearUnits:
+    """What a unit of the coordinates is.
+
+    Attributes
+    ----------
+    xy, z : metres in one unit.
+    told : in words, where these come from.
+    """
+
+    xy: float
+    z: float
+    told: str
+
+    @property
+    def metres(self) -> bool:
+        return self.xy == 1.0 and self.z == 1.0
+
+
+def linear_units(crs: Any, header: Records | None, where: object) -> LinearUnits:
+    """Units of a file's coordinates.
+
+    Parameters
+    ----------
+    crs : `pyproj.CRS`, or None: metres are assumed.
+    header : may say the unit of heights (GeoTIFF key 4099) where the CRS has no vertical axis.
+
+    Raises
+    ------
+    InputError
+        Degrees, or coordinates that count from the middle of the earth.
+    """
+    if crs is None:
+        return LinearUnits(1.0, 1.0, "no coordinate system: metres are assumed")
+    if crs.is_geographic or crs.is_geocentric:
+        raise InputError(
+            words(DEGREES if crs.is_geographic else GEOCENTRIC, crs),
+            where=where,
+            expected="a projected coordinate system: every distance here is a length",
+            got=crs.name,
+            do="reproject the file first (for example with PDAL's filters.reprojection or las2las)",
+        )
+    axes = [a for part in (crs.sub_crs_list or [crs]) for a in part.axis_info]
+    flat = [a for a in axes if a.direction.lower() not in ("up", "down")]
+    up = [a for a in axes if a.direction.lower() in ("up", "down")]
+    across = _unit(flat[0]) if flat else ("metre", 1.0)
+    named = _vertical_key(header) if header is not None else None
+    high = _unit(up[0]) if up else named or across
+    told = f"{crs.name}, in {across[0]}" if across == high else f"{crs.name}, x and y in {across[0]}, z in {high[0]}"
+    if not up and named is None and across[1] != 1.0:
+        told += " (no vertical unit is named: z taken to be in the same)"
+    return LinearUnits(across[1], high[1], told)
+
+
+def _unit(axis: Any) -> tuple[str, float]:
+    factor = float(axis.unit_conversion_factor)
+    return (axis.unit_name, factor) if math.isfinite(factor) and factor > 0 else ("metre", 1.0)
+
+
+def _vertical_key(header: Records) -> tuple[str, float] | None:
+    """The unit of heights that the GeoTIFF keys name."""
+    for record in header.records(_KEYS, _USERS):
+        found = _short_key(record, _VERTICAL_UNITS)
+        if found in _EPSG_UNITS:
+            return _EPSG_UNITS[found]
+    return None
+
+
+def _short_key(record: Record, wanted: int) -> int:
+    for at in range(8, len(record.body) - 7, 8):
+        key, place, _, value = struct.unpack_from("<4H", record.body, at)
+        if key == wanted and place == 0:
+            return int(value)
+    return 0

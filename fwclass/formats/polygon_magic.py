@@ -1,0 +1,142 @@
+"""Whether a file of polygons is what its name says, before GDAL sees it."""
+
+from __future__ import annotations
+
+import glob
+import mmap
+import re
+import sqlite3
+from functools import partial
+from pathlib import Path
+
+from fwclass.errors import InputError
+from fwclass.paths import open_regular, strange_kind
+
+SQLITE = b"SQLite format 3\0"
+GEOPACKAGE = (b"GPKG", b"GP10", b"GP11")
+"""Application ids of SQLite files: OGC 12-128, requirement 2, of all versions."""
+
+SHAPEFILE = (9994).to_bytes(4, "big")
+JSON_TYPES = {
+    b"Feature",
+    b"FeatureCollection",
+    b"Point",
+    b"MultiPoint",
+    b"LineString",
+    b"MultiLineString",
+    b"Polygon",
+    b"MultiPolygon",
+    b"GeometryCollection",
+}
+"""RFC 7946, section 1.4."""
+
+_JSON_MEMBERS = {b"features", b"geometry", b"geometries", b"coordinates"}
+"""Members of such an object; its type may come after them."""
+
+HEAD = 65536
+"""Bytes of a JSON file in which its type, or a member that tells it, must be found."""
+
+_TOKEN = re.compile(rb'"(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s"{}\[\]:,]+')
+_LINKED = re.compile(rb'"crs"\s*:\s*\{[^{}]*("type"\s*:\s*"(link|url)"|\{[^{}]*"(href|url)"\s*:)', re.IGNORECASE)
+
+
+def check_format(path: Path) -> None:
+    """`InputError` where the file is not regular, cut short, or holds something else than the ending of its name says.
+
+    GDAL would read what is left of a short one, and open anything else by whatever driver knows it.
+    """
+    ending = path.suffix.lower()
+    for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):  # GDAL opens those that belong to a file as it does
+        if kind := strange_kind(beside):
+            raise _other(path, f"{kind} beside it, {beside.name}", "remove it")
+    try:
+        with open_regular(path) as file:
+            head, size = file.read(HEAD), path.stat().st_size
+    except OSError as error:
+        raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
+    promised = 0
+    if ending == ".shp":
+        fault = "" if head.startswith(SHAPEFILE) else "no Shapefile begins so"
+        promised = 2 * int.from_bytes(head[24:28], "big") if len(head) >= 32 else 0
+    elif ending == ".gpkg":
+        fault = "" if head.startswith(SQLITE) and head[68:72] in GEOPACKAGE else "no GeoPackage begins so"
+        page = int.from_bytes(head[16:18], "big")
+        promised = (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")
+    else:
+        fault = _json_fault(head)
+    if fault:
+        raise _other(path, fault)
+    if promised > size:
+        raise InputError(
+            "the polygon file is cut short",
+            where=path,
+            expected=f"{promised} bytes",
+            got=f"{size} bytes",
+            do="copy the file again",
+        )
+    if ending == ".gpkg":
+        _check_tables(path)
+    elif ending != ".shp":
+        _check_system(path)
+
+
+def _other(path: Path, got: str, do: str = "convert it, for example with ogr2ogr") -> InputError:
+    return InputError(
+        "the polygon file is not what its name says",
+        where=path,
+        expected="GeoPackage (.gpkg), GeoJSON (.geojson, .json) or Shapefile (.shp)",
+        got=got,
+        do=do,
+    )
+
+
+def _json_fault(head: bytes) -> str:
+    """Why `head` is not the beginning of a GeoJSON text; "" if it is."""
+    depth, key, value_next = 0, b"", False
+    for at, token in enumerate(_TOKEN.findall(head.removeprefix(b"\xef\xbb\xbf"))):
+        if at == 0 and token != b"{":
+            return "no JSON object"
+        if depth == 1 and token == b":":
+            value_next = True
+            if key in _JSON_MEMBERS:
+                return ""
+        elif depth == 1 and value_next:
+            value_next = False
+            if key == b"type":
+                kind = token.strip(b'"')
+                return "" if kind in JSON_TYPES else f"a JSON object of type {kind[:40].decode(errors='replace')}"
+        elif depth == 1:
+            key = token.strip(b'"')
+        depth += (token in (b"{", b"[")) - (token in (b"}", b"]"))
+        if depth == 0:
+            break
+    return "a JSON object without a type of GeoJSON"
+
+
+def _check_system(path: Path) -> None:
+    """`InputError` where the coordinate system is an address, which GDAL would fetch; without it, it takes degrees."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        if _LINKED.search(text):
+            raise _other(
+                path,
+                "a coordinate system that is to be fetched from an address",
+                "export it with a coordinate system that is named, such as EPSG:25832",
+            )
+
+
+def _check_tables(path: Path) -> None:
+    """`InputError` for tables that read other files: virtual ones, but for the indices of the format itself."""
+    beside = "" if Path(f"{path}-wal").exists() else "&immutable=1"
+    try:
+        opened = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro{beside}", uri=True)
+        opened.text_factory = partial(str, encoding="utf-8", errors="replace")
+        try:
+            made = opened.execute("SELECT sql FROM sqlite_master WHERE sql LIKE '%virtual%'").fetchall()
+        finally:
+            opened.close()
+    except (sqlite3.Error, UnicodeDecodeError) as fault:  # SQLite quotes damaged names in its messages
+        raise _other(path, f"a GeoPackage that cannot be read: {fault}", "export the polygons again") from fault
+    for (text,) in made:
+        kind = re.search(r"create\s+virtual\s+table.*?\busing\s+[\"'`\[]?(\w+)", str(text), re.IGNORECASE | re.DOTALL)
+        if kind and kind[1].lower() not in ("rtree", "fts3", "fts4", "fts5"):
+            raise _other(path, f"a table that reads other files ({kind[1]})", "export the polygons alone")

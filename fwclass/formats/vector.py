@@ -1,0 +1,116 @@
+"""GeoPackage, GeoJSON and Shapefile through GDAL: layers, fields, and the rows of one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.formats.gdal import offline
+from fwclass.formats.polygon_magic import check_format
+
+FORMATS = {".gpkg": "GeoPackage", ".geojson": "GeoJSON", ".json": "GeoJSON", ".shp": "Shapefile"}
+BESIDE = (".shx", ".dbf", ".prj", ".cpg")
+"""What belongs to a Shapefile."""
+
+Header = dict[str, Any]
+"""``layer, fields {name: type}, crs, features, geometry`` of a layer."""
+
+
+def layers(path: Path) -> list[str]:
+    """Names of the layers that hold geometries; `InputError` for a file that cannot be read or is cut short."""
+    check_format(path)
+    found = _asked(path, lambda gdal, place: gdal.list_layers(place))
+    return [str(name) for name, kind in found if kind is not None]
+
+
+def _asked(path: Path, question: Callable[[Any, Path], Any]) -> Any:
+    """What GDAL says of `path`; `InputError` where it finds a fault."""
+    place = path.absolute()
+    with offline() as gdal:
+        try:
+            return question(gdal, place)
+        except Exception as fault:  # pyogrio's errors share no base that it exports
+            raise _unreadable(path, fault) from fault
+
+
+def header(path: Path, layer: str | None) -> Header:
+    """What a layer holds; `layer` None takes the only one.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or holds no layer.
+    ConfigError
+        No such layer, or several and none is named.
+    """
+    known = layers(path)
+    if not known:
+        raise InputError("the file holds no layer with geometries", where=path, do="check the export of the polygons")
+    if layer is None and len(known) > 1:
+        raise ConfigError(
+            "the file has several layers",
+            where=path,
+            expected="one, or survey.reference.layer",
+            got=", ".join(known),
+            do=f"--set survey.reference.layer={known[0]}",
+        )
+    if layer is not None and layer not in known:
+        raise ConfigError(
+            "the file has no such layer", where=path, expected=", ".join(known), got=layer, do=nearest(layer, known)
+        )
+    chosen = layer or known[0]
+    about = _asked(path, lambda gdal, place: gdal.read_info(place, layer=chosen, force_feature_count=True))
+    types = [str(np.dtype(t)) if t != "object" else "text" for t in about["dtypes"]]
+    return {
+        "layer": chosen,
+        "fields": dict(zip(map(str, about["fields"]), types, strict=True)),
+        "crs": _crs(about["crs"]),
+        "features": int(about["features"]),
+        "geometry": str(about["geometry_type"]),
+    }
+
+
+def rows(path: Path, layer: str, field: str | None) -> tuple[list[Any], list[bytes | None]]:
+    """Values of a field and geometries as well-known binary, in the file's order; no values without a field."""
+    columns = [field] if field else []
+    found = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=columns, force_2d=True))
+    geometries, fields = found[2], found[3]
+    values = fields[0].tolist() if field else []
+    return values, list(geometries)
+
+
+def column(path: Path, layer: str, field: str) -> list[Any]:
+    """Values of one field, in the file's order."""
+    found = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=[field], read_geometry=False))
+    return list(found[3][0].tolist())
+
+
+def files_of(path: Path) -> list[Path]:
+    """The file and those that belong to it."""
+    if path.suffix.lower() != ".shp":
+        return [path]
+    beside = [q for q in sorted(path.parent.glob("*")) if q.stem == path.stem and q.suffix.lower() in BESIDE]
+    return [path, *beside]
+
+
+def _crs(text: str | None) -> CRS | None:
+    try:
+        return CRS.from_user_input(text) if text else None
+    except CRSError:
+        return None
+
+
+def _unreadable(path: Path, fault: Exception) -> InputError:
+    return InputError(
+        "the polygon file cannot be read",
+        where=path,
+        expected=f"a {FORMATS.get(path.suffix.lower(), 'polygon file')}",
+        got=str(fault).splitlines()[0] if str(fault) else type(fault).__name__,
+        do="open it in a GIS and export it again; a Shapefile needs its .shx and .dbf beside it",
+    )

@@ -1,0 +1,31 @@
+"""What a run or a training says beside its accuracy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fwclass.assess.remarks import Extent, remarks
+from fwclass.conf import Config
+from fwclass.features.params import Asked, is_feature
+
+
+def accuracy_remarks(
+    accuracy: Mapping[str, Any],
+    config: Config,
+    names: tuple[str, ...],
+    echoes: int,
+    others: Mapping[str, int] | None = None,
+    nearest: float | None = None,
+) -> list[str]:
+    """Remarks on the accuracy of a classifier by the features `names` over a survey of so many `echoes`.
+
+    `others`: echoes by codes that no class counts. `nearest`: distance of the nearest tested echo from a training area
+    [m], where it was measured; elsewhere it is `areas.gap`. A model that was given learned elsewhere.
+    """
+    scored = int(np.sum(accuracy["confusion"])) + int(np.sum(accuracy.get("unclassified") or 0))
+    apart = None if config.survey.model else max(config.areas.gap, nearest or 0.0)
+    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features)
+    return remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)

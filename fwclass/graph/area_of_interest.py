@@ -1,0 +1,101 @@
+"""An area of interest: the tiles that its polygons share area with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from fwclass.errors import InputError
+from fwclass.graph.files import box_text
+from fwclass.graph.layout import Layout
+from fwclass.grid import Box
+
+if TYPE_CHECKING:
+    from fwclass.formats.wkb import Shapes
+    from fwclass.read.polygons import PolygonLayer
+
+
+@dataclass(frozen=True)
+class Area:
+    """The polygons of a file (GeoParquet, GeoPackage, GeoJSON, Shapefile), in any coordinate system that it names."""
+
+    path: Path
+
+    def check(self) -> None:
+        """`InputError` for a file that holds no polygon, before anything is computed."""
+        from fwclass.read.polygons import open_polygons, read_polygons
+
+        opened = open_polygons(self.path)
+        self._some(opened, read_polygons(opened, None)[1])
+
+    def _some(self, opened: PolygonLayer, made: Shapes) -> None:
+        if not made.parts:
+            raise InputError(
+                "the area of interest has no polygon",
+                where=self.path,
+                expected="at least one",
+                got=f"{opened.features} features",
+                do="check the export of the polygons",
+            )
+
+    def tiles(self, layout: Layout, crs: str | None) -> frozenset[str]:
+        """Keys of the tiles of `layout` that share area with a polygon; `crs` is the survey's (WKT).
+
+        Raises
+        ------
+        InputError : no polygons, an unknown system, or nothing of the survey in them.
+        """
+        from fwclass.read.polygons import open_polygons, read_polygons, reprojected, source_crs
+
+        opened = open_polygons(self.path)
+        _, made = read_polygons(opened, None)
+        self._some(opened, made)
+        survey = CRS.from_wkt(crs) if crs is not None else None
+        own = source_crs(opened, None, survey, "export them with their system: GeoPackage and GeoParquet keep it")
+        if own is not None and survey is not None:
+            made, _ = reprojected(made, own, survey, self.path)
+        a, b = edges(made.x, made.y, made.ring_start)
+        found = frozenset(t.key for t in layout.tiles if shares_area(t.box, a, b))
+        if not found:
+            system = f" ({survey.name})" if survey is not None else ""
+            reach = Box(*(float(f(v)) for f in (np.min, np.max) for v in (made.x, made.y)))
+            raise InputError(
+                "no tile of the survey lies in the area of interest",
+                where=self.path,
+                expected=f"polygons that meet {box_text(layout.box)}{system}",
+                got=box_text(reach),
+                do="check the polygons, and the coordinate system that their file names"
+                + (f" ({own.name})" if own is not None else ""),
+            )
+        return found
+
+
+def edges(
+    x: NDArray[np.float64], y: NDArray[np.float64], ring_start: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """First and second corner, shape (n, 2) each, of every edge of closed rings."""
+    last = np.zeros(len(x), bool)
+    last[ring_start[1:] - 1] = True
+    at = np.flatnonzero(~last)
+    corners = np.column_stack([x, y])
+    return corners[at], corners[at + 1]
+
+
+def shares_area(box: Box, a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    """`box` and the polygons with edges `a` to `b` share area; a common border is none. Holes count as outside."""
+    centre = np.array([box.xmin + box.xmax, box.ymin + box.ymax]) / 2
+    half = np.array([box.xmax - box.xmin, box.ymax - box.ymin]) / 2
+    reach, middle = np.abs(b - a) / 2, (a + b) / 2 - centre
+    near = (np.abs(middle) < half + reach).all(axis=1)
+    turned = np.abs((b - a)[:, 0] * middle[:, 1] - (b - a)[:, 1] * middle[:, 0])
+    if (near & (turned < half[0] * 2 * reach[:, 1] + half[1] * 2 * reach[:, 0])).any():
+        return True  # an edge goes through it; without one it is all inside or all outside
+    over = (a[:, 1] > centre[1]) != (b[:, 1] > centre[1])
+    p, q = a[over], b[over]
+    crossing = p[:, 0] + (centre[1] - p[:, 1]) / (q[:, 1] - p[:, 1]) * (q[:, 0] - p[:, 0])
+    return bool((crossing > centre[0]).sum() % 2)

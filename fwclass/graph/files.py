@@ -1,0 +1,93 @@
+"""Files that a survey names, and the places that they cover."""
+
+from __future__ import annotations
+
+import glob
+import itertools
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from fwclass.errors import InputError
+from fwclass.grid import Box
+from fwclass.paths import path_matches, strange_kind
+from fwclass.store.params import StoreParams
+from fwclass.store.remote_file import Location, found_outside
+from fwclass.store.url import Url
+
+
+def found_files(
+    patterns: Iterable[str], directory: Path | Url, setting: str, where: Path, params: StoreParams
+) -> list[Location]:
+    """Files that match, sorted by name; a pattern without a match is an error.
+
+    A `directory` on object storage is talked to by `params`.
+    """
+    found: dict[Location, None] = {}
+    for pattern in patterns:
+        matches = _matches(pattern, directory, params)
+        if not matches:
+            raise InputError(
+                "no file matches",
+                where=f"{setting} in {where}",
+                expected=f"files like {pattern}",
+                got=f"none in {directory}",
+                do=f"check {setting} and survey.directory (left out: the directory of the survey's file)",
+            )
+        found |= dict.fromkeys(matches)
+    return sorted(found, key=lambda p: (p.name, str(p)))
+
+
+def _matches(pattern: str, directory: Path | Url, params: StoreParams) -> list[Location]:
+    if isinstance(directory, Url):
+        return sorted(found_outside(pattern, directory, params), key=str)
+    parts = Path(pattern).parts
+    fixed = list(itertools.takewhile(lambda part: not glob.has_magic(part), parts))
+    wild = parts[len(fixed) :]
+    if "**" in wild and ".." not in wild:
+        base = directory.joinpath(*fixed)
+        return _files(p for p in sorted(_below(base)) if path_matches(p.relative_to(base).parts, wild))
+    wanted = str(Path(glob.escape(str(directory))) / pattern)
+    return _files(sorted(map(Path, glob.glob(wanted, recursive=True))))  # noqa: PTH207
+
+
+def _files(paths: Iterable[Path]) -> list[Location]:
+    """Those that are files; `InputError` for a pipe, a device or a socket: nothing is left out unseen."""
+    files: list[Location] = []
+    for path in paths:
+        if kind := strange_kind(path):
+            raise InputError(
+                "a source is no file",
+                where=path,
+                expected="a file on a disk",
+                got=kind,
+                do="move it away, or name the sources by a pattern that leaves it out",
+            )
+        if path.is_file():
+            files.append(path)
+    return files
+
+
+def _below(directory: Path) -> Iterator[Path]:
+    """Every file below `directory`, also through links, but no directory twice: links may lead back."""
+    waiting, seen = [directory], set()
+    while waiting:
+        path = waiting.pop()
+        try:
+            facts = path.stat()
+            if (facts.st_dev, facts.st_ino) in seen:
+                continue
+            seen.add((facts.st_dev, facts.st_ino))
+            entries = sorted(path.iterdir(), reverse=True)
+        except OSError:  # as `glob` does: what cannot be read holds nothing
+            continue
+        yield from (p for p in entries if not p.is_dir())
+        waiting += [p for p in entries if p.is_dir()]
+
+
+def joint_bounds(bounds: Iterable[tuple[float, ...]]) -> Box:
+    rows = list(bounds)
+    return Box(min(b[0] for b in rows), min(b[1] for b in rows), max(b[3] for b in rows), max(b[4] for b in rows))
+
+
+def box_text(box: Box) -> str:
+    return "[" + ", ".join(f"{v:.1f}" for v in box.bounds) + "]"

@@ -1,0 +1,218 @@
+"""What all plans stand on: the source strips, the tiles there are, and where their columns come from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from fwclass.classify.stage import CLASSIFY, probability_columns
+from fwclass.columns import FEATURES
+from fwclass.conf import Config
+from fwclass.decompose.stage import DECOMPOSE
+from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.features.params import NO_FEATURE, NORMAL, Asked, check_scale, is_feature, meant
+from fwclass.grid import Box, Tile, TileGrid
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN
+from fwclass.radiometry.stage import RADIOMETRY
+from fwclass.read.quantities import Quantities
+from fwclass.run.part import Name
+from fwclass.store.external_file import ExternalFile
+from fwclass.store.receipts import Receipt
+from fwclass.store.remote_file import Location
+
+MAX_REACH = 100.0
+"""m, no feature reaches further: the neighbourhoods of a point, not of a quarter."""
+
+FileDigests = tuple[ExternalFile, ...]
+"""The files of one source, with the digests of their bytes."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A source file with its number in the survey, which follows from its name (`numbering`)."""
+
+    number: int
+    path: Location
+    digests: FileDigests
+    point_format: int
+
+
+@dataclass(frozen=True)
+class PolygonFile:
+    """A file of reference polygons: its layer, and the system that its coordinates are in (WKT; None: the survey's)."""
+
+    path: Location
+    digests: FileDigests
+    layer: str
+    crs: str | None
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Files that can be used, checked.
+
+    `strips` by name; `reference` is (file, digests, points); `crs` is WKT or None;
+    `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests); `polygons` are the
+    reference's files of polygons; `quantities`: what amplitudes and widths are, by name of the file.
+    """
+
+    strips: tuple[Strip, ...]
+    reference: tuple[tuple[Location, FileDigests, int], ...]
+    crs: str | None
+    standard_time: bool
+    trajectory: tuple[tuple[Location, FileDigests], ...] = ()
+    polygons: tuple[PolygonFile, ...] = ()
+    quantities: Mapping[str, Quantities] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What phase three stands on: the tiles there are, where and when their echoes lie, and the reference tiles.
+
+    `occupied` has for every size of block [m] those that own an echo; `times` is (first, last) GPS time [s], NaN
+    without any; `passes` the same of every tile, for each strip that has times there; `lowest` the least z [m];
+    `polygons` are parts of the reference that are no tiles; `quantities`: what amplitudes and widths are.
+    """
+
+    config: Config
+    tiles: tuple[Tile, ...]
+    occupied: Mapping[float, frozenset[str]]
+    clouds: frozenset[str]
+    box: Box
+    times: tuple[float, float]
+    passes: Mapping[str, tuple[tuple[float, float], ...]]
+    lowest: float
+    echoes: int
+    polygons: tuple[str, ...] = ()
+    quantities: Quantities | None = None
+
+    @classmethod
+    def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
+        grid = TileGrid(config.tile.size)
+        mine = [part for stage, part in done if stage == "tile"]
+        if not mine:
+            raise InputError(
+                "there is no echo to classify",
+                where=config.path,
+                expected="source files with points",
+                got="no tile with an echo",
+                do="look at the files with `fwclass info`, and at the failed parts above",
+            )
+        occupied: dict[float, set[str]] = {}
+        passes, bounds, rows = {}, [], 0
+        for key in mine:  # one receipt at a time: a large survey has many
+            meta = done["tile", key].meta
+            for size, blocks in meta["blocks"].items():
+                occupied.setdefault(float(size), set()).update(blocks)
+            passes[key] = tuple((a, b) for _, a, b in meta["times"])
+            bounds.append(meta["bounds"])
+            rows += meta["rows"]
+        times = [one for some in passes.values() for one in some]
+        low = [min(b[k] for b in bounds) for k in range(3)]
+        high = [max(b[k] for b in bounds) for k in range(3, 5)]
+        return cls(
+            config,
+            tuple(sorted(grid.tile(k) for k in mine)),
+            {size: frozenset(blocks) for size, blocks in occupied.items()},
+            frozenset(part for stage, part in done if stage == "reference"),
+            Box(low[0], low[1], high[0] + 0.001, high[1] + 0.001),
+            (min((t[0] for t in times), default=math.nan), max((t[1] for t in times), default=math.nan)),
+            passes,
+            low[2],
+            rows,
+            tuple(sorted(part for stage, part in done if stage == "polygons")),
+        )
+
+    @cached_property
+    def keys(self) -> frozenset[str]:
+        return frozenset(t.key for t in self.tiles)
+
+    def around(self, box: Box, among: AbstractSet[str]) -> tuple[str, ...]:
+        """Tiles of `among` that touch `box`."""
+        return tuple(t.key for t in TileGrid(self.config.tile.size).touching(box) if t.key in among)
+
+    def blocks(self, size: float, margin: int = 0) -> tuple[Tile, ...]:
+        """Blocks of edge `size` [m] that own an echo, and `margin` blocks around them: the same set whatever the
+        tiles."""
+        grid, found = TileGrid(size), set()
+        for key in self.occupied[size]:
+            tile = grid.tile(key)
+            span = range(-margin, margin + 1)
+            found |= {Tile(tile.ix + a, tile.iy + b, size) for a in span for b in span}
+        return tuple(sorted(found))
+
+    def columns(self, names: Iterable[str]) -> dict[str, str]:
+        """The stage whose tables hold each of `names`."""
+        known = providers(self.config)
+        return {n: "features" if is_feature(n) else known[n] for n in names}
+
+
+def providers(config: Config) -> dict[str, str]:
+    """Which stage's tables hold each column that may be asked for, besides features of a neighbourhood."""
+    found = dict.fromkeys(DECOMPOSE.writes, "tile")
+    found |= dict.fromkeys(GROUND_FILTER.writes, "ground")
+    found |= dict.fromkeys(TERRAIN.writes, "height")
+    found |= dict.fromkeys(NORMAL, "features")
+    if has_range(config):
+        found |= dict.fromkeys(RADIOMETRY.writes, "radiometry")
+    found |= dict.fromkeys(CLASSIFY.writes, "classify")
+    if config.classify.probabilities:
+        found |= dict.fromkeys(probability_columns(c.code for c in config.classes), "classify")
+    return found | {"reference": "label"}
+
+
+def has_range(config: Config) -> bool:
+    """Something tells how far the sensor was: an altitude, a trajectory, or a format that knows the sensor's place."""
+    known = config.radiometry.platform_altitude is not None or bool(config.survey.trajectory.files)
+    return known or any(p.lower().endswith(".pls") for p in config.survey.sources)
+
+
+def check_features(config: Config, names: Iterable[str], where: object) -> None:
+    """`ConfigError` for a feature that no stage writes, or that would tell the forest the answer or the place."""
+    known = {n: s for n, s in providers(config).items() if n not in NO_FEATURE and s not in ("label", "classify")}
+    for name in names:
+        check_scale(name, where)
+        if name in RADIOMETRY.writes and name not in known and name not in NO_FEATURE:
+            raise ConfigError(
+                f"{name!r} needs the range to the sensor, which nothing tells",
+                where=where,
+                expected="survey.trajectory.files or radiometry.platform_altitude",
+                got="neither",
+                do="set one of them, or leave the feature out",
+            )
+        if name not in known and not is_feature(name):
+            bases = {c.name: "" for c in FEATURES}
+            raise ConfigError(
+                f"{name!r} is not a feature",
+                where=where,
+                expected="a measured column, or a feature with its scale, as echo_ratio_r100 "
+                "(`fwclass features --list` shows all)",
+                got=name,
+                do=meant(name, known) or nearest(name, {**known, **bases}),
+            )
+    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features)
+    if reach > MAX_REACH:
+        raise ConfigError(
+            "a feature reaches too far",
+            where=where,
+            expected=f"at most {MAX_REACH:g} m: every tile would read its surroundings that far",
+            got=f"{reach:g} m",
+            do="names end in centimetres: height_range_c500 is a cylinder of 5 m",
+        )
+
+
+def plain(params: Any) -> Any:
+    """Params as plain data for a key."""
+    return params.model_dump(mode="json")
+
+
+def plain_classes(config: Config) -> list[dict[str, Any]]:
+    return [c.model_dump(mode="json") for c in config.survey.classes]
+
+
+def needs_of(columns: Mapping[str, str], parts: Iterable[str]) -> tuple[Name, ...]:
+    return tuple((stage, part) for part in parts for stage in sorted({*columns.values(), "tile"}))

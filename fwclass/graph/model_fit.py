@@ -1,0 +1,99 @@
+"""Whether a model fits the data and the configuration that it is used with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError
+from fwclass.features.params import Asked, FeaturesParams, is_feature
+from fwclass.graph.quantities import quantities_by_feature
+from fwclass.model import ClassDef, Model
+from fwclass.radiometry.stage import RADIOMETRY
+from fwclass.read.quantities import Quantities
+
+
+def computed(
+    names: Iterable[str], params: FeaturesParams, ground: str | None = None, quantities: Quantities | None = None
+) -> dict[str, Any]:
+    """Of the section `features` what the values of `names` depend on, besides their own scales; plain data.
+
+    With height above ground among them also the `ground` filter that made it, and with features of amplitudes or echo
+    widths which `quantities` these are, where it is known.
+    """
+    names = tuple(names)
+    asked = Asked.of(n for n in names if is_feature(n))
+    kinds = {scale.kind for scale, _ in asked.scales}
+    needed: dict[str, bool] = {
+        "cell_x": "zc" in asked.plain,
+        "cell_y": "zc" in asked.plain,
+        "nearest_reach": "k" in kinds,
+        "optimal_radii": "o" in kinds or "optimal_radius" in asked.plain,
+        "orientation_rounds": "oriented_inclination" in asked.bases,
+        "normal_radius": any(n in RADIOMETRY.writes for n in names),
+    }
+    plain = params.model_dump(mode="json")
+    made = {name: plain[name] for name, yes in needed.items() if yes}
+    made |= {"ground": ground} if ground and "height_above_ground" in names else {}
+    by_feature = quantities_by_feature(names, quantities) if quantities else {}
+    return {**made, "quantities": by_feature} if by_feature else made
+
+
+def check_computed(model: Model, params: FeaturesParams, where: object) -> None:
+    """`ConfigError` if the model learned from features that were computed in another way."""
+    ours = computed(model.features, params)
+    theirs = model.card.get("computed", {})
+    for name, value in ours.items():
+        if name not in theirs or theirs[name] != value:
+            setting = str(theirs.get(name)).replace(" ", "")
+            raise ConfigError(
+                f"the model's features were computed with another {name}",
+                where=where,
+                expected=theirs.get(name, "a model whose card says what it was"),
+                got=value,
+                do=f"--set features.{name}={setting}" if name in theirs else "train it again",
+            )
+
+
+def ground_note(model: Model, method: str | None) -> str:
+    """What to tell where heights of another ground filter (None: the file's own ground) than the model's decide."""
+    learned = model.card.get("computed", {}).get("ground")
+    if learned is None or learned == method:
+        return ""
+    here = "the file's own ground" if method is None else method
+    return (
+        f"the model learned from heights above the ground of {learned}, here it is that of {here}: --method {learned}"
+    )
+
+
+def check_classes(model: Model, classes: Sequence[ClassDef], where: object) -> None:
+    """`ConfigError` if the model tells other classes than the survey has."""
+    ours, theirs = sorted(c.code for c in classes), sorted(int(c) for c in model.codes)
+    if ours != theirs:
+        raise ConfigError(
+            "the model tells other classes than the survey has",
+            where=where,
+            expected=", ".join(f"{c.name} {c.code}" for c in model.classes),
+            got=", ".join(f"{c.name} {c.code}" for c in classes),
+            do="give survey.classes the model's codes, or train a model for these classes",
+        )
+
+
+def check_model(model: Model, config: Config, where: object) -> None:
+    """`ConfigError` unless `model` fits a survey's configuration."""
+    check_classes(model, config.classes, where)
+    check_computed(model, config.features, where)
+
+
+def check_names(model: Model, known: Mapping[str, Any], where: object) -> None:
+    """`ConfigError` for a feature of the model that this data or program has not; `known` are columns there are."""
+    lacking = [n for n in model.features if n not in known and not is_feature(n)]
+    if lacking:
+        raise ConfigError(
+            f"the model decides by {lacking[0]!r}, which there is not",
+            where=where,
+            expected=", ".join(model.features),
+            got=f"nothing called {', '.join(lacking)}",
+            do="use data that has it, or train a model without it",
+        )

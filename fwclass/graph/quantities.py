@@ -1,0 +1,100 @@
+"""Whether the amplitudes and echo widths of a survey are the quantities that its classifier decides by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from fwclass.errors import ConfigError
+from fwclass.features.params import Asked, is_feature
+from fwclass.radiometry.stage import RADIOMETRY
+from fwclass.read.quantities import FITTED, READ, UNITS, WORDS, Quantities
+
+_AMPLITUDE = ("amplitude", "amplitude_sigma", "energy", *RADIOMETRY.writes)
+_WIDTH = ("width", "width_sigma")
+_LISTED = 3
+
+By = dict[str, dict[str, str]]
+"""For every feature that depends on one: what of (``amplitude``, ``width``), its ``quantity`` and ``unit``."""
+
+
+def quantities_by_feature(names: Iterable[str], quantities: Quantities) -> By:
+    """For a model's card: the quantity that every one of its features is made of; features of neither are left out."""
+    made: By = {}
+    for name in names:
+        kind = depends(name)
+        if kind:
+            quantity = str(getattr(quantities, kind))
+            made[name] = {"of": kind, "quantity": quantity, "unit": UNITS[quantity]}
+    return made
+
+
+def depends(name: str) -> str:
+    """``amplitude``, ``width`` or "": what a feature or column is made of."""
+    reads = Asked.of([name]).reads if is_feature(name) else (name,)
+    if any(column in _AMPLITUDE for column in reads):
+        return "amplitude"
+    return "width" if any(column in _WIDTH for column in reads) else ""
+
+
+def joint(files: Mapping[str, Quantities], names: Iterable[str], where: object) -> Quantities:
+    """What the amplitudes and widths of a survey's files are; `ConfigError` where amplitudes differ and one of the
+    features `names` is made of them. Where none is, those of the first file."""
+    first, quantities = next(iter(files.items()))
+    hang = [n for n in names if depends(n) == "amplitude"]
+    other = next((f for f, q in files.items() if q.amplitude != quantities.amplitude), None)
+    if hang and other is not None:
+        raise ConfigError(
+            f"the files have different kinds of amplitudes, and {_few(hang)} would mix them",
+            where=where,
+            expected="one kind in all files",
+            got=f"{first}: {WORDS[quantities.amplitude]}; {other}: {WORDS[files[other].amplitude]}",
+            do="take them apart into surveys of one kind, or leave these features out (survey.features)",
+        )
+    return quantities
+
+
+def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], where: object) -> list[str]:
+    """Notes; `ConfigError` where a model decides by another quantity than a file has.
+
+    An echo width that was fitted and one that the vendor gives are the same quantity, in ns, and only noted; so is a
+    card of an earlier version that does not say what it learned.
+    """
+    learned: Any = card.get("computed", {}).get("quantities")
+    if not isinstance(learned, Mapping):
+        hang = [n for n in card["features"] if depends(n)]
+        if not hang or not files:
+            return []
+        kinds = sorted({WORDS[q.amplitude] for q in files.values()})
+        return [
+            f"the model's card does not say which quantity {_few(hang)} {_are(hang)} made of; here amplitudes are "
+            f"{' and '.join(kinds)}: train it again to be sure"
+        ]
+    notes = []
+    for kind in ("amplitude", "width"):
+        wanted = {n: str(one.get("quantity")) for n, one in learned.items() if one.get("of") == kind}
+        for name, quantities in files.items():
+            got = getattr(quantities, kind)
+            other = [n for n, quantity in wanted.items() if quantity != got]
+            if not other:
+                continue
+            theirs = wanted[other[0]]
+            if {theirs, got} == {FITTED, READ}:
+                notes.append(f"the model learned echo widths {WORDS[theirs]}; those of {name} are {WORDS[got]}")
+                continue
+            raise ConfigError(
+                f"the model learned from another {'amplitude' if kind == 'amplitude' else 'echo width'}",
+                where=where,
+                expected=f"{WORDS.get(theirs, theirs)}, which {_few(other)} {_are(other)} made of",
+                got=f"{name}: {WORDS[got]}",
+                do="use a model that was trained on such data, or train one without these features",
+            )
+    return list(dict.fromkeys(notes))
+
+
+def _few(names: list[str]) -> str:
+    return ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
+
+
+def _are(names: list[str]) -> str:
+    return "is" if len(names) == 1 else "are"

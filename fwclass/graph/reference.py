@@ -1,0 +1,78 @@
+"""The reference's files, found and checked before anything is computed: another cloud, or polygons."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from pyproj import CRS
+
+from fwclass.conf import Config
+from fwclass.errors import InputError
+from fwclass.graph.files import box_text, found_files, joint_bounds
+from fwclass.graph.layout import FileDigests, PolygonFile
+from fwclass.graph.work.sources import Digests
+from fwclass.grid import Box
+from fwclass.label.values import codes_of
+from fwclass.read.polygons import check_field, open_polygons, source_crs, values_of
+from fwclass.read.source import open_source
+from fwclass.store.receipts import Receipt
+from fwclass.store.remote_file import Location, local
+from fwclass.store.url import Url
+
+
+def reference_clouds(
+    config: Config, directory: Path | Url, digests: Digests, box: Box
+) -> tuple[tuple[Location, FileDigests, int], ...]:
+    """The reference's clouds, with their digests and points; `InputError` where they lie elsewhere than `box`."""
+    if config.survey.reference.kind != "cloud":
+        return ()
+    files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
+    opened = [open_source(local(p)) for p in files]
+    place = joint_bounds([s.bounds for s in opened])
+    if not place.grown(config.label.max_distance).touches(box):
+        raise InputError(
+            "the reference lies in another place than the survey",
+            where=", ".join(str(f) for f in files),
+            expected=f"points around {box_text(box)}",
+            got=box_text(place),
+            do="check survey.reference.files and the files' coordinate systems",
+        )
+    return tuple((p, digests.of([local(p)], p), s.n_points) for p, s in zip(files, opened, strict=True))
+
+
+def reference_polygons(
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, given: CRS | None
+) -> tuple[PolygonFile, ...]:
+    """The reference's files of polygons, each with its class field, in a system that is known."""
+    asked = config.survey.reference
+    if asked.kind != "polygons":
+        return ()
+    survey = CRS.from_wkt(crs) if crs is not None else None
+    found = []
+    for place in found_files(asked.files, directory, "survey.reference.files", config.path, config.store):
+        path = local(place)
+        opened = open_polygons(path, asked.layer)
+        field = asked.field or ""
+        check_field(opened, field)
+        codes_of(values_of(opened, field), asked.values, config.classes, f"{path}: field {field}")
+        system = source_crs(opened, given, survey)
+        found.append(
+            PolygonFile(
+                place, digests.of(opened.files, place), opened.layer, system.to_wkt() if system is not None else None
+            )
+        )
+    return tuple(found)
+
+
+def check_polygons(config: Config, polygons: Iterable[Receipt], box: Box) -> None:
+    """`InputError` where no polygon with a code touches the survey's `box` [m]."""
+    places = [Box(*r.meta["bounds"]) for r in polygons if r.meta["bounds"]]
+    if places and not any(p.grown(0.001).touches(box) for p in places):
+        raise InputError(
+            "the reference polygons lie in another place than the survey",
+            where=f"{config.path}: survey.reference.files",
+            expected=f"polygons that touch {box_text(box)}",
+            got=", ".join(box_text(p) for p in places),
+            do="check the files, and their coordinate system (survey.reference.crs)",
+        )

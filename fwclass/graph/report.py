@@ -1,0 +1,386 @@
+"""What a run tells at its end: `report.json`, `report.html`, and the figures for both."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import __version__
+from fwclass.assess.stage import caution
+from fwclass.conf import Config
+from fwclass.decompose.plausible import added
+from fwclass.features.dense import Crowd
+from fwclass.graph.accuracy_remarks import accuracy_remarks
+from fwclass.graph.layout import Layout, Survey
+from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.graph.sampling_summary import sampling
+from fwclass.graph.work.rasters import Mosaic
+from fwclass.graph.work.sources import pulse_of
+from fwclass.grid import TileGrid, Window
+from fwclass.run.inputs import PartInputs
+from fwclass.run.libraries import reported
+from fwclass.run.runner import Runner, Tally
+from fwclass.store.atomic import read_json, write_json
+from fwclass.store.generations import link
+from fwclass.store.receipts import Receipt
+from fwclass.store.url import Url
+
+REPORT, PAGE = "report.json", "report.html"
+
+SOURCES = ("index", "read", "pulse", "decompose", "split")
+"""Stages whose failed parts leave tiles without some of their echoes."""
+
+JUDGING = ("label", "confusion", "assess")
+"""Stages without which there is no accuracy."""
+
+SHOWN = 4
+"""Chunks that are named of those that failed."""
+
+MAP_CELLS = 4_000_000
+"""A map is drawn from all cells up to this many; of a larger survey's only those that it shows are taken."""
+
+
+def write_report(
+    config: Config, runner: Runner, survey: Survey, layout: Layout, names: tuple[str, ...]
+) -> dict[str, Any]:
+    """Gather the figures from receipts, write `report.json` and `report.html`, return the dict.
+
+    Both are written beside, to be published with the rest. Where this run made nothing new, the report of the run that
+    did is left as it is.
+    """
+    standing = _standing(config, runner)
+    if standing is not None:
+        return standing
+    from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
+
+    report = {
+        "survey": config.survey.name,
+        "fwclass": __version__,
+        "input": _input(runner, survey),
+        "counts": _counts(runner),
+        "stages": [_stage(runner, name, tally) for name, tally in runner.tallies.items()],
+        "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
+        "accuracy": (accuracy := _accuracy(runner, config)),
+        "model": {"path": config.survey.model, "features": list(names)},
+        "training": _training(runner, names),
+        "sampling": (
+            counted := sampling(config, *(_made(runner, s) for s in ("census", "taken", "label", "polygons")))
+        ),
+        "distribution": _distribution(runner),
+        "waveforms": _waveforms(runner, survey),
+        "plausibility": (plausible := _plausibility(runner, survey, config)),
+        "remarks": [
+            *_of_accuracy(accuracy, counted, config, names),
+            *(plausible or {}).get("remarks", ()),
+            *_crowded(runner, config),
+        ],
+        "ground": _ground(runner, config),
+        "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
+        "outputs": _outputs(runner),
+        "lost_workers": [
+            {"stage": o.stage, "part": o.part, "status": o.status, "causes": list(o.lost)}
+            for o in runner.outcomes.values()
+            if o.lost
+        ],
+        "failed": [{"stage": o.stage, "part": o.part, "message": o.message} for o in runner.failures],
+        "config": _plain(config.raw),
+        "libraries": reported(runner),
+        "whole": runner.whole,
+        "seconds": round(max((t.ended for t in runner.tallies.values()), default=0.0) - runner.began, 3),
+    }
+    write_json(runner.pending / REPORT, report)
+    render_report(report, _figures(config, runner, layout, report), runner.pending / PAGE)
+    return report
+
+
+def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:
+    """The report that is there, if it still tells everything; it goes into the next generation too."""
+    if any(o.status != "skipped" for o in runner.outcomes.values()):
+        return None
+    report, page = (runner.store.generations.shown(name) for name in (REPORT, PAGE))
+    if report is None or page is None:
+        return None
+    found = read_json(report)
+    if found.get("config") != _plain(config.raw) or found.get("failed") or found.get("outputs") != _outputs(runner):
+        return None
+    if runner.accept_libraries and (found.get("libraries") or {}).get("accepted") != reported(runner)["accepted"]:
+        return None
+    for path in (report, page):
+        link(path, runner.pending / path.name)
+    return dict(found)
+
+
+def _made(runner: Runner, stage: str) -> list[Receipt]:
+    """Receipts of a stage's parts that are done in this run; what an earlier run left is not this run's result."""
+    parts = sorted(part for name, part in runner.outcomes if name == stage and runner.made(stage, part))
+    return [r for r in (runner.store.receipt(stage, part) for part in parts) if r is not None]
+
+
+def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
+    faults: Counter[str] = Counter()
+    for meta in _read(runner):
+        faults.update(meta["faults"])
+    indexed = {r.part: r.meta for r in _made(runner, "index")}
+    files = []
+    for strip in survey.strips:
+        meta = indexed.get(f"{strip.number:05d}", {})
+        facts = {n: meta.get(n) for n in ("points", "pulses", "point_format")}
+        files.append({"path": strip.path.name, "strip": strip.number, **facts})
+    return {"files": files, "faults": dict(sorted(faults.items()))}
+
+
+def _read(runner: Runner) -> list[Mapping[str, Any]]:
+    """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
+    return [r.meta for stage in ("read", "decompose") for r in _made(runner, stage) if "returns" in r.meta]
+
+
+def _counts(runner: Runner) -> dict[str, int]:
+    reads = _read(runner)
+    tiles = _made(runner, "tile")
+    return {
+        "pulses": sum(r.meta["pulses"] for r in _made(runner, "index")),
+        "returns": sum(m["returns"] for m in reads),
+        "returns_without_packet": sum(r.meta["kept_returns"] for r in _made(runner, "decompose")),
+        "returns_without_echo": sum(r.meta["returns_without_echo"] for r in _made(runner, "decompose")),
+        "echoes_decomposed": sum(r.meta["echoes"] for r in _made(runner, "decompose")),
+        "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
+        "tiles": len(tiles),
+    }
+
+
+def _crowded(runner: Runner, config: Config) -> list[str]:
+    """That some places are too dense for all echoes of a neighbourhood to count."""
+    crowd = Crowd.of_parts(r.meta.get("dense") for r in _made(runner, "features"))
+    return [crowd.text(config.features)] if crowd else []
+
+
+def _stage(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:
+    receipts = _made(runner, name)
+    return {
+        "name": name,
+        "parts": tally.parts,
+        "computed": tally.computed,
+        "skipped": tally.skipped,
+        "failed": tally.failed,
+        "seconds": round(sum(r.seconds for r in receipts), 3),
+        "peak_mib": max((r.peak_mib for r in receipts), default=0.0),
+        "rows": sum(int(r.meta.get("rows", 0)) for r in receipts),
+    }
+
+
+def _accuracy(runner: Runner, config: Config) -> dict[str, Any] | None:
+    receipt = next(iter(_made(runner, "assess")), None)
+    if receipt is None or receipt.meta["accuracy"] is None:
+        return None
+    gap = config.areas.gap
+    area = "the listed test areas" if config.areas.test else "all echoes"
+    found = dict(receipt.meta["accuracy"])
+    if found.get("intervals"):
+        found["intervals"] = {**found["intervals"], "caution": caution(found["intervals"]["blocks"])}
+    return {**found, "area": f"{area} further than {gap:g} m from every training area"}
+
+
+def _of_accuracy(
+    accuracy: dict[str, Any] | None, counted: Mapping[str, Any] | None, config: Config, names: tuple[str, ...]
+) -> list[str]:
+    """Remarks on the accuracy, which are kept with it too."""
+    if accuracy is None or counted is None:
+        return []
+    nearest = counted["gap"]["found"]
+    told = accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest)
+    accuracy["remarks"] = told
+    return told
+
+
+def _training(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | None:
+    receipt = next(iter(_made(runner, "train")), None)
+    if receipt is None:
+        return None
+    card = receipt.meta["card"]
+    samples = {c["name"]: n for c, n in zip(card["classes"], card["samples"], strict=True)}
+    return {
+        "method": card.get("method", "forest"),
+        "samples": samples,
+        "trees": receipt.meta["trees"],
+        "features": list(names),
+        "out_of_bag": card.get("out_of_bag", {}).get("accuracy"),
+        "notes": card.get("notes", []),
+        "importance": card.get("importance"),
+    }
+
+
+def _distribution(runner: Runner) -> dict[str, Any] | None:
+    receipt = next(iter(_made(runner, "assess")), None)
+    if receipt is None:
+        return None
+    found = receipt.meta["distribution"]
+    labels = [f"p{round(100 * s)}" for s in found["shares"]]
+    return {
+        feature: {
+            name: {**dict(zip(labels, row["quantiles"], strict=True)), "n": row["rows"] - row["without_value"]}
+            for name, row in by_class.items()
+        }
+        for feature, by_class in found["features"].items()
+    }
+
+
+def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
+    """The system's pulse of every strip with waveforms, and how radiometry was calibrated."""
+    pulses = {r.part: r.meta for r in _made(runner, "pulse") if r.meta["sampled"]}
+    made: dict[str, Any] | None = next((r.meta["calibration"] for r in _made(runner, "calibrate")), None)
+    balanced = {s["strip"]: s["gain"] for s in (made or {}).get("strips", ()) if s["error"] is not None}
+    strips = [
+        {"name": s.path.stem, **pulses[f"{s.number:05d}"], "gain": balanced.get(s.number)}
+        for s in survey.strips
+        if f"{s.number:05d}" in pulses
+    ]
+    if not strips:
+        return None
+    metas = [r.meta for r in _made(runner, "radiometry")]
+    angles = [m["pointing_error"] for m in metas if m["pointing_error"] is not None]
+    return {
+        "strips": strips,
+        "calibration": made,
+        "without_range": sum(m["without_range"] for m in metas),
+        "pointing_error": max(angles, default=None),
+    }
+
+
+def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, Any] | None:
+    """What the echoes of every strip with waveforms look like beside its returns; None without waveforms."""
+    noise = {r.part: r.meta for r in _made(runner, "pulse") if r.meta["sampled"]}
+    counts: dict[str, list[dict[str, int]]] = {}
+    for receipt in _made(runner, "decompose"):
+        counts.setdefault(receipt.part.split("-")[0], []).append(receipt.meta["plausibility"])
+    returns = Counter[str]()
+    for receipt in _made(runner, "read"):
+        returns[receipt.part.split("-")[0]] += receipt.meta["returns"]
+    parts = [(s.path.stem, f"{s.number:05d}") for s in survey.strips]
+    strips = [
+        of_strip(name, returns[part], added(counts[part]), {n: noise[part][n] for n in ("lag1", "inflation")})
+        for name, part in parts
+        if part in noise and part in counts
+    ]
+    if not strips:
+        return None
+    return {"strips": strips, "remarks": remarks(strips, config.decompose), "accepted": config.plausibility.accept}
+
+
+def _ground(runner: Runner, config: Config) -> dict[str, Any]:
+    """The filter, what it found, and what cutting the survey into blocks changed."""
+    blocks = [r.meta for r in _made(runner, "ground-filter")]
+    seams = next((r.meta for r in _made(runner, "seams")), None)
+    judged = next((r.meta["ground"] for r in _made(runner, "assess")), None)
+    return {
+        "method": config.ground.method,
+        "echoes": sum(m["rows"] for m in blocks),
+        "ground": sum(m["ground"] for m in blocks),
+        "noise": sum(m["noise"] for m in blocks),
+        "without_terrain": sum(r.meta["without_terrain"] for r in _made(runner, "terrain")),
+        "block": config.ground.block,
+        "accuracy": judged,
+        "seams": dict(seams) if seams else None,
+    }
+
+
+def _pulse_figure(runner: Runner, report: Mapping[str, Any]) -> dict[str, bytes]:
+    """The system's pulse of the first strip that has one."""
+    from fwclass.graph.pulse_picture import pulse_picture
+
+    receipts = [r for r in _made(runner, "pulse") if r.meta["sampled"]]
+    if not receipts:
+        return {}
+    pulse = pulse_of(int(receipts[0].part), PartInputs(runner.store))
+    return {"pulse": pulse_picture(pulse, report["waveforms"]["strips"][0]["name"])}
+
+
+def _outputs(runner: Runner) -> dict[str, list[str]]:
+    stages = ("publish-tile", "publish-strip", "publish-rasters", "train")
+    names = [n for stage in stages for r in _made(runner, stage) for n in r.outputs]
+    kinds = {"laz": "laz/", "parquet": "parquet/", "rasters": "rasters/", "model": "model/"}
+    return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
+
+
+def _figures(config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any]) -> dict[str, bytes]:
+    """Maps of classes and terrain; none of what failed."""
+    from fwclass.publish.figures import class_map, relief  # matplotlib is slow to load, and only a report needs it
+    from fwclass.publish.sampling_map import sampling_map
+
+    others = _pulse_figure(runner, report)
+    if report["sampling"]:
+        others["sampling"] = sampling_map(report["sampling"])
+    inputs = PartInputs(runner.store)
+    terrain = Window.covering(layout.box, config.terrain.cell)
+    window = Window.covering(layout.box, config.publish.class_cell)
+    grid = TileGrid(config.terrain.block)
+    surfaces, blocks = ([grid.tile(r.part) for r in _made(runner, stage)] for stage in ("terrain", "class-block"))
+    surface = drawable(Mosaic(inputs, "terrain", surfaces, terrain.cell, {"dtm": np.float32(np.nan)}), terrain, config)
+    classes = drawable(Mosaic(inputs, "class-block", blocks, window.cell, {"classes": np.uint8(0)}), window, config)
+    return {
+        "map": class_map(*classes, report["classes"], config.publish, surface, report["areas"]),
+        "relief": relief(*surface, config.publish),
+        **others,
+    }
+
+
+def drawable(mosaic: Mosaic, window: Window, config: Config) -> tuple[NDArray, Any]:
+    """A mosaic's one raster in `window`, thinned where it is too large to hold, and the place of its cells."""
+    from fwclass.publish.drawing import View
+    from fwclass.publish.figures import step_of
+
+    step = step_of(window, config.publish.figure_pixels) if math.prod(window.shape) > MAP_CELLS else 1
+    (raster,) = (mosaic.thinned(window, step) if step > 1 else mosaic.laid(window)).values()
+    return raster, View.of(window, step)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return value if isinstance(value, (str, int, float, bool)) or value is None else str(value)
+
+
+def summary(report: Mapping[str, Any], root: Path | Url) -> str:
+    """The last words of a run, for the terminal; what it delivered lies below `root`."""
+    counts = report["counts"]
+    made, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
+    balance = "all of them in tiles" if made == kept else f"{kept:,} of them in the tiles of this run"
+    lost = sorted({f["part"] for f in report["failed"] if f["stage"] in SOURCES})
+    if lost:
+        more = f" and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
+        balance += f", without those of chunks that failed: {', '.join(lost[:SHOWN])}{more}"
+    source = f"{counts['pulses']:,} pulses" if counts["pulses"] else f"{counts['returns']:,} returns"
+    rows = [f"echoes      {made:,} from {source}, {balance} ({counts['tiles']} tiles)"]
+    if counts["returns_without_packet"]:
+        rows.append(
+            f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"
+        )
+    rows += [f"fault       {name}: {n:,}" for name, n in report["input"]["faults"].items()]
+    accuracy, model = report["accuracy"], report.get("model") or {}
+    if model.get("path"):
+        count = len(model["features"])
+        rows.append(f"classifier  {model['path']}, by its own {count} features; survey.features is not looked at")
+    if accuracy:
+        kappa = accuracy["kappa"]
+        rows.append(
+            f"accuracy    {100 * accuracy['overall_accuracy']:.1f} % overall"
+            + (f", kappa {kappa:.3f}" if kappa is not None else "")
+            + f" on {accuracy['area']}"
+        )
+    elif report["training"]:
+        none = "unknown: no labelled echo lies in a test area (areas.test, areas.gap)"
+        failed = any(f["stage"] in JUDGING for f in report["failed"])
+        lacking = "not assessed: parts of the assessment failed" if failed else none
+        rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
+    rows += [f"remark      {text}" for text in report.get("remarks", ())]
+    rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
+    rows += [f"{kind:<11} {root / kind}  ({len(names)} files)" for kind, names in report["outputs"].items() if names]
+    rows.append(f"report      {root / 'report.html'}")
+    return "\n".join(rows)

@@ -1,0 +1,93 @@
+"""What the report tells of the labels: by class, tile, training box and test area."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.grid import TileGrid
+from fwclass.label.census import remarks, total, total_taken
+from fwclass.store.receipts import Receipt
+
+
+def sampling(
+    config: Config,
+    counted: Sequence[Receipt],
+    drawn: Sequence[Receipt],
+    labelled: Sequence[Receipt],
+    polygons: Sequence[Receipt],
+) -> dict[str, Any] | None:
+    """Figures for ``report.json``; None where nothing was counted.
+
+    Parameters
+    ----------
+    counted, drawn, labelled, polygons : receipts of the parts `census`, `taken`, `label` and `polygons`.
+    """
+    if not counted:
+        return None
+    classes, train, test = config.classes, config.areas.boxes("train"), config.areas.boxes("test")
+    whole = total((r.meta for r in counted), len(train), len(classes))
+    rows = total_taken((r.meta for r in drawn), len(train), len(classes)) if drawn else None
+    by_tile = {r.part: r.meta for r in drawn}
+    ambiguous = sum(int(r.meta.get("ambiguous", 0)) for r in labelled)
+    notes = remarks(whole, rows, by_tile, classes, train, test, config.areas.gap)
+    taken = rows["train"] if rows else [0] * len(classes)
+    taken_boxes = rows["boxes"] if rows else [[0] * len(classes) for _ in train]
+    return {
+        "reference": config.survey.reference.kind,
+        "echoes": whole["echoes"],
+        "labelled": sum(whole["labelled"]),
+        "unlabelled": whole["unlabelled"],
+        "other_codes": whole["other"],
+        "ambiguous": ambiguous,
+        "classes": [
+            {"name": c.name, "code": c.code, "labelled": a, "train": b, "taken": t, "test": d}
+            for c, a, b, t, d in zip(classes, whole["labelled"], whole["train"], taken, whole["test"], strict=True)
+        ],
+        "boxes": [
+            {"box": list(b.bounds), "labelled": n, "taken": t}
+            for b, n, t in zip(train, whole["boxes"], taken_boxes, strict=True)
+        ],
+        "test_boxes": [list(b.bounds) for b in test],
+        "tiles": [_tile(config, r, by_tile.get(r.part)) for r in counted],
+        "gap": {"asked": config.areas.gap, "found": whole["nearest"]},
+        "polygons": [dict(r.meta) for r in polygons],
+        "remarks": [*notes, *_of_polygons(polygons, ambiguous)],
+    }
+
+
+def _tile(config: Config, counted: Receipt, drawn: Any) -> dict[str, Any]:
+    meta = counted.meta
+    return {
+        "key": counted.part,
+        "box": list(TileGrid(config.tile.size).tile(counted.part).box.bounds),
+        "echoes": meta["echoes"],
+        "labelled": meta["labelled"],
+        "train": meta["train"],
+        "taken": drawn["train"] if drawn else [0] * len(config.classes),
+        "test": meta["test"],
+    }
+
+
+def _of_polygons(polygons: Sequence[Receipt], ambiguous: int) -> list[str]:
+    told = []
+    for meta in (r.meta for r in polygons):
+        name = meta["file"]
+        if meta["reprojected"]:
+            told.append(f"{name}: reprojected {meta['reprojected']}.")
+        if meta["invalid"]:
+            told.append(f"{name}: {meta['invalid']} polygons left out: rings not closed, too short or without numbers.")
+        if meta["without_polygon"]:
+            told.append(f"{name}: {meta['without_polygon']} features without a geometry.")
+        if meta["without_code"]:
+            told.append(f"{name}: {meta['without_code']} features label nothing: no value, or mapped to null.")
+    if ambiguous:
+        told.append(f"{ambiguous_text(ambiguous)}.")
+    return told
+
+
+def ambiguous_text(n: int) -> str:
+    """What is told of `n` echoes in polygons of different classes."""
+    where = "in polygons of different classes and"
+    return f"1 echo lies {where} is not labelled" if n == 1 else f"{n} echoes lie {where} are not labelled"

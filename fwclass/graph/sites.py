@@ -1,0 +1,89 @@
+"""Surveys whose echoes lie in few places far apart: rasters of each place, not of the empty land between them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from fwclass.graph.ground import terrain_blocks
+from fwclass.graph.layout import Layout, Strip
+from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
+
+WHOLE = "all"
+"""Name of the one site of a survey that hangs together."""
+
+FEW_CELLS = 1 << 25
+"""A raster of so many cells, 5.8 km square at 1 m, is made as one, whatever it holds: it is finished in seconds."""
+
+EMPTY = 16
+"""A larger one is made as one while its blocks with echoes fill more than one part in so many of it."""
+
+NAMED = 3
+"""Sites, and files of each, that are named."""
+
+
+@dataclass(frozen=True)
+class Site:
+    """Blocks that hang together and the rasters that they make.
+
+    Attributes
+    ----------
+    name : `WHOLE`, or the key of the first tile.
+    box : of its tiles, within the survey's [m].
+    blocks : terrain blocks that touch it; `tiles` : that own an echo.
+    """
+
+    name: str
+    box: Box
+    blocks: tuple[Tile, ...]
+    tiles: tuple[Tile, ...]
+
+
+def in_sites(cells: float, with_echoes: float) -> bool:
+    """A raster of so many cells, so many of them in blocks with echoes, is made site by site."""
+    return cells > max(FEW_CELLS, EMPTY * with_echoes)
+
+
+def sites(layout: Layout) -> tuple[Site, ...]:
+    """One for the whole survey, unless most of its rasters would be empty."""
+    config, blocks = layout.config, terrain_blocks(layout)
+    edge, cell = config.terrain.block, min(config.terrain.cell, config.publish.class_cell)
+    owned = len(layout.occupied[edge]) * (edge / cell) ** 2
+    whole = Site(WHOLE, layout.box, blocks, layout.tiles)
+    if not in_sites(float(math.prod(Window.covering(layout.box, cell).shape)), owned):
+        return (whole,)
+    parts = groups(blocks)
+    if len(parts) == 1:
+        return (whole,)
+    site_of = {b.key: k for k, part in enumerate(parts) for b in part}
+    tiles: list[list[Tile]] = [[] for _ in parts]
+    for tile in layout.tiles:
+        near = [b.key for b in TileGrid(edge).touching(tile.box) if b.key in layout.occupied[edge]]
+        tiles[site_of[near[0]]].append(tile)
+    made = []
+    for mine, part in zip(tiles, parts, strict=True):
+        box = joint_box(t.box for t in mine).common(layout.box) or layout.box
+        made.append(Site(mine[0].key, box, tuple(b for b in part if b.box.touches(box)), tuple(mine)))
+    return tuple(made)
+
+
+def told(found: Sequence[Site], strips: Sequence[Strip], in_strip: Mapping[int, tuple[str, ...]]) -> str:
+    """What a user should know of a survey of several sites; nothing of one. The smallest sites, which stray points
+    make, are named with their files."""
+    if len(found) == 1:
+        return ""
+    lines = [
+        f"note: the echoes lie in {len(found)} places far apart; each gets rasters of its own, rasters/TILE/dtm.tif "
+        "and so on, TILE being its first tile. Stray points make such places: `fwclass info` tells a file's extent"
+    ]
+    for site in sorted(found, key=lambda s: (len(s.tiles), s.name))[:NAMED]:
+        keys = {t.key for t in site.tiles}
+        files = [s.path.name for s in strips if not keys.isdisjoint(in_strip.get(s.number, ()))]
+        more = f" and {len(files) - NAMED} more" if len(files) > NAMED else ""
+        x0, y0, x1, y1 = site.box.bounds
+        lines.append(
+            f"  rasters/{site.name}: {len(keys):,} tile{'s' if len(keys) > 1 else ''}, x {x0:.2f} to {x1:.2f}, "
+            f"y {y0:.2f} to {y1:.2f}, echoes of {', '.join(files[:NAMED])}{more}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,102 @@
+"""Costs as a dry run measured them: from the receipts of the parts that it really made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fwclass.conf.planning import StageCost
+from fwclass.operate.estimate.amounts import Amount
+from fwclass.operate.estimate.estimate import Costs, Estimate
+from fwclass.store.receipts import Receipt
+from fwclass.store.run_store import Store
+
+OF_TILE = ("tile", "ground", "height", "features", "radiometry", "label", "census", "classify", "publish-tile")
+OF_CHUNK = ("read", "decompose", "split")
+WHOLE = ("seams", "assess", "publish-rasters", "train", "training")
+"""Parts of a whole survey: those of a few tiles tell nothing of their memory."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a dry run told.
+
+    Attributes
+    ----------
+    costs : of every stage; those in `stages` are measured, the others as they were.
+    stages : names.
+    parts : made.
+    seconds : of all of them.
+    peak_mib : the most memory that a process took which made one of them.
+    """
+
+    costs: Costs
+    stages: tuple[str, ...]
+    parts: int
+    seconds: float
+    peak_mib: float
+
+
+def measured(store: Store, costs: Costs, made: Mapping[str, Amount]) -> Measured:
+    """Costs from all receipts of `store`.
+
+    A stage's time of a unit is the median over its parts, less what a part costs that holds nothing, so that the parts
+    that were compiled for do not count. `made` tells how many echoes a tile has around it.
+    """
+    found, seconds, parts, peak = dict(costs), 0.0, 0, 0.0
+    counted = _units(store, made)
+    for directory in sorted(p for p in store.directory.iterdir() if p.is_dir() and p.name != "staging"):
+        receipts = list(store.receipts(directory.name))
+        seconds, parts = seconds + sum(r.seconds for r in receipts), parts + len(receipts)
+        if directory.name not in WHOLE:
+            peak = max((peak, *(r.peak_mib for r in receipts)))
+        units = counted.get(directory.name, {})
+        told = [(r.seconds, units[r.part], _bytes(r)) for r in receipts if units.get(r.part, 0) > 0]
+        if told and directory.name in found:
+            found[directory.name] = _cost(found[directory.name], told)
+    return Measured(found, tuple(sorted(n for n in found if found[n] != costs[n])), parts, seconds, peak)
+
+
+def measured_base(told: Measured, made: Estimate, base_mib: float) -> float:
+    """Memory of a worker that holds nothing [MiB], so that the most that `made` reckons for what ran is what it took.
+
+    `made` was reckoned with `base_mib`.
+    """
+    held = [s.memory_mib - base_mib for s in made.stages if s.name in told.stages and s.name not in WHOLE]
+    return max(0.0, told.peak_mib - max(held, default=0.0))
+
+
+def _cost(known: StageCost, told: list[tuple[float, float, float]]) -> StageCost:
+    seconds, units, written = (np.array(v, float) for v in zip(*told, strict=True))
+    each = float(np.median(np.maximum(0.0, seconds - known.part * 1e-3) / units)) * 1e6
+    stored = known.stored if known.waves else float(written.sum() / units.sum())
+    return known.model_copy(update={"each": round(each, 3), "stored": round(stored, 2)})
+
+
+def _bytes(receipt: Receipt) -> float:
+    return float(sum(int(o["bytes"]) for o in receipt.outputs.values()))
+
+
+def _units(store: Store, made: Mapping[str, Amount]) -> dict[str, dict[str, float]]:
+    """Units of every part, by stage and part."""
+    rows = {r.part: float(r.meta["rows"]) for r in store.receipts("tile")}
+    read = [r for stage in ("read", "decompose") for r in store.receipts(stage) if "returns" in r.meta]
+    pulses = {r.part: float(r.meta["waveforms"] or r.meta["returns"]) for r in read}
+    around = made["features"].units / made["tile"].units
+    units: dict[str, dict[str, float]] = dict.fromkeys(OF_TILE, rows) | dict.fromkeys(OF_CHUNK, pulses)
+    units["features"] = {part: n * around for part, n in rows.items()}
+    units["index"] = {r.part: float(r.meta["points"]) for r in store.receipts("index")}
+    units["pulse"] = {r.part: float(r.meta["pulses"]) for r in store.receipts("index")}
+    for stage in ("ground-filter", "terrain"):
+        units[stage] = {r.part: _pieces(r.meta) for r in store.receipts(stage)}
+    for stage in ("reference-split", "reference"):
+        units[stage] = {r.part: float(r.meta["rows"]) for r in store.receipts(stage)}
+    return units
+
+
+def _pieces(meta: Mapping[str, Any]) -> float:
+    """Echoes that a block owns."""
+    return float(sum(int(n) for _, n in meta.get("pieces", ())))

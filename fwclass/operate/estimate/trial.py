@@ -1,0 +1,108 @@
+"""A dry run's survey: the files that the fullest tiles and the training areas lie in, and no others."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError
+from fwclass.graph.files import found_files, joint_bounds
+from fwclass.graph.survey import directory_of
+from fwclass.grid import Box
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN
+from fwclass.operate.estimate.whole import Plan
+from fwclass.read.source import open_source
+from fwclass.store.remote_file import local
+from fwclass.store.url import Url
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A survey cut down.
+
+    Attributes
+    ----------
+    config : of it; everything but the files is as in the whole survey.
+    boxes : of the fullest tiles by the headers [m].
+    left : bounds of the files left out [m]: a tile near one of them is not whole.
+    files : sources that remain.
+    """
+
+    config: Config
+    boxes: tuple[Box, ...]
+    left: tuple[Box, ...]
+    files: int
+
+
+def trial_of(plan: Plan, count: int, root: Path) -> Trial:
+    """The files that hold the `count` fullest tiles with all that is read around them, and the training areas.
+
+    Raises
+    ------
+    ConfigError
+        The survey is not simulated yet: there is no file to run.
+    """
+    if plan.facts.simulated:
+        raise ConfigError(
+            "a dry run needs the survey's files, and they are still to be simulated",
+            where="--dry-run",
+            do="fwclass simulate CONF --out DIR, then plan with --set survey.directory=DIR",
+        )
+    config = plan.config
+    boxes = tuple(t.box for t in plan.tiles.heaviest(count))
+    wanted = [b.grown(reach(plan)) for b in (*boxes, *(_training(config)))]
+    sources = plan.facts.sources
+    taken = [s for s in sources if any(s.bounds.touches(b) for b in wanted)]
+    left = tuple(s.bounds for s in sources if s not in taken)
+    directory = directory_of(config, root)
+    if isinstance(directory, Url):
+        raise ConfigError(
+            "a dry run takes files of this host",
+            where="--dry-run",
+            got=directory,
+            do="plan without --dry-run, or copy the survey to a disk first",
+        )
+    change: dict[str, Any] = {"directory": str(directory), "sources": tuple(glob.escape(str(s.path)) for s in taken)}
+    reference = config.survey.reference
+    if reference.kind == "cloud":
+        change["reference"] = reference.model_copy(update={"files": _clouds(config, directory, wanted)})
+    cut = replace(
+        config,
+        survey=config.survey.model_copy(update=change),
+        simulate=None,
+        areas=config.areas.model_copy(update={"test": ()}),  # they may lie in files left out, and nothing is assessed
+    )
+    return Trial(cut, boxes, left, len(taken))
+
+
+def reach(plan: Plan) -> float:
+    """The furthest that the road to a tile's classes reads around it [m]: its own halo, and its blocks with theirs."""
+    config = plan.config
+    blocks = (
+        config.ground.block + GROUND_FILTER.halo(config.ground),
+        config.terrain.block + TERRAIN.halo(config.terrain),
+    )
+    return plan.halo + max(blocks)
+
+
+def whole_tiles(keys: Sequence[str], boxes: Sequence[Box], left: Sequence[Box], halo: float) -> list[str]:
+    """Those of `keys` whose tile (same place in `boxes`) no file that was left out comes near."""
+    return [k for k, box in zip(keys, boxes, strict=True) if not any(b.touches(box.grown(halo)) for b in left)]
+
+
+def _training(config: Config) -> tuple[Box, ...]:
+    return () if config.survey.model is not None else config.areas.boxes("train")
+
+
+def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str, ...]:
+    files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
+    near = [
+        p
+        for p in files
+        if any(joint_bounds([open_source(local(p)).bounds]).grown(config.label.max_distance).touches(b) for b in wanted)
+    ]
+    return tuple(glob.escape(str(p)) for p in near or files)

@@ -1,0 +1,155 @@
+"""The whole plan of a survey: what it holds, what it will take, whether it fits, and which tiles suit it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.operate.estimate.amounts import Counts, amounts, crowding, tile_halo
+from fwclass.operate.estimate.density import costs_at_density, too_dense
+from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimated, proposed
+from fwclass.operate.estimate.headers import SurveyFacts
+from fwclass.operate.estimate.limits import Limit, Room, allowed_mib, limits
+from fwclass.operate.estimate.measured import Measured, measured, measured_base
+from fwclass.operate.estimate.spread import Spread, spread_of
+from fwclass.store.run_store import Store
+
+
+@dataclass(frozen=True)
+class Plan:
+    """See the modules of its parts. `workers` 0 is the plain loop; `halo` is the widest around a tile [m]."""
+
+    config: Config
+    facts: SurveyFacts
+    counts: Counts
+    tiles: Spread
+    halo: float
+    crowding: float
+    workers: int
+    room: Room
+    made: Estimate
+    choices: tuple[Choice, ...]
+    best: Choice | None
+    limits: tuple[Limit, ...]
+    measured: Measured | None = None
+
+    @property
+    def fits(self) -> bool:
+        return all(limit.fits for limit in self.limits)
+
+
+def planned(config: Config, facts: SurveyFacts, workers: int, room: Room, trial: Store | None = None) -> Plan:
+    """The plan by the costs of section `plan`, or as far as it goes by the receipts of a dry run in `trial`."""
+    size, counts = config.tile.size, Counts.of(config, facts)
+    told = measured(trial, config.plan.stages, amounts(config, facts, size)) if trial else None
+    costs = told.costs if told else costs_at_density(config, facts)
+    made = estimated(config, facts, size, workers, costs)
+    if told:
+        base = measured_base(told, made, config.plan.base_mib)
+        config = replace(config, plan=config.plan.model_copy(update={"base_mib": base}))
+        made = estimated(config, facts, size, workers, costs)
+    compared = tuple(choices(config, facts, workers, costs, allowed_mib(config, workers, room)))
+    best = proposed(config, list(compared))
+    return Plan(
+        config,
+        facts,
+        counts,
+        spread_of(counts.pieces(facts), size),
+        tile_halo(config),
+        crowding(config, facts),
+        workers,
+        room,
+        made,
+        compared,
+        best,
+        tuple(limits(config, made, workers, room, best)),
+        told,
+    )
+
+
+def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Plain data: sizes in metres, times in seconds, memory in MiB, disk in bytes."""
+    facts, made, sample = plan.facts, plan.made, plan.facts.sample
+    tiles = plan.tiles
+    return {
+        "survey": plan.config.survey.name,
+        "files": len(facts.sources),
+        "simulated": facts.simulated,
+        "box": list(facts.box.bounds),
+        "points": round(float(plan.counts.points.sum())),
+        "pulses": round(float(plan.counts.pulses.sum())),
+        "echoes": round(float(plan.counts.echoes.sum())),
+        "reference_points": facts.reference_points,
+        "sample": None
+        if sample is None
+        else {
+            "file": sample.path.name,
+            "points": sample.points,
+            "density": sample.density,
+            "even": sample.even,
+            "returns_per_pulse": sample.returns_per_pulse,
+            "too_dense": too_dense(plan.config, facts),
+        },
+        "tiles": {
+            "size": tiles.size,
+            "number": tiles.number,
+            "halo": plan.halo,
+            "mean_echoes": float(tiles.counts.sum()) / max(1, tiles.number),
+            "most_echoes": float(tiles.counts.max()) * plan.crowding,
+            "crowding": plan.crowding,
+        },
+        "workers": plan.workers,
+        "memory_mib": made.largest.memory_mib,
+        "memory_stage": made.largest.name,
+        "disk_bytes": round(made.bytes),
+        "free_bytes": round(plan.room.free),
+        "seconds": made.seconds,
+        "wall_seconds": made.wall,
+        "compile_seconds": made.compile_seconds,
+        "stages": [_stage(plan, k) for k in range(len(made.stages))],
+        "without_cost": list(made.unknown),
+        "proposed": None if plan.best is None else plan.best.size,
+        "choices": [
+            {
+                "size": c.size,
+                "tiles": c.tiles,
+                "wall_seconds": c.wall,
+                "memory_mib": c.memory_mib,
+                "enough": c.enough,
+                "fits": c.fits,
+            }
+            for c in plan.choices
+        ],
+        "limits": [
+            {"what": m.what, "needed": m.needed, "allowed": m.allowed, "unit": m.unit, "fits": m.fits}
+            for m in plan.limits
+        ],
+        "fits": plan.fits,
+        "dry_run": None
+        if plan.measured is None
+        else {
+            "stages": list(plan.measured.stages),
+            "parts": plan.measured.parts,
+            "seconds": plan.measured.seconds,
+            "peak_mib": plan.measured.peak_mib,
+        },
+        "outputs": [str(p) for p in written],
+    }
+
+
+def _stage(plan: Plan, k: int) -> dict[str, Any]:
+    stage = plan.made.stages[k]
+    real = plan.measured is not None and stage.name in plan.measured.stages
+    return {
+        "name": stage.name,
+        "parts": stage.amount.parts,
+        "unit": stage.unit,
+        "units": stage.amount.units,
+        "seconds": stage.seconds,
+        "longest_seconds": stage.longest,
+        "bytes": round(stage.bytes),
+        "memory_mib": stage.memory_mib,
+        "source": "dry run" if real else "conf",
+    }

@@ -1,0 +1,269 @@
+"""What every `fwclass run` leaves in the history of its run, and the history as it is read."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import sys
+import time
+import uuid
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+from fwclass import __version__
+from fwclass.errors import DONE, FAILED, INTERRUPTED, PARTIAL, QUALITY, USAGE, FwclassError, LockedError, StoreError
+from fwclass.operate.request import Request
+from fwclass.redact import redacted, redacted_setting
+from fwclass.store import history
+from fwclass.store.refusals import Unreachable
+
+if TYPE_CHECKING:
+    from fwclass.store.run_location import (
+        RunLocation,  # loads what object storage needs, which a directory's history does not
+    )
+
+ORDER = "FWCLASS_ORDER"
+"""Environment variable by which a schedule tells the run that it starts who it is and why: JSON of id and why."""
+
+WORDS = {
+    DONE: "done",
+    FAILED: "failed",
+    USAGE: "configuration",
+    PARTIAL: "partial",
+    QUALITY: "quality",
+    INTERRUPTED: "interrupted",
+}
+REFUSED, RUNNING = "refused", "running"
+
+COUNTED = ("computed", "skipped", "failed", "blocked")
+
+
+def utc(seconds: float) -> str:
+    """Seconds since the epoch as ``2026-03-01T02:00:00Z``."""
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def word_of(code: int) -> str:
+    """What an exit code means; negative ones are signals that ended the process."""
+    if code == -signal.SIGINT:
+        return WORDS[INTERRUPTED]
+    if code < 0:
+        with_name = signal.Signals(-code).name if -code in signal.valid_signals() else str(-code)
+        return f"killed by {with_name}"
+    return WORDS.get(code, "failed")
+
+
+def why_manual() -> dict[str, Any]:
+    return {"trigger": "manual"}
+
+
+@dataclass
+class Entry:
+    """A run's place in the history.
+
+    `location`: where the run lies. `generation`: number of the delivery that it made, None for none. `runner`: where
+    its parts are counted. `began`, `clock`: of the wall clock and of the monotonic one [s]. `last`: the line that was
+    written last.
+    """
+
+    location: RunLocation
+    request: Request
+    only: str | None = None
+    id: str = field(default_factory=lambda: uuid.uuid4().hex)
+    why: Mapping[str, Any] = field(default_factory=why_manual)
+    runner: Any = None
+    generation: int | None = None
+    began: float = field(default_factory=time.time)
+    clock: float = field(default_factory=time.monotonic)
+    last: dict[str, Any] = field(default_factory=dict)
+
+    def begin(self, runner: Any) -> None:
+        """The run holds the directory."""
+        self.runner = runner
+        self._write({"record": "begin", **self._facts()})
+
+    def end(self, code: int, word: str, message: str = "") -> None:
+        self._write(self.ending(code, word, message))
+
+    def ending(self, code: int, word: str, message: str = "") -> dict[str, Any]:
+        """The line that tells how the run has ended."""
+        counts = Counter(outcome.status for outcome in self.runner.outcomes.values()) if self.runner is not None else {}
+        return {
+            "record": "end",
+            **self._facts(),
+            "ended": utc(time.time()),
+            "seconds": round(time.monotonic() - self.clock, 3),
+            "exit_code": code,
+            "word": word,
+            "parts": {status: counts.get(status, 0) for status in COUNTED},
+            "generation": self.generation,
+            "message": message,
+        }
+
+    def _facts(self) -> dict[str, Any]:
+        return {
+            "id": self.id,
+            "began": utc(self.began),
+            "why": dict(self.why),
+            "version": __version__,
+            "settings": [redacted_setting(s) for s in self.request.settings],
+            "workflow": self.request.workflow,
+            "tiles": list(self.request.tiles) if self.request.tiles is not None else None,
+            "only": self.only,
+            "aoi": self.request.aoi,
+            "conf": self.request.conf,
+            "host": socket.gethostname(),
+            "pid": os.getpid(),
+        }
+
+    def _write(self, line: Mapping[str, Any]) -> None:
+        """A history that cannot be written (disk full, no permission, no network) is told, and stops no run."""
+        self.last = dict(line)
+        try:
+            history.append(self.location, line)
+        except (OSError, StoreError) as fault:
+            sys.stderr.write(f"the history in {self.location} could not be written: {why_not(fault)}\n")
+
+
+def why_not(fault: OSError | StoreError) -> str:
+    """Why a file or an object could not be read or written, in few words."""
+    if isinstance(fault, StoreError):
+        return fault.what
+    return fault.strerror or str(fault)
+
+
+def entry_of(location: RunLocation, request: Request, only: str | None = None) -> Entry:
+    """A new entry; what a schedule has ordered has the schedule's words."""
+    entry = Entry(location, request, only)
+    try:
+        order = json.loads(os.environ.pop(ORDER, "null"))
+        if order is not None:
+            entry.id, entry.why = str(order["id"]), dict(order["why"])
+    except (ValueError, KeyError, TypeError):
+        pass  # not a schedule's: a run by hand
+    return entry
+
+
+@contextmanager
+def recorded(location: RunLocation, request: Request, only: str | None = None) -> Iterator[Entry]:
+    """Write into the history in `location` how the run within ends, however it ends; `Entry.begin` says that it began.
+
+    A run that ended because object storage does not answer, or by Ctrl-C, does not wait for it once more.
+    """
+    entry = entry_of(location, request, only)
+    try:
+        yield entry
+    except BaseException as fault:
+        if isinstance(fault, (Unreachable, KeyboardInterrupt)):
+            from fwclass.store.run_location import hurried
+
+            entry.location = hurried(location)
+        entry.end(*_ending(fault))
+        raise
+    entry.end(DONE, WORDS[DONE])
+
+
+def _ending(fault: BaseException) -> tuple[int, str, str]:
+    """Exit code, its word and a message for what a run ended with."""
+    if isinstance(fault, SystemExit):
+        code = fault.code if isinstance(fault.code, int) else int(fault.code is not None)
+        return code, word_of(code), ""
+    if isinstance(fault, LockedError):
+        return fault.exit_code, REFUSED, fault.what
+    if isinstance(fault, FwclassError):
+        return fault.exit_code, word_of(fault.exit_code), fault.what
+    if isinstance(fault, KeyboardInterrupt):
+        return INTERRUPTED, WORDS[INTERRUPTED], ""
+    text = fault.strerror if isinstance(fault, OSError) else None
+    return FAILED, WORDS[FAILED], redacted(text or type(fault).__name__)
+
+
+def past_runs(location: RunLocation, last: int | None = None) -> list[dict[str, Any]]:
+    """The `last` runs in the history, oldest first, with `word` running or interrupted where no end was written.
+
+    None: all of them, or as many as are read of object storage unasked.
+    """
+    runs = _joined(history.lines(location, last))
+    if any("word" not in run for run in runs):
+        from fwclass.store.run_location import held_by
+
+        writer = held_by(location)
+        for run in (r for r in runs if "word" not in r):
+            alive = writer is not None and (writer.get("host"), writer.get("pid")) == (run.get("host"), run.get("pid"))
+            run["word"] = RUNNING if alive else WORDS[INTERRUPTED]
+    return runs if last is None else runs[-last:]
+
+
+def past_run(location: RunLocation, name: str) -> dict[str, Any] | None:
+    """What the history has of the run whose id is `name`, None for nothing."""
+    return next(iter(_joined(history.lines_of(location, name))), None)
+
+
+def _joined(lines: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Runs, each of all its lines."""
+    found: dict[str, dict[str, Any]] = {}
+    for line in lines:
+        name = str(line.get("id"))
+        if line.get("record") in ("begin", "end", "told"):
+            found[name] = {**found.get(name, {}), **{k: v for k, v in line.items() if k != "record"}}
+    return [run for run in found.values() if "began" in run]
+
+
+def table(runs: Sequence[Mapping[str, Any]]) -> str:
+    """Runs as a table for a person, oldest first."""
+    if not runs:
+        return "no run is in the history"
+    rows: list[tuple[str, ...]] = [("began (UTC)", "took", "why", "ended", *COUNTED, "delivery", "what")]
+    rows += [_row(run) for run in runs]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    right = {1, *range(4, 4 + len(COUNTED) + 1)}
+    return "\n".join(
+        "  ".join(
+            c.rjust(w) if k in right else c.ljust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    )
+
+
+def _row(run: Mapping[str, Any]) -> tuple[str, ...]:
+    parts, code = run.get("parts") or {}, run.get("exit_code")
+    ended = str(run["word"]) if code is None or run["word"] == REFUSED else f"{run['word']} ({code})"
+    delivery = run.get("generation")
+    return (
+        str(run["began"]),
+        _took(run.get("seconds")),
+        str((run.get("why") or {}).get("trigger", "")),
+        ended,
+        *(str(parts.get(status, "-")) for status in COUNTED),
+        "-" if delivery is None else str(delivery),
+        _what(run),
+    )
+
+
+def _took(seconds: Any) -> str:
+    if not isinstance(seconds, (int, float)):
+        return "-"
+    if seconds < 100:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
+
+
+def _what(run: Mapping[str, Any]) -> str:
+    """Files that came, what the run was restricted to, its settings, and who was not reached."""
+    why = run.get("why") or {}
+    words = [str(f.get("name")) + (" again" if f.get("replaced") else "") for f in why.get("files") or ()]
+    words += [str(run["workflow"])] if run.get("workflow") not in (None, "classification") else []
+    words += [f"--only {run['only']}"] if run.get("only") else []
+    words += [f"--tiles {','.join(run['tiles'])}"] if run.get("tiles") else []
+    words += [f"--aoi {run['aoi']}"] if run.get("aoi") else []
+    words += [f"--set {s}" for s in run.get("settings") or ()]
+    words += [str(run["message"])] if run.get("message") else []
+    words += [f"{kind} failed: {t.get('fault')}" for kind, t in (run.get("told") or {}).items() if not t.get("ok")]
+    return ", ".join(words)

@@ -1,0 +1,118 @@
+"""What a run was asked for: kept in the run directory, so that it can be looked at and parts of it replayed."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fwclass.errors import StoreError
+from fwclass.store.run_store import Store
+from fwclass.store.url import Url
+
+_KEPT = "run.json"
+
+if TYPE_CHECKING:
+    from fwclass.graph.area_of_interest import Area
+
+
+@dataclass(frozen=True)
+class Request:
+    """The words of ``fwclass run`` that decide which parts there are, and from what.
+
+    `conf`: absolute path or shipped name; `root`: the run directory, or its address; `tiles`: None for all; `aoi`: a
+    file of polygons.
+    """
+
+    conf: str
+    root: str
+    settings: tuple[str, ...] = ()
+    workflow: str = "classification"
+    tiles: tuple[str, ...] | None = None
+    aoi: str | None = None
+
+    @classmethod
+    def of(
+        cls, conf: Path, root: Path | Url, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | Path | None
+    ) -> Request:
+        """As typed; paths are made absolute, so that the command holds wherever it is given.
+
+        Settings of the section `schedule` are left out: no part depends on them, and they may hold secrets.
+        """
+        settings = tuple(s for s in settings if not s.strip().startswith("schedule."))
+        named = str(conf.resolve()) if conf.is_file() else str(conf)
+        aoi = str(tiles.resolve()) if isinstance(tiles, Path) else None
+        keys = tuple(sorted(tiles)) if isinstance(tiles, frozenset) else None
+        where = root if isinstance(root, Url) else root.resolve()
+        return cls(named, str(where), settings, workflow, keys, aoi)
+
+    @property
+    def wanted(self) -> frozenset[str] | Area | None:
+        """What the run is restricted to, None for nothing."""
+        if self.aoi is not None:
+            from fwclass.graph.area_of_interest import Area
+
+            return Area(Path(self.aoi))
+        return None if self.tiles is None else frozenset(self.tiles)
+
+    def command(self, only: tuple[str, str] | None = None) -> str:
+        """The command that does this again, or that replays the one part `only` (stage, part)."""
+        return shlex.join(["fwclass", *self.words(only)])
+
+    def words(self, only: tuple[str, str] | None = None) -> list[str]:
+        """`command` as words, without the program."""
+        words = ["run", self.conf, "--out", self.root]
+        for setting in self.settings:
+            words += ["--set", setting]
+        if self.workflow != "classification":
+            words += ["--workflow", self.workflow]
+        if only is not None:
+            words += ["--only", "/".join(only)]
+        elif self.tiles is not None:
+            words += ["--tiles", ",".join(self.tiles)]
+        elif self.aoi is not None:
+            words += ["--aoi", self.aoi]
+        return words
+
+    def replay(self, name: tuple[str, str]) -> str:
+        """The command that makes the part `name` alone."""
+        return self.command(name)
+
+    def keep(self, store: Store) -> None:
+        """Write it into the run (the holder of the lock calls this)."""
+        store.keep(_KEPT, {n: v for n, v in asdict(self).items() if n != "root"})
+
+    @classmethod
+    def kept(cls, store: Store) -> Request:
+        """What the last run in `store` was asked for; `StoreError` where nothing tells."""
+        where, found = store.where, store.recall(_KEPT)
+        if found is None:
+            raise StoreError(
+                "nothing tells which configuration this run is of",
+                where=where,
+                expected=f"store/{_KEPT}, which every run writes",
+                do=f"run it once more (what is done is kept), or, for its status, name the configuration: "
+                f"fwclass status CONF --out {shlex.quote(str(where))}",
+            )
+        try:
+            tiles, aoi = found["tiles"], found["aoi"]
+            root = str(where if isinstance(where, Url) else where.resolve())
+            return cls(
+                str(found["conf"]),
+                root,
+                _words(found["settings"]),
+                str(found["workflow"]),
+                None if tiles is None else _words(tiles),
+                None if aoi is None else str(aoi),
+            )
+        except (KeyError, TypeError) as fault:
+            raise StoreError(
+                "not the words of a run", where=f"{where}/store/{_KEPT}", got=fault, do="remove the file"
+            ) from fault
+
+
+def _words(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+        raise TypeError(f"{value!r} is no list of words")
+    return tuple(value)

@@ -1,0 +1,209 @@
+"""What an inbox holds: deliveries that are complete, and what the others wait for."""
+
+from __future__ import annotations
+
+import os
+import stat
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from fwclass.conf.schedule import ScheduleSection
+from fwclass.errors import InputError
+from fwclass.formats.las_header import Header
+from fwclass.operate.schedule.places import COMPANIONS, Places
+from fwclass.operate.schedule.ticks import Now
+from fwclass.operate.schedule.watch import writers
+
+REPLACED = "replaced"
+"""Directory in the inbox where older versions of files that came again are kept."""
+
+EXTERNAL, INTERNAL = 4, 2
+"""Bits of a LAS file's global encoding: its waveforms lie beside it, or in it."""
+
+LAST = 1000
+"""Points at the end of a file that are looked at before it is taken."""
+
+Mark = tuple[int, int, int]
+"""Size [bytes], time of change [ns] and inode of a file."""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A complete file and the waveforms that go with it. `files`: in the order in which they are moved."""
+
+    name: str
+    files: tuple[Path, ...]
+    markers: tuple[Path, ...]
+    target: Path
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """A file that is not taken yet, or never. `changing`: complete ones wait for it."""
+
+    name: str
+    why: str
+    changing: bool = False
+
+
+@dataclass(frozen=True)
+class Look:
+    complete: tuple[Delivery, ...]
+    waiting: tuple[Waiting, ...]
+
+
+@dataclass
+class Inbox:
+    """A directory where strips arrive; only files directly in it are looked at, no links and no hidden ones.
+
+    How long a file has not changed is measured by what earlier looks saw, never by the times that the file carries.
+    """
+
+    directory: Path
+    places: Places
+    params: ScheduleSection
+    _since: dict[Path, tuple[Mark, float]] = field(default_factory=dict)
+    _judged: dict[Path, tuple[tuple[Mark, ...], str]] = field(default_factory=dict)
+    _held: float | None = None
+
+    def look(self, now: Now) -> Look:
+        """All files as they stand. A directory that cannot be read raises `OSError`."""
+        marks = _marks(self.directory)
+        self._since = {p: self._first_seen(p, mark, now) for p, mark in marks.items()}
+        self._judged = {p: known for p, known in self._judged.items() if p in marks}
+        complete: list[Delivery] = []
+        waiting: list[Waiting] = []
+        companions = set(COMPANIONS.values())
+        for path in sorted(marks):
+            if path.suffix in self.params.markers:
+                continue
+            if path.suffix.lower() in companions:
+                if not any(_goes_with(head, path) for head in marks):
+                    waiting.append(Waiting(path.name, "its file of points or pulses is not there"))
+                continue
+            found = self._judge(path, marks, now)
+            if isinstance(found, Delivery):
+                complete.append(found)
+            else:
+                waiting.append(found)
+        open_ones = writers(p for delivery in complete if not delivery.markers for p in delivery.files)
+        busy = {d.name: open_ones[p] for d in complete for p in d.files if p in open_ones}
+        waiting += [Waiting(n, f"process {pid} has it open for writing", changing=True) for n, pid in busy.items()]
+        return Look(tuple(d for d in complete if d.name not in busy), tuple(waiting))
+
+    def ready(self, look: Look, now: Now) -> tuple[Delivery, ...]:
+        """The complete ones, once no other is on its way, or after `hold` seconds at most."""
+        if not look.complete:
+            self._held = None
+            return ()
+        self._held = now.steady if self._held is None else self._held
+        if any(w.changing for w in look.waiting) and now.steady - self._held < self.params.hold:
+            return ()
+        return look.complete
+
+    def _first_seen(self, path: Path, mark: Mark, now: Now) -> tuple[Mark, float]:
+        known = self._since.get(path)
+        return known if known is not None and known[0] == mark else (mark, now.steady)
+
+    def _judge(self, head: Path, marks: dict[Path, Mark], now: Now) -> Delivery | Waiting:
+        target = self.places.of(head.name)
+        if target is None:
+            return Waiting(head.name, "survey.sources finds no file of this name; it stays here")
+        beside = tuple(p for p in marks if _goes_with(head, p))
+        files = (*beside, head)  # the points last: without them the survey does not see the strip
+        markers = tuple(p for p in marks if p.suffix in self.params.markers and p.stem in (head.name, head.stem))
+        settled = all(now.steady - self._since[p][1] >= self.params.settle for p in files)
+        by = self.params.complete
+        if by == "marker" and not markers:
+            return Waiting(head.name, f"no {' or '.join(self.params.markers)} stands beside it")
+        if not settled and (by == "settled" or not markers):
+            return Waiting(head.name, f"it has not stayed unchanged for {self.params.settle:g} s", changing=True)
+        state = tuple(marks[p] for p in files)
+        known = self._judged.get(head)
+        if known is None or known[0] != state or known[1]:  # a fault may pass without a change: waveforms in place
+            self._judged[head] = (state, fault_of(head, beside, target, bool(markers)))
+        fault = self._judged[head][1]
+        return Waiting(head.name, fault) if fault else Delivery(head.name, files, markers, target)
+
+
+def _marks(directory: Path) -> dict[Path, Mark]:
+    found = {}
+    with os.scandir(directory) as entries:
+        for entry in entries:
+            if entry.name.startswith("."):
+                continue
+            try:
+                facts = entry.stat(follow_symlinks=False)
+            except FileNotFoundError:
+                continue
+            if stat.S_ISREG(facts.st_mode):
+                found[Path(entry.path)] = (facts.st_size, facts.st_mtime_ns, facts.st_ino)
+    return found
+
+
+def _goes_with(head: Path, path: Path) -> bool:
+    """`path` holds the waveforms of `head`."""
+    return COMPANIONS.get(head.suffix.lower()) == path.suffix.lower() and head.stem.lower() == path.stem.lower()
+
+
+def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -> str:
+    """Why a file that does not change is still not whole, by its header; empty if it is.
+
+    More bytes than the header tells of are the end of a file whose header was not written last, unless it is `marked`.
+    """
+    from fwclass.read.las import LasSource
+    from fwclass.read.points import PointReader
+    from fwclass.read.source import open_source
+
+    try:
+        source = open_source(head)
+        faults = [f for f in source.faults if "cut short" in f or "extended records" in f]
+        if isinstance(source, LasSource) and not marked:
+            faults += _surplus(source.header)
+        if isinstance(source, LasSource) and source.n_points:
+            with PointReader(source) as reader:  # what was never written is zeros, mostly at the end
+                reader.read(max(0, source.n_points - LAST), source.n_points)
+        if faults:
+            return faults[0]
+        if source.has_waves and source.waves.kind == "none" and not _moved_ahead(head, target):
+            named = not isinstance(source, LasSource) or source.header.global_encoding & (EXTERNAL | INTERNAL)
+            return source.waves.why_not if named else ""
+        return next((fault for fault in map(_short_waves, beside) if fault), "")
+    except InputError as fault:
+        return f"{fault.what}: expected {fault.expected}, got {fault.got}" if fault.expected else fault.what
+    except OSError as fault:
+        return f"it cannot be read: {fault.strerror or type(fault).__name__}"
+
+
+def _moved_ahead(head: Path, target: Path) -> bool:
+    """The waveforms are in place, without any points: a move was cut off between the two."""
+    if not target.is_dir():
+        return False
+    there = [p for p in target.iterdir() if p.stem.lower() == head.stem.lower()]
+    return any(_goes_with(head, p) for p in there) and not any(p.suffix.lower() in COMPANIONS for p in there)
+
+
+def _surplus(header: Header) -> list[str]:
+    """A complaint about points that the header does not count."""
+    if header.compressed or header.evlrs or header.wave_start:
+        return []
+    counted = header.points_start + header.n_points * header.record_length
+    if header.size - counted < header.record_length:
+        return []
+    return [f"its header counts {header.n_points} points, which end at byte {counted}, but the file has {header.size}"]
+
+
+def _short_waves(path: Path) -> str:
+    """A LAS sidecar states the length of its packets; some writers count the 60 bytes before them too."""
+    if path.suffix.lower() != ".wdp":
+        return ""
+    with path.open("rb") as stream:
+        head = stream.read(60)
+    size = path.stat().st_size
+    if len(head) < 60:
+        return f"{path.name} ends inside its header"
+    (length,) = struct.unpack_from("<Q", head, 20)
+    if size >= 60 + length or size == length:
+        return ""
+    return f"{path.name} is cut short: 60 + {length} bytes stated, {size} there"

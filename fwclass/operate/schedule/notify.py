@@ -1,0 +1,191 @@
+"""Whom the end of a run is told: an address of the web, a command. Neither ever fails a run, and no secret is told."""
+
+from __future__ import annotations
+
+import base64
+import http.client
+import json
+import os
+import signal
+import subprocess
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+from fwclass import __version__
+from fwclass.conf.schedule import ScheduleSection
+from fwclass.isolation import outer_environment
+from fwclass.operate.schedule.child import without
+from fwclass.operate.schedule.signals import Signals
+from fwclass.operate.schedule.ticks import now
+from fwclass.redact import redacted
+
+ANSWER_BYTES = 65536
+"""Of an answer, no more is read: only its status counts."""
+
+STEPS = 4
+"""Of a try: connection, encryption, request, answer."""
+
+REPEATED = frozenset({408, 425, 429, 500, 502, 503, 504})
+"""Answers after which the same may succeed later."""
+
+
+class _Unheeding(urllib.request.HTTPRedirectHandler):
+    """No redirection is followed: it could carry the token, or the record, to another host."""
+
+    def redirect_request(self, *words: Any, **named: Any) -> None:
+        return None
+
+
+@dataclass(frozen=True)
+class Told:
+    """How it went: empty `fault` is well."""
+
+    place: str
+    fault: str = ""
+    tries: int = 1
+
+    def as_data(self) -> dict[str, Any]:
+        return {"to": self.place, "ok": not self.fault, "fault": self.fault, "tries": self.tries}
+
+
+def tell_within(
+    params: ScheduleSection, record: Mapping[str, Any], signals: Signals, beat: Callable[[], None]
+) -> dict[str, Any]:
+    """As `tell`, in a thread of its own, so that neither signals nor `beat` wait for a slow service.
+
+    Given up when the schedule is told to stop a second time, or when all tries should long be over.
+    """
+    told: dict[str, Any] = {}
+    if params.webhook is None and not params.command:
+        return told
+
+    def work() -> None:
+        told.update(tell(params, record, lambda: signals.first is not None))
+        signals.wake()
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    ends = now().steady + longest(params)
+    while thread.is_alive() and now().steady < ends and signals.count < 2:
+        beat()
+        signals.wait(params.look)
+    return dict(told) or {"webhook": Told("", "given up", 0).as_data()}
+
+
+def longest(params: ScheduleSection) -> float:
+    """How long webhook and command may take together [s]; a try has some steps, each with its own time."""
+    pauses = params.webhook_pause * (2 ** (params.webhook_tries - 1) - 1)
+    return params.webhook_tries * STEPS * params.webhook_timeout + pauses + params.command_timeout + params.look
+
+
+def tell(params: ScheduleSection, record: Mapping[str, Any], stop: Callable[[], bool]) -> dict[str, Any]:
+    """Send `record` to the webhook and the command that `params` name; how each went. `stop`: no further tries."""
+    told: dict[str, Any] = {}
+    if params.webhook is not None:
+        told["webhook"] = post(params, record, stop).as_data()
+    if params.command:
+        told["command"] = command(params, record).as_data()
+    return told
+
+
+def post(params: ScheduleSection, record: Mapping[str, Any], stop: Callable[[], bool]) -> Told:
+    """POST `record` as JSON; tried again after a pause where the service was busy or did not answer."""
+    assert params.webhook is not None  # noqa: S101 - who calls has looked
+    place = redacted(params.webhook.get_secret_value())
+    fault, pause = "", params.webhook_pause
+    token = os.environ.get(params.webhook_token_env) if params.webhook_token_env else None
+    if params.webhook_token_env and not token:
+        return Told(place, f"the environment variable {params.webhook_token_env} is not set", 0)
+    for number in range(1, params.webhook_tries + 1):
+        fault, again = _try(_request(params.webhook.get_secret_value(), token, record), params.webhook_timeout)
+        if not again or number == params.webhook_tries or _paused(pause, stop):
+            return Told(place, fault, number)
+        pause *= 2
+    return Told(place, fault, params.webhook_tries)
+
+
+def _request(address: str, token: str | None, record: Mapping[str, Any]) -> urllib.request.Request:
+    """The address's user goes into the header, where no log of a proxy shows it."""
+    parts = urlsplit(address)
+    user, _, place = parts.netloc.rpartition("@")
+    headers = {"Content-Type": "application/json", "User-Agent": f"fwclass/{__version__}"}
+    if user:
+        headers["Authorization"] = "Basic " + base64.b64encode(unquote(user).encode()).decode()
+    request = urllib.request.Request(  # noqa: S310 - the configuration takes http and https only
+        parts._replace(netloc=place, fragment="").geturl(), json.dumps(record).encode(), headers, method="POST"
+    )
+    if token:
+        request.add_unredirected_header("Authorization", f"Bearer {token}")
+    return request
+
+
+def _try(request: urllib.request.Request, timeout: float) -> tuple[str, bool]:
+    """What went wrong, empty for nothing, and whether to try again.
+
+    Texts of exceptions are not told: they may quote the address.
+    """
+    opener = urllib.request.build_opener(_Unheeding())
+    try:
+        with opener.open(request, timeout=timeout) as answer:
+            answer.read(ANSWER_BYTES)
+        return "", False
+    except urllib.error.HTTPError as fault:
+        fault.close()
+        if 300 <= fault.code < 400:
+            return f"answered {fault.code}: it redirects, which is not followed; name the final address", False
+        return f"answered {fault.code}", fault.code in REPEATED
+    except urllib.error.URLError as fault:
+        return _words(fault.reason), True
+    except (OSError, http.client.HTTPException) as fault:
+        return _words(fault), not isinstance(fault, http.client.InvalidURL)
+    except ValueError as fault:
+        return _words(fault), False
+
+
+def _words(fault: object) -> str:
+    if isinstance(fault, TimeoutError):
+        return "no answer in time"
+    if isinstance(fault, OSError) and fault.strerror:
+        return f"{type(fault).__name__}: {fault.strerror}"
+    return type(fault).__name__
+
+
+def _paused(seconds: float, stop: Callable[[], bool]) -> bool:
+    """Wait; True if the schedule was told to stop meanwhile."""
+    ends = time.monotonic() + seconds
+    while not stop() and time.monotonic() < ends:
+        time.sleep(min(0.1, max(0.0, ends - time.monotonic())))
+    return stop()
+
+
+def command(params: ScheduleSection, record: Mapping[str, Any]) -> Told:
+    """Run the command with `record` on its standard input; what it prints goes to standard error."""
+    words, name = list(params.command), os.path.basename(params.command[0])  # noqa: PTH119 - a word, maybe no path
+    facts = {
+        "FWCLASS_RUN": record.get("run"),
+        "FWCLASS_WORD": record.get("word"),
+        "FWCLASS_ID": record.get("id"),
+        "FWCLASS_EXIT_CODE": record.get("exit_code"),
+        "FWCLASS_TRIGGER": record.get("why", {}).get("trigger"),
+    }
+    environment = without(params.webhook_token_env, outer_environment())
+    environment |= {k: str(v) for k, v in facts.items() if v is not None}
+    try:
+        process = subprocess.Popen(  # noqa: S603 - the user's own command, without a shell
+            words, stdin=subprocess.PIPE, stdout=2, env=environment, start_new_session=True
+        )
+    except (OSError, ValueError) as fault:
+        return Told(name, f"it could not be started: {_words(fault)}")
+    try:
+        process.communicate(json.dumps(record).encode(), params.command_timeout)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        return Told(name, f"it took longer than {params.command_timeout:g} s and was ended")
+    return Told(name, "" if process.returncode == 0 else f"exit code {process.returncode}")

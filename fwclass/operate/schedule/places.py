@@ -1,0 +1,81 @@
+"""Where in a survey a delivered file belongs, by the patterns of survey.sources."""
+
+from __future__ import annotations
+
+import glob
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError
+from fwclass.paths import path_matches
+
+COMPANIONS = {".las": ".wdp", ".laz": ".wdp", ".pls": ".wvs"}
+"""The file of waveforms that goes with a file of points or pulses, by ending."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Directories of a survey's sources.
+
+    `patterns`: of survey.sources, absolute; `into`: the directory that was asked for, or None.
+    """
+
+    patterns: tuple[str, ...]
+    into: Path | None
+
+    def of(self, name: str) -> Path | None:
+        """The directory in which the survey finds a file of this name; None where it finds none."""
+        for pattern in self.patterns:
+            parents = [p for p in PurePath(pattern).parts[:-1] if p != "**"]
+            place = self.into or Path(*map(_plain, parents))
+            if (self.into or not any(map(_wild, parents))) and self.finds(place / name):
+                return place
+        return None
+
+    def finds(self, path: Path) -> bool:
+        """The survey takes `path` for one of its sources."""
+        return any(path_matches(path.parts, PurePath(p).parts) for p in self.patterns)
+
+
+def places_of(config: Config, inbox: Path) -> Places:
+    """Of the sources of `config`.
+
+    Raises
+    ------
+    ConfigError
+        A survey without files of its own, or an inbox that lies where the survey looks for its sources.
+    """
+    named = "" if config.simulated else config.survey.directory or "."
+    if not named or "://" in named:
+        raise ConfigError(
+            "an inbox needs a survey with files in a directory of this machine",
+            where=f"{config.path}: survey.directory",
+            got=named or "none: the survey is simulated",
+            do="leave the inbox out, or name a directory",
+        )
+    directory = (config.path.parent / named).resolve()
+    patterns = tuple(str(Path(glob.escape(str(directory))) / p) for p in config.survey.sources)
+    into = None if config.schedule.into is None else (directory / config.schedule.into).resolve()
+    for pattern in patterns:
+        if path_matches(inbox.parts, PurePath(pattern).parts[:-1]):
+            raise ConfigError(
+                "the inbox lies where the survey looks for its sources: half a file would be classified",
+                where=inbox,
+                expected=f"a directory that {pattern} does not reach",
+                do="choose another inbox",
+            )
+    return Places(patterns, into)
+
+
+def _wild(part: str) -> bool:
+    return glob.has_magic(_escapes_out(part))
+
+
+def _plain(part: str) -> str:
+    return part.replace("[[]", "[").replace("[*]", "*").replace("[?]", "?")
+
+
+def _escapes_out(part: str) -> str:
+    """`part` without what `glob.escape` has made."""
+    return part.replace("[[]", "").replace("[*]", "").replace("[?]", "")

@@ -1,0 +1,104 @@
+"""Inputs that give the run's own columns as tiles of another grid: nothing but the cut is another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fwclass.grid import Box, Tile, TileGrid
+from fwclass.operate.seams.places import Place
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Name
+from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.stage import Chunk
+from fwclass.tile.stage import assemble
+
+HELD = 32
+"""Tables of tiles that are kept in memory: the surroundings of a block."""
+_PLACE = dict.fromkeys((*IDENTITY, "x", "y"), "tile")
+
+
+@dataclass
+class Tiles:
+    """The tiles of a finished run, only read; `used` names those that were."""
+
+    inputs: PartInputs
+    grid: TileGrid
+    keys: frozenset[str]
+    used: set[str] = field(default_factory=set)
+    _held: dict[tuple[str, tuple[str, ...]], Table] = field(default_factory=dict)
+
+    def inside(self, box: Box, columns: Mapping[str, str], strips: Sequence[Box] | None = None) -> Table:
+        """Echoes of all tiles (those that touch one of `strips`, if given) inside `box` with identity, x, y and
+        `columns` (by stage), in the row order that a tile of that box would have."""
+        wanted = {**_PLACE, **columns}
+        here = [t for t in self.grid.touching(box) if t.key in self.keys]
+        here = [t for t in here if strips is None or any(s.touches(t.box) for s in strips)]
+        parts = [self._tile(t.key, wanted) for t in here]
+        parts = [t.take(box.contains(t["x"], t["y"])) for t in parts]
+        return assemble(parts, "a tile of the shifted grid") if parts else Table.empty(wanted)
+
+    def _tile(self, key: str, wanted: Mapping[str, str]) -> Table:
+        self.used.add(key)
+        name = (key, tuple(wanted))
+        if name not in self._held:
+            if len(self._held) >= HELD:
+                self._held.pop(next(iter(self._held)))
+            self._held[name] = self.inputs.rows(key, wanted).select(wanted)
+        return self._held[name]
+
+
+@dataclass(frozen=True)
+class StripInputs(PartInputs):
+    """For stages of tiles: a tile of the shifted grid owns the echoes of its strips, and no others.
+
+    Columns that were computed once more are taken from `fresh` (by stage and part), all others from the run.
+    """
+
+    tiles: Tiles
+    places: Mapping[str, Place]
+    fresh: Mapping[Name, Table]
+
+    def rows(self, part: str, columns: Mapping[str, str], box: Box | None = None, base: str = "tile") -> Table:
+        if base != "tile":
+            return super().rows(part, columns, box, base)
+        made = {n: s for n, s in columns.items() if (s, part) in self.fresh}
+        table = self.stored(part, {n: s for n, s in columns.items() if n not in made})
+        table = table.with_columns({n: self.fresh[s, part][n] for n, s in made.items()})
+        return table if box is None else table.take(box.contains(table["x"], table["y"]))
+
+    def stored(self, part: str, columns: Mapping[str, str]) -> Table:
+        """As `rows`, all from the run."""
+        place = self.places[part]
+        table = self.tiles.inside(place.tile.box, columns, place.strips)
+        return table.take(place.holds(table["x"], table["y"]))
+
+    def chunk(self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]) -> Chunk:
+        wanted = {**_PLACE, **columns}
+        own = self.rows(tile.key, wanted).select(wanted)
+        table = own
+        if halo > 0:
+            around = self.tiles.inside(tile.box.grown(halo), columns).select(wanted)
+            others = ~np.isin(canonical_key(around), canonical_key(own))
+            table = Table.concat([own, around.take(others)])
+        order = np.argsort(canonical_key(table), kind="stable")
+        place = np.empty(table.rows, np.int64)
+        place[order] = np.arange(table.rows)
+        return Chunk(table.take(order), place[: own.rows], tile)
+
+
+@dataclass(frozen=True)
+class OtherTilesInputs(PartInputs):
+    """For stages of blocks: the echoes in tiles of `grid` instead of the run's."""
+
+    tiles: Tiles
+    grid: TileGrid
+
+    def rows(self, part: str, columns: Mapping[str, str], box: Box | None = None, base: str = "tile") -> Table:
+        if base != "tile":
+            return super().rows(part, columns, box, base)
+        area = self.grid.tile(part).box
+        inside = area if box is None else area.common(box)
+        return self.tiles.inside(inside, columns) if inside is not None else Table.empty({**_PLACE, **columns})

@@ -1,0 +1,207 @@
+"""Stages computed once more: of tiles for the strips along borders, of blocks from other tiles, of other blocks."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import StoreError
+from fwclass.graph.layout import Layout
+from fwclass.graph.work.ground import filtered_block, surroundings, terrain_block
+from fwclass.graph.work.rasters import RASTERS
+from fwclass.grid import Tile, TileGrid
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN
+from fwclass.operate.seams.differ import Seam
+from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs
+from fwclass.operate.seams.places import Place, places
+from fwclass.run.inputs import TABLE, PartInputs
+from fwclass.run.part import Outcome, Task, single_thread
+from fwclass.run.progress import Display
+from fwclass.schema import IDENTITY, Table
+from fwclass.stage import Stage
+from fwclass.store.arrays import read_arrays
+from fwclass.store.tables import read_table
+
+TILE_STAGES = ("thin", "features", "radiometry", "label", "classify")
+"""Stages whose parts are tiles and that compute something of echoes."""
+BLOCK_STAGES = (GROUND_FILTER, TERRAIN)
+GATHERED = {GROUND_FILTER.name: "ground", TERRAIN.name: "height"}
+"""Stages of blocks, and the stage of tiles that holds their columns."""
+_PLACE = dict.fromkeys((*IDENTITY, "x", "y"), "tile")
+
+
+@contextmanager
+def _scratch() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="fwclass-seams-") as directory:
+        yield Path(directory)
+
+
+def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display: Display) -> list[Seam]:
+    """Do the work of `tasks` (stages of tiles, in order, whose parts are places of `inputs`) and compare every column.
+
+    What a stage reads of an earlier one of these is what was computed here, so that a class answers for its features.
+    """
+    single_thread()
+    by_place: dict[str, list[Task]] = {}
+    for task in tasks:
+        by_place.setdefault(task.part, []).append(task)
+    display.expect(Counter(t.stage for some in by_place.values() for t in some))
+    found: dict[str, Seam] = {}
+    for part, some in by_place.items():
+        mine = replace(inputs, fresh={})
+        place = mine.stored(part, {})
+        if not place.rows:  # a strip without echoes
+            some = []
+        for task in some:
+            with _scratch() as directory:
+                task.work(mine, directory)
+                now = read_table(directory / TABLE)
+            mine = replace(mine, fresh={**mine.fresh, task.name: now})
+            stored = mine.stored(part, dict.fromkeys(now, task.stage))
+            found.setdefault(task.stage, Seam(task.stage, "tile", "echoes", listed)).add(part, stored, now, place)
+            display.ended(Outcome(*task.name, "computed"))
+    return list(found.values())
+
+
+def block_seams(
+    tasks: Sequence[Task], layout: Layout, inputs: OtherTilesInputs, listed: int, display: Display
+) -> list[Seam]:
+    """Do the work of `tasks` (filter and terrain of blocks) with tiles of another size (those of `layout`), compare the
+    columns of the blocks' echoes and the cells of the terrain."""
+    single_thread()
+    display.expect(Counter(t.stage for t in tasks))
+    found: dict[str, Seam] = {}
+    size, keys = layout.config.tile.size, tuple(layout.keys)
+    for task in tasks:
+        block = TileGrid(size_of(task.stage, layout)).tile(task.part)
+        with _scratch() as directory:
+            task.work(inputs, directory)
+            now = read_table(directory / TABLE)
+            cells = read_arrays(directory / RASTERS)[0] if task.stage == TERRAIN.name else {}
+        stage = GATHERED[task.stage]
+        stored = surroundings(inputs, block, 0.0, size, {**_PLACE, **dict.fromkeys(now, stage)}, keys).table
+        _same_rows(stored, now, task)
+        found.setdefault(stage, Seam(stage, "block", "echoes", listed)).add(
+            task.part, stored, now, stored.select(_PLACE)
+        )
+        if cells:
+            before = {n: v.ravel() for n, v in inputs.arrays(task.stage, task.part, RASTERS)[0].items()}
+            now_flat = {n: v.ravel() for n, v in cells.items()}
+            found.setdefault(task.stage, Seam(task.stage, "block", "cells", 0)).add(task.part, before, now_flat, None)
+        display.ended(Outcome(*task.name, "computed"))
+    return list(found.values())
+
+
+def _same_rows(stored: Table, now: Table, task: Task) -> None:
+    if stored.rows != now.rows:
+        raise StoreError(
+            "a block has not the echoes that it had",
+            where=f"{task.stage}/{task.part}",
+            expected=stored.rows,
+            got=now.rows,
+            do="run `fwclass status`, then the run again",
+        )
+
+
+@dataclass(frozen=True)
+class Apart:
+    """What moving the *blocks* changes near their borders: a property of the algorithm, which is not bounded.
+
+    `off`: echoes whose flag is another, or whose height is by more than `within` [m] (NaN on one side counts);
+    `p999`, `worst`: of the differences of height [m], None without any height.
+    """
+
+    stage: str
+    blocks: int
+    echoes: int
+    off: int
+    within: float
+    p999: float | None = None
+    worst: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        return {**self.__dict__, "share": self.off / max(self.echoes, 1)}
+
+
+def size_of(stage: str, layout: Layout) -> float:
+    """Edge of the stage's blocks [m]."""
+    return layout.config.ground.block if stage == GROUND_FILTER.name else layout.config.terrain.block
+
+
+def shifted_blocks(stage: Stage, layout: Layout) -> list[Place]:
+    """Blocks moved by half their size that hold a border between two of the stage's blocks."""
+    size, width = size_of(stage.name, layout), layout.config.seams.width
+    half = round(500.0 * size) / 1000.0
+    return places((b.key for b in layout.blocks(size)), size, (half, half), width)
+
+
+def apart(
+    stage: Stage,
+    moved: Sequence[Place],
+    count: int,
+    layout: Layout,
+    inputs: PartInputs,
+    within: float,
+    display: Display,
+) -> Apart:
+    """Filter, or make the terrain of, the first `count` of the blocks `moved` that have echoes near the borders of the
+    run's blocks, and compare these."""
+    size, columns = layout.config.tile.size, layout.columns(stage.reads)
+    made, echoes, off = 0, 0, 0
+    heights: list[NDArray[np.float64]] = []
+    for place in moved:
+        if made == count:
+            break
+        block, present = place.tile, reached(stage, place.tile, layout)
+        wanted = {**_PLACE, **dict.fromkeys(stage.writes, GATHERED[stage.name])}
+        stored = surroundings(inputs, block, 0.0, size, wanted, present).table
+        near = place.holds(stored["x"], stored["y"])
+        if not near.any():
+            continue
+        with _scratch() as directory:
+            if stage.name == GROUND_FILTER.name:
+                filtered_block(block, size, present, layout.config.ground, inputs, directory)
+            else:
+                terrain_block(block, size, columns, present, layout.config.terrain, inputs, directory)
+            now = read_table(directory / TABLE)
+        wrong, differences = _off(stored.take(near), now.take(near), within)
+        heights += differences
+        made, echoes, off = made + 1, echoes + len(wrong), off + int(wrong.sum())
+        display.say(f"{stage.name:<12} block moved to {', '.join(f'{v:.0f}' for v in block.box.bounds[:2])}")
+    every = np.concatenate(heights) if heights else np.empty(0)
+    told = (float(np.quantile(every, 0.999)), float(every.max())) if every.size else (None, None)
+    return Apart(GATHERED[stage.name], made, echoes, off, within, *told)
+
+
+def _off(stored: Table, now: Table, within: float) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:
+    """Rows with another flag, or another height by more than `within` [m]; the differences of height."""
+    wrong, differences = np.zeros(now.rows, bool), []
+    for name in now:
+        a, b = stored[name], now[name]
+        if a.dtype.kind != "f":
+            wrong |= a != b
+            continue
+        difference = np.abs(a.astype(np.float64) - b)
+        differences.append(difference[np.isfinite(difference)])
+        wrong |= (difference > within) | (np.isnan(a) != np.isnan(b))
+    return wrong, differences
+
+
+def reach_of(stage: Stage, layout: Layout) -> float:
+    """How far around a block its stage reads [m]."""
+    if stage.name == GROUND_FILTER.name:
+        return stage.halo(layout.config.ground)
+    return stage.halo(layout.config.terrain) + layout.config.terrain.cell
+
+
+def reached(stage: Stage, block: Tile, layout: Layout) -> tuple[str, ...]:
+    """Tiles that a block of the stage is made from."""
+    return layout.around(block.box.grown(reach_of(stage, layout)), layout.keys)

@@ -1,0 +1,97 @@
+"""Borders of squares, the strips along them, and the shifted squares that hold them inside."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import ConfigError
+from fwclass.grid import Box, Tile, TileGrid, whole_millimetres
+from fwclass.hashing import hashed
+
+
+@dataclass(frozen=True)
+class Place:
+    """A square of the shifted grid with the borders inside it.
+
+    `strips`: what lies as near to a border as is asked for; `length`: of the borders [m].
+    """
+
+    tile: Tile
+    strips: tuple[Box, ...]
+    length: float
+
+    def holds(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Points that lie in a strip."""
+        inside = np.zeros(len(x), bool)
+        for strip in self.strips:
+            inside |= strip.contains(x, y)
+        return inside
+
+
+def shift_of(text: str | None, size: float) -> tuple[float, float]:
+    """``dx,dy`` [m] as typed; None: half a tile either way. `ConfigError` for what leaves the grid where it is."""
+    if text is None:
+        half = (whole_millimetres(size, "tile.size") // 2) / 1000.0
+        return half, half
+    try:
+        dx, dy = (round(float(word), 3) for word in text.split(","))
+        moved = [round(1000 * v) % whole_millimetres(size, "tile.size") for v in (dx, dy)]
+    except (ValueError, OverflowError):
+        moved = []
+    if not any(moved):
+        raise ConfigError(
+            "not a shift of the grid",
+            where="--shift",
+            expected=f"dx,dy in metres, not both multiples of {size:g}",
+            got=text,
+            do=f"leave it out for {size / 2:g},{size / 2:g}",
+        )
+    return dx, dy
+
+
+def places(keys: Iterable[str], size: float, shift: tuple[float, float], width: float) -> list[Place]:
+    """Squares of the shifted grid that hold a border between two of the squares `keys` (edge `size` [m])."""
+    whole_millimetres(width, "seams.width")
+    found: dict[Tile, list[tuple[Box, float]]] = {}
+    grid = TileGrid(size, shift)
+    for strip, upright in _strips(keys, size, width):
+        for tile in grid.touching(strip):
+            piece = strip.common(tile.box)
+            if piece is not None:
+                long = piece.ymax - piece.ymin if upright else piece.xmax - piece.xmin
+                found.setdefault(tile, []).append((piece, long))
+    return [Place(t, tuple(b for b, _ in some), sum(n for _, n in some)) for t, some in sorted(found.items())]
+
+
+def _strips(keys: Iterable[str], size: float, width: float) -> Iterator[tuple[Box, bool]]:
+    """What lies within `width` of every border between two squares; whether the border runs north."""
+    here, grid = frozenset(keys), TileGrid(size)
+    for tile in sorted(grid.tile(k) for k in here):
+        b = tile.box
+        if f"{tile.ix + 1}_{tile.iy}" in here:
+            yield Box(b.xmax - width, b.ymin, b.xmax + width, b.ymax), True
+        if f"{tile.ix}_{tile.iy + 1}" in here:
+            yield Box(b.xmin, b.ymax - width, b.xmax, b.ymax + width), False
+
+
+def drawn(tiles: Sequence[Tile], seed: int) -> list[int]:
+    """Places in `tiles` in an order that only the seed and the tiles decide."""
+    keys = np.array([((t.ix & 0xFFFFFFFF) << 32) | (t.iy & 0xFFFFFFFF) for t in tiles], np.uint64)
+    return np.argsort(hashed(seed, keys), kind="stable").tolist()
+
+
+def chosen(candidates: Sequence[Place], share: float, length: float | None, seed: int) -> list[Place]:
+    """Places drawn until they have `share` of all borders, or `length` [m] of them; at least one if there is one."""
+    wanted = share * sum(p.length for p in candidates) if length is None else length
+    taken: list[Place] = []
+    have = 0.0
+    for k in drawn([p.tile for p in candidates], seed):
+        if taken and have >= wanted:
+            break
+        taken.append(candidates[k])
+        have += candidates[k].length
+    return sorted(taken, key=lambda p: p.tile)

@@ -1,0 +1,132 @@
+"""What the shifted grid changed: as a table, as plain data, as polygons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fwclass.errors import QualityError
+from fwclass.operate.seams.differ import Seam
+from fwclass.operate.seams.measure import Apart
+from fwclass.operate.seams.places import Place
+from fwclass.store.url import Url
+
+NAMED = 5
+"""Columns that are named of those that differ."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Attributes
+    ----------
+    shift, width : of the tiles, and how near to a border is near [m].
+    borders : length of all borders between tiles [m].
+    strips : what was computed once more.
+    bounded : stages that no grid may change; `moved` : those that other blocks may.
+    other : edge of the tiles that blocks were read from [m].
+    crs : WKT of the survey, or None.
+    """
+
+    where: Path | Url
+    shift: tuple[float, float]
+    width: float
+    borders: float
+    strips: tuple[Place, ...]
+    bounded: tuple[Seam, ...]
+    moved: tuple[Apart, ...]
+    other: float
+    crs: str | None = None
+
+    @property
+    def length(self) -> float:
+        """Of the borders that were computed along [m]."""
+        return sum(p.length for p in self.strips)
+
+    @property
+    def equal(self) -> bool:
+        return not any(s.differ for s in self.bounded)
+
+    def judge(self) -> None:
+        """`QualityError` where a bounded stage differs."""
+        wrong = [s for s in self.bounded if s.differ]
+        if wrong:
+            raise QualityError(
+                "the way the survey was cut into tiles shows in the results",
+                where=self.where,
+                expected="no difference under a shifted grid",
+                got=", ".join(f"{s.stage}: {s.differ:,} of {s.rows:,} {s.units}" for s in wrong),
+                do="`fwclass seams --json` names them; the store is damaged (remove STAGE/PART from its store and run "
+                "again), or a stage reads further than the halo that it declares: report it",
+            )
+
+
+def as_data(found: Found, seconds: float) -> dict[str, Any]:
+    """Plain data; lengths in metres, shares as fractions."""
+    return {
+        "run": str(found.where),
+        "equal": found.equal,
+        "shift": list(found.shift),
+        "width": found.width,
+        "borders": {"all": found.borders, "computed": found.length, "share": found.length / found.borders},
+        "other_tile": found.other,
+        "seconds": round(seconds, 3),
+        "bounded": [s.as_json() for s in found.bounded],
+        "unbounded": [a.as_json() for a in found.moved],
+        "strips": [
+            {"part": p.tile.key, "length": p.length, "boxes": [list(b.bounds) for b in p.strips]} for p in found.strips
+        ],
+    }
+
+
+def as_text(found: Found, seconds: float) -> str:
+    """A table by stage."""
+    rows = [
+        f"{found.where}: {found.length:,.0f} of {found.borders:,.0f} m of tile borders, {found.width:g} m to either "
+        f"side, in tiles shifted by {found.shift[0]:g}, {found.shift[1]:g} m; blocks from tiles of {found.other:g} m",
+        "",
+        f"{'stage':<12}{'columns':>8}{'compared':>20}{'differ':>10}{'share':>11}  worst",
+    ]
+    for s in found.bounded:
+        share = f"{100 * s.differ / max(s.rows, 1):.4f} %"
+        rows.append(
+            f"{s.stage:<12}{len(s.columns):>8}{f'{s.rows:,} {s.units}':>20}{s.differ:>10,}{share:>11}{_worst(s)}"
+        )
+    rows += [
+        "",
+        _verdict(found),
+        "",
+        "blocks moved by half their size (their support has no bound; tiles do not enter):",
+    ]
+    rows += [_apart(a) for a in found.moved]
+    return "\n".join([*rows, f"took {seconds:.1f} s"])
+
+
+def _worst(seam: Seam) -> str:
+    wrong = {n: c for n, c in seam.columns.items() if c.differ}
+    some = sorted(wrong, key=lambda n: (-wrong[n].differ, n))[:NAMED]
+    told = [f"{n} {wrong[n].differ:,}" + ("" if (w := wrong[n].worst) is None else f" (by {w:.3g})") for n in some]
+    more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
+    at = sorted((p for p, (_, d) in seam.at.items() if d))[:NAMED]
+    return f"  {', '.join(told)}{more}; in {', '.join(at)}" if told else ""
+
+
+def _verdict(found: Found) -> str:
+    if found.equal:
+        return "no value differs: where the borders of tiles lie changes nothing"
+    return "values differ: where the borders of tiles lie shows in the results"
+
+
+def _apart(a: Apart) -> str:
+    if not a.blocks:
+        return f"{a.stage:<12}one block only: no border"
+    what = (
+        "another flag"
+        if a.p999 is None and a.stage == "ground"
+        else f"another height by more than {100 * a.within:g} cm"
+    )
+    height = "" if a.worst is None else f"; 99.9 % within {a.p999:.3g} m, worst {a.worst:.3g} m"
+    return (
+        f"{a.stage:<12}{a.off:,} of {a.echoes:,} echoes near block borders have {what} "
+        f"({100 * a.off / max(a.echoes, 1):.4f} %){height}"
+    )

@@ -1,0 +1,41 @@
+"""One part alone: the part that failed is made again, and no other."""
+
+from __future__ import annotations
+
+from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.operate.request import Request
+from fwclass.operate.status.walk import Looked
+from fwclass.run.part import Name, Task
+
+
+def task_alone(looked: Looked, text: str, request: Request) -> Task:
+    """The task that ``--only STAGE/PART`` names; all that it needs must be done."""
+    stage, _, part = text.partition("/")
+    task = looked.tasks.get((stage, part))
+    if task is None:
+        raise ConfigError(
+            "no such part in this run",
+            where="--only",
+            expected="STAGE/PART, for example features/12_34",
+            got=text,
+            do=_meant(looked, stage, part),
+        )
+    late = [n for n in task.needs if looked.states[n].standing != "done"]
+    if late:
+        raise InputError(
+            f"{text} cannot be made alone: a part that it needs is not done",
+            where=f"--only {text}",
+            got=", ".join(f"{'/'.join(n)} is {looked.states[n].standing}" for n in late[:3])
+            + (f" and {len(late) - 3} more" if len(late) > 3 else ""),
+            do=f"make that first ({request.command(late[0])}), or run the whole: {request.command()}",
+        )
+    return task
+
+
+def _meant(looked: Looked, stage: str, part: str) -> str:
+    stages = list(dict.fromkeys(name for name, _ in looked.states))
+    if stage not in stages:
+        return nearest(stage, stages)
+    mine: list[Name] = [n for n in looked.states if n[0] == stage]
+    known = ", ".join(p for _, p in mine[:3])
+    return f"{stage} has {len(mine)} parts, for example {known}; `fwclass status --parts` lists all"

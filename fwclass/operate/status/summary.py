@@ -1,0 +1,128 @@
+"""The status of a run as a table for a person, and as plain data for a program."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from fwclass.operate.request import Request
+from fwclass.operate.status.walk import STANDINGS, Looked, State
+from fwclass.run.libraries import by_libraries, text_of
+from fwclass.run.part import Name
+from fwclass.store.libraries import fingerprint
+from fwclass.store.run_store import NO_STAGES
+
+NAMED = 4
+"""Parts that are named of those that have one reason."""
+
+
+def as_data(looked: Looked, request: Request, writer: Mapping[str, Any] | None, every: bool) -> dict[str, Any]:
+    """Plain data: counts by stage, and every part that is not done, or with `every` all parts."""
+    parts = [_part(s, request) for s in looked.states.values() if every or s.standing != "done"]
+    return {
+        "run": request.root,
+        "command": request.command(),
+        "done": looked.all_done,
+        "running": dict(writer) if writer else None,
+        "plan_ends": looked.ends,
+        "stages": [{"stage": stage, **counts} for stage, counts in _counts(looked.states).items()],
+        "parts": parts,
+        "not_in_plan": others(looked, request),
+        "libraries": {"here": dict(fingerprint()), "parts": by_libraries(looked.made_with, looked.store)},
+    }
+
+
+def _part(state: State, request: Request) -> dict[str, Any]:
+    found: dict[str, Any] = {"stage": state.stage, "part": state.part, "status": state.standing}
+    if state.standing != "done":
+        found |= {"why": [r.text for r in state.reasons], "waits": state.waits, "message": state.message}
+    if state.standing == "failed":
+        found["replay"] = request.replay((state.stage, state.part))
+    return found
+
+
+def _counts(states: Mapping[Name, State]) -> dict[str, dict[str, int]]:
+    found: dict[str, dict[str, int]] = {}
+    for state in states.values():
+        row = found.setdefault(state.stage, {"parts": 0, **dict.fromkeys(STANDINGS, 0)})
+        row["parts"] += 1
+        row[state.standing] += 1
+    return found
+
+
+def others(looked: Looked, request: Request) -> dict[str, int]:
+    """How many parts by stage the store holds that the plan does not name; none are counted for chosen tiles."""
+    if request.wanted is not None:
+        return {}
+    found: Counter[str] = Counter()
+    for stage, part in looked.store.parts():
+        if stage not in NO_STAGES:
+            found[stage] += (stage, part) not in looked.states
+    return {stage: n for stage, n in found.items() if n}
+
+
+def as_text(looked: Looked, request: Request, writer: Mapping[str, Any] | None, every: bool) -> str:
+    """A table by stage, then what is not done and why, then what to do."""
+    counts = _counts(looked.states)
+    rows = [f"{request.root}: {request.command()}"]
+    if writer:
+        rows.append(f"a run is writing to it: pid {writer.get('pid')} on {writer.get('host')}")
+    width = max([5, *map(len, counts)])
+    rows += ["", f"{'stage':<{width}}" + "".join(f"{name:>9}" for name in ("parts", *STANDINGS))]
+    for stage, row in counts.items():
+        rows.append(f"{stage:<{width}}" + "".join(f"{row[n] or '-':>9}" for n in ("parts", *STANDINGS)))
+    rows += ["", *(_every(looked) if every else _grouped(looked))]
+    rows += _failed(looked, request)
+    if looked.ends is not None:
+        rows.append(f"which other parts there are is known once those are made ({looked.ends})")
+    left = others(looked, request)
+    if left:
+        told = ", ".join(f"{stage} {n}" for stage, n in left.items())
+        rows.append(f"besides, the store holds parts that the plan does not name (so far): {told}")
+    rows += [text_of(row) for row in by_libraries(looked.made_with, looked.store)]
+    return "\n".join([*rows, _verdict(looked, request, writer)])
+
+
+def _grouped(looked: Looked) -> list[str]:
+    """Parts of one stage that are not done for the same kinds of reasons, in one entry."""
+    groups: dict[tuple[str, ...], list[State]] = {}
+    for s in looked.states.values():
+        if s.standing not in ("done", "failed"):
+            groups.setdefault((s.stage, s.standing, *(r.kind for r in s.reasons)), []).append(s)
+    rows = []
+    for (stage, standing, *_), some in groups.items():
+        names = ", ".join(s.part for s in some[:NAMED])
+        more = f" and {len(some) - NAMED} more" if len(some) > NAMED else ""
+        rows.append(f"{standing:<8} {stage}: {names}{more}")
+        rows += [f"           {r.text if len(some) == 1 else r.kind}" for r in some[0].reasons]
+    return rows
+
+
+def _every(looked: Looked) -> list[str]:
+    rows = []
+    for s in looked.states.values():
+        if s.standing != "failed":
+            rows.append(f"{s.standing:<8} {s.stage}/{s.part}")
+            rows += [f"           {r.text}" for r in s.reasons]
+    return rows
+
+
+def _failed(looked: Looked, request: Request) -> list[str]:
+    rows = []
+    for s in looked.states.values():
+        if s.standing == "failed":
+            rows.append(f"failed   {s.stage}/{s.part}")
+            rows += [f"           {line}" for line in s.message.splitlines()]
+            rows.append(f"           alone: {request.replay((s.stage, s.part))}")
+    return rows
+
+
+def _verdict(looked: Looked, request: Request, writer: Mapping[str, Any] | None) -> str:
+    total = len(looked.states)
+    if looked.all_done:
+        return f"all {total} parts are done"
+    left = sum(s.standing != "done" for s in looked.states.values())
+    next_step = "wait for the run to end" if writer else f"make them: {request.command()}"
+    waits = f" ({looked.waiting} of them only wait for what they need)" if looked.waiting else ""
+    return f"{left} of {total} parts are not done{waits}; {next_step}"

@@ -1,0 +1,125 @@
+"""Whether all files still have the bytes that were written: those of finished parts, and of the generation that is
+shown. All of them are read.
+
+A part that was made from a damaged one may be wrong, though its own bytes are what was written: nothing tells whether
+it was made before the damage or after. So every part whose receipt names a damaged one among its inputs goes with it,
+and what names that, and so on. What was sound comes out as it was.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from fwclass.operate.request import Request
+from fwclass.run.part import Name
+from fwclass.store.receipts import Receipt
+from fwclass.store.run_store import Store
+
+LISTED = 100
+"""Damaged files of a generation that are named; the others are counted."""
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Files of one part that are not what was written, by their names in the part."""
+
+    stage: str
+    part: str
+    files: tuple[str, ...]
+
+    @property
+    def name(self) -> Name:
+        return self.stage, self.part
+
+    def as_data(self) -> dict[str, Any]:
+        return {"stage": self.stage, "part": self.part, "files": list(self.files)}
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What is not as it was written: `parts`; `made_from` them, and from those; `delivered` files of `generation`."""
+
+    parts: tuple[Damage, ...]
+    made_from: tuple[Name, ...]
+    generation: str
+    delivered: tuple[str, ...]
+
+    @property
+    def sound(self) -> bool:
+        return not (self.parts or self.delivered)
+
+    def as_data(self) -> dict[str, Any]:
+        return {
+            "damaged": [d.as_data() for d in self.parts],
+            "made_from_damaged": [{"stage": stage, "part": part} for stage, part in self.made_from],
+            "damaged_delivered": [f"{self.generation}/{name}" for name in self.delivered],
+        }
+
+
+def verify(store: Store) -> Verified:
+    """Read every file of every part that has a receipt, in the plan or not, and of the current generation."""
+    found = []
+    for receipt in _receipts(store):
+        files = store.damaged(receipt)
+        if files:
+            found.append(Damage(receipt.stage, receipt.part, tuple(files)))
+    generation, delivered = store.generations.damage()
+    return Verified(tuple(found), _made_from({d.name for d in found}, store), generation, tuple(delivered))
+
+
+def remove(verified: Verified, store: Store) -> None:
+    """Remove damaged parts and all that was made from them, for the holder of the run's lock."""
+    store.remove_all(verified.made_from)  # until the damaged ones are gone, all that was made of them is known
+    store.remove_all(d.name for d in verified.parts)
+
+
+def _receipts(store: Store) -> Iterator[Receipt]:
+    names = store.parts()
+    store.look_up(names)
+    for name in names:
+        receipt = store.receipt(*name)
+        if receipt is not None:
+            yield receipt
+
+
+def _made_from(damaged: set[Name], store: Store) -> tuple[Name, ...]:
+    """Parts that were made from `damaged` ones, and from those that were, the last made first."""
+    bad, steps = set(damaged), []
+    while damaged:
+        damaged = {
+            (r.stage, r.part)
+            for r in _receipts(store)
+            if (r.stage, r.part) not in bad and any(_part_of(name) in bad for name in r.inputs)
+        }
+        bad |= damaged
+        steps.append(sorted(damaged))
+    return tuple(name for step in reversed(steps) for name in step)
+
+
+def _part_of(name: str) -> Name:
+    """The part that an input's name means; files from outside have names that no part has."""
+    stage, _, part = name.partition("/")
+    return stage, part
+
+
+def rows(verified: Verified) -> list[str]:
+    """What is damaged, and what was made from it, in lines."""
+    found = [f"damaged  {d.stage}/{d.part}: {', '.join(d.files)}" for d in verified.parts]
+    counts = Counter(stage for stage, _ in verified.made_from)
+    if counts:
+        found.append(f"made from these: {', '.join(f'{stage} {n}' for stage, n in sorted(counts.items()))}")
+    where = f"generations/{verified.generation}"
+    found += [f"damaged  {where}/{name}" for name in verified.delivered[:LISTED]]
+    if len(verified.delivered) > LISTED:
+        found.append(f"         and {len(verified.delivered) - LISTED} more files of {where}")
+    return found
+
+
+def as_text(verified: Verified, request: Request) -> str:
+    """What is damaged, what was made from it, and what to do."""
+    if verified.sound:
+        return "all files of all parts, and of the generation that is shown, have the bytes that were written"
+    return "\n".join([*rows(verified), f"to have all of it made again, and delivered: {request.command()} --verify"])

@@ -1,0 +1,152 @@
+"""The parts that a scheduler has in hand, and what becomes of those whose worker was lost."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import Any, Protocol
+
+from fwclass.run.logs import attempted
+from fwclass.run.lost import Losses
+from fwclass.run.part import Name, Outcome, Task
+from fwclass.store.run_location import RunLocation
+
+
+class Scheduler(Protocol):
+    """What hands parts to workers, and knows what became of a worker that was lost."""
+
+    @property
+    def window(self) -> int: ...
+    def submit(self, location: RunLocation, task: Task, upstream: list[Any], alone: bool) -> Any: ...
+    def cancel(self, futures: list[Any]) -> None: ...
+    def outcome(self, future: Any) -> Outcome: ...
+    def gone(self) -> Exception: ...
+    def turned_away(self, fault: Exception) -> bool: ...
+    def killed(self, fault: Exception, key: str) -> str | None: ...
+    def cause(self, worker: str) -> str: ...
+
+
+class InFlight:
+    """The parts that the scheduler knows; those that are to be tried alone, and what waits for these."""
+
+    def __init__(self, scheduler: Scheduler, location: RunLocation, losses: Losses, done: Any) -> None:
+        self._scheduler, self._location, self._losses, self._done = scheduler, location, losses, done
+        self._tasks: dict[Name, Task] = {}
+        self._order: dict[Name, int] = {}
+        self._numbers = itertools.count()
+        self._futures: dict[Name, Any] = {}
+        self._names: dict[str, Name] = {}
+        self._suspects: dict[Name, Task] = {}
+        self._waiting: dict[Name, Task] = {}
+        self._failed: dict[Name, Outcome] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._futures or self._suspects or self._waiting)
+
+    @property
+    def full(self) -> bool:
+        """No further part may be taken: the window is full, or everything is to end first."""
+        return bool(self._suspects or self._waiting) or len(self._futures) >= self._scheduler.window
+
+    def take(self, task: Task, alone: bool = False) -> None:
+        if task.name not in self._order:
+            self._order[task.name] = next(self._numbers)
+        if any(n in self._suspects or n in self._waiting for n in task.needs):
+            self._waiting[task.name] = task
+            return
+        upstream = [self._failed.get(n) or self._futures.get(n) for n in task.needs]
+        future = self._scheduler.submit(self._location, task, [u for u in upstream if u is not None], alone)
+        self._futures[task.name], self._names[future.key], self._tasks[task.name] = future, task.name, task
+        self._done.add(future)
+
+    def drop(self) -> None:
+        self._scheduler.cancel([f for f in self._futures.values() if not f.done()])
+
+    def ended(self) -> Iterator[Outcome]:
+        """Wait until one more part has ended in some way; its outcome, if that is known now."""
+        if not self._futures:
+            yield from self._alone()
+            return
+        future = next(self._done)
+        name = self._names.pop(future.key, None)
+        if name is None:
+            return  # it was handed over again meanwhile
+        if future.status not in ("error", "cancelled"):
+            yield from self._made(name, alone=False)
+            return
+        for other in [n for n, f in self._futures.items() if n == name or f.status in ("error", "cancelled")]:
+            yield from self._not_made(other)
+
+    def _alone(self) -> Iterator[Outcome]:
+        """Everything else has ended: try the first suspect, and hand over what waited when there is none left."""
+        if not self._suspects:
+            waited, self._waiting = self._waiting, {}
+            for task in sorted(waited.values(), key=self._place):
+                self.take(task)
+            return
+        name, task = min(self._suspects.items(), key=lambda one: self._place(one[1]))
+        del self._suspects[name]
+        held, self._suspects = self._suspects, {}  # a suspect may need an earlier one, none of the others
+        self.take(task, alone=True)
+        self._suspects = held
+        while name in self._futures:
+            if next(self._done).key != self._futures[name].key:
+                continue  # one that was handed over again before
+            if self._futures[name].status not in ("error", "cancelled"):
+                yield from self._made(name, alone=True)
+            else:
+                yield from self._not_made(name, alone=True)
+
+    def _place(self, task: Task) -> int:
+        """Its place in the plan, which has every part after those that it needs."""
+        return self._order[task.name]
+
+    def _made(self, name: Name, alone: bool) -> Iterator[Outcome]:
+        """A part has an outcome; where that was lost with its worker, the part is handed over again and found done."""
+        future = self._futures[name]
+        try:
+            outcome = self._scheduler.outcome(future)
+        except Exception as fault:
+            if future.status == "cancelled":
+                raise self._scheduler.gone() from fault
+            self.take(self._forget(name), alone)
+            return
+        self._forget(name)
+        del self._order[name]
+        yield self._losses.told(outcome)
+
+    def _forget(self, name: Name) -> Task:
+        future = self._futures.pop(name)
+        self._names.pop(future.key, None)
+        return self._tasks.pop(name)
+
+    def _not_made(self, name: Name, alone: bool = False) -> Iterator[Outcome]:
+        """A part's future has no outcome: its worker was lost, or that of a part that it needs."""
+        future = self._futures[name]
+        if future.status == "cancelled":
+            raise self._scheduler.gone()
+        fault, task = future.exception(), self._forget(name)
+        if self._scheduler.turned_away(fault):
+            self.take(task, alone)
+            return
+        worker = self._scheduler.killed(fault, future.key)
+        if worker is None:
+            message = f"no worker could begin it: {type(fault).__name__}: {fault}"
+            yield self._give_up(name, message)
+        elif not worker:  # that of a part that it needs
+            self.take(task)
+        else:
+            verdict = self._losses.lost(task.name, self._scheduler.cause(worker), alone)
+            if verdict == "again":
+                self.take(task, alone)
+            elif verdict == "alone":
+                self._suspects[name] = task
+            else:
+                yield self._give_up(name, self._losses.message(name))
+
+    def _give_up(self, name: Name, message: str) -> Outcome:
+        del self._order[name]
+        outcome = self._losses.told(Outcome(*name, "failed", message=message))
+        attempted(self._location, *name, {"status": "failed", "message": message})
+        self._failed[name] = outcome
+        return outcome

@@ -1,0 +1,117 @@
+"""`fwclass assess`: two clouds compared, without a run directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.assess.stage import confusion, figures, unclassified
+from fwclass.errors import ConfigError, InputError
+from fwclass.grid import quantised
+from fwclass.model import ClassDef
+from fwclass.read.cloud import FAR
+from fwclass.read.source import open_source
+from fwclass.read.stage import read_cloud
+from fwclass.read.text import is_text, read_text
+from fwclass.schema import Table
+from fwclass.single_file.pairing import Places, pairs
+
+GROUND = (ClassDef("ground", 2, (2,)), ClassDef("other", 1, (1, *range(3, 256))))
+"""Ground against everything else, as ground filters are judged (He 2023)."""
+
+
+def _cloud(path: Path) -> Table:
+    """Points of a LAS or text file: x, y, z to the millimetre, source_class."""
+    if is_text(path):
+        return _of_text(path)
+    source = open_source(path)
+    if source.n_points == 0:
+        raise InputError("the file has no points", where=path, do="there is nothing to assess")
+    table = read_cloud(path, 0, source.n_points)
+    return table.with_columns({n: quantised(table[n]) for n in "xyz"})
+
+
+def _of_text(path: Path) -> Table:
+    text = read_text(path)
+    codes = text.codes
+    if codes is None:
+        raise InputError(
+            "the text has no classes",
+            where=path,
+            expected="a fourth column: class codes, or the labels 0 (ground) and 1 (object)",
+            got="x y z",
+            do="give a file with labels",
+        )
+    columns = {n: quantised(np.where(np.abs(a) < FAR, a, np.nan)) for n, a in zip("xyz", text.xyz, strict=True)}
+    return Table({**columns, "source_class": codes})
+
+
+def parse_classes(text: str) -> tuple[ClassDef, ...]:
+    """``ground=2;vegetation=3,4,5`` as classes; the first code of each is its own."""
+    classes = []
+    for item in text.split(";"):
+        name, equals, codes = item.partition("=")
+        try:
+            numbers = tuple(int(c) for c in codes.split(","))
+        except ValueError:
+            numbers = ()
+        if not equals or not name.strip() or not numbers or not all(0 < n < 256 for n in numbers):
+            raise ConfigError(
+                "--map lists classes by name and codes",
+                where="--map",
+                expected="ground=2;vegetation=3,4,5;building=6",
+                got=text,
+            )
+        classes.append(ClassDef(name.strip(), numbers[0], numbers))
+    names = [c.name for c in classes]
+    if len(set(names)) < len(names):
+        raise ConfigError("a class is listed twice", where="--map", got=text, do="list its codes together: ground=2,8")
+    return tuple(classes)
+
+
+def assess_files(reference: Path, prediction: Path, codes: str | None, ground: bool = False) -> dict[str, Any]:
+    """Figures of `prediction` against `reference`: point by point, or by nearest point within `label.max_distance`.
+
+    Both are LAS, LAZ, COPC or text with labels. Without `codes` every code that the reference uses is a class (0 is
+    "never classified"). With `ground` there are two classes, ground (2) and all other codes; whatever the prediction
+    does not call ground is other.
+    """
+    if ground and codes is not None:
+        raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
+    truth, answer = _cloud(reference), _cloud(prediction)
+    found = pairs(_places(truth), _places(answer), conf.section("label").max_distance)
+    known = found >= 0
+    if not known.any():
+        raise InputError(
+            "reference and prediction have no point in common",
+            where=f"{reference}, {prediction}",
+            do="check that they show the same place in the same coordinate system",
+        )
+    wanted, given = truth["source_class"][known], answer["source_class"][found[known]]
+    classes, given = _classes(wanted, given, codes, ground)
+    names = [c.name for c in classes]
+    made = figures(confusion(wanted, given, classes), names, unclassified(wanted, given, classes))
+    return {**made, "matched": int(known.sum()), "unmatched": int((~known).sum())}
+
+
+def _classes(
+    wanted: NDArray[np.uint8], given: NDArray[np.uint8], codes: str | None, ground: bool
+) -> tuple[tuple[ClassDef, ...], NDArray[np.uint8]]:
+    """The classes that are told apart, and the predicted codes, each as its class' own."""
+    if ground:
+        return GROUND, np.where(given == 2, 2, 1).astype(np.uint8)
+    if codes is None:
+        return tuple(ClassDef(str(c), int(c), (int(c),)) for c in np.unique(wanted) if c), given
+    classes = parse_classes(codes)
+    own = np.zeros(256, np.uint8)
+    for one in classes:
+        own[list(one.codes)] = one.code
+    return classes, own[given]
+
+
+def _places(cloud: Table) -> Places:
+    return cloud["x"], cloud["y"], cloud["z"]

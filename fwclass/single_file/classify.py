@@ -1,0 +1,295 @@
+"""`fwclass classify`: one file by a trained model, without a run directory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.classify.stage import classify, filled
+from fwclass.errors import ConfigError, InputError
+from fwclass.features.dense import Crowd, crowd_facts
+from fwclass.features.params import Asked, is_feature
+from fwclass.features.stage import features
+from fwclass.graph.model_fit import check_computed, check_names, ground_note
+from fwclass.graph.quantities import check_learned
+from fwclass.graph.survey import given_crs
+from fwclass.ground.blocks import blocks_of
+from fwclass.model import ClassDef, Model, sample_matrix
+from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
+from fwclass.radiometry.stage import RADIOMETRY
+from fwclass.read.las import LasSource
+from fwclass.read.quantities import quantities_of
+from fwclass.read.source import open_source
+from fwclass.schema import Table
+from fwclass.single_file.features.echoes import (
+    FileEchoes,
+    Flight,
+    GroundChoice,
+    read_echoes,
+    with_heights,
+    with_radiometry,
+)
+from fwclass.single_file.ground.output import LAS, check_output
+from fwclass.single_file.ground.steps import Tell, quiet
+from fwclass.stage import Chunk
+from fwclass.store.models import load_model
+
+SECTIONS = ("read", "pulse", "decompose", "ground", "terrain", "features", "radiometry", "classify", "publish", "tile")
+"""Sections of the configuration that the command obeys."""
+
+
+@dataclass(frozen=True)
+class ClassifyJob:
+    """What `fwclass classify` was asked for.
+
+    Attributes
+    ----------
+    source, output : the files, LAS or LAZ.
+    model : directory of the model.
+    method, preset, assignments : ground filter; without any that of the settings.
+    own_ground : heights count from class 2 of the file instead.
+    legacy : class code to write in place of another; point formats 0 to 5 take what the model's classes say besides.
+    """
+
+    source: Path
+    output: Path
+    model: Path
+    settings: tuple[str, ...] = ()
+    crs: str | None = None
+    overwrite: bool = False
+    method: str | None = None
+    preset: str | None = None
+    assignments: tuple[str, ...] = ()
+    own_ground: bool = False
+    flight: Flight = field(default_factory=Flight)
+    legacy: Mapping[int, int] | None = None
+
+
+def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
+    """Classify the points of a file; what was done, as plain data.
+
+    Waveforms are decomposed where the file has them, as in a run; every point then takes the class of the echo of its
+    pulse that is nearest to it. Features are computed as in a run, their neighbourhoods are those of this file alone.
+    The points keep their order and all their other fields; `confidence` and `entropy` become extra bytes, with
+    ``classify.probabilities`` the share of every class too.
+
+    Raises
+    ------
+    ConfigError
+        An output, a setting or a model that cannot be used.
+    InputError
+        A file or model that cannot be used, or lacks what the model decides by.
+    """
+    began = time.perf_counter()
+    _check_settings(job.settings)
+    source = _checked_source(job)
+    model = load_model(job.model)
+    check_output(job.source, job.output, job.overwrite)
+    check_computed(model, conf.section("features", job.settings), job.model)
+    notes = check_learned(model.card, {source.path.name: quantities_of(source)}, job.model)
+    codes = legal_codes(job, model, source)
+    asked = Asked.of(n for n in model.features if is_feature(n))
+    found = _echoes(job, model, asked, tell)
+    made, without, medians, dense = _classified(found.table, model, asked, job.settings, tell)
+    tell("writing")
+    rows = _row_of_point(found, job.source)
+    classes = codes[made["classification"][rows]]
+    extra = {name: made[name][rows] for name in made if name != "classification"}
+    wrote = write_strip_laz(job.source, job.output, classes, extra, conf.section("publish", job.settings))
+    used, counts = np.unique(classes, return_counts=True)
+    return {
+        "input": str(job.source),
+        "output": str(job.output),
+        "model": str(job.model),
+        "kind": model.kind,
+        "points": len(rows),
+        "echoes": found.table.rows,
+        "features": list(model.features),
+        "classes": {str(c): int(n) for c, n in zip(used, counts, strict=True)},
+        "names": {str(int(codes[c.code])): c.name for c in model.classes},
+        "confidence": float(made["confidence"].mean()),
+        "without_value": without,
+        "filled": medians,
+        "waveforms": wrote.get("wdp"),
+        "notes": [*found.told, *dense, *notes, *(str(n) for n in wrote.get("notes", ()))],
+        "seconds": round(time.perf_counter() - began, 3),
+    }
+
+
+def _check_settings(settings: tuple[str, ...]) -> None:
+    for text in settings:
+        if text.split(".")[0].strip() not in SECTIONS:
+            raise ConfigError(
+                "this setting has no effect here",
+                where=f"--set {text}",
+                expected=f"a key of {', '.join(SECTIONS)}",
+                got=text.split("=")[0],
+                do="leave it out; what decides is the model's",
+            )
+
+
+def _checked_source(job: ClassifyJob) -> LasSource:
+    if not job.source.is_file():
+        raise InputError("no such file", where=job.source, expected="a LAS or LAZ file", do="check the path")
+    source = open_source(job.source)
+    if not isinstance(source, LasSource):
+        raise ConfigError(
+            "only LAS and LAZ files are classified",
+            where=job.source,
+            expected="a LAS or LAZ file",
+            do="convert the file first",
+        )
+    if job.output.suffix.lower() not in LAS:
+        raise ConfigError(
+            "classified points are written as LAS or LAZ",
+            where=job.output,
+            expected="a name that ends in .las or .laz",
+            got=job.output.suffix or "no suffix",
+            do="name the output with one of these endings",
+        )
+    return source
+
+
+def legal_codes(job: ClassifyJob, model: Model, source: LasSource) -> NDArray[np.uint8]:
+    """What every class code is written as; `ConfigError` where the file's points cannot hold one."""
+    table = np.arange(256, dtype=np.uint8)
+    if source.point_format <= 5:
+        for one in model.classes:
+            table[one.code] = one.code if one.legacy_code is None else one.legacy_code
+    for code, other in (job.legacy or {}).items():
+        if code not in model.codes:
+            raise ConfigError(
+                f"the model has no class of code {code}",
+                where=f"--legacy-code {code}={other}",
+                expected=", ".join(f"{c.code} ({c.name})" for c in model.classes),
+                got=code,
+                do="check the code",
+            )
+        table[code] = other
+    _check_merged(table, model)
+    beyond = [c for c in model.classes if table[c.code] > LEGACY_MAX]
+    if source.point_format <= 5 and beyond:
+        raise ConfigError(
+            f"class {beyond[0].name!r} has code {table[beyond[0].code]}, which point format {source.point_format} "
+            "cannot hold",
+            where=job.source,
+            expected=f"codes up to {LEGACY_MAX} in point formats 0 to 5",
+            do=f"--legacy-code {beyond[0].code}=CODE, for example {beyond[0].code}=1, or convert the file to LAS 1.4",
+        )
+    return table
+
+
+def _check_merged(table: NDArray[np.uint8], model: Model) -> None:
+    """`ConfigError` if two classes would be written as one code."""
+    first: dict[int, ClassDef] = {}
+    for one in model.classes:
+        other = first.setdefault(int(table[one.code]), one)
+        if other is not one:
+            raise ConfigError(
+                f"classes {other.name!r} and {one.name!r} would both be written as code {table[one.code]}",
+                where="--legacy-code",
+                expected="another code for every class",
+                got=", ".join(f"{c.name} {c.code} as {table[c.code]}" for c in (other, one)),
+                do="choose a code that no class of the model has",
+            )
+
+
+def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEchoes:
+    """The file's echoes with every column that the model decides by but the features of a neighbourhood."""
+    tell("reading")
+    needed = (*model.features, *asked.reads)
+    notes: tuple[str, ...] = ()
+    found = read_echoes(job.source, needed, job.settings, given_crs(job.crs, "--crs"), tell)
+    links = found.links
+    if "height_above_ground" in needed:
+        method = job.method
+        if method is None and job.preset is None and not job.own_ground:
+            method = conf.section("ground", job.settings).method
+        by = GroundChoice(method, job.preset, job.assignments)
+        found = with_heights(found, job.source, by, job.settings, tell)
+        if "height_above_ground" in model.features and (note := ground_note(model, method)):
+            notes = (note,)
+    if any(n in RADIOMETRY.writes for n in needed):
+        found = with_radiometry(found, job.flight, job.settings)
+    check_names(model, found.table, job.source)
+    return FileEchoes(found.table, found.crs, (*found.told, *notes), links)
+
+
+def _classified(
+    table: Table, model: Model, asked: Asked, settings: tuple[str, ...], tell: Tell
+) -> tuple[dict[str, NDArray], dict[str, int], int, list[str]]:
+    """Columns of `classify` for every echo; echoes without a value by feature; values that were filled; a remark
+    where echoes are too dense for all of them to count.
+
+    Tile by tile (`tile.size`, which changes nothing), so that the features of one tile only are in memory.
+    """
+    params, shares = conf.section("features", settings), conf.section("classify", settings).probabilities
+    size, done, told = conf.section("tile", settings).size, 0, 0
+    halo = asked.halo(params) if asked.names else 0.0
+    made: dict[str, NDArray] = {}
+    without, crowds = np.zeros(len(model.features), np.int64), []
+    for tile, rows, own in blocks_of(table["x"], table["y"], size, halo):
+        tell(f"classes: {done:,} of {table.rows:,} echoes")
+        rows = rows[order := np.lexsort((table["echo_number"][rows], table["pulse"][rows]))]
+        core = np.flatnonzero(own[order])
+        near = table.take(rows)
+        whole = near.take(core)
+        if asked.names:
+            around = features(chunk := Chunk(near, core, tile), asked.names, params)
+            crowds.append(crowd_facts(chunk, params))
+            whole = whole.with_columns(around.select(asked.names))
+        X = sample_matrix(whole, model.features, tile.key)
+        for name, values in classify(X, model, shares).items():
+            made.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
+        without += np.isnan(X).sum(axis=0)
+        done, told = done + len(core), told + filled(X, model)
+    crowd = Crowd.of_parts(crowds)
+    lacking = {n: int(k) for n, k in zip(model.features, without, strict=True) if k}
+    return made, lacking, told, [crowd.text(params)] if crowd else []
+
+
+def _row_of_point(found: FileEchoes, source: Path) -> NDArray[np.int64]:
+    """For every point of the file the row of its echo."""
+    if found.links is None:
+        raise InputError("the file's points have no echoes", where=source, do="give a LAS or LAZ file")
+    keys, wanted = _keys(found.table), _keys(found.links)
+    order = np.argsort(keys, kind="stable")
+    place = np.searchsorted(keys, wanted, sorter=order)
+    place = order[np.minimum(place, len(keys) - 1)]
+    if (keys[place] != wanted).any():
+        raise InputError(
+            "a point has no echo",
+            where=source,
+            got=f"{int((keys[place] != wanted).sum())} points",
+            do="look at the file with `fwclass info`; points without a place cannot be classified",
+        )
+    return place
+
+
+def _keys(table: Table) -> NDArray[np.uint64]:
+    return (table["pulse"].astype(np.uint64) << np.uint64(8)) | table["echo_number"].astype(np.uint64)
+
+
+def describe(made: dict[str, Any]) -> str:
+    """What was done, for a terminal."""
+    total = made["points"]
+    lines = [
+        f"{total:,} points by a {made['kind']} of {len(made['features'])} features",
+        *made["notes"],
+        *(
+            f"  {made['names'].get(c, c):<14} {c:>3} {n:>12,}  {100 * n / total:5.1f} %"
+            for c, n in made["classes"].items()
+        ),
+        f"mean confidence {made['confidence']:.2f}",
+    ]
+    lines += [f"no value: {name} of {n:,} echoes" for name, n in made["without_value"].items()]
+    if made["filled"]:
+        lines.append(f"{made['filled']:,} missing values were filled with the medians of the training rows")
+    return "\n".join([*lines, f"written: {made['output']}"])

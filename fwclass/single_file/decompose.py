@@ -1,0 +1,221 @@
+"""`fwclass decompose`: the waveforms of one file to echoes in one LAZ file, without a run directory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass import conf
+from fwclass.decompose.envelope import Envelope
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.plausible import UNKNOWN, Surroundings, added
+from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
+from fwclass.decompose.quiet import quiet_noise
+from fwclass.decompose.stage import VENDOR_KEPT, decompose
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.errors import ConfigError, InputError
+from fwclass.features.params import NORMAL, FeaturesParams
+from fwclass.features.stage import features
+from fwclass.formats.flat import refuse_source, refuse_unless_flat
+from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.graph.survey import given_crs
+from fwclass.grid import Tile
+from fwclass.publish.laz import write_tile_laz
+from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
+from fwclass.read.source import Source, open_source
+from fwclass.read.spans import Span
+from fwclass.read.stage import ReadParams, check_source, index_source, read_span
+from fwclass.read.trajectory import in_survey_time, read_trajectory
+from fwclass.schema import Table
+from fwclass.stage import Chunk
+from fwclass.waveforms import IMPLAUSIBLE
+
+SECTIONS = ("read", "pulse", "decompose", "plausibility", "features", "radiometry", "publish")
+"""Sections of the configuration that the command obeys."""
+
+LOW_NOISE = 7
+"""Class code of LAS 1.4."""
+
+DOUBTFUL = 1.0
+"""Angle between beams and trajectory [deg] that is told as a fault."""
+
+EVERYTHING = 1e9
+"""Edge of the one tile [m]."""
+
+
+def refuse_existing(output: Path, overwrite: bool) -> None:
+    """`ConfigError` if `output` is not a LAZ file that may be written."""
+    if output.suffix.lower() != ".laz":
+        raise ConfigError(
+            "the output is a LAZ file", where=output, expected="a name that ends in .laz", got=output.suffix or "none"
+        )
+    if output.exists() and not output.is_file():
+        raise ConfigError("the output is not a file", where=output, do="choose another name")
+    if not output.parent.is_dir():
+        raise ConfigError("the output's directory does not exist", where=output.parent, do="make it first")
+    if output.exists() and not overwrite:
+        raise ConfigError("the output exists", where=output, do="choose another name, or add --overwrite")
+
+
+def decompose_file(
+    source: Path,
+    output: Path,
+    settings: tuple[str, ...],
+    overwrite: bool,
+    trajectory: Path | None = None,
+    undulation: float = 0.0,
+    crs: str | None = None,
+) -> tuple[str, list[dict[str, Any]]]:
+    """Waveforms of one file to echoes in one LAZ file; returns the summary, and what `run.plausibility` judges.
+
+    `settings` are ``section.key=value`` of `SECTIONS`. The echoes of the whole file are held in memory. Where
+    something tells how far the sensor was (`trajectory`, ``radiometry.platform_altitude``, the format itself), the
+    echoes carry range, incidence, cross-section, backscatter and reflectance. `undulation` [m] is taken from the
+    trajectory's heights; `crs` replaces the one that the file names.
+    """
+    refuse_existing(output, overwrite)
+    params = _params(settings)
+    opened = open_source(source)
+    system = given_crs(crs, "--crs") if crs is not None else opened.crs
+    refuse_source(opened, system)
+    check_source(opened, params["read"])
+    spans = index_source(opened, params["read"])
+    fit = params["decompose"]
+    pulse, around = strip_of_file(opened, spans, params["read"], params["pulse"], fit)
+    tables, faults, counts = [], dict[str, int](), []
+    for span in spans:
+        waves = read_span(opened, span, params["read"])
+        echoes, _, counted = decompose(waves, 0, fit, pulse, around)
+        tables.append(echoes)
+        counts.append(counted)
+        for name, count in waves.faults.items():
+            faults[name] = faults.get(name, 0) + int(count)
+    if not tables:
+        raise InputError(
+            "the file has no points and no pulses", where=source, do="check the delivery; there is nothing to decompose"
+        )
+    table = Table.concat(tables)
+    if table.rows:
+        ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
+        refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
+    flown = flown_over(table, trajectory, system, undulation) if trajectory is not None else None
+    whole, notes = ranged(table, flown, params, trajectory)
+    implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
+    delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
+    write_tile_laz(delivered, output, system, params["publish"], standard_time=opened.standard_gps_time)
+    near, judged = fit.vendor_tolerance, of_strip(source.stem, opened.n_points, added(counts), around.noise.told)
+    lone = judged["returns_without_echo"]
+    pulses = sum(s.n_pulses for s in spans)
+    read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
+    rows = [
+        *_summary(table, read_from),
+        *([_pulse_words(pulse)] if opened.has_waves else []),
+        *([f"{lone:,} returns have no echo within {near:g} ns (decompose.vendor_tolerance)"] if lone else []),
+        *(f"plausibility: {text}" for text in remarks([judged], fit)),
+        *notes,
+        *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
+        f"written: {output}",
+    ]
+    return "\n".join(rows), [judged]
+
+
+def _params(settings: tuple[str, ...]) -> dict[str, Any]:
+    """The sections that the command obeys, changed by `settings`."""
+    for text in settings:
+        if text.split(".")[0].strip() not in SECTIONS:
+            raise ConfigError(
+                "this setting has no effect here",
+                where=f"--set {text}",
+                expected=f"a key of {', '.join(SECTIONS)}",
+                got=text.split("=")[0],
+                do="leave it out, or use `fwclass run`",
+            )
+    return {name: conf.section(name, settings) for name in SECTIONS}
+
+
+def _summary(table: Table, read_from: str) -> list[str]:
+    """What became of the file, in words."""
+    unseen = int((table["fit_flags"] & VENDOR_KEPT > 0).sum())
+    fitted, kept, read = (int(n) for n in np.bincount(table["origin"], minlength=3)[:3])
+    parts = (
+        (fitted - unseen, "fitted"),
+        (unseen, "returns kept whose waveform shows no echo"),
+        (kept, "returns kept without waveform"),
+        (read, "read as echoes"),
+    )
+    return [f"{table.rows:,} echoes from {read_from}: " + ", ".join(f"{n:,} {what}" for n, what in parts if n)]
+
+
+def _pulse_words(pulse: SystemPulse) -> str:
+    facts = describe(pulse)
+    origin = f"from {pulse.echoes:,} echoes" if pulse.echoes else "not measured: too few bright single echoes"
+    noise = ", ".join(f"{c.noise:.2f}" for c in pulse.channels)
+    error = f"{facts['shape_error']:.2%}" if pulse.shape_error > 0.0 else "below the noise"
+    told = f"system pulse: {pulse.shape}, {pulse.fwhm:.2f} ns wide ({origin}), shape error {error}"
+    return told + (f"; noise {noise} DN" if noise else "")
+
+
+def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Path | None) -> tuple[Table, list[str]]:
+    """`table` with the radiometric columns, and what is to be said of them; as it is where no range is known."""
+    settings: RadiometryParams = params["radiometry"]
+    known = np.isfinite(table["beam_range"]).any()
+    if flown is None and settings.platform_altitude is None and not known:
+        return table, ["no radiometry: give --trajectory, or --set radiometry.platform_altitude=…, for ranges"]
+    chunk = Chunk(table, np.arange(table.rows), Tile(0, 0, EVERYTHING))
+    shape: FeaturesParams = params["features"]
+    chunk = Chunk(table.with_columns(features(chunk, (), shape).select(NORMAL)), chunk.core, chunk.tile)
+    compared = [overlap(chunk, flown, settings)] if settings.target is not None else []
+    found = calibrate(compared, settings)
+    made = radiometry(chunk, flown, found, settings)
+    without = int(np.isnan(made["range"]).sum())
+    if without == table.rows:
+        raise ConfigError(
+            "no echo has a range",
+            where=where or "radiometry.platform_altitude",
+            expected=f"an altitude above the echoes (z from {table['z'].min():.1f} to {table['z'].max():.1f} m)"
+            if flown is None
+            else "fixes at the echoes' times, not further apart than radiometry.max_time_gap",
+            do="correct it, or leave it out to go without radiometry",
+        )
+    notes = [f"radiometry: C_cal {found.constant:.4g} ({found.source}), {without:,} echoes without a range"]
+    if flown is not None:
+        angle = pointing_error(chunk.table, flown, settings)
+        check_pointing(angle, where)
+        told = (
+            f"{angle:.3f} degrees (median)"
+            if np.isfinite(angle)
+            else "an unknown angle: no echo has a position in time"
+        )
+        notes.append(f"trajectory: beams point at it to {told}")
+        if angle > DOUBTFUL:
+            notes.append("fault: that is too much: check the trajectory's clock (UTC is not GPS time) and heights")
+    return table.with_columns(made), notes
+
+
+def flown_over(table: Table, path: Path, crs: Any, undulation: float) -> Table:
+    times = table["gps_time"][np.isfinite(table["gps_time"])]
+    ends = (float(times.min()), float(times.max())) if len(times) else (np.nan, np.nan)
+    return in_survey_time(read_trajectory(path, crs, undulation), *ends, where=path)
+
+
+def strip_of_file(
+    source: Source, spans: Sequence[Span], read: ReadParams, pulse: PulseParams, params: DecomposeParams
+) -> tuple[SystemPulse, Surroundings]:
+    """The system's pulse as a file's own waveforms show it, and what its echoes are held against; a first pass."""
+    total, samples = sum(s.n_pulses for s in spans), []
+
+    def returns() -> Iterator[Table]:
+        for span in spans:
+            waves = read_span(source, span, read)
+            samples.append(sample_pulses(waves, 0, total, pulse))
+            yield waves.returns.select("xyz")
+
+    envelope = Envelope.of(returns(), params.envelope_cell)
+    if not samples:
+        return SystemPulse.gaussian(pulse.fallback_width), UNKNOWN
+    sample = join_samples(samples)
+    found = estimate_pulse(sample, pulse)
+    return found, Surroundings(envelope, quiet_noise(sample, found, pulse.tail))

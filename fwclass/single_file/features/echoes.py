@@ -1,0 +1,235 @@
+"""The echoes of one file of any kind: fitted to its waveforms, or its returns; with ground, heights and radiometry."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.decompose.plausible import UNKNOWN, added
+from fwclass.decompose.stage import decompose
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.errors import InputError
+from fwclass.formats.flat import refuse_source
+from fwclass.formats.linear_units import LinearUnits, linear_units
+from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.ground.blocks import ground_by_blocks
+from fwclass.ground.terrain.blocks import terrain_by_blocks
+from fwclass.radiometry.stage import RADIOMETRY
+from fwclass.read.cloud import read_point_cloud
+from fwclass.read.source import Source, open_source
+from fwclass.read.stage import check_source, index_source, read_span
+from fwclass.read.text import is_text
+from fwclass.schema import IDENTITY, Table
+from fwclass.single_file.decompose import flown_over, ranged, strip_of_file
+from fwclass.single_file.ground.file import GROUND, HIGH_NOISE, LOW_NOISE
+from fwclass.single_file.ground.params import ground_params
+from fwclass.single_file.ground.steps import Tell
+from fwclass.waveforms import IMPLAUSIBLE
+
+PLACE = (*IDENTITY, "number_of_echoes", "x", "y", "z", "gps_time", "source_class")
+"""Columns that are written whatever is asked for."""
+
+FOR_RADIOMETRY = (
+    "beam_x",
+    "beam_y",
+    "beam_z",
+    "beam_range",
+    "amplitude",
+    "amplitude_db",
+    "width",
+    "energy",
+    "fit_flags",
+    "origin",
+)
+
+
+@dataclass(frozen=True)
+class FileEchoes:
+    """The echoes of a file.
+
+    Attributes
+    ----------
+    table : in canonical order; columns that the file cannot give are left out.
+    crs : `pyproj.CRS` or None.
+    told : what to say of them.
+    links : pulse and echo number of the echo of every point, in the file's order; None for a text.
+    """
+
+    table: Table
+    crs: Any
+    told: tuple[str, ...]
+    links: Table | None = None
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What tells how far the sensor was, besides the settings."""
+
+    trajectory: Path | None = None
+    undulation: float = 0.0
+
+
+def read_echoes(path: Path, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
+    """Echoes of a file with `columns`, `PLACE` and what radiometry needs.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be read, is empty, or does not count in metres.
+    """
+    if is_text(path) or not path.is_file():
+        return _of_text(path, crs)
+    return _of_source(open_source(path), (*PLACE, *columns, *FOR_RADIOMETRY), settings, crs, tell)
+
+
+def _of_text(path: Path, crs: Any) -> FileEchoes:
+    cloud = read_point_cloud(path, crs)
+    _check_metres(cloud.units, cloud.crs, path)
+    rows = np.flatnonzero(cloud.usable)
+    number = np.arange(len(rows))
+    columns: dict[str, NDArray] = {"strip": np.zeros(len(rows)), "pulse": number, "echo_number": np.ones(len(rows))}
+    columns |= {axis: getattr(cloud, axis)[rows] for axis in "xyz"}
+    if cloud.classes is not None:
+        columns["source_class"] = cloud.classes[rows]
+    lost = cloud.points - len(rows)
+    told = (f"{len(rows):,} points", *([f"{lost:,} lines without usable coordinates are left out"] if lost else []))
+    return FileEchoes(Table(columns), cloud.crs, told)
+
+
+def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
+    crs = crs if crs is not None else source.crs
+    refuse_source(source, crs)
+    _check_metres(linear_units(crs, getattr(source, "header", None), source.path), crs, source.path)
+    read = conf.section("read", settings)
+    check_source(source, read)
+    spans = index_source(source, read)
+    params = conf.section("pulse", settings)
+    pulse, around = SystemPulse.gaussian(params.fallback_width), UNKNOWN
+    fit, faults, tables, links, counts = conf.section("decompose", settings), dict[str, int](), [], [], []
+    if source.has_waves:
+        tell("system pulse")
+        pulse, around = strip_of_file(source, spans, read, params, fit)
+    for k, span in enumerate(spans, 1):
+        tell(f"echoes: part {k} of {len(spans)}")
+        waves = read_span(source, span, read)
+        echoes, tied, counted = decompose(waves, 0, fit, pulse, around)
+        counts.append(counted)
+        links.append(tied.select(("pulse", "echo_number")))
+        tables.append(echoes.select(dict.fromkeys(n for n in columns if n in echoes)))
+        for name, count in waves.faults.items():
+            faults[name] = faults.get(name, 0) + int(count)
+    if not tables or not sum(t.rows for t in tables):
+        raise InputError("the file has no points and no pulses", where=source.path, do="check the delivery")
+    table = Table.concat(tables)
+    told = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
+    told += remarks([of_strip(source.path.stem, source.n_points, added(counts), around.noise.told)], fit)
+    told += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
+    if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():
+        told.append("every intensity is 0: features of amplitude and intensity say nothing")
+    empty = [n for n in table if n not in PLACE and table[n].dtype.kind == "f" and np.isnan(table[n]).all()]
+    return FileEchoes(table.select(n for n in table if n not in empty), crs, tuple(told), Table.concat(links))
+
+
+def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:
+    if not units.metres:
+        raise InputError(
+            "the coordinates are not in metres",
+            where=path,
+            expected="a projected coordinate system in metres: the scales of the features are metres",
+            got=f"{crs.name}; {units.told}",
+            do="convert the file first (for example with PDAL's filters.reprojection)",
+        )
+
+
+@dataclass(frozen=True)
+class GroundChoice:
+    """A ground filter; nothing named takes class 2 of the file. `optional`: without ground there are no heights."""
+
+    method: str | None = None
+    preset: str | None = None
+    assignments: tuple[str, ...] = ()
+    optional: bool = False
+
+
+def with_heights(found: FileEchoes, path: Path, by: GroundChoice, settings: tuple[str, ...], tell: Tell) -> FileEchoes:
+    """`found` with `height_above_ground`: ground by a filter where one is named, else by class 2 of the file.
+
+    Raises
+    ------
+    InputError
+        The file has no ground and no filter is named.
+    """
+    table = found.table
+    x, y, z = (table[a] for a in "xyz")
+    sound = (table["fit_flags"] & IMPLAUSIBLE) == 0 if "fit_flags" in table else np.ones(table.rows, bool)
+    if by.method is not None or by.preset is not None or by.assignments:
+        params = ground_params(by.method, by.preset, by.assignments, _of_ground(settings))
+        last = np.ones(table.rows, bool)
+        if "number_of_echoes" in table:
+            last = table["echo_number"] >= table["number_of_echoes"]
+        rows = np.flatnonzero(sound)
+        flags = ground_by_blocks(
+            x[rows],
+            y[rows],
+            z[rows],
+            last[rows],
+            params,
+            lambda k, of: tell(f"filter {params.method}: block {k} of {of}"),
+        )
+        ground, noise, told = np.zeros(table.rows, bool), ~sound, f"ground by {params.method}"
+        ground[rows], noise[rows] = flags.ground, flags.noise
+    else:
+        codes = table["source_class"] if "source_class" in table else np.zeros(table.rows, np.uint8)
+        ground, noise, told = (
+            codes == GROUND,
+            np.isin(codes, (LOW_NOISE, HIGH_NOISE)) | ~sound,
+            "ground by class 2 of the file",
+        )
+        if not ground.any() and by.optional:
+            return found
+        if not ground.any():
+            raise InputError(
+                "height_above_ground is asked for, and the input has no ground",
+                where=path,
+                expected="points of class 2",
+                got=f"classes {', '.join(map(str, np.unique(codes)))}" if "source_class" in table else "no classes",
+                do="let the ground be looked for (for example --method smrf), or leave height_above_ground out "
+                "(--skip-missing)",
+            )
+    tell("terrain and heights")
+    made, _ = terrain_by_blocks(x, y, z, ground, noise, conf.section("terrain", settings))
+    without = int(np.isnan(made.height).sum())
+    told = f"{told}: {int(ground.sum()):,} echoes" + (f"; {without:,} echoes have no terrain below" if without else "")
+    return FileEchoes(table.with_columns({"height_above_ground": made.height}), found.crs, (*found.told, told))
+
+
+def _of_ground(settings: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(s for s in settings if s.strip().startswith("ground."))
+
+
+def ranges(found: FileEchoes, flight: Flight, settings: tuple[str, ...]) -> bool:
+    """Something tells how far the sensor was, and the echoes have beams."""
+    told = flight.trajectory is not None or conf.section("radiometry", settings).platform_altitude is not None
+    return "beam_x" in found.table and "energy" in found.table and (told or "beam_range" in found.table)
+
+
+def with_radiometry(found: FileEchoes, flight: Flight, settings: tuple[str, ...]) -> FileEchoes:
+    """`found` with range, incidence and what follows, where something tells the range."""
+    table = found.table
+    if not ranges(found, flight, settings):
+        return found
+    missing = [n for n in FOR_RADIOMETRY if n not in table]
+    whole = table.with_columns({n: np.full(table.rows, np.nan) for n in missing})
+    flown = None
+    if flight.trajectory is not None:
+        flown = flown_over(table, flight.trajectory, found.crs, flight.undulation)
+    params = {name: conf.section(name, settings) for name in ("features", "radiometry")}
+    made, told = ranged(whole, flown, params, flight.trajectory)
+    own = [n for n in RADIOMETRY.writes if n in made]
+    return FileEchoes(table.with_columns(made.select(own)), found.crs, (*found.told, *(told if own else ())))

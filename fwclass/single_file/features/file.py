@@ -1,0 +1,222 @@
+"""`fwclass features`: the features of every echo of one file as GeoParquet, without a run directory."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.errors import ConfigError
+from fwclass.features.dense import Crowd, crowd_facts
+from fwclass.features.params import FeaturesParams
+from fwclass.features.stage import features
+from fwclass.graph.layout import MAX_REACH
+from fwclass.graph.survey import given_crs
+from fwclass.ground.blocks import blocks_of
+from fwclass.ground.stage import TERRAIN
+from fwclass.publish.geoparquet import bounds_of, write_geoparquet_parts
+from fwclass.radiometry.stage import RADIOMETRY
+from fwclass.schema import Table, column
+from fwclass.single_file.features.echoes import (
+    PLACE,
+    FileEchoes,
+    Flight,
+    GroundChoice,
+    ranges,
+    read_echoes,
+    with_heights,
+    with_radiometry,
+)
+from fwclass.single_file.features.missing import given
+from fwclass.single_file.features.names import Wanted, wanted
+from fwclass.single_file.ground.output import check_places
+from fwclass.single_file.ground.params import check_settings
+from fwclass.single_file.ground.steps import CompileClock, Tell, quiet
+from fwclass.stage import Chunk
+from fwclass.tile.stage import morton
+
+SECTIONS = ("read", "pulse", "decompose", "ground", "terrain", "features", "radiometry", "tile", "publish")
+"""Sections of the configuration that the command obeys."""
+
+SUFFIX = (".parquet", ".geoparquet")
+
+
+@dataclass(frozen=True)
+class FeaturesJob:
+    """What `fwclass features` was asked for.
+
+    Attributes
+    ----------
+    source, output : the files.
+    named, listed : a feature set by name or file, or names with commas between; both None: the set `default`.
+    settings : ``section.key=value`` of `SECTIONS`.
+    method, preset, assignments : a ground filter; all empty takes the ground of the file's classes.
+    trajectory, undulation : where the sensor flew, and metres to take from its heights.
+    crs : coordinate system instead of the file's own, as text.
+    skip_missing : features that the file cannot give are left out and told; else they are an error.
+    overwrite : the output may replace a file.
+    """
+
+    source: Path
+    output: Path
+    named: str | None = None
+    listed: str | None = None
+    settings: tuple[str, ...] = ()
+    method: str | None = None
+    preset: str | None = None
+    assignments: tuple[str, ...] = ()
+    trajectory: Path | None = None
+    undulation: float = 0.0
+    crs: str | None = None
+    skip_missing: bool = False
+    overwrite: bool = False
+
+
+def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
+    """Write the features of every echo of a file; what was done, as plain data.
+
+    Echoes are fitted where there are waveforms, else returns are echoes. Rows stand as in the tiles of a run: by
+    global cells of 2 m, then pulse and echo number. The file is worked on in tiles (`tile.size`), which change no byte;
+    the echoes' columns are held in memory, the features on disk beside the output until they are written.
+
+    Raises
+    ------
+    ConfigError
+        An output, a name or a setting that cannot be used, or a feature that the file cannot give.
+    InputError
+        An input that cannot be used.
+    """
+    started = time.perf_counter()
+    _check_output(job)
+    check_settings(job.settings, SECTIONS)
+    asked = wanted(job.named, job.listed)
+    params: FeaturesParams = conf.section("features", job.settings)
+    size, publish = conf.section("tile", job.settings).size, conf.section("publish", job.settings)
+    _check_reach(asked, params)
+    tell("reading")
+    with CompileClock() as compiling:
+        found = _echoes(job, asked, tell)
+        asked, left_out = given(asked, found.table, job.source, job.skip_missing)
+        table = _sorted(found.table)
+        with tempfile.TemporaryDirectory(dir=job.output.parent, prefix=".fwclass-features-") as room:
+            made, tiles, crowd = _features(table, asked, params, size, Path(room), tell)
+            tell("writing")
+            parts = _row_groups(table, asked, made, publish.row_group)
+            written = write_geoparquet_parts(parts, bounds_of(table), job.output, found.crs, publish)
+            del made, parts
+    return {
+        "input": str(job.source),
+        "output": str(job.output),
+        "set": asked.told,
+        "features": list(asked.names),
+        "left_out": left_out,
+        "echoes": table.rows,
+        "tiles": tiles,
+        "reach": asked.around.reach(params),
+        "without_value": _without(job.output, asked),
+        "crs": found.crs.name if found.crs is not None else None,
+        "notes": [*found.told, *([crowd.text(params)] if crowd else [])],
+        "bytes": written["bytes"],
+        "seconds": {"compiling": round(compiling.seconds, 3), "all": round(time.perf_counter() - started, 3)},
+    }
+
+
+def _check_output(job: FeaturesJob) -> None:
+    if job.output.suffix.lower() not in SUFFIX:
+        raise ConfigError(
+            "the output is GeoParquet",
+            where=job.output,
+            expected="a name that ends in .parquet",
+            got=job.output.suffix or "no suffix",
+            do="name the output with this ending",
+        )
+    check_places(job.source, [job.output], job.overwrite)
+
+
+def _check_reach(asked: Wanted, params: FeaturesParams) -> None:
+    reach = asked.around.reach(params)
+    if reach > MAX_REACH:
+        raise ConfigError(
+            "a feature reaches too far",
+            where=asked.told,
+            expected=f"at most {MAX_REACH:g} m",
+            got=f"{reach:g} m",
+            do="names end in centimetres: height_range_c500 is a cylinder of 5 m",
+        )
+
+
+def _echoes(job: FeaturesJob, asked: Wanted, tell: Tell) -> FileEchoes:
+    """The echoes with everything that the features and the output read."""
+    columns = dict.fromkeys((*asked.around.reads, *asked.names))
+    found = read_echoes(job.source, columns, job.settings, given_crs(job.crs, "--crs"), tell)
+    flight = Flight(job.trajectory, job.undulation)
+    later = (*TERRAIN.writes, *(RADIOMETRY.writes if ranges(found, flight, job.settings) else ()))
+    given(asked, found.table, job.source, job.skip_missing, frozenset(later))
+    if "height_above_ground" in asked.names:
+        by = GroundChoice(job.method, job.preset, job.assignments, job.skip_missing)
+        found = with_heights(found, job.source, by, job.settings, tell)
+    if set(asked.names) & set(RADIOMETRY.writes):
+        found = with_radiometry(found, flight, job.settings)
+    keep = [n for n in found.table if n in columns or n in PLACE]
+    return FileEchoes(found.table.select(keep), found.crs, found.told)
+
+
+def _sorted(table: Table) -> Table:
+    """Rows by the cells of the tiles' spatial sort, then as they were (canonical)."""
+    return table.take(np.argsort(morton(table["x"], table["y"]), kind="stable"))
+
+
+def _features(
+    table: Table, asked: Wanted, params: FeaturesParams, size: float, room: Path, tell: Tell
+) -> tuple[dict[str, NDArray[np.float32]], int, Crowd | None]:
+    """Features of a neighbourhood of all rows, by name, in files below `room`; how many tiles it took; dense places."""
+    around = asked.around
+    if not around.names:
+        return {}, 0, None
+    made: dict[str, NDArray[np.float32]] = {
+        n: np.lib.format.open_memmap(room / f"{k}.npy", "w+", column(n).dtype, (table.rows,))
+        for k, n in enumerate(around.names)
+    }
+    reads, done, tiles, crowds = table.select(dict.fromkeys((*around.reads, *PLACE[:3]))), 0, 0, []
+    for tile, rows, own in blocks_of(table["x"], table["y"], size, around.halo(params)):
+        tell(f"features: {done:,} of {table.rows:,} echoes")
+        order = np.lexsort((reads["echo_number"][rows], reads["pulse"][rows]))
+        chunk = Chunk(reads.take(rows[order]), np.flatnonzero(own[order]), tile)
+        for name, values in features(chunk, around.names, params).items():
+            if name in made:
+                made[name][rows[order][own[order]]] = values
+        crowds.append(crowd_facts(chunk, params))
+        done, tiles = done + int(own.sum()), tiles + 1
+    return made, tiles, Crowd.of_parts(crowds)
+
+
+def _row_groups(table: Table, asked: Wanted, made: dict[str, NDArray[np.float32]], size: int) -> Iterator[Table]:
+    """The output's columns, row group by row group."""
+    plain = [n for n in dict.fromkeys((*PLACE, *asked.names)) if n in table]
+    order = dict.fromkeys((*(n for n in PLACE if n in table), *asked.names))
+    for first in range(0, table.rows, size):
+        part = slice(first, first + size)
+        own = {n: table[n][part] for n in plain} | {n: values[part] for n, values in made.items()}
+        yield Table({n: own[n] for n in order})
+
+
+def _without(output: Path, asked: Wanted) -> dict[str, int]:
+    """Echoes without a value, by feature, of the file that was written; none where all have one."""
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    counts = dict.fromkeys(asked.names, 0)
+    with pq.ParquetFile(output) as file:
+        for group in range(file.num_row_groups):
+            part = file.read_row_group(group, columns=list(asked.names))
+            for name in asked.names:
+                if str(part.schema.field(name).type) == "float":
+                    counts[name] += pc.sum(pc.is_nan(part[name])).as_py() or 0
+    return {name: n for name, n in counts.items() if n}

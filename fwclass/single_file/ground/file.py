@@ -1,0 +1,245 @@
+"""`fwclass ground`: the ground points of one file, without a run directory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.errors import InputError
+from fwclass.formats.flat import HIGHEST, LONGEST
+from fwclass.graph.survey import given_crs
+from fwclass.ground.blocks import ground_by_blocks
+from fwclass.ground.filters import Flags
+from fwclass.ground.params import GroundParams
+from fwclass.read.cloud import PointCloud, read_point_cloud
+from fwclass.read.las import LasSource
+from fwclass.single_file.ground.output import check_output, check_packets, write_points
+from fwclass.single_file.ground.params import ground_params, used, with_assignments
+from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
+from fwclass.single_file.ground.steps import CompileClock, Tell, quiet
+from fwclass.single_file.ground.stray import stray_points, told
+
+UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
+"""Class codes of LAS 1.4."""
+
+MANY = 100
+"""So many points within a metre are no survey."""
+
+Adapt = Callable[[PointCloud, NDArray[np.bool_], GroundParams], tuple[GroundParams, dict[str, Any]]]
+"""``adapt(cloud, shown, params)``: other parameters, and what was measured, as plain data."""
+
+
+@dataclass(frozen=True)
+class GroundJob:
+    """What `fwclass ground` was asked for.
+
+    Attributes
+    ----------
+    source, output : the files.
+    method, preset, assignments, settings : see `ground_params`.
+    crs : coordinate system instead of the file's own, as text.
+    keep_classes : points that are no ground keep the class they came with.
+    use_flagged : withheld and synthetic points are shown to the filter too.
+    rasters : GeoTIFFs to write, by name: ``dtm``, ``dsm``, ``ndsm``, ``hillshade``.
+    overwrite : outputs may replace files.
+    adapt : changes the parameters once the points are there.
+    """
+
+    source: Path
+    output: Path
+    method: str | None = None
+    preset: str | None = None
+    assignments: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    crs: str | None = None
+    keep_classes: bool = False
+    use_flagged: bool = False
+    rasters: dict[str, Path] = field(default_factory=dict)
+    overwrite: bool = False
+    adapt: Adapt | None = None
+
+
+def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
+    """Find the ground of a file and write its points with new classes; what was done, as plain data.
+
+    Ground becomes class 2, what the filter takes for noise class 7, everything else class 1. With `keep_classes` the
+    others keep the class they came with (but 2, which becomes 1), and points that came as noise (7, 18) stay what
+    they are and the filter does not see them. Nothing is written before all of it is known. `tell` hears every step.
+
+    Raises
+    ------
+    ConfigError
+        An output, filter or parameter that cannot be used.
+    InputError
+        An input that cannot be used.
+    """
+    started = time.perf_counter()
+    check_output(job.source, job.output, job.overwrite, job.rasters.values())
+    params = ground_params(job.method, job.preset, () if job.adapt else job.assignments, job.settings)
+    publish, terrain = conf.section("publish", job.settings), conf.section("terrain", job.settings)
+    tell("reading")
+    cloud = read_point_cloud(job.source, given_crs(job.crs, "--crs"))
+    check_packets(cloud, job.output, job.overwrite)
+    shown = shown_points(cloud, job.keep_classes, job.use_flagged)
+    if job.rasters:
+        check_extent(cloud, shown, terrain.cell)
+    measured: dict[str, Any] = {}
+    with CompileClock() as compiling:
+        if job.adapt is not None:
+            params, measured = job.adapt(cloud, some_shown(cloud, shown), params)
+            params = with_assignments(params, job.assignments)
+        at, before = time.perf_counter(), compiling.seconds
+        flags = filter_cloud(cloud, shown, params, tell)
+        filtering = time.perf_counter() - at - (compiling.seconds - before)
+        classes = classes_of(cloud, flags, job.keep_classes)
+        if job.rasters:
+            tell("terrain")
+            found = terrain_of(cloud, flags, shown, job.settings)
+    tell("writing")
+    made = write_points(cloud, job.output, classes, publish)
+    rasters = write_rasters(cloud, found, job.rasters, publish) if job.rasters else {}
+    codes, counts = np.unique(classes, return_counts=True)
+    stray = stray_points(cloud, shown)
+    return {
+        "input": str(job.source),
+        "output": str(job.output),
+        "method": params.method,
+        "preset": job.preset,
+        "parameters": used(params),
+        "measured": measured,
+        "points": cloud.points,
+        "unusable": unusable(cloud),
+        "shown": int(shown.sum()),
+        "left_out": int((cloud.usable & ~shown).sum()),
+        "stray": len(stray),
+        "last_returns": int((shown & cloud.last).sum()),
+        "ground": int(flags.ground.sum()),
+        "noise": int(flags.noise.sum()),
+        "classes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)},
+        "crs": cloud.units.told,
+        "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
+        "rasters": rasters,
+        "waveforms": made.get("wdp"),
+        "notes": _notes(cloud, shown, flags, stray, made),
+        "seconds": {
+            "filter": round(filtering, 3),
+            "compiling": round(compiling.seconds, 3),
+            "all": round(time.perf_counter() - started, 3),
+        },
+    }
+
+
+def shown_points(cloud: PointCloud, keep_classes: bool = False, use_flagged: bool = False) -> NDArray[np.bool_]:
+    """Which points the filter may see: usable ones, not withheld or synthetic, with kept classes not noise."""
+    shown = cloud.usable.copy()
+    if not use_flagged:
+        shown &= ~cloud.flagged
+    if keep_classes and cloud.classes is not None:
+        shown &= ~came_as_noise(cloud)
+    return shown
+
+
+def came_as_noise(cloud: PointCloud) -> NDArray[np.bool_]:
+    """Points of class 7 or 18."""
+    if cloud.classes is None:
+        return np.zeros(cloud.points, bool)
+    return (cloud.classes == LOW_NOISE) | (cloud.classes == HIGH_NOISE)
+
+
+def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams, tell: Tell = quiet) -> Flags:
+    """Flags of all points of `cloud`; only `shown` points take part.
+
+    Raises
+    ------
+    InputError
+        No point is left to look at.
+    """
+    rows = np.flatnonzero(some_shown(cloud, shown))
+    if params.last_returns and not cloud.last[rows].any():
+        raise InputError(
+            "no point is the last return of its pulse",
+            where=cloud.path,
+            expected="return numbers that reach the number of returns",
+            got=f"none among {len(rows):,} points",
+            do="let all returns be ground: --param last_returns=false",
+        )
+    found = ground_by_blocks(
+        cloud.x[rows],
+        cloud.y[rows],
+        cloud.z[rows],
+        cloud.last[rows],
+        params,
+        lambda block, of: tell(f"filter {params.method}: block {block} of {of}"),
+    )
+    flags = Flags(np.zeros(cloud.points, bool), np.zeros(cloud.points, bool))
+    flags.ground[rows], flags.noise[rows] = found.ground, found.noise
+    return flags
+
+
+def some_shown(cloud: PointCloud, shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """`shown`, or `InputError` where no point is."""
+    if not shown.any():
+        flagged = int((cloud.usable & cloud.flagged).sum())
+        noise = cloud.points - flagged - int((~cloud.usable).sum())
+        ways = [w for w, n in (("add --use-flagged", flagged), ("leave out --keep-classes", noise)) if n]
+        raise InputError(
+            "no point is left for the filter",
+            where=cloud.path,
+            expected="points that are neither withheld nor synthetic, nor noise with --keep-classes",
+            got=f"0 of {cloud.points:,}: {flagged:,} withheld or synthetic, {noise:,} noise",
+            do=" and ".join(ways) or "check the file",
+        )
+    return shown
+
+
+def classes_of(cloud: PointCloud, flags: Flags, keep_classes: bool) -> NDArray[np.uint8]:
+    """Class code of every point."""
+    classes = np.full(cloud.points, UNCLASSIFIED, np.uint8)
+    if keep_classes and cloud.classes is not None:
+        classes = np.where(cloud.classes == GROUND, UNCLASSIFIED, cloud.classes).astype(np.uint8)
+    classes[flags.noise] = LOW_NOISE
+    classes[flags.ground] = GROUND
+    return classes
+
+
+def looks_like_degrees(cloud: PointCloud) -> bool:
+    """No coordinate system, numbers of longitudes and latitudes, and all within one of them: a dense patch, or what
+    `flat` cannot tell from one."""
+    x, y = cloud.x[cloud.usable], cloud.y[cloud.usable]
+    near = np.ptp(x) < 1.0 and np.ptp(y) < 1.0 and len(x) >= MANY
+    return bool(cloud.crs is None and near and np.abs(x).max() <= LONGEST and np.abs(y).max() <= HIGHEST)
+
+
+def unusable(cloud: PointCloud) -> dict[str, int]:
+    """Points that no filter can use, by reason."""
+    counts = {"not finite": cloud.unfinished, "beyond any place on earth": cloud.absurd}
+    return {name: n for name, n in counts.items() if n}
+
+
+def _notes(
+    cloud: PointCloud, shown: NDArray[np.bool_], flags: Flags, stray: NDArray[np.int64], made: dict[str, Any]
+) -> list[str]:
+    notes = [*made.get("notes", []), *cloud.cut_packets]
+    if looks_like_degrees(cloud):
+        notes.append("the coordinates look like degrees, and were taken for metres: reproject the file first")
+    if isinstance(cloud.source, LasSource) and cloud.crs is not cloud.source.crs:
+        notes.append("the output keeps the coordinate system that the input names, not that of --crs")
+    if len(stray):
+        ground = int(flags.ground[stray].sum())
+        notes.append(f"{told(cloud, stray)}; {ground:,} of them {'is' if ground == 1 else 'are'} called ground")
+    if not flags.ground.any():
+        notes.append("no ground was found: water, or a filter that does not suit this place")
+    elif _flat(cloud, shown):
+        notes.append("all points have the same height: nothing tells ground from objects, so all may be called ground")
+    return notes
+
+
+def _flat(cloud: PointCloud, shown: NDArray[np.bool_]) -> bool:
+    return bool(np.ptp(cloud.z[shown]) == 0.0)

@@ -1,0 +1,154 @@
+"""`fwclass normalize`: heights above ground of the points of one file, without a run directory."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.errors import ConfigError, InputError
+from fwclass.graph.survey import given_crs
+from fwclass.ground.filters import Flags
+from fwclass.ground.terrain.blocks import terrain_by_blocks
+from fwclass.publish.heights import NO_HEIGHT
+from fwclass.read.cloud import PointCloud, read_point_cloud
+from fwclass.read.text import SUFFIXES as TEXT
+from fwclass.single_file.ground.file import GROUND, came_as_noise, classes_of, filter_cloud, shown_points
+from fwclass.single_file.ground.output import check_output, check_packets, write_points
+from fwclass.single_file.ground.params import check_settings, ground_params
+from fwclass.single_file.ground.rasters import check_extent
+from fwclass.single_file.ground.steps import Tell, quiet
+
+
+@dataclass(frozen=True)
+class NormalizeJob:
+    """What `fwclass normalize` was asked for; see `ground_file.GroundJob`.
+
+    Attributes
+    ----------
+    method, preset, assignments : a ground filter; all empty takes the ground of the file's classes.
+    height : above what: ``tin``, ``nearest`` or ``raster``; None takes ``terrain.height``.
+    keep_z : z stays, the height goes into the extra byte `HeightAboveGround`.
+    """
+
+    source: Path
+    output: Path
+    method: str | None = None
+    preset: str | None = None
+    assignments: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
+    height: str | None = None
+    keep_z: bool = False
+    crs: str | None = None
+    use_flagged: bool = False
+    overwrite: bool = False
+
+    @property
+    def filters(self) -> bool:
+        """The ground is looked for, not taken from the classes."""
+        return self.method is not None or self.preset is not None or bool(self.assignments)
+
+
+def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
+    """Write the points of a file with their height above ground as z; what was done, as plain data.
+
+    Everything but z stays as it is. Heights are in the file's own unit, the extra byte is in metres. A point without
+    terrain gets -9999 in LAS and ``nan`` in text and extra byte.
+
+    Raises
+    ------
+    ConfigError
+        An output, filter or parameter that cannot be used.
+    InputError
+        An input that cannot be used, or that has no ground.
+    """
+    started = time.perf_counter()
+    check_output(job.source, job.output, job.overwrite)
+    if job.keep_z and job.output.suffix.lower() in TEXT:
+        raise ConfigError("a text has no extra bytes", where=job.output, do="leave out --keep-z, or write a LAZ file")
+    check_settings(job.settings, ("ground", "terrain", "publish"))
+    own = {} if job.height is None else {"height": job.height}
+    params = conf.section("terrain", job.settings, {"terrain": own})
+    tell("reading")
+    cloud = read_point_cloud(job.source, given_crs(job.crs, "--crs"))
+    check_packets(cloud, job.output, job.overwrite)
+    shown = shown_points(cloud, True, job.use_flagged)
+    check_extent(cloud, cloud.usable, params.cell)
+    flags, method = _ground(cloud, shown, job, tell)
+    tell("terrain and heights")
+    rows = np.flatnonzero(cloud.usable)
+    found, _ = terrain_by_blocks(
+        cloud.x[rows], cloud.y[rows], cloud.z[rows], flags.ground[rows], (flags.noise | ~shown)[rows], params
+    )
+    height = np.full(cloud.points, np.nan)
+    height[rows] = found.height
+    tell("writing")
+    made = _written(cloud, flags, height, job)
+    known = height[np.isfinite(height)]
+    return {
+        "input": str(job.source),
+        "output": str(job.output),
+        "height": params.height,
+        "method": method,
+        "points": cloud.points,
+        "ground": int(flags.ground.sum()),
+        "without": int(np.isnan(height).sum()),
+        "keep_z": job.keep_z,
+        "crs": cloud.units.told,
+        "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
+        "max_gap": params.max_gap,
+        "heights_m": _spread(known),
+        "waveforms": made.get("wdp"),
+        "notes": [*made.get("notes", []), *cloud.cut_packets],
+        "seconds": {"all": round(time.perf_counter() - started, 3)},
+    }
+
+
+def _spread(height: NDArray[np.float64]) -> dict[str, float] | None:
+    """Lowest, middle and highest height [m], None where there is none."""
+    if not len(height):
+        return None
+    low, middle, high = (round(float(v), 3) for v in (height.min(), np.median(height), height.max()))
+    return {"least": low, "median": middle, "greatest": high}
+
+
+def _ground(cloud: PointCloud, shown: NDArray[np.bool_], job: NormalizeJob, tell: Tell) -> tuple[Flags, str | None]:
+    """Ground and noise by a filter, or by the classes of the file; the filter's name."""
+    if job.filters:
+        params = ground_params(job.method, job.preset, job.assignments, job.settings)
+        flags, method = filter_cloud(cloud, shown, params, tell), params.method
+    elif cloud.classes is not None and (cloud.classes == GROUND).any():
+        flags, method = Flags((cloud.classes == GROUND) & shown, came_as_noise(cloud)), None
+    else:
+        raise InputError(
+            "the input has no ground",
+            where=cloud.path,
+            expected="points of class 2",
+            got="no classes" if cloud.classes is None else f"classes {_listed(cloud.classes)}",
+            do="run `fwclass ground` first, or let it be looked for: add --method, for example --method smrf",
+        )
+    return flags, method
+
+
+def _listed(classes: NDArray[np.uint8]) -> str:
+    return ", ".join(str(c) for c in np.unique(classes))
+
+
+def _written(cloud: PointCloud, flags: Flags, height: NDArray[np.float64], job: NormalizeJob) -> dict[str, Any]:
+    classes = cloud.classes if cloud.classes is not None else classes_of(cloud, flags, False)
+    publish = conf.section("publish", job.settings)
+    if job.keep_z:
+        return write_points(
+            cloud, job.output, classes, publish, extra={"height_above_ground": height.astype(np.float32)}
+        )
+    z = height / cloud.units.z
+    if job.output.suffix.lower() not in TEXT:
+        z = np.where(np.isnan(z), NO_HEIGHT, z)
+    else:
+        z = np.round(z, 6)
+    return write_points(cloud, job.output, classes, publish, z)

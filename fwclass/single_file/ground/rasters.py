@@ -1,0 +1,91 @@
+"""Rasters beside a file of points: terrain, surface, their difference, relief."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.errors import InputError
+from fwclass.grid import Window
+from fwclass.ground.filters import Flags
+from fwclass.ground.raster.lattice import window_over
+from fwclass.ground.terrain.blocks import terrain_by_blocks
+from fwclass.ground.terrain.terrain import Terrain
+from fwclass.publish.cog import write_cog
+from fwclass.publish.params import PublishParams
+from fwclass.publish.shade import hillshade
+from fwclass.read.cloud import PointCloud
+from fwclass.single_file.ground.stray import stray_points, told
+
+NO_LIGHT = 0
+"""Value of a cell of the relief without terrain; the others have 1 to 255."""
+
+FREE_CELLS = 1 << 20
+"""So many cells a raster may always have: 1 km x 1 km at 1 m."""
+
+CELLS_PER_POINT = 1 << 12
+"""Beyond `FREE_CELLS`, so many for every point: twelve times as sparse as 0.3/m2 in cells of 0.1 m."""
+
+
+def check_extent(cloud: PointCloud, shown: NDArray[np.bool_], cell: float) -> None:
+    """`InputError` if rasters of `cell` [m] over the shown points would be absurdly large; it tells of stray points."""
+    rows = np.flatnonzero(shown)
+    if not len(rows):
+        return
+    try:
+        window = window_over(cloud.x[rows], cloud.y[rows], cell, "terrain.cell")
+        most = max(FREE_CELLS, CELLS_PER_POINT * len(rows))
+        if math.prod(window.shape) > most:
+            raise InputError(
+                "the raster would be empty but for a few cells",
+                expected=f"at most {most:,} cells for {len(rows):,} points",
+                got=f"{window.ncols:,} x {window.nrows:,} cells of {cell:g} m",
+            )
+    except InputError as fault:
+        stray = told(cloud, stray_points(cloud, shown))
+        larger = "take larger cells: --set terrain.cell=…"
+        raise InputError(
+            "the terrain's raster would be too large",
+            where=cloud.path,
+            expected=fault.expected,
+            got=fault.got,
+            do=f"{stray}: remove what is astray, or {larger}" if stray else f"{larger}, or cut the file into parts",
+        ) from fault
+
+
+def terrain_of(
+    cloud: PointCloud, flags: Flags, shown: NDArray[np.bool_], settings: tuple[str, ...]
+) -> tuple[Terrain, Window]:
+    """Terrain and surface of the `shown` points."""
+    rows = np.flatnonzero(shown)
+    params = conf.section("terrain", settings)
+    return terrain_by_blocks(cloud.x[rows], cloud.y[rows], cloud.z[rows], flags.ground[rows], flags.noise[rows], params)
+
+
+def write_rasters(
+    cloud: PointCloud, found: tuple[Terrain, Window], targets: dict[str, Path], publish: PublishParams
+) -> dict[str, Any]:
+    """Write the GeoTIFFs of `targets` (``dtm, dsm, ndsm, hillshade``), in the file's units; what was written.
+
+    Terrain, surface and their difference are NaN where there is none.
+    """
+    made, window = found
+    out = {}
+    for name, path in targets.items():
+        raster, nodata = _raster(name, made, window, cloud.units.z, publish)
+        out[name] = write_cog(raster, window, path, cloud.crs, publish, nodata, unit=cloud.units.xy)
+    return out
+
+
+def _raster(name: str, made: Terrain, window: Window, unit: float, publish: PublishParams) -> tuple[NDArray, float]:
+    """One raster and its value for no data."""
+    if name != "hillshade":
+        values = made.dsm - made.dtm if name == "ndsm" else getattr(made, name)
+        return (values / np.float32(unit)).astype(np.float32), float("nan")
+    light = np.rint(1.0 + 254.0 * hillshade(made.dtm, window.cell, publish)).astype(np.uint8)
+    return np.where(np.isfinite(made.dtm), light, np.uint8(NO_LIGHT)), NO_LIGHT

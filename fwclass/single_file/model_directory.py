@@ -1,0 +1,52 @@
+"""A trained model put where the user wants it, whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import uuid
+from pathlib import Path
+
+from fwclass.errors import ConfigError
+from fwclass.store.atomic import files_below, sync
+from fwclass.store.models import CARD, load_model
+
+
+def check_target(target: Path, overwrite: bool) -> None:
+    """`ConfigError` if no model may be written to `target`."""
+    if not target.parent.is_dir() or not os.access(target.parent, os.W_OK):
+        raise ConfigError(
+            "the model's directory cannot be made",
+            where=target,
+            expected="an existing directory to make it in",
+            got=target.parent,
+            do="make it first",
+        )
+    if not target.exists():
+        return
+    if not target.is_dir() or (any(target.iterdir()) and not (target / CARD).is_file()):
+        raise ConfigError(
+            "something else than a model is there", where=target, do="choose another name; it is not replaced"
+        )
+    if not overwrite:
+        raise ConfigError("the model exists", where=target, do="choose another name, or add --overwrite")
+
+
+def deliver(source: Path, target: Path, overwrite: bool) -> None:
+    """Copy the model in `source` to `target`: written beside, flushed, checked, renamed."""
+    check_target(target, overwrite)
+    beside = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
+    old = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
+    try:
+        shutil.copytree(source, beside, copy_function=shutil.copyfile)  # a run's own is read-only
+        for path in files_below(beside):
+            sync(path)
+        load_model(beside)
+        if target.exists():
+            target.rename(old)
+        beside.rename(target)
+        sync(target.parent)
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+        if old.exists() and target.exists():
+            shutil.rmtree(old, ignore_errors=True)

@@ -1,0 +1,75 @@
+"""What `fwclass info --waveforms` found, for a terminal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def describe(found: dict[str, Any]) -> str:
+    """`look` for a terminal."""
+    shape, lines = found["system_pulse"], [f"file         {found['path']}"]
+    kind = "a Gaussian" if shape["shape"] == "gaussian" else f"measured on {shape['echoes']:,} echoes"
+    lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
+    if found["noise"]["lag1"] is not None:
+        times = f", {found['noise']['inflation']:.2f} times that of white noise after the matched filter"
+        lines.append(f"noise        neighbouring samples correlate by {found['noise']['lag1']:.2f}{times}")
+    if "waveforms" in found:
+        lines.append(f"waveforms    {found['waveforms']:,} with {found['echoes']:,} echoes")
+    for pulse in found["pulses"]:
+        lines += ["", *_pulse_lines(pulse)]
+    if found.get("unexplained"):
+        lines += ["", *_missed_lines(found["unexplained"])]
+    elif "waveforms" in found:
+        lines += ["", "the file has no vendor returns to compare with"]
+    return "\n".join([*lines, "", f"pictures     {found['png']}", f"             {found['pulse_png']}"])
+
+
+def _pulse_lines(pulse: dict[str, Any]) -> list[str]:
+    time = f"GPS time {pulse['gps_time']:.6f} s" if pulse["gps_time"] is not None else "no GPS time"
+    head = f"pulse {pulse['pulse']}" + (f" ({pulse['why']})" if pulse["why"] else "") + f", {time}"
+    level = f"baseline {_number(pulse['baseline'], 2)} DN, noise {_number(pulse['noise'], 2)} DN"
+    lines = [head, f"  {pulse['samples']} samples, {level}, misfit {_number(pulse['misfit'], 2)}"]
+    if not pulse["echoes"]:
+        at = ", ".join(f"{t:.2f}" for t in pulse["returns"]) or "none"
+        return [*lines, f"  no echo fitted; vendor returns at [ns]: {at}"]
+    lines.append(f"  {'echo':>4} {'time [ns]':>17} {'height [DN]':>18} {'width [ns]':>15} {'A/σ':>7}  return")
+    return lines + [f"  {k:>4} {_echo_words(e, bool(pulse['returns']))}" for k, e in enumerate(pulse["echoes"], 1)]
+
+
+def _echo_words(echo: dict[str, Any], compared: bool) -> str:
+    cells = [
+        f"{_pair(echo['time'], echo['time_sigma'], 3):>17}",
+        f"{_pair(echo['amplitude'], echo['amplitude_sigma'], 2):>18}",
+        f"{_pair(echo['width'], echo['width_sigma'], 2):>15}",
+        f"{_number(echo['significance'], 1):>7}",
+    ]
+    if echo["return"] is not None:
+        back = f"{echo['return']} ({echo['from_return']:+.2f} ns)"
+    else:
+        back = "NONE OF THE VENDOR'S" if echo["missed"] else "none in the file" if compared else ""
+    return " ".join(cells) + "  " + "; ".join(t for t in (back, ", ".join(echo["flags"])) if t)
+
+
+def _missed_lines(missed: dict[str, Any]) -> list[str]:
+    lines = [f"{missed['count']:,} echoes ({missed['share']:.1%}) are explained by no return of the vendor"]
+    if missed["incomplete_pulses"]:
+        lines.append(f"left out: {missed['incomplete_pulses']:,} pulses that lack returns in this file")
+    if not missed["strongest"]:
+        return lines
+    lines += ["the strongest:", f"  {'pulse':>9} {'GPS time [s]':>18} {'time [ns]':>17} {'height [DN]':>18} {'A/σ':>7}"]
+    lines[-1] += f" {'nearest return [ns]':>20}  flags"
+    for e in missed["strongest"]:
+        lines.append(
+            f"  {e['pulse']:>9} {_number(e['gps_time'], 6):>18} {_pair(e['time'], e['time_sigma'], 3):>17} "
+            f"{_pair(e['amplitude'], e['amplitude_sigma'], 2):>18} {_number(e['significance'], 1):>7} "
+            f"{_number(e['nearest_return'], 2):>20}  {', '.join(e['flags'])}".rstrip()
+        )
+    return lines
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _pair(value: float | None, sigma: float | None, digits: int) -> str:
+    return f"{_number(value, digits)} ± {_number(sigma, digits)}"

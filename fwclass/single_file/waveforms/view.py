@@ -1,0 +1,324 @@
+"""`fwclass info --waveforms`: chosen pulses as a picture and as tables, and what a vendor's returns miss."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import conf
+from fwclass.decompose.fitting import EDGE, OVERLAPPING, POOR, SATURATED, model_of, reached_limits
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.errors import ConfigError, InputError
+from fwclass.graph.pulse_picture import pulse_picture
+from fwclass.publish.files import whole
+from fwclass.publish.waveplot import WavePicture, draw_waveforms
+from fwclass.read.source import open_source
+from fwclass.read.spans import Span
+from fwclass.read.stage import ReadParams, check_source, index_source, read_span
+from fwclass.single_file.decompose import strip_of_file
+from fwclass.single_file.waveforms.shown import Seen, see
+
+STRONGEST = 20
+"""Echoes without a vendor return that are listed."""
+
+KINDS = ("brightest single", "most echoes", "weakest single", "echo the vendor lacks", "saturated", "kept without echo")
+"""What a shown pulse stands for, in the order of the panels."""
+
+MOST_PULSES = 30
+"""Panels of one picture at most."""
+
+FINER, FINE_SAMPLES = 8, 4000
+"""Points of a fitted curve per sample, and the waveform's length from which one has to do."""
+
+WORDS = {SATURATED: "saturated", OVERLAPPING: "overlapping", POOR: "poor fit", EDGE: "at the edge"}
+
+
+Shown = tuple[WavePicture, dict[str, Any]]
+"""One pulse as a picture and as plain data."""
+
+
+def look(
+    path: Path, pulses: tuple[int, ...], settings: tuple[str, ...], out: Path | None, overwrite: bool
+) -> dict[str, Any]:
+    """Fit the waveforms of a file, draw some of its pulses into `out`, and tell what was found.
+
+    Parameters
+    ----------
+    pulses : numbers of the pulses to show, counted by first appearance in the file; empty shows a choice of telling
+        ones, and counts the echoes of the whole file that no return of its vendor explains.
+    settings : ``read.key=value``, ``pulse.key=value``, ``decompose.key=value``.
+    out : PNG; None is ``<file>-waveforms.png`` in the current directory. The system's pulse is drawn beside it, into
+        ``…-system-pulse.png``.
+
+    Returns
+    -------
+    dict
+        Plain data for JSON, without NaN.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, has no waveforms, or has no such pulse.
+    ConfigError
+        `out` exists or cannot be written, or too many pulses are asked for.
+    """
+    target = out if out is not None else Path(f"{path.stem}-waveforms.png")
+    beside_it = target.with_name(f"{target.stem}-system-pulse.png")
+    for picture in (target, beside_it):
+        _refuse(picture, pulses, overwrite)
+    read: ReadParams = conf.section("read", settings)
+    params: DecomposeParams = conf.section("decompose", settings)
+    source = open_source(path)
+    if not source.has_waves:
+        raise InputError("the file has no waveforms", where=path, do="name a file with waveform packets (fwclass info)")
+    check_source(source, read)
+    spans = index_source(source, read)
+    pulse, around = strip_of_file(source, spans, read, conf.section("pulse", settings), params)
+    wanted = spans if not pulses else _with(spans, pulses, path)
+    views = (see(read_span(source, span, read), params, pulse, pulses) for span in wanted)
+    chosen, counts = _named(views, pulses, pulse, path) if pulses else _telling(views, pulse)
+    if not chosen:
+        raise InputError("no waveform of the file can be drawn", where=path, do="see `fwclass info` for what is wrong")
+    heading = f"{path.name}: {'chosen' if pulses else 'telling'} pulses, {_pulse_words(pulse)}"
+    drawn = ((target, draw_waveforms([p for p, _ in chosen], heading)), (beside_it, pulse_picture(pulse, path.name)))
+    for place, picture_bytes in drawn:
+        with whole(place) as beside:
+            beside.write_bytes(picture_bytes)
+    shape = {"shape": pulse.shape, "fwhm_ns": pulse.fwhm, "shape_error": pulse.shape_error, "echoes": pulse.echoes}
+    return _plain(
+        {
+            "path": path,
+            "png": target,
+            "pulse_png": beside_it,
+            "system_pulse": shape,
+            "noise": around.noise.told,
+            **counts,
+            "pulses": [f for _, f in chosen],
+        }
+    )
+
+
+def _refuse(target: Path, pulses: tuple[int, ...], overwrite: bool) -> None:
+    if target.suffix.lower() != ".png":
+        raise ConfigError("the picture is a PNG", where=target, expected="a name that ends in .png", got=target.suffix)
+    if not target.parent.is_dir():
+        raise ConfigError("the picture's directory does not exist", where=target.parent, do="make it first")
+    if target.exists() and (target.is_dir() or not overwrite):
+        raise ConfigError("the picture exists", where=target, do="choose another name with --out, or add --overwrite")
+    if len(pulses) > MOST_PULSES:
+        raise ConfigError("too many pulses", where="--pulse", expected=f"at most {MOST_PULSES}", got=len(pulses))
+
+
+def _with(spans: Sequence[Span], pulses: tuple[int, ...], path: Path) -> list[Span]:
+    """The spans that hold some of `pulses`."""
+    last = max((s.first_pulse + s.n_pulses for s in spans), default=0) - 1
+    for number in pulses:
+        if not 0 <= number <= last:
+            raise InputError("no such pulse", where=path, expected=f"0 to {last}", got=number)
+    return [s for s in spans if any(s.first_pulse <= p < s.first_pulse + s.n_pulses for p in pulses)]
+
+
+def _named(
+    views: Iterator[Seen], pulses: tuple[int, ...], system: SystemPulse, path: Path
+) -> tuple[list[Shown], dict[str, Any]]:
+    """The pulses asked for, in that order."""
+    found = {}
+    for seen in views:
+        for at, number in enumerate(seen.ids.tolist()):
+            found[number] = _shown(seen, at, system)
+    for number in pulses:
+        if number not in found:
+            raise InputError(
+                f"pulse {number} has no waveform that can be read", where=path, do="see `fwclass info` for the reason"
+            )
+    return [found[number] for number in dict.fromkeys(pulses)], {}
+
+
+def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], dict[str, Any]]:
+    """One pulse of every kind that a user wants to see, and the figures of the whole file."""
+    best: dict[str, tuple[float, Shown]] = {}
+    rows: list[dict[str, Any]] = []
+    waveforms = echoes = returns = missed = cropped = 0
+    for seen in views:
+        for why, score in _scores(seen).items():
+            at = int(np.argmax(score)) if len(score) else -1
+            if at >= 0 and score[at] > best.get(why, (-np.inf,))[0]:
+                best[why] = (float(score[at]), _shown(seen, at, system))
+        new = np.flatnonzero(seen.missed)
+        cropped += int((~seen.complete).sum())
+        waveforms, echoes = waveforms + seen.waves.pulses.rows, echoes + len(seen.pulse)
+        returns, missed = returns + len(seen.returns), missed + len(new)
+        rows = sorted([*rows, *_listed(seen, new)], key=lambda r: (-r["rank"], r["pulse"]))[:STRONGEST]
+    counts: dict[str, Any] = {"waveforms": waveforms, "echoes": echoes, "returns": returns, "unexplained": None}
+    if returns:
+        strongest = [{k: v for k, v in row.items() if k != "rank"} for row in rows]
+        counts["unexplained"] = {
+            "count": missed,
+            "share": missed / max(echoes, 1),
+            "incomplete_pulses": cropped,
+            "strongest": strongest,
+        }
+    return _merged(best), counts
+
+
+def _merged(best: dict[str, tuple[float, Shown]]) -> list[Shown]:
+    """Every chosen pulse once, with all that it stands for."""
+    reasons: dict[int, list[str]] = {}
+    for why in (kind for kind in KINDS if kind in best):
+        reasons.setdefault(best[why][1][1]["pulse"], []).append(why)
+    chosen = {facts["pulse"]: (picture, facts) for _, (picture, facts) in best.values()}
+    out = []
+    for number, whys in reasons.items():
+        picture, facts = chosen[number]
+        why = ", ".join(whys)
+        out.append((replace(picture, subtitle=f"{why}; {picture.subtitle}"), {**facts, "why": why}))
+    return out
+
+
+def _scores(seen: Seen) -> dict[str, NDArray[np.float64]]:
+    """How well every pulse stands for a kind; minus infinity where it is not of the kind."""
+    n, fits = len(seen.ids), seen.fits
+    count = np.bincount(seen.pulse, minlength=n)
+    clipped = np.bincount(seen.pulse, (fits.flags & SATURATED) > 0, n)
+    highest, clearest = np.full(n, -np.inf), np.full(n, -np.inf)
+    np.maximum.at(highest, seen.pulse, fits.amplitude)
+    significance = np.nan_to_num(seen.significance, nan=0.0)
+    new = seen.missed
+    np.maximum.at(clearest, seen.pulse[new], significance[new])
+    vendor = np.bincount(seen.return_pulse, minlength=n) > 0
+    ends = seen.waves.offsets[:-1]
+    peak = np.zeros(n)
+    if len(seen.waves.samples) and (np.diff(seen.waves.offsets) > 0).all():
+        np.maximum.at(peak, seen.of_row, np.maximum.reduceat(seen.waves.samples, ends).astype(float))
+
+    def only(score: NDArray, where: NDArray) -> NDArray[np.float64]:
+        return np.where(where, score, -np.inf)
+
+    scores = (
+        only(highest, (count == 1) & (clipped == 0)),
+        only(count.astype(float), count > 1),
+        only(-highest, count == 1),
+        only(clearest, vendor & np.isfinite(clearest)),
+        only(highest, clipped > 0),
+        only(peak, vendor & (count == 0)),
+    )
+    return dict(zip(KINDS, scores, strict=True))
+
+
+def _listed(seen: Seen, echoes: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """The most significant of `echoes`."""
+    strength = np.nan_to_num(seen.significance[echoes], nan=-1.0)
+    top = echoes[np.argsort(-strength, kind="stable")[:STRONGEST]]
+    time = seen.waves.pulses["gps_time"]
+    return [
+        {
+            "pulse": int(seen.ids[seen.pulse[e]]),
+            "gps_time": float(time[seen.fits.row[e]]),
+            **_echo(seen, e),
+            "rank": float(np.nan_to_num(seen.significance[e], nan=-1.0)),
+        }
+        for e in top.tolist()
+    ]
+
+
+def _echo(seen: Seen, e: int) -> dict[str, Any]:
+    """One echo as plain data."""
+    fits = seen.fits
+    names = ("amplitude", "amplitude_sigma", "width", "width_sigma", "time_sigma")
+    back = int(seen.matched[e])
+    return {
+        "time": float(seen.time[e]),
+        **{name: float(getattr(fits, name)[e]) for name in names},
+        "significance": float(seen.significance[e]),
+        "flags": [word for bit, word in WORDS.items() if fits.flags[e] & bit],
+        "return": int(seen.waves.returns["return_number"][back]) if back >= 0 else None,
+        "from_return": float(seen.time[e]) - float(seen.waves.returns["location"][back]) if back >= 0 else None,
+        "missed": bool(seen.missed[e]),
+        "nearest_return": float(seen.gap[e]),
+    }
+
+
+def _shown(seen: Seen, at: int, system: SystemPulse) -> Shown:
+    """Pulse `at` of `seen` as a picture and as plain data."""
+    rows, mine = np.flatnonzero(seen.of_row == at), np.flatnonzero(seen.pulse == at)
+    fits, pulses = seen.fits, seen.waves.pulses
+    vendor = np.sort(seen.return_time[seen.return_pulse == at])
+    misfit = [float(v) for v in fits.misfit[rows] if np.isfinite(v)]
+    facts = {
+        "pulse": int(seen.ids[at]),
+        "why": "",
+        "gps_time": float(pulses["gps_time"][rows[0]]),
+        "segments": len(rows),
+        "samples": int(np.diff(seen.waves.offsets)[rows].sum()),
+        "baseline": float(fits.baseline[rows[0]]),
+        "noise": float(fits.noise[rows[0]]),
+        "misfit": max(misfit, default=math.nan),
+        "returns": vendor.tolist(),
+        "echoes": [_echo(seen, e) for e in mine.tolist()],
+    }
+    parts = [_segment(seen, int(row), system) for row in rows]
+    k = sum(len(p["curves"]) for p in parts)
+    curves, first = [], 0
+    for p in parts:
+        mine_only = np.full((k, p["fine"].shape[0]), np.nan)
+        mine_only[first : first + len(p["curves"])] = p["curves"]
+        first += len(p["curves"])
+        curves.append(mine_only)
+    joined = {n: np.concatenate([p[n] for p in parts]) for n in parts[0] if n != "curves"}
+    by_row = mine[np.argsort(fits.row[mine], kind="stable")]
+    time = f"GPS time {facts['gps_time']:.6f} s" if np.isfinite(facts["gps_time"]) else "no GPS time"
+    fit = f"misfit {facts['misfit']:.2f}" if misfit else "no echo fitted"
+    picture = WavePicture(
+        title=f"pulse {facts['pulse']}, {time}, {fit}",
+        subtitle=f"baseline {facts['baseline']:.2f}, noise {facts['noise']:.2f} DN",
+        **joined,
+        curves=np.concatenate(curves, axis=1),
+        echoes=seen.time[by_row],
+        heights=fits.baseline[fits.row[by_row]] + fits.amplitude[by_row],
+        new=seen.missed[by_row],
+        vendor=vendor,
+    )
+    return picture, facts
+
+
+def _segment(seen: Seen, row: int, system: SystemPulse) -> dict[str, NDArray]:
+    """One row of a pulse for `WavePicture`; a NaN ends its curves."""
+    pulses, fits = seen.waves.pulses, seen.fits
+    samples = seen.waves.samples[seen.waves.offsets[row] : seen.waves.offsets[row + 1]].astype(np.float64)
+    spacing, start = float(pulses["sample_spacing"][row]), float(pulses["segment_start"][row])
+    n, finer = len(samples), FINER if len(samples) <= FINE_SAMPLES else 1
+    total, curves = model_of(fits, row, (n - 1) * finer + 1 if n else 0, spacing / finer, system)
+    end = np.full(1, np.nan)
+    return {
+        "time": start + np.arange(n) * spacing,
+        "samples": samples,
+        "clipped": samples >= reached_limits(seen.waves, system)[row],
+        "model": total[::finer],
+        "sigma": np.full(n, fits.noise[row]),
+        "fine": np.append(start + np.arange(len(total)) * spacing / finer, end),
+        "total": np.append(total, end),
+        "curves": np.concatenate([curves + fits.baseline[row], np.full((len(curves), 1), np.nan)], axis=1),
+    }
+
+
+def _pulse_words(pulse: SystemPulse) -> str:
+    kind = "Gaussian" if pulse.shape == "gaussian" else f"measured on {pulse.echoes:,} echoes"
+    return f"system's pulse {pulse.fwhm:.2f} ns ({kind})"
+
+
+def _plain(value: Any) -> Any:
+    """For JSON: no NaN, no infinity, no paths."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,125 @@
+"""Where a run lies, a local directory or a prefix of a bucket: its store, its locks, and what lies at its root."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fwclass.errors import FwclassError, StoreError
+from fwclass.store.atomic import read_json, write_json
+from fwclass.store.lock import WRITER, Lock, holder, writer
+from fwclass.store.params import StoreParams
+from fwclass.store.remote import RemoteStore
+from fwclass.store.remote_lock import check_token, remote_holder, remote_writer
+from fwclass.store.remote_read import Remote
+from fwclass.store.run_store import SeenStore, Store
+from fwclass.store.url import Url
+
+RunLocation = Path | Remote
+"""Small, and sent with every part."""
+
+
+def location_of(out: Path | Url, params: StoreParams) -> RunLocation:
+    """The run directory that a user named."""
+    return Remote(out, params) if isinstance(out, Url) else out.resolve()
+
+
+def address_of(location: RunLocation) -> Path | Url:
+    """What the user named."""
+    return location.url if isinstance(location, Remote) else location
+
+
+def hurried(location: RunLocation) -> RunLocation:
+    """The same place for what shall not wait: a request that fails is not tried for long."""
+    if not isinstance(location, Remote):
+        return location
+    return replace(location, params=location.params.model_copy(update={"patience": 0.0}))
+
+
+def open_store(location: RunLocation, read_only: bool = False, lists: bool = False) -> Store:
+    """The store of a run; with `lists` for who asks about all of it, and says what was made meanwhile (`forget`)."""
+    if isinstance(location, Remote):
+        return RemoteStore.at(location, read_only, lists)
+    return (SeenStore if lists else Store)(location, read_only)
+
+
+def held_by(location: RunLocation, lock: Lock = WRITER) -> Mapping[str, Any] | None:
+    """Host and pid of the run that is writing there, or of who else holds `lock`, None where there is none."""
+    return remote_holder(location.objects, lock) if isinstance(location, Remote) else holder(location, lock)
+
+
+@contextmanager
+def locked(
+    location: RunLocation, tell: Callable[[str], None], lock: Lock = WRITER
+) -> Iterator[tuple[RunLocation, Callable[[], None]]]:
+    """Hold the run: where parts are to be committed now, and what raises `StoreError` once the lock is lost."""
+    if isinstance(location, Remote):
+        with remote_writer(location.objects, tell, lock) as (token, beat):
+            yield replace(location, token=token), beat.check
+    else:
+        with writer(location, lock) as check:
+            yield location, check
+
+
+def confirm(location: RunLocation, lock: Lock) -> None:
+    """`LostRace` where `lock` is another's by now: object storage is asked, because who has slept does not know yet.
+
+    `location`: the one that `locked` gave. A kernel's lock is never taken over.
+    """
+    if isinstance(location, Remote):
+        check_token(location.objects, location.token, lock)
+
+
+def read_note(location: RunLocation, name: str) -> Any:
+    """Plain data that lies at the run's root, None for none; `StoreError` where it cannot be read."""
+    if not isinstance(location, Remote):
+        return read_json(location / name) if (location / name).exists() else None
+    found = location.objects.get(name)
+    try:
+        return None if found is None else json.loads(found[0])
+    except (ValueError, RecursionError) as fault:
+        raise StoreError("not plain data", where=location.url / name, got=fault, do="remove the object") from fault
+
+
+def write_note(location: RunLocation, name: str, value: Any, lock: Lock) -> None:
+    """Replace plain data at the run's root, for who holds `lock`; `OSError` or `StoreError` where it fails.
+
+    On object storage, where a lock may be lost unnoticed, `LostRace` when it is (`location` is what `locked` gave).
+    """
+    confirm(location, lock)
+    if isinstance(location, Remote):
+        location.objects.put(name, json.dumps(value, sort_keys=True, indent=1, allow_nan=False).encode())
+    else:
+        write_json(location / name, value)
+
+
+@contextmanager
+def unmade_again(location: RunLocation) -> Iterator[None]:
+    """A run directory that is not there yet is taken away again, with its new parents, where a refusal leaves it
+    without a single part; nothing that was there before is touched. On object storage nothing is."""
+    if isinstance(location, Remote) or location.exists():
+        yield
+        return
+    parents = [p for p in location.parents if not p.exists()]
+    try:
+        yield
+    except FwclassError:
+        if _without_parts(location) and held_by(location) is None:
+            shutil.rmtree(location)
+            for path in parents:
+                with suppress(OSError):  # somebody else's by now
+                    path.rmdir()
+        raise
+
+
+def _without_parts(root: Path) -> bool:
+    """There is nothing in a run directory but what every run writes before its first part."""
+    if not root.is_dir() or {p.name for p in root.iterdir()} - {"store", "generations"}:
+        return False
+    inside = [p for p in (root / "generations").rglob("*") if not p.is_dir()]
+    return not inside and not any(p.is_dir() for p in (root / "store").glob("*"))

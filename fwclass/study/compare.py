@@ -1,0 +1,145 @@
+"""Several kinds of classifier side by side: one sample, the same test echoes, accuracy and time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from fwclass.assess.stage import confusion, figures
+from fwclass.classify.shares import answer
+from fwclass.conf import Config
+from fwclass.graph.layout import Layout
+from fwclass.graph.work.forest import tested
+from fwclass.graph.work.others import merged_sample
+from fwclass.model import ClassDef, Model, assemble, class_index, sample_matrix
+from fwclass.run.inputs import PartInputs
+from fwclass.store.run_store import Store
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.prepare import fewer
+from fwclass.train.baselines.stage import train_other
+from fwclass.train.params import TrainParams
+from fwclass.train.sample import Sample
+from fwclass.train.stage import card, grow_trees
+
+WARM_ROWS = 200
+"""Rows that every classifier is trained on once before the clock runs, so that it measures no compilation."""
+
+_PLACE = dict.fromkeys(("x", "y"), "tile")
+
+
+def fit(method: str, sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef]) -> Model:
+    """A classifier of any kind; the forest without what is measured besides (out-of-bag accuracy, importance)."""
+    if method == "forest":
+        return assemble(grow_trees(sample, classes, 0, params.trees, params), card(sample, classes, params))
+    return train_other(sample, params, compare, classes, method)
+
+
+def timed(work: Callable[[], Any]) -> tuple[float, Any]:
+    """CPU seconds of this process, and what `work` gave."""
+    began = time.process_time()
+    made = work()
+    return time.process_time() - began, made
+
+
+def compared(
+    config: Config, store: Store, layout: Layout, methods: Sequence[str], say: Callable[[str], None]
+) -> dict[str, Any]:
+    """Every one of `methods` trained on the survey's sample and judged on the echoes tested in `layout`'s tiles.
+
+    Times are CPU seconds of one thread: of training, and of classifying from ready features. Plain data.
+    """
+    inputs, names, classes = PartInputs(store), config.features_asked, config.classes
+    sample = merged_sample(inputs, names)
+    models: dict[str, Model] = {}
+    spent: dict[str, list[float]] = {}
+    for method in methods:
+        say(f"training     {method}")
+        warm = fit(method, fewer(sample, WARM_ROWS), config.train, config.compare, classes)
+        answer(sample.X[:64], warm)
+        seconds, models[method] = timed(lambda m=method: fit(m, sample, config.train, config.compare, classes))  # type: ignore[misc]
+        spent[method] = [seconds, 0.0]
+    matrices = {m: np.zeros((len(classes), len(classes)), np.int64) for m in methods}
+    columns = {**layout.columns(names), **_PLACE, "reference": "label"}
+    train, test = config.areas.boxes("train"), config.areas.boxes("test")
+    for number, tile in enumerate(layout.tiles, 1):
+        table = inputs.rows(tile.key, columns)
+        rows = tested(table, train, test, config.areas.gap) & (class_index(table["reference"], classes) >= 0)
+        if not rows.any():
+            continue
+        table = table.take(rows)
+        X = sample_matrix(table, names, tile.key)
+        for method, model in models.items():
+            seconds, (winner, _) = timed(lambda model=model, X=X: answer(X, model))  # type: ignore[misc]
+            spent[method][1] += seconds
+            matrices[method] += confusion(table["reference"], model.codes[winner], classes)
+        say(f"classified   {number} of {len(layout.tiles)} tiles")
+    judged = int(next(iter(matrices.values())).sum())
+    return {
+        "survey": config.survey.name,
+        "features": list(names),
+        "echoes": judged,
+        "samples": dict(zip((c.name for c in classes), sample.counts.tolist(), strict=True)),
+        "classifiers": [
+            _summary(m, models[m], matrices[m], spent[m], judged, [c.name for c in classes]) for m in methods
+        ],
+    }
+
+
+def _summary(
+    method: str, model: Model, matrix: Any, spent: list[float], judged: int, names: list[str]
+) -> dict[str, Any]:
+    return {
+        "method": method,
+        "kind": model.kind,
+        "params": model.card["params"],
+        "samples": model.card["samples"],
+        "notes": list(model.card.get("notes", ())),
+        "figures": figures(matrix, names) if judged else None,
+        "train_seconds": round(spent[0], 3),
+        "classify_seconds": round(spent[1], 3),
+        "classify_us_per_echo": round(1e6 * spent[1] / judged, 3) if judged else None,
+        "bytes": int(sum(getattr(model, n).nbytes for n in model.layout)),
+    }
+
+
+def describe(made: dict[str, Any]) -> str:
+    """The table for a terminal."""
+    rows = [["", "overall %", "kappa", "mean IoU %", "training s", "classifying s", "us/echo", "MB"]]
+    for one in made["classifiers"]:
+        found = one["figures"]
+        shown = ["-"] * 3
+        if found:
+            kappa = found["kappa"]
+            shown = [
+                f"{100 * found['overall_accuracy']:.2f}",
+                "-" if kappa is None else f"{kappa:.4f}",
+                f"{100 * found['mean_iou']:.2f}",
+            ]
+        per = one["classify_us_per_echo"]
+        rows.append(
+            [
+                one["method"],
+                *shown,
+                f"{one['train_seconds']:.2f}",
+                f"{one['classify_seconds']:.2f}",
+                "-" if per is None else f"{per:.2f}",
+                f"{one['bytes'] / 1e6:.1f}",
+            ]
+        )
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True)))
+        for row in rows
+    ]
+    total = ", ".join(f"{name} {n:,}" for name, n in made["samples"].items())
+    of: dict[str, list[str]] = {}
+    for one in made["classifiers"]:
+        for note in one["notes"]:
+            of.setdefault(note, []).append(one["method"])
+    every = len(made["classifiers"])
+    notes = [note if len(who) == every else f"{', '.join(who)}: {note}" for note, who in of.items()]
+    head = f"{made['echoes']:,} test echoes, {len(made['features'])} features; trained on {total}"
+    return "\n".join([head, "CPU seconds of one thread", *lines, *notes])

@@ -1,0 +1,42 @@
+"""The page of a paper: facts as JSON, tables, plots and map as one HTML file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fwclass.conf import Config
+from fwclass.graph.layout import Layout
+from fwclass.graph.report import drawable
+from fwclass.graph.work.rasters import Mosaic
+from fwclass.grid import TileGrid, Window
+from fwclass.publish.papers.page import render_paper
+from fwclass.run.inputs import PartInputs
+from fwclass.run.runner import Runner
+from fwclass.store.atomic import write_json
+
+
+def deliver(
+    config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any], facts: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Write ``<paper>.json`` and ``<paper>.html`` beside the report; the report's dict, with them as outputs."""
+    name = str(facts["paper"])
+    write_json(runner.pending / f"{name}.json", dict(facts))
+    render_paper(facts, class_picture(config, runner, layout, report), runner.pending / f"{name}.html")
+    made = {f"{name}.html": [f"{name}.html"]}
+    return {**report, "outputs": {**report["outputs"], **made}}
+
+
+def class_picture(config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any]) -> bytes:
+    """The map of all classes."""
+    from fwclass.publish.figures import class_map  # matplotlib is slow to load, and only a page needs it
+
+    window = Window.covering(layout.box, config.publish.class_cell)
+    grid = TileGrid(config.terrain.block)
+    blocks = sorted(
+        grid.tile(part) for stage, part in runner.outcomes if stage == "class-block" and runner.made(stage, part)
+    )
+    mosaic = Mosaic(PartInputs(runner.store), "class-block", blocks, window.cell, {"classes": np.uint8(0)})
+    return class_map(*drawable(mosaic, window, config), report["classes"], config.publish, None, report["areas"])

@@ -1,0 +1,228 @@
+"""Variants of a classifier as parts: one sample trains them all, one set of test echoes judges them all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fwclass.classify.stage import CLASSIFY
+from fwclass.conf import Config
+from fwclass.graph.forest import TREES_PER_PART
+from fwclass.graph.layout import Layout, needs_of, plain
+from fwclass.graph.work import forest
+from fwclass.model import ClassDef
+from fwclass.run.part import Task
+from fwclass.study.papers import work
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.stage import VERSION as OTHERS_VERSION
+from fwclass.train.params import TrainParams
+from fwclass.train.stage import TRAIN_IMPORTANCE, TRAIN_SAMPLE, TRAIN_TREES
+
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A classifier that differs from the run's own.
+
+    Attributes
+    ----------
+    name : of its parts.
+    features : what it decides by, of those of the sample.
+    train : its method and parameters; the sample's are those of the configuration.
+    classes : how many of `all_classes` it knows, the first.
+    rows : so many rows of the sample train it at most; 0 is all.
+    """
+
+    name: str
+    features: tuple[str, ...]
+    train: TrainParams
+    classes: int
+    rows: int = 0
+
+
+def all_classes(config: Config) -> tuple[ClassDef, ...]:
+    """The survey's classes, then those that the paper does not have."""
+    more = (ClassDef(**c.model_dump()) for c in config.papers.more_classes)
+    return (*config.classes, *more)
+
+
+def data_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
+    """The sample of the training areas and the echoes of the test areas, with all columns that any variant reads."""
+    config, classes = layout.config, all_classes(layout.config)
+    train, test = config.areas.boxes("train"), config.areas.boxes("test")
+    columns = layout.columns(names)
+    told = [[c.name, c.code, list(c.codes)] for c in classes]
+    drawn = {
+        "features": list(names),
+        "classes": told,
+        "train": [list(b.bounds) for b in train],
+        "seed": config.train.seed,
+        "samples_per_class": config.train.samples_per_class,
+    }
+    share = min(1.0, config.papers.test_echoes / max(1, layout.echoes))
+    judged = {
+        "features": list(names),
+        "classes": told,
+        "areas": config.areas.model_dump(mode="json"),
+        "share": share,
+        "seed": config.papers.seed,
+    }
+    chosen = tuple(t for t in layout.tiles if any(t.box.touches(b) for b in train))
+    needs = {t.key: needs_of({**columns, "reference": "label"}, (t.key,)) for t in layout.tiles}
+    made = [
+        Task(
+            "paper-sample",
+            t.key,
+            TRAIN_SAMPLE.version,
+            drawn,
+            partial(forest.sampled, t, columns, names, train, config.train, classes),
+            needs=needs[t.key],
+        )
+        for t in chosen
+    ]
+    made += [
+        Task(
+            "paper-test",
+            t.key,
+            VERSION,
+            judged,
+            partial(work.drawn, t, columns, names, train, test, config.areas.gap, classes, share, config.papers.seed),
+            needs=needs[t.key],
+        )
+        for t in layout.tiles
+    ]
+    for stage, of, work_, keys, params in (
+        ("paper-training", "paper-sample", work.training, tuple(t.key for t in chosen), drawn),
+        ("paper-tested", "paper-test", work.gathered, tuple(t.key for t in layout.tiles), judged),
+    ):
+        made.append(
+            Task(
+                stage,
+                "all",
+                VERSION,
+                params,
+                partial(work_, keys, names, config.train),
+                needs=tuple((of, k) for k in keys),
+            )
+        )
+    return made
+
+
+def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Variant]) -> list[Task]:
+    """A model of every variant, and its answers on the test echoes."""
+    made = []
+    for one in variants:
+        params = facts_of(config, one)
+        common = (names, one.features, one.train, config.compare, all_classes(config)[: one.classes], one.rows)
+        made.append(
+            Task(
+                "paper-model",
+                one.name,
+                _version(),
+                params,
+                partial(work.learned, *common),
+                needs=(("paper-training", "all"),),
+            )
+        )
+        made.append(
+            Task(
+                "paper-judged",
+                one.name,
+                1000 * CLASSIFY.version + VERSION,
+                {**params, "block": config.papers.block},
+                partial(work.judged, one.name, names, all_classes(config), one.classes, config.papers.block),
+                needs=(("paper-model", one.name), ("paper-tested", "all")),
+            )
+        )
+    return made
+
+
+def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Variant]) -> list[Task]:
+    """How long every variant trains and answers: parts that nothing reads, to be run when all else is done."""
+    made = []
+    for one in variants:
+        common = (names, one.features, one.train, config.compare, all_classes(config)[: one.classes], one.rows)
+        needs = (("paper-model", one.name), ("paper-tested", "all"), ("paper-training", "all"))
+        made.append(
+            Task(
+                "paper-time",
+                one.name,
+                _version(),
+                facts_of(config, one),
+                partial(work.timed, one.name, *common),
+                needs=needs,
+            )
+        )
+    return made
+
+
+def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> list[Task]:
+    """Permutation importance of a forest's features on what its trees did not see."""
+    made, batches = [], []
+    params = {**facts_of(config, one), "repeats": config.papers.repeats}
+    for first in range(0, one.train.trees, TREES_PER_PART):
+        count = min(TREES_PER_PART, one.train.trees - first)
+        batches.append(f"{first:05d}")
+        made.append(
+            Task(
+                "paper-drops",
+                batches[-1],
+                TRAIN_IMPORTANCE.version,
+                {**params, "count": count},
+                partial(work.dropped, one.name, names, one.train, first, count, config.papers.repeats, one.classes),
+                needs=(("paper-training", "all"), ("paper-model", one.name)),
+            )
+        )
+    made.append(
+        Task(
+            "paper-importance",
+            "all",
+            VERSION,
+            params,
+            partial(work.importance, tuple(batches), one.features),
+            needs=tuple(("paper-drops", b) for b in batches),
+        )
+    )
+    return made
+
+
+def facts_of(config: Config, one: Variant) -> dict[str, Any]:
+    """What a variant's parts depend on."""
+    params = {"train": plain(one.train), "features": list(one.features), "classes": one.classes, "rows": one.rows}
+    if one.train.method != "forest":
+        compare: CompareParams = config.compare
+        params["compare"] = plain(compare)
+    return params
+
+
+def _version() -> int:
+    return 1000 * OTHERS_VERSION + TRAIN_TREES.version
+
+
+def changed(
+    config: Config, name: str, features: Sequence[str], classes: int | None = None, rows: int = 0, **train: Any
+) -> Variant:
+    """The run's own classifier with other features, classes or training parameters."""
+    params = TrainParams.model_validate({**plain(config.train), "importance_repeats": 0, **train})
+    return Variant(name, tuple(features), params, len(config.classes) if classes is None else classes, rows)
+
+
+def comparison_tasks(config: Config, pairs: Iterable[tuple[Variant, Variant]]) -> list[Task]:
+    """How much better the first of each pair is than the second on the same test echoes, with an interval."""
+    made = []
+    for one, other in pairs:
+        known = min(one.classes, other.classes)
+        made.append(
+            Task(
+                "paper-difference",
+                f"{one.name}-{other.name}",
+                VERSION,
+                {"classes": known, "block": config.papers.block},
+                partial(work.compared, one.name, other.name, known, config.papers.block),
+                needs=(("paper-judged", one.name), ("paper-judged", other.name), ("paper-tested", "all")),
+            )
+        )
+    return made

@@ -1,0 +1,178 @@
+"""Xiong 2018: the four strategies, the thinning curve, and our figures as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fwclass import __version__
+from fwclass.assess.stage import figures
+from fwclass.conf import Config
+from fwclass.graph.layout import Layout
+from fwclass.run.part import Name
+from fwclass.run.runner import Runner, require_all
+from fwclass.select.work import scale_of
+from fwclass.store.receipts import Receipt
+from fwclass.study.papers.begin import base_of
+from fwclass.study.papers.claims import judged
+from fwclass.study.papers.variants import Variant, changed
+from fwclass.study.papers.work import cautioned
+from fwclass.study.papers.xiong_claims import CLAIMS
+from fwclass.study.select.thinning import RATE, cost_task, rate_tasks, told
+
+SELECTED, ALL, SVM_SELECTED, SVM = "rf_selected", "rf", "svm_selected", "svm"
+Made = Mapping[Name, Receipt]
+
+
+def variants(config: Config, names: tuple[str, ...], chosen: tuple[str, ...]) -> tuple[Variant, ...]:
+    """The paper's four strategies."""
+    return (
+        changed(config, SELECTED, chosen),
+        changed(config, ALL, names),
+        changed(config, SVM_SELECTED, chosen, method="linear-svm"),
+        changed(config, SVM, names, method="linear-svm"),
+    )
+
+
+def comparisons(found: Sequence[Variant]) -> list[tuple[Variant, Variant]]:
+    """What selection gains for either classifier, and the forest over the SVM."""
+    by_name = {v.name: v for v in found}
+    pairs = ((SELECTED, ALL), (SVM_SELECTED, SVM), (SELECTED, SVM_SELECTED), (ALL, SVM))
+    return [(by_name[a], by_name[b]) for a, b in pairs]
+
+
+def thinned(config: Config, runner: Runner, layout: Layout, names: tuple[str, ...]) -> dict[str, Any]:
+    """Accuracy and time over ``select.rates`` on the training areas, for a forest by `names` (made already)."""
+    done = require_all(runner, rate_tasks(layout, names))
+    boxes = config.areas.boxes("train")
+    trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
+    receipts = {t: runner.store.receipt("tile", t.key) for t in trained}
+    largest = max(trained, key=lambda t: (receipts[t].meta["rows"] if receipts[t] else 0, t.key))  # type: ignore[union-attr]
+    timing = cost_task(layout, largest, names)
+    cost = require_all(runner, [timing])[timing.name].meta
+    return told(config, names, {r: done[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
+
+
+def facts(
+    config: Config,
+    printed: Mapping[str, Any],
+    report: Mapping[str, Any],
+    selection: Mapping[str, Any],
+    thinning: Mapping[str, Any],
+    found: Sequence[Variant],
+    made: Made,
+) -> dict[str, Any]:
+    """Everything that the page tells, as plain data."""
+    names = [c.name for c in config.classes]
+    meta = made["paper-training", "all"].meta
+    rows = np.array(made["paper-judged", found[0].name].meta["matrix"]).sum(axis=1).tolist()
+    gathered: dict[str, Any] = {
+        "paper": "xiong2018",
+        "survey": config.survey.name,
+        "fwclass": __version__,
+        **{k: printed[k] for k in ("citation", "doi", "data", "notes")},
+        "printed": {k: printed[k] for k in ("strategies", "samples", "selection", "radii", "groups", "thinning")},
+        "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
+        "candidates": selection["candidates"],
+        "chosen": selection["chosen"],
+        "rows": {name: [int(meta["counts"][k]), int(rows[k])] for k, name in enumerate(names)},
+        "areas": report["areas"],
+        "whole": report["accuracy"],
+        "settings": _settings(config),
+        "selection": dict(selection),
+        "thinning": dict(thinning),
+        "strategies": {v.name: _strategy(made, v, names) for v in found},
+        "differences": {
+            f"{a.name}/{b.name}": cautioned(made["paper-difference", f"{a.name}-{b.name}"].meta)
+            for a, b in comparisons(found)
+        },
+        "importance": importances(made["paper-importance", "all"].meta, printed["groups"]),
+        "radii": radii(selection["candidates"], selection["chosen"], printed["radii"]),
+        "times": {v.name: dict(made["paper-time", v.name].meta) for v in found},
+    }
+    return {**gathered, "claims": judged(printed["claims"], CLAIMS, gathered)}
+
+
+def _settings(config: Config) -> dict[str, Any]:
+    """What the page says of how it was run."""
+    train, csf = config.train, config.ground.csf
+    return {
+        "trees": train.trees,
+        "criterion": train.criterion,
+        "split": train.split,
+        "bagging": train.bagging,
+        "replacement": train.replacement,
+        "min_samples_split": train.min_samples_split,
+        "features_per_split": train.features_per_split,
+        "ground": config.ground.method,
+        "cloth_resolution": csf.cloth_resolution,
+        "iterations": csf.iterations,
+        "rigidness": csf.rigidness,
+        "height": config.terrain.height,
+        "cell": config.terrain.cell,
+        "svm_c": config.compare.linear_svm.c,
+    }
+
+
+def _strategy(made: Made, one: Variant, names: Sequence[str]) -> dict[str, Any]:
+    answers, model = made["paper-judged", one.name].meta, made["paper-model", one.name].meta
+    told_ = figures(np.array(answers["matrix"], np.int64)[: one.classes], list(names))
+
+    def rest(values: Sequence[float | None]) -> dict[str, float | None]:
+        return {n: None if v is None else 1 - v for n, v in zip(names, values, strict=True)}
+
+    return {
+        **told_,
+        "intervals": answers["intervals"],
+        "features": len(one.features),
+        "nodes": model["nodes"],
+        "out_of_bag": model["out_of_bag"],
+        "notes": model["notes"],
+        "omission": rest(told_["producers_accuracy"]),
+        "commission": rest(told_["users_accuracy"]),
+    }
+
+
+def importances(meta: Mapping[str, Any], groups: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """Scores of the features by falling worth, the first 100; and the sum of each group's."""
+    kind = {base: group for group, bases in groups.items() for base in bases}
+    drop = meta["drop"]
+    falling = sorted(drop, key=lambda n: (-drop[n]["mean"], n))
+    top = drop[falling[0]]["mean"] or 1.0
+    rows = [
+        {
+            "name": n,
+            "group": kind.get(base_of(n), "other"),
+            "score": 100 * drop[n]["mean"] / top,
+            "std": 100 * (drop[n]["std"] or 0.0) / top,
+            "drop": drop[n]["mean"],
+        }
+        for n in falling
+    ]
+    shares: dict[str, float] = {}
+    for row in rows:
+        shares[row["group"]] = shares.get(row["group"], 0.0) + row["score"]
+    return {"repeats": meta["repeats"], "rows": rows, "groups": shares}
+
+
+def radii(
+    candidates: Sequence[str], chosen: Sequence[str], printed: Mapping[str, Sequence[str]]
+) -> list[dict[str, Any]]:
+    """Per radius [m]: which features survive, which could have, and which survive in the paper."""
+
+    def at(names: Sequence[str]) -> dict[float, list[str]]:
+        found: dict[float, list[str]] = {}
+        for name in names:
+            scale = scale_of(name)
+            if scale is not None and scale.kind == "r":
+                found.setdefault(scale.metres, []).append(base_of(name))
+        return found
+
+    asked, kept = at(candidates), at(chosen)
+    paper = {float(r): list(v) for r, v in printed.items()}
+    return [
+        {"radius": r, "ours": kept.get(r, []), "of": len(asked.get(r, [])), "paper": paper.get(r)}
+        for r in sorted({*asked, *paper})
+    ]

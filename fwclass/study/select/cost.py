@@ -1,0 +1,102 @@
+"""What sets of features cost: processor time per echo, measured on a tile of the survey."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass.features.params import Asked, FeaturesParams, is_feature
+from fwclass.features.stage import FEATURES, features
+from fwclass.graph.layout import Layout, needs_of, plain
+from fwclass.grid import Tile
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Task
+from fwclass.run.runner import Runner, require_all
+from fwclass.select.score import Names
+from fwclass.select.work import scale_of
+from fwclass.stage import Chunk
+from fwclass.store.atomic import digest_of
+
+SINGLE = 30
+"""Sets up to this size are timed without each of their features too; in a larger one a feature is lost in the noise."""
+
+COST = "select-cost"
+"""Stage; the part is named by what it timed."""
+
+
+def computed(names: Sequence[str]) -> Names:
+    """Those of `names` that are computed from a neighbourhood; the others are measured or made for all surveys."""
+    return tuple(n for n in names if is_feature(n))
+
+
+def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> dict[Names, float]:
+    """Microseconds of processor time per echo for the computed features of every set, the normals included."""
+    wanted = tuple(dict.fromkeys(computed(s) for s in sets))
+    config = layout.config
+    asked = Asked.of(n for s in wanted for n in s)
+    halo = asked.halo(config.features)
+    columns = layout.columns(asked.reads)
+    present = layout.around(tile.box.grown(halo), layout.keys)
+    params = {
+        **config.features.model_dump(mode="json", exclude={"also"}),
+        "tile": tile.key,
+        "sets": [list(s) for s in wanted],
+        "repeats": config.select.timing_repeats,
+        "echoes": config.select.timing_echoes,
+    }
+    work = partial(
+        timed,
+        tile,
+        halo,
+        columns,
+        present,
+        wanted,
+        config.features,
+        config.select.timing_repeats,
+        config.select.timing_echoes,
+    )
+    name = digest_of(plain(config.select) | params)[:16]
+    task = Task(COST, name, FEATURES.version, params, work, needs=needs_of(columns, present))
+    meta = require_all(runner, [task])[task.name].meta
+    by_set = dict(zip(wanted, meta["microseconds"], strict=True))
+    return {s: by_set[computed(s)] for s in sets}
+
+
+def timed(
+    tile: Tile,
+    halo: float,
+    columns: Mapping[str, str],
+    present: tuple[str, ...],
+    sets: tuple[Names, ...],
+    params: FeaturesParams,
+    repeats: int,
+    echoes: int,
+    inputs: PartInputs,
+    directory: Path,
+) -> dict[str, Any]:
+    """Medians over `repeats` runs of every set, in turn, after one that is not counted."""
+    whole = inputs.chunk(tile, halo, columns, present)
+    chunk = Chunk(whole.table, whole.core[:echoes], tile)
+    seconds = np.zeros((repeats + 1, len(sets)))
+    for turn in seconds:
+        for k, names in enumerate(sets):
+            began = time.process_time()
+            features(chunk, names, params)
+            turn[k] = time.process_time() - began
+    told = np.median(seconds[1:], axis=0) / max(1, len(chunk.core)) * 1e6
+    return {"microseconds": [round(v, 3) for v in told.tolist()], "echoes": len(chunk.core)}
+
+
+def parts_of(chosen: Names) -> tuple[dict[str, Names], dict[str, Names], dict[str, Names]]:
+    """Sets to time for the cost of parts of `chosen`: without each scale, each scale alone, without each feature."""
+    scales = {str(s): s for s in map(scale_of, computed(chosen)) if s is not None}
+    without = {t: tuple(n for n in chosen if scale_of(n) != s) for t, s in scales.items()}
+    alone = {t: tuple(n for n in chosen if scale_of(n) == s) for t, s in scales.items()}
+    named = computed(chosen) if len(chosen) <= SINGLE else ()
+    less = {name: tuple(n for n in chosen if n != name) for name in named}
+    return without, alone, less

@@ -1,0 +1,65 @@
+"""Files of a selection: the feature set, all numbers, a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.conf.sets import feature_set
+from fwclass.errors import ConfigError
+from fwclass.features.params import is_feature
+from fwclass.graph.layout import providers
+from fwclass.publish.files import whole
+from fwclass.publish.selectplot import draw_selection
+from fwclass.store.atomic import write_json
+from fwclass.study.select import result
+from fwclass.study.select.thinning import THINNING, describe_thinning, draw, setting
+
+
+def candidates_of(config: Config, text: str | None) -> tuple[str, ...]:
+    """Names from a list ``a,b,c``, a feature set's name or file; those of the survey if nothing is given."""
+    if text is None:
+        return config.features_asked
+    if "," in text or text in providers(config) or is_feature(text):
+        return tuple(word.strip() for word in text.split(",") if word.strip())
+    return feature_set(text, config.path.parent, "--candidates").features
+
+
+def check_target(target: Path | None, root: Path, method: str, overwrite: bool) -> Path:
+    """Where the result goes; in the run directory it is replaced, elsewhere only if allowed."""
+    if target is None:
+        return root / "select" / f"{method}.yaml"
+    if target.suffix not in (".yaml", ".yml"):
+        raise ConfigError("the result is a YAML file", where="--to", expected="a name that ends in .yaml", got=target)
+    there = [p for p in (target, *_beside(target)) if p.exists()]
+    if there and not overwrite:
+        raise ConfigError("the output exists", where=there[0], do="choose another --to, or add --overwrite")
+    return target
+
+
+def _beside(path: Path) -> tuple[Path, Path]:
+    return path.with_suffix(".json"), path.with_suffix(".png")
+
+
+def write(made: Mapping[str, Any], path: Path) -> None:
+    """The YAML at `path`, all numbers and the picture beside it."""
+    numbers, picture = _beside(path)
+    if made["method"] == THINNING:
+        text, drawn = setting(made), draw(made)
+    else:
+        title = f"{made['survey']}: {result.TITLES[made['method']]}"
+        text = result.set_file(made)
+        drawn = draw_selection(result.curve_of(made), made["front"], made["chosen"], title)
+    for place, data in ((picture, drawn), (path, text.encode())):
+        with whole(place) as beside:
+            beside.write_bytes(data)
+    write_json(numbers, dict(made))
+
+
+def describe(made: Mapping[str, Any], path: Path) -> str:
+    """What to tell on the terminal."""
+    numbers, picture = _beside(path)
+    text = describe_thinning(made) if made["method"] == THINNING else result.describe(made)
+    return f"{text}\n\n{path}\n{numbers}\n{picture}"

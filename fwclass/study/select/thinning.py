@@ -1,0 +1,272 @@
+"""Accuracy and time if a share of the echoes is classified (Xiong 2018), in spatial folds of the training areas."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.features.params import Asked
+from fwclass.features.stage import FEATURES, features
+from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
+from fwclass.graph.work.forest import within
+from fwclass.grid import Box, Tile
+from fwclass.model import ClassDef, class_index, sample_matrix
+from fwclass.publish.selectplot import draw_rates
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Task
+from fwclass.schema import Table, canonical_key
+from fwclass.select.folds import check_folds, spatial_folds
+from fwclass.select.params import SelectParams
+from fwclass.select.score import Names, Trial, as_good, score
+from fwclass.stage import Chunk
+from fwclass.store.atomic import digest_of
+from fwclass.study.select.cost import computed
+from fwclass.study.select.trials import predicted
+from fwclass.thin.follow import taken_from
+from fwclass.thin.params import ThinParams
+from fwclass.thin.sample import THIN, covering, uniform
+from fwclass.train.stage import TRAIN_TREES, TrainParams, candidates, grow_trees
+
+THINNING = "thinning"
+RATE, RATE_COST = "select-rate", "select-rate-cost"
+"""Stages: a rate's folds, and what features cost at every rate."""
+
+_FEW = 50
+"""Echoes that kernels are warmed up on before they are timed."""
+
+_TABLE = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y", "z"), "tile")
+
+
+def rate_tasks(layout: Layout, names: Names) -> list[Task]:
+    """A part per rate, and the timing of the features."""
+    config = layout.config
+    boxes = config.areas.boxes("train")
+    columns = layout.columns(names)
+    train = config.train.model_copy(update={"trees": config.select.trees})
+    chosen = tuple(t for t in layout.tiles if any(t.box.touches(b) for b in boxes))
+    needs = tuple(n for t in chosen for n in needs_of({**columns, "reference": "label"}, (t.key,)))
+    params = {
+        **plain(train),
+        "select": plain(config.select),
+        "classes": plain_classes(config),
+        "features": list(names),
+        "areas": [list(b.bounds) for b in boxes],
+    }
+    made = []
+    for rate in config.select.rates:
+        thin = config.thin.model_copy(update={"rate": rate})
+        work = partial(
+            at_rate, tuple(t.key for t in chosen), columns, names, boxes, thin, train, config.select, config.classes
+        )
+        made.append(
+            Task(
+                RATE,
+                f"{rate:g}",
+                1000 * THIN.version + TRAIN_TREES.version,
+                {**params, "thin": plain(thin)},
+                work,
+                needs,
+            )
+        )
+    return made
+
+
+def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
+    """How long features take for a share of a tile's echoes, at every rate."""
+    config = layout.config
+    names = computed(names)
+    asked = Asked.of(names)
+    halo = asked.halo(config.features)
+    columns = layout.columns(asked.reads)
+    present = layout.around(tile.box.grown(halo), layout.keys)
+    params = {**config.features.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}
+    work = partial(_timed, tile, halo, columns, present, names, config.features, config.select)
+    return Task(RATE_COST, digest_of(params)[:16], FEATURES.version, params, work, needs=needs_of(columns, present))
+
+
+def _timed(
+    tile: Tile,
+    halo: float,
+    columns: Mapping[str, str],
+    present: tuple[str, ...],
+    names: Names,
+    params: Any,
+    select: SelectParams,
+    inputs: PartInputs,
+    directory: Path,
+) -> dict[str, Any]:
+    whole = inputs.chunk(tile, halo, columns, present)
+    echoes = whole.core[: select.timing_echoes]
+    seconds = np.zeros((select.timing_repeats + 1, len(select.rates)))
+    for turn in seconds:
+        for k, rate in enumerate(select.rates):
+            core = echoes[np.floor(np.arange(0, len(echoes), 1.0 / rate)).astype(np.int64)]
+            began = time.process_time()
+            features(Chunk(whole.table, core, tile), names, params)
+            turn[k] = time.process_time() - began
+    told = np.median(seconds[1:], axis=0) / max(1, len(echoes)) * 1e6
+    return {"microseconds": [round(v, 3) for v in told.tolist()]}
+
+
+def at_rate(
+    tiles: tuple[str, ...],
+    columns: Mapping[str, str],
+    names: Names,
+    boxes: tuple[Box, ...],
+    thin: ThinParams,
+    train: TrainParams,
+    select: SelectParams,
+    classes: tuple[ClassDef, ...],
+    inputs: PartInputs,
+    directory: Path,
+) -> dict[str, Any]:
+    """Labelled echoes of the training areas, thinned; every block classified by a forest of the other folds' sample,
+    and every echo by its nearest sampled one."""
+    table = _labelled(tiles, columns, boxes, classes, inputs)
+    x, y, z = (table[n] for n in "xyz")
+    reference = class_index(table["reference"], classes).astype(np.uint8)
+    folds = spatial_folds(x, y, reference, select.block, select.gap, select.folds)
+    key = canonical_key(table)
+    _warm(x, y, z, key, thin)
+    began = time.process_time()
+    kept = covering(x, y, z, key, uniform(x, y, z, key, thin), thin.reach)
+    seconds = {"sample": time.process_time() - began, "train": 0.0, "vote": 0.0}
+    notes = check_folds(folds, np.where(kept, reference, 255).astype(np.uint8), tuple(c.name for c in classes))
+    rows = np.flatnonzero(kept)
+    some = table.select(names).take(rows)
+    X = sample_matrix(some, names, THINNING)
+    found = np.zeros(len(rows), np.int64)
+    trained = []
+    for f in range(select.folds):
+        judged = folds.judged(f)[rows]
+        sample = candidates(
+            some, table["reference"][rows], canonical_key(table)[rows], folds.trains(f)[rows], train, classes
+        )
+        trained.append(sample.rows)
+        if f == 0:  # untimed: what is compiled at its first call
+            predicted(X[:1], grow_trees(sample, classes, 0, 1, train), names, classes)
+        began = time.process_time()
+        trees = grow_trees(sample, classes, 0, train.trees, train)
+        seconds["train"] += time.process_time() - began
+        began = time.process_time()
+        found[judged] = predicted(X[judged], trees, names, classes)
+        seconds["vote"] += time.process_time() - began
+    began = time.process_time()
+    followed = taken_from((x, y, z), kept, thin.reach)
+    seconds["follow"] = time.process_time() - began
+    return {
+        "matrices": _matrices(reference, found[followed], folds.fold, select.folds, len(classes)),
+        "rows": table.rows,
+        "kept": len(rows),
+        "trained": trained,
+        "seconds": seconds,
+        "notes": list(notes),
+    }
+
+
+def _warm(
+    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], key: NDArray[np.uint64], thin: ThinParams
+) -> None:
+    """Thin a few echoes, untimed: what is compiled at its first call does not count."""
+    x, y, z, key = x[:_FEW], y[:_FEW], z[:_FEW], key[:_FEW]
+    covering(x, y, z, key, uniform(x, y, z, key, thin), thin.reach)
+    taken_from((x, y, z), np.arange(len(x)) % 2 == 0, thin.reach)
+
+
+def _labelled(
+    tiles: tuple[str, ...],
+    columns: Mapping[str, str],
+    boxes: tuple[Box, ...],
+    classes: tuple[ClassDef, ...],
+    inputs: PartInputs,
+) -> Table:
+    """Labelled rows of the training areas, in canonical order."""
+    wanted = {**_TABLE, **columns, "reference": "label"}
+    parts = []
+    for key in tiles:
+        table = inputs.rows(key, wanted).select(wanted)
+        parts.append(table.take(within(table, boxes) & (class_index(table["reference"], classes) >= 0)))
+    whole = Table.concat(parts)
+    return whole.take(np.argsort(canonical_key(whole), kind="stable"))
+
+
+def _matrices(
+    reference: NDArray[np.uint8], found: NDArray[np.int64], fold: NDArray[np.int16], folds: int, n: int
+) -> list[list[list[int]]]:
+    cell = (fold.astype(np.int64) * n + reference) * n + found
+    return np.bincount(cell, minlength=folds * n * n).reshape(folds, n, n).tolist()
+
+
+def told(
+    config: Any, names: Names, metas: Mapping[float, Mapping[str, Any]], cost: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The curve: plain data."""
+    steps, scores = [], []
+    for rate, micro in zip(config.select.rates, cost["microseconds"], strict=True):
+        meta = metas[rate]
+        trial = Trial(names, np.array(meta["matrices"], np.int64))
+        scores.append(score(trial, np.ones(len(config.classes)), config.select.score))
+        plainly = scores[-1].plain()
+        each = {n: round(1e6 * s / meta["rows"], 3) for n, s in meta["seconds"].items() if n != "train"}
+        spent = {"features": micro, **each}
+        steps.append(
+            {
+                "rate": rate,
+                "kept": meta["kept"],
+                "rows": meta["rows"],
+                "trained": round(float(np.mean(meta["trained"]))),
+                **{n: plainly[n] for n in ("accuracy", "accuracy_std", "kappa", "kappa_std", "folds")},
+                "train_seconds": round(meta["seconds"]["train"] / config.select.folds, 3),
+                "microseconds": {**spent, "total": round(sum(spent.values()), 3)},
+            }
+        )
+    best = max(scores, key=lambda s: s.value)
+    good = [r for r, s in zip(config.select.rates, scores, strict=True) if as_good(s, best)]
+    notes = {f"rate {r:g}: {text}": None for r in config.select.rates for text in metas[r]["notes"]}
+    return {
+        "method": THINNING,
+        "survey": config.survey.name,
+        "features": list(names),
+        "steps": steps,
+        "lowest": min(good),
+        "notes": list(notes),
+        "params": plain(config.select),
+        "thin": plain(config.thin),
+    }
+
+
+def setting(made: Mapping[str, Any]) -> str:
+    """YAML for a configuration."""
+    return f"thin:\n  rate: {made['lowest']:g}\n"
+
+
+def describe_thinning(made: Mapping[str, Any]) -> str:
+    """The curve as a table."""
+    lines = [
+        f"thinning: {made['steps'][0]['rows']:,} echoes of the training areas, {made['params']['folds']} folds",
+        *(f"note: {text}" for text in made["notes"]),
+        "",
+        f"{'rate':>6} {'sampled':>9} {'trained':>8}  {'accuracy':>12}  {'kappa':>12}  {'train s':>8}  "
+        "us/echo: features + vote + follow",
+    ]
+    for s in made["steps"]:
+        acc, kappa = (f"{100 * s[n]:.1f} ± {100 * s[f'{n}_std']:.1f}" for n in ("accuracy", "kappa"))
+        m = s["microseconds"]
+        lines.append(
+            f"{s['rate']:>6g} {s['kept']:>9,} {s['trained']:>8,}  {acc:>12}  {kappa:>12}  {s['train_seconds']:>8.2f}  "
+            f"{m['total']:8.2f} = {m['features']:.2f} + {m['vote']:.2f} + {m['sample'] + m['follow']:.2f}"
+        )
+    lines.append(
+        f"lowest rate that is as good as the best within one standard error: --set thin.rate={made['lowest']:g}"
+    )
+    return "\n".join(lines)
+
+
+def draw(made: Mapping[str, Any]) -> bytes:
+    return draw_rates(made["steps"], made["lowest"], f"{made['survey']}: thinning (Xiong 2018)")

@@ -1,0 +1,110 @@
+"""Cross-validation of sets of features, as parts: one forest per set and fold; a trial is made once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass.classify.vote import walkable, winners
+from fwclass.graph.layout import plain, plain_classes
+from fwclass.model import FORMAT, ClassDef, assemble
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Task
+from fwclass.run.runner import Runner, require_all
+from fwclass.select.score import Names, Trial
+from fwclass.store.atomic import digest_of
+from fwclass.study.select.sample import TRAINING, training_of
+from fwclass.train.importance import importance
+from fwclass.train.sample import Sample
+from fwclass.train.stage import TRAIN_TREES, TrainParams, grow_trees
+
+TRIAL, RANKED = "select-trial", "select-ranked"
+"""Stages: a trial, and one with importances."""
+
+VERSION = 1
+
+
+class Trials:
+    """`select.score.Evaluate` on a runner: sets × folds are parts that any worker can make."""
+
+    def __init__(self, runner: Runner, config: Any, candidates: Names) -> None:
+        self.runner, self.config, self.candidates = runner, config, candidates
+        self.train: TrainParams = config.train.model_copy(update={"trees": config.select.trees})
+
+    def __call__(self, subsets: Sequence[Names], ranked: bool = False) -> list[Trial]:
+        """The trials of `subsets`, in their order."""
+        stage = RANKED if ranked else TRIAL
+        tasks = {(s, f): self._task(stage, s, f) for s in subsets for f in range(self.config.select.folds)}
+        done = require_all(self.runner, list(tasks.values()))
+        made = []
+        for s in subsets:
+            metas = [done[tasks[s, f].name].meta for f in range(self.config.select.folds)]
+            weight = np.mean([m["importance"] for m in metas], axis=0) if ranked else None
+            made.append(Trial(s, np.array([m["matrix"] for m in metas], np.int64), weight))
+        return made
+
+    def _task(self, stage: str, subset: Names, fold: int) -> Task:
+        select = self.config.select
+        folding = {n: plain(select)[n] for n in ("block", "gap", "folds")}
+        params = {
+            **plain(self.train),
+            **folding,
+            "classes": plain_classes(self.config),
+            "features": list(subset),
+            "repeats": select.repeats if stage == RANKED else None,
+        }
+        work = partial(
+            tried,
+            subset,
+            fold,
+            self.candidates,
+            self.train,
+            self.config.classes,
+            select.repeats if stage == RANKED else 0,
+        )
+        part = f"{digest_of(list(subset))[:16]}-{fold:02d}"
+        return Task(stage, part, VERSION * 1000 + TRAIN_TREES.version, params, work, needs=((TRAINING, "all"),))
+
+
+def tried(
+    subset: Names,
+    fold: int,
+    candidates: Names,
+    params: TrainParams,
+    classes: tuple[ClassDef, ...],
+    repeats: int,
+    inputs: PartInputs,
+    directory: Path,
+) -> dict[str, Any]:
+    """A forest by `subset` from the rows outside `fold`: its confusion matrix inside, and its importances."""
+    placed, folds = training_of(inputs, candidates)
+    sample = columns_of(placed.sample, subset)
+    grown_from, judged = sample.take(folds.trains(fold)), folds.judged(fold)
+    trees = grow_trees(grown_from, classes, 0, params.trees, params)
+    found = predicted(sample.X[judged], trees, subset, classes)
+    n = len(classes)
+    matrix = np.bincount(sample.y[judged].astype(np.int64) * n + found, minlength=n * n).reshape(n, n)
+    made: dict[str, Any] = {"matrix": matrix.tolist()}
+    if repeats:
+        lost = importance(grown_from, trees, n, params, repeats)
+        made["importance"] = np.asarray(lost, np.float64).mean(axis=1).tolist()
+    return made
+
+
+def columns_of(sample: Sample, subset: Names) -> Sample:
+    """The sample with only the columns of `subset`."""
+    at = [sample.features.index(name) for name in subset]
+    X = np.ascontiguousarray(sample.X[:, at])
+    return Sample(subset, X, sample.y, sample.key, sample.hash, sample.eligible)
+
+
+def predicted(X: Any, trees: Any, names: Names, classes: Sequence[ClassDef]) -> Any:
+    """Index of the class with most votes, int64 (rows,)."""
+    card = {"format": FORMAT, "features": list(names), "classes": [c.plain() for c in classes]}
+    if len(X) == 0:
+        return np.empty(0, np.int64)
+    return winners(X, walkable(assemble(trees, card))).astype(np.int64)

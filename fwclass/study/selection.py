@@ -1,0 +1,122 @@
+"""Choosing features on the training areas: echoes to features of their tiles, then trials in spatial folds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, InputError, nearest
+from fwclass.graph.layout import Layout, check_features, plain
+from fwclass.graph.walk import Tiled, until_labels, until_tiles
+from fwclass.run.inputs import PartInputs
+from fwclass.run.runner import Runner, ancestors, require_all
+from fwclass.select.score import Names, Score, Trial, score
+from fwclass.select.search import Search, backward, by_fscore, forward, in_given_order
+from fwclass.study.select.cost import costs
+from fwclass.study.select.result import sets_to_time, told
+from fwclass.study.select.sample import TRAINING, sample_tasks, training_of
+from fwclass.study.select.trials import Trials
+
+
+def selection(
+    config: Config,
+    runner: Runner,
+    candidates: Names,
+    method: str,
+    order: Names = (),
+    pick: str = "best",
+    computed: Names = (),
+) -> dict[str, Any]:
+    """Choose among `candidates` by `method` (forward, rffs, fscore) on the training areas alone; plain data.
+
+    `order`: forward adds the features in this order. `pick`: see `result.PICKS`. `computed`: all features that the run
+    computes, where these are more: its tables have them in any case. Nothing of a test area is read but the
+    neighbours of training echoes.
+    """
+    began = time.perf_counter()
+    _check(config, candidates, order)
+    layout, meta = training(config, runner, candidates, computed or candidates)
+    useful = tuple(c for c in candidates if c not in meta["useless"])
+    if not useful:
+        raise InputError(
+            "no candidate tells anything apart",
+            where="--candidates",
+            got="; ".join(f"{n}: {why}" for n, why in meta["useless"].items()),
+            do="see why the stages that compute them found nothing, or name others",
+        )
+    search = _search(config, runner, candidates, useful, method, tuple(o for o in order if o in useful), meta)
+    tile = max((t for t in layout.tiles if runner.made("select-sample", t.key)), key=lambda t: _rows(runner, t.key))
+    cost = costs(runner, layout, tile, sets_to_time(search))
+    return {
+        "method": method,
+        "survey": config.survey.name,
+        "candidates": list(candidates),
+        "left_out": meta["useless"],
+        "notes": meta["notes"],
+        "order": list(order),
+        "sample": {n: meta[n] for n in ("rows", "counts", "eligible", "blocks", "by_fold", "digest")},
+        "classes": [c.name for c in config.classes],
+        "params": plain(config.select),
+        **told(search, cost, pick),
+        "timed_on": tile.key,
+        "seconds": round(time.perf_counter() - began, 1),
+    }
+
+
+def training(config: Config, runner: Runner, names: Names, computed: Names) -> tuple[Layout, dict[str, Any]]:
+    """Walk until the placed sample of the training areas is there, of `names` among `computed`; what it says."""
+    tiled: Tiled = until_tiles(config, runner, names)
+    tasks = [*until_labels(tiled, computed), *sample_tasks(tiled.layout, names)]
+    done = require_all(runner, ancestors(tasks, [(TRAINING, "all")]))
+    return tiled.layout, dict(done[TRAINING, "all"].meta)
+
+
+def _search(
+    config: Config, runner: Runner, candidates: Names, useful: Names, method: str, order: Names, meta: dict[str, Any]
+) -> Search:
+    weights = np.array(meta["eligible"]) / np.array(meta["counts"])
+
+    def scored(trial: Trial) -> Score:
+        return score(trial, weights, config.select.score)
+
+    trials = Trials(runner, config, candidates)
+    if method == "forward":
+        return (
+            in_given_order(order, useful, trials, scored) if order else forward(useful, trials, scored, config.select)
+        )
+    if method == "rffs":
+        return backward(useful, trials, scored, config.select)
+    sample = training_of(PartInputs(runner.store), candidates)[0].sample
+    at = [candidates.index(c) for c in useful]
+    return by_fscore(useful, sample.X[:, at], sample.y, trials, scored)
+
+
+def _rows(runner: Runner, key: str) -> int:
+    receipt = runner.store.receipt("select-sample", key)
+    return int(receipt.meta["rows"]) if receipt else 0
+
+
+def _check(config: Config, candidates: Names, order: Sequence[str]) -> None:
+    check_features(config, candidates, "--candidates")
+    twice = sorted({c for c in candidates if candidates.count(c) > 1})
+    if twice:
+        raise ConfigError("a candidate is named twice", where="--candidates", got=", ".join(twice))
+    unknown = [o for o in order if o not in candidates]
+    if unknown:
+        raise ConfigError(
+            "the order names a feature that is no candidate",
+            where="--order",
+            expected=", ".join(candidates),
+            got=unknown[0],
+            do=nearest(unknown[0], candidates),
+        )
+    if config.survey.reference.kind == "none" or not config.areas.train:
+        raise ConfigError(
+            "features are chosen on labelled training areas, and there are none",
+            where=config.path,
+            do="name a reference (survey.reference) and boxes (areas.train)",
+        )

@@ -1,0 +1,34 @@
+"""The thinning curve: what accuracy and time become if only a share of the echoes is classified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.graph.layout import check_features
+from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.run.runner import Runner, ancestors, require_all
+from fwclass.select.score import Names
+from fwclass.study.select.thinning import RATE, cost_task, rate_tasks, told
+
+
+def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
+    """The curve over ``select.rates`` on the training areas, for a classifier by `names`; plain data."""
+    config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))  # all features are there then
+    check_features(config, names, "survey.features or --candidates")
+    tiled = until_tiles(config, runner, names)
+    layout = tiled.layout
+    rates = rate_tasks(layout, names)
+    made = ancestors([*until_labels(tiled, names), *rates], [t.name for t in rates])
+    done = require_all(runner, made)
+    boxes = config.areas.boxes("train")
+    trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
+    timing = cost_task(layout, max(trained, key=lambda t: _echoes(runner, t.key)), names)
+    cost = require_all(runner, [timing])[timing.name].meta
+    return told(config, names, {r: done[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
+
+
+def _echoes(runner: Runner, key: str) -> int:
+    receipt = runner.store.receipt("tile", key)
+    return int(receipt.meta["rows"]) if receipt else 0

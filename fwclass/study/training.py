@@ -1,0 +1,111 @@
+"""Training only: the stages up to the model, and its assessment on the test areas."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, InputError
+from fwclass.graph import forest
+from fwclass.graph.accuracy_remarks import accuracy_remarks
+from fwclass.graph.layout import Layout, check_features
+from fwclass.graph.walk import Tiled, until_labels, until_tiles
+from fwclass.run.part import Task
+from fwclass.run.runner import Runner, ancestors, require_all
+from fwclass.run.tasks import Tasks
+from fwclass.study.compare import compared
+
+NOTHING_TESTED = (
+    "Nothing is left to test on: no labelled echo lies in a test area, or further than areas.gap from every training "
+    "area: the accuracy is unknown: give smaller training areas."
+)
+
+
+def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
+    """Train the model of `config` on `runner`, and with `assess` judge it on the test areas; plain data.
+
+    ``card`` is the model's; ``accuracy`` the figures of `figures`, or None where nothing was judged; ``ambiguous`` how
+    many echoes of the tiles that were looked at lie in polygons of different classes; ``remarks`` what is to be said
+    beside the accuracy, or why there is none. The parts are those of
+    `classification`: a run in the same directory takes them over.
+    """
+    _check_labelled(config)
+    tiled, tasks = _begun(config, runner)
+    tasks += forest.training_tasks(tiled.layout)
+    require_all(runner, ancestors(tasks, [("train", "model")]))
+    receipt = runner.store.receipt("train", "model")
+    made: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
+    made |= {"ambiguous": 0, "remarks": []}
+    if assess:
+        names, layout = config.features_asked, tested_layout(tiled.layout)
+        tasks += forest.classify_tasks(layout, names, None) + forest.assess_tasks(layout, names)
+        require_all(runner, ancestors(tasks, [("assess", "all")]))
+        judged = runner.store.receipt("assess", "all")
+        found = judged.meta["accuracy"] if judged else None
+        told = accuracy_remarks(found, config, names, tiled.layout.echoes) if found else [NOTHING_TESTED]
+        made |= {"accuracy": found, "remarks": told}
+    labelled = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
+    made["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
+    return made
+
+
+def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict[str, Any]:
+    """Several kinds of classifier on one sample and the same test echoes; see `compared`. Nothing is thinned."""
+    _check_labelled(config)
+    config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))
+    tiled, tasks = _begun(config, runner)
+    layout, names = tested_layout(tiled.layout), config.features_asked
+    sample: list[Task] = [t for t in forest.training_tasks(tiled.layout) if t.stage in ("sample", "training")]
+    columns = {*layout.columns(names).values(), "label", "tile"}
+    wanted = [("training", "all"), *((stage, t.key) for t in layout.tiles for stage in columns if stage != "tile")]
+    require_all(runner, ancestors([*tasks, *sample], wanted))
+    return compared(config, runner.store, layout, methods, runner.display.say)
+
+
+def _begun(config: Config, runner: Runner) -> tuple[Tiled, Tasks]:
+    names = config.features_asked
+    check_features(config, names, f"{config.path}: survey.features")
+    check_features(config, config.features.also, f"{config.path}: features.also")
+    tiled = until_tiles(config, runner, names)
+    return tiled, until_labels(tiled, (*names, *config.features.also))
+
+
+def _check_labelled(config: Config) -> None:
+    if config.survey.model is not None:
+        raise ConfigError(
+            "the survey names a model, and one is to be trained",
+            where=f"{config.path}: survey.model",
+            got=config.survey.model,
+            do="--set survey.model=null",
+        )
+    if config.survey.reference.kind == "none":
+        raise ConfigError(
+            "a model learns from labels, and the survey has none",
+            where=f"{config.path}: survey.reference",
+            expected="kind: source, cloud or polygons",
+            got="none",
+            do="name labelled files in survey.reference",
+        )
+
+
+def tested_layout(layout: Layout) -> Layout:
+    """`layout` with only the tiles where something may be tested; `InputError` where there are none."""
+    areas = layout.config.areas
+    hidden, test = [b.grown(areas.gap) for b in areas.boxes("train")], areas.boxes("test")
+    tiles = []
+    for tile in layout.tiles:
+        own = tile.box
+        within = any(
+            b.xmin <= own.xmin and b.ymin <= own.ymin and own.xmax <= b.xmax and own.ymax <= b.ymax for b in hidden
+        )
+        if not within and (not test or any(own.touches(b) for b in test)):
+            tiles.append(tile)
+    if not tiles:
+        raise InputError(
+            "no tile lies in a test area",
+            where="areas.test",
+            expected="boxes on the survey",
+            do="give some, or --no-assess",
+        )
+    return replace(layout, tiles=tuple(tiles))

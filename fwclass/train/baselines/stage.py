@@ -1,0 +1,156 @@
+"""Training of classifiers of other kinds, on the forest's own sample."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from fwclass import __version__
+from fwclass.hashing import seeded
+from fwclass.model import FORMAT, Boosted, ClassDef, KernelMachine, LinearMachine, Model, Preparation, assemble
+from fwclass.train.baselines import fit
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.prepare import fewer, pieces, preparation
+from fwclass.train.params import TrainParams
+from fwclass.train.sample import Sample, review
+from fwclass.train.weights import whole_weights
+
+METHODS = ("forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting")
+"""Classifiers, by the name that ``train.method`` takes."""
+
+VERSION = 1
+"""Raised whenever the same sample and parameters would give another model."""
+
+
+def train_other(
+    sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], method: str
+) -> Model:
+    """The classifier `method` (one of `METHODS` but the forest), trained on `sample` by scikit-learn.
+
+    Support vector machines fill missing values with the median of the training rows, and the card says how many; trees
+    have a side for them. Class weights are those of ``train.class_weights``.
+
+    Raises
+    ------
+    ConfigError
+        scikit-learn is not installed.
+    InputError
+        The sample cannot be trained on.
+    """
+    notes = review(sample, classes)
+    return {"linear-svm": _linear, "rbf-svm": _rbf, "sklearn-forest": _forest, "boosting": _boosting}[method](
+        sample, params, compare, classes, _card(sample, params, classes, method, notes)
+    )
+
+
+def _card(
+    sample: Sample, params: TrainParams, classes: Sequence[ClassDef], method: str, notes: Sequence[str]
+) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "method": method,
+        "features": list(sample.features),
+        "classes": [c.plain() for c in classes],
+        "params": {"samples_per_class": params.samples_per_class, "seed": params.seed},
+        "samples": [int(n) for n in sample.counts],
+        "eligible": [int(n) for n in sample.eligible],
+        "training": sample.digest,
+        "fwclass": __version__,
+        "notes": list(notes),
+    }
+
+
+def _weights(sample: Sample, params: TrainParams, classes: Sequence[ClassDef]) -> dict[int, float] | None:
+    """Weight of every class by its index, None where all weigh the same; the mean row weighs 1."""
+    whole = whole_weights(params.class_weights, sample.counts, [c.name for c in classes])
+    if len(set(whole.tolist())) == 1:
+        return None
+    mean = float(whole @ sample.counts) / sample.rows
+    return {k: float(w) / mean for k, w in enumerate(whole)}
+
+
+def _prepared(sample: Sample, compare: CompareParams, card: dict[str, Any]) -> Preparation:
+    """How a machine's samples are prepared; the card tells it, and how many values of the training rows are filled."""
+    made = preparation(sample.X, compare.scaling)
+    gaps = np.isnan(sample.X).sum(axis=0)
+    filled = {name: int(n) for name, n in zip(sample.features, gaps, strict=True) if n}
+    card |= {"preparation": made.plain(), "filled": filled}
+    card["params"]["scaling"] = compare.scaling
+    if filled:
+        told = ", ".join(f"{name} in {n:,} rows" for name, n in filled.items())
+        card["notes"].append(f"missing values are the median of the training rows: {told}")
+    return made
+
+
+def _linear(
+    sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], card: dict[str, Any]
+) -> Model:
+    made, svm = _prepared(sample, compare, card), compare.linear_svm
+    weights, bias, notes = fit.linear_svm(made(sample.X), sample.y, svm, _weights(sample, params, classes))
+    card["params"] |= svm.model_dump(mode="json")
+    card["notes"] += notes
+    return _checked(LinearMachine(weights, bias, card))
+
+
+def _rbf(
+    sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], card: dict[str, Any]
+) -> Model:
+    svm, whole = compare.rbf_svm, sample.rows
+    sample = fewer(sample, svm.max_rows)
+    if sample.rows < whole:
+        card["notes"].append(
+            f"the RBF SVM trained on {sample.rows:,} of {whole:,} rows: its time grows with their square "
+            "(compare.rbf_svm.max_rows)"
+        )
+        card["samples"] = [int(n) for n in sample.counts]
+    made, weights = _prepared(sample, compare, card), _weights(sample, params, classes)
+    c, gamma = svm.c[0], svm.gamma[0]
+    if len(svm.c) * len(svm.gamma) > 1:
+        looked = fewer(sample, svm.search_rows)
+        fold = pieces(looked, svm.folds)
+        tried = fit.search(made(looked.X), looked.y, fold, svm.c, svm.gamma, weights)
+        c, gamma, _ = max(tried, key=lambda one: one[2])
+        card["search"] = {
+            "rows": looked.rows,
+            "folds": svm.folds,
+            "tried": [{"c": a, "gamma": b, "accuracy": share} for a, b, share in tried],
+        }
+    card["params"] |= {"c": c, "gamma": gamma}
+    return _checked(KernelMachine(**fit.rbf_svm(made(sample.X), sample.y, c, gamma, weights), card=card))
+
+
+def _forest(
+    sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], card: dict[str, Any]
+) -> Model:
+    settings: Mapping[str, Any] = {
+        "n_estimators": params.trees,
+        "criterion": params.criterion,
+        "max_features": params.per_split(len(sample.features)),
+        "min_samples_split": params.min_samples_split,
+        "max_samples": params.bagging if params.bagging < 1 else None,
+        "bootstrap": True,
+        "random_state": seeded(params.seed) % (1 << 32),
+    }
+    card["params"] |= settings
+    weights = _weights(sample, params, classes)
+    trees, impure = fit.sklearn_forest(sample.X, sample.y, {**settings, "class_weight": weights})
+    if impure:
+        card["notes"].append(f"{impure:,} leaves are not pure; each votes for its largest class")
+    return assemble(trees, card)
+
+
+def _boosting(
+    sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], card: dict[str, Any]
+) -> Model:
+    card["params"] |= compare.boosting.model_dump(mode="json")
+    weights = _weights(sample, params, classes)
+    arrays = fit.boosting(sample.X, sample.y, compare.boosting, seeded(params.seed), weights)
+    return _checked(Boosted(**arrays, card=card))
+
+
+def _checked(model: Any) -> Model:
+    model.card["kind"] = model.kind
+    model.check("a newly trained model")
+    return model
