@@ -1,19 +1,21 @@
-"""What a part's work reads from the store: tables, arrays, and overlapping chunks."""
+"""What a part's work reads from the store: tables, arrays, and overlapping chunks; nothing that it did not declare."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.errors import StoreError
 from fwclass.grid import Box, Tile, TileGrid
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays
+from fwclass.store.cells import CELLS, Within
 from fwclass.store.remote_file import Location, local
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, row_groups
@@ -24,45 +26,121 @@ _ROUNDING = 0.001
 """m, beyond the halo of a piece: coordinates are whole millimetres."""
 
 
+class UndeclaredRead(StoreError):
+    """The work of a part reads what its task does not name: that would not be in its key, and a stale part be kept."""
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What a task says that it reads: the parts that it `needs`, of those with digests of pieces what is `within`."""
+
+    task: tuple[str, str]
+    needs: frozenset[tuple[str, str]]
+    within: Within = None
+
+
 @dataclass(frozen=True)
 class PartInputs:
-    """What one part's work reads: the store, and files from outside, whose digests by name are `external`.
+    """What one part's work reads: parts of the store, and files from outside, whose digests by name are `external`.
 
-    `split`: where the work holds much, it is to be done in `split` × `split` pieces of a tile.
+    `split`: where the work holds much, it is to be done in `split` × `split` pieces of a tile. `declared`: all that may
+    be read; None for who reads a finished run and writes no part. Every read raises `UndeclaredRead` for anything else.
     """
 
-    store: Store
+    _store: Store
     external: Mapping[str, str] = field(default_factory=dict, kw_only=True)
     split: int = field(default=1, kw_only=True)
+    declared: Declared | None = field(default=None, kw_only=True)
 
     def local(self, place: Location) -> Path:
         """A file from outside on this host; one on object storage is fetched, and is what the part was planned with."""
         return local(place, self.external)
 
+    def path(self, stage: str, part: str, name: str) -> Path:
+        """A file or directory of a part, which is read whole."""
+        self._check(stage, part)
+        if self.declared is not None and isinstance(self.declared.within, Box):
+            cells = self.meta(stage, part).get(CELLS)
+            if cells is not None and "size" in cells:
+                self._refuse(f"all of {stage}/{part}", "what lies in the box that the task is bound to")
+        return self._store.path(stage, part, name)
+
     def table(self, stage: str, part: str, columns: Iterable[str] | None = None, name: str = TABLE) -> Table:
-        return read_table(self.store.path(stage, part, name), columns)
+        """A part's table; `columns` None for all."""
+        return read_table(self.path(stage, part, name), columns)
 
     def fragment(self, stage: str, part: str, group: int) -> Table:
         """One row group of a scattered chunk."""
-        return read_table(self.store.path(stage, part, TABLE), None, [group])
+        self._check(stage, part)
+        if self.declared is not None and isinstance(self.declared.within, str):
+            own = self.meta(stage, part).get("tiles", {}).get(self.declared.within, (None,))[0]
+            if own != group:
+                self._refuse(f"row group {group} of {stage}/{part}", f"that of {self.declared.within}: {own}")
+        return read_table(self._store.path(stage, part, TABLE), None, [group])
 
     def groups(self, stage: str, part: str, groups: list[int]) -> Table:
         """Chosen row groups of a part's table."""
-        return read_table(self.store.path(stage, part, TABLE), None, groups)
+        return read_table(self.path(stage, part, TABLE), None, groups)
 
-    def arrays(self, stage: str, part: str, name: str) -> tuple[dict[str, NDArray], dict[str, Any]]:
-        return read_arrays(self.store.path(stage, part, name))
+    def arrays(
+        self, stage: str, part: str, name: str, only: tuple[str, ...] | None = None
+    ) -> tuple[dict[str, NDArray], dict[str, Any]]:
+        """Arrays of a part (`only` some of them) and their attributes."""
+        return read_arrays(self.path(stage, part, name), only)
 
     def meta(self, stage: str, part: str) -> Mapping[str, Any]:
-        receipt = self.store.receipt(stage, part)
+        """What the receipt of a part says besides its files; nothing of a part that is not done."""
+        self._check(stage, part)
+        receipt = self._store.receipt(stage, part)
         return receipt.meta if receipt else {}
+
+    def digest(self, stage: str, part: str) -> str:
+        """Digest of a part; empty for one that is not done."""
+        self._check(stage, part)
+        receipt = self._store.receipt(stage, part)
+        return receipt.digest if receipt else ""
+
+    def _check(self, stage: str, part: str, columns: Iterable[str] = ()) -> None:
+        """Refuse a part that is not declared, naming the `columns` that are asked of it."""
+        if self.declared is not None and (stage, part) not in self.declared.needs:
+            some = ", ".join(columns)
+            self._refuse(
+                f"{some + ' of ' if some else ''}{stage}/{part}",
+                f"parts of the stages {', '.join(sorted({s for s, _ in self.declared.needs})) or '(none)'}",
+                f"declare {f'the columns {some}, which stage {stage} writes' if some else f'stage {stage}'}",
+            )
+
+    def _check_rows(self, part: str, base: str, box: Box | None) -> None:
+        """Refuse rows outside the box that the task is bound to."""
+        within = self.declared.within if self.declared is not None else None
+        if not isinstance(within, Box):
+            return
+        if box is None:
+            bounds = self.meta(base, part).get("bounds")
+            if bounds is None:
+                return
+            box = Box(bounds[0], bounds[1], bounds[3], bounds[4])
+        if box.xmin < within.xmin or box.ymin < within.ymin or box.xmax > within.xmax or box.ymax > within.ymax:
+            self._refuse(f"rows of {base}/{part} in {box.bounds}", f"rows in {within.bounds}", "declare a larger halo")
+
+    def _refuse(self, got: str, expected: str, do: str = "declare it") -> NoReturn:
+        raise UndeclaredRead(
+            "the work of a part reads what its task does not declare",
+            where="/".join(self.declared.task) if self.declared is not None else "",
+            expected=expected,
+            got=got,
+            do=f"{do} in the stage's record: what is read without it is in no key, and a change of it goes unseen",
+        )
 
     def rows(self, part: str, columns: Mapping[str, str], box: Box | None = None, base: str = "tile") -> Table:
         """Columns of a tile from the stages that wrote them, side by side; only rows inside `box` if given.
 
         `columns` maps column to stage. All tables of a tile have the rows and row groups of `base`.
         """
-        groups = row_groups(self.store.path(base, part, TABLE), box)
+        for stage in {base, *columns.values()}:
+            self._check(stage, part, [n for n, s in columns.items() if s == stage])
+        self._check_rows(part, base, box)
+        groups = row_groups(self._store.path(base, part, TABLE), box)
         by_stage: dict[str, list[str]] = {}
         for name, stage in columns.items():
             by_stage.setdefault(stage, []).append(name)
@@ -71,7 +149,7 @@ class PartInputs:
             mine += [n for n in ("x", "y") if n not in mine]
         found: dict[str, NDArray] = {}
         for stage, names in by_stage.items():
-            found |= dict(read_table(self.store.path(stage, part, TABLE), names, groups))
+            found |= dict(read_table(self._store.path(stage, part, TABLE), names, groups))
         table = Table({n: found[n] for n in found})
         return table if box is None else table.take(box.contains(table["x"], table["y"]))
 
@@ -106,7 +184,8 @@ class PartInputs:
             rows = np.flatnonzero(piece == k)
             if len(rows) == 0:
                 continue
-            box = _piece_box(tile, self.split, k).grown(halo + _ROUNDING)
+            around = tile.box.grown(halo)
+            box = _piece_box(tile, self.split, k).grown(halo + _ROUNDING).common(around) or around
             parts, core = [], np.zeros(0, bool)
             for other in TileGrid(tile.size, tile.origin).touching(box):
                 if other.key in here:
@@ -128,11 +207,14 @@ class PartInputs:
             yield self.rows(part, columns)
             return
         stages = sorted(set(columns.values()))
-        for group in row_groups(self.store.path("tile", part, TABLE), None):
+        for stage in ("tile", *stages):
+            self._check(stage, part, [n for n, s in columns.items() if s == stage])
+        self._check_rows(part, "tile", None)
+        for group in row_groups(self._store.path("tile", part, TABLE), None):
             made: dict[str, NDArray] = {}
             for stage in stages:
                 names = [n for n, s in columns.items() if s == stage]
-                made |= dict(read_table(self.store.path(stage, part, TABLE), names, [group]))
+                made |= dict(read_table(self._store.path(stage, part, TABLE), names, [group]))
             table = Table({n: made[n] for n in columns})
             for rows in np.array_split(np.arange(table.rows), self.split**2):
                 if len(rows):

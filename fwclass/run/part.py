@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fwclass.errors import FwclassError, full_or, interrupted, system_error
-from fwclass.run.inputs import PartInputs
+from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.logs import Value, attempted, log_path
 from fwclass.store.cells import Within, digest_within
 from fwclass.store.external_file import ExternalFile
@@ -134,7 +134,12 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
         key = key_of(task.stage, task.version, task.params, digests)
         if holds(task, store, key):
             return Outcome(*task.name, "skipped")
-        inputs = PartInputs(store, external={file.name: file.digest for file in task.external}, split=split)
+        inputs = PartInputs(
+            store,
+            external={file.name: file.digest for file in task.external},
+            split=split,
+            declared=Declared(task.name, frozenset(task.needs), task.within),
+        )
         receipt = store.commit(
             task.stage,
             task.part,

@@ -25,12 +25,12 @@ RUNS = {  # name: arguments of `fwclass run`
     "fan2013": ["fan2013-urban", "--workflow", "fan2013"],
 }
 REAL = ("riegl-sample", "p1", "fan2013")
-STRIP = "demo/survey/strips/flight-01.las"
+STRIP = "demo/survey/strips/strip_01.las"
 FILES = {  # name: arguments of a command on one file, with its output
     "decompose": ["decompose", STRIP, "{out}/decomposed.laz"],
     "ground": ["ground", STRIP, "{out}/ground.laz"],
     "normalize": ["normalize", "{out}/ground.laz", "{out}/normalized.laz"],
-    "features": ["features", STRIP, "{out}/features.parquet"],
+    "features": ["features", "{out}/ground.laz", "{out}/features.parquet", "--skip-missing"],
     "classify": ["classify", STRIP, "--model", "demo/model", "{out}/classified.laz"],
 }
 CHANGING = ("report.html", "report.json", "run.json")

@@ -18,7 +18,7 @@ from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, Model, Tree, class_index, sample_matrix
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.schema import Table, canonical_key
-from fwclass.store.arrays import read_arrays, write_arrays
+from fwclass.store.arrays import write_arrays
 from fwclass.store.models import load_model, model_digest, save_model
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
@@ -113,7 +113,7 @@ def grown(
 
 
 def _load_trees(inputs: PartInputs, batch: str) -> list[Tree]:
-    arrays, _ = read_arrays(inputs.store.path("trees", batch, TREES))
+    arrays, _ = inputs.arrays("trees", batch, TREES)
     numbers = sorted({n.split("-")[0] for n in arrays})
     return [(arrays[f"{n}-feature"], arrays[f"{n}-threshold"], arrays[f"{n}-child"]) for n in numbers]
 
@@ -141,7 +141,7 @@ def trained(
     trees = [tree for batch in batches for tree in _load_trees(inputs, batch)]
     lost = None
     if params.importance_repeats:
-        parts = [read_arrays(inputs.store.path("importance", b, DROPS))[0] for b in batches]
+        parts = [inputs.arrays("importance", b, DROPS)[0] for b in batches]
         lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
     forest = stamped(train(_load_sample(inputs, "training", "all", names), trees, params, classes, lost), computed)
     save_model(directory / MODEL, forest)
@@ -174,8 +174,7 @@ def model_of(given: tuple[Location, str] | None, inputs: PartInputs) -> Model:
     """The model at a path, by its digest; None: the run's own."""
     foreign = given is not None
     if given is None:
-        receipt = inputs.store.receipt("train", "model")
-        return model_at(inputs.store.path("train", "model", MODEL), receipt.digest if receipt else "", foreign)
+        return model_at(inputs.path("train", "model", MODEL), inputs.digest("train", "model"), foreign)
     return model_at(inputs.local(given[0]), given[1], foreign)
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 from fwclass.model import ClassDef, Model
 from fwclass.run.inputs import PartInputs
-from fwclass.store.arrays import read_arrays
 from fwclass.store.models import save_model
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import train_other
@@ -21,7 +20,7 @@ MODEL, SAMPLE = "model", "sample.zarr"
 
 def merged_sample(inputs: PartInputs, names: tuple[str, ...]) -> Sample:
     """The sample of the whole survey."""
-    arrays, _ = read_arrays(inputs.store.path("training", "all", SAMPLE))
+    arrays, _ = inputs.arrays("training", "all", SAMPLE)
     return Sample.from_arrays(names, arrays)
 
 

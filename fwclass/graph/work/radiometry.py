@@ -111,7 +111,7 @@ def measured(
     """Radiometric columns of a tile's echoes."""
     chunk: Chunk = inputs.chunk(tile, 0.0, columns, (tile.key,))
     trajectory = _trajectory(inputs, flights, chunk.table["gps_time"]) if flights else None
-    calibration = Calibration.from_json(read_json(inputs.store.path("calibrate", "all", CALIBRATION)))
+    calibration = Calibration.from_json(read_json(inputs.path("calibrate", "all", CALIBRATION)))
     table = radiometry(chunk, trajectory, calibration, params)
     write_table(directory / TABLE, table)
     error = pointing_error(chunk.table, trajectory, params) if trajectory is not None else float("nan")

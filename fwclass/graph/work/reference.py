@@ -64,7 +64,7 @@ _loaded: dict[tuple[str, ...], Polygons] = {}
 
 def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
     """Polygons of all files, kept in this process as long as their paths, named by their content, are the same."""
-    paths = [inputs.store.path("polygons", part, POLYGONS) for part in parts]
+    paths = [inputs.path("polygons", part, POLYGONS) for part in parts]
     key = tuple(map(str, paths))
     if key not in _loaded:
         _loaded.clear()

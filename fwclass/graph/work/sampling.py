@@ -14,7 +14,6 @@ from fwclass.label.census import census, taken
 from fwclass.model import ClassDef
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import canonical_key
-from fwclass.store.arrays import read_arrays
 
 _PLACE = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
 
@@ -38,5 +37,5 @@ def drawn(
 ) -> Mapping[str, Any]:
     """How many of a tile's echoes are in the survey's sample."""
     table = inputs.rows(tile.key, {**_PLACE, "reference": "label"})
-    arrays, _ = read_arrays(inputs.store.path("training", "all", SAMPLE), ("key",))
+    arrays, _ = inputs.arrays("training", "all", SAMPLE, ("key",))
     return taken(table, np.isin(canonical_key(table), arrays["key"]), train, classes)

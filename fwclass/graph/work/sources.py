@@ -30,7 +30,7 @@ from fwclass.store.cells import CELLS, by_name, by_place
 from fwclass.store.external_file import ExternalFile, digested
 from fwclass.store.remote_file import Location, RemoteFile, seen_as
 from fwclass.store.run_store import Store
-from fwclass.store.tables import read_table, write_groups, write_table
+from fwclass.store.tables import write_groups, write_table
 from fwclass.tile.stage import assemble, assemble_points, split
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
@@ -189,7 +189,7 @@ def measured_pulse(
 
 def pulse_of(strip: int, inputs: PartInputs) -> SystemPulse:
     """The system's pulse of a strip, as `measured_pulse` stored it."""
-    return SystemPulse.from_json(read_json(inputs.store.path("pulse", f"{strip:05d}", PULSE)))
+    return SystemPulse.from_json(read_json(inputs.path("pulse", f"{strip:05d}", PULSE)))
 
 
 def surroundings_of(strip: int, inputs: PartInputs) -> Surroundings:
@@ -319,7 +319,7 @@ def tiled_cloud(fragments: tuple[tuple[str, int], ...], inputs: PartInputs, dire
 
 def link_table(inputs: PartInputs, part: str) -> Table:
     """Pulse and echo number of every return of a chunk, in file order."""
-    return read_table(inputs.store.path("decompose", part, "links.parquet"), ("pulse", "echo_number"))
+    return inputs.table("decompose", part, ("pulse", "echo_number"), "links.parquet")
 
 
 def counted(metas: Iterable[Mapping[str, Any]], name: str) -> int:

@@ -13,6 +13,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.stage import Chunk
+from fwclass.store.run_store import Store
 from fwclass.tile.stage import assemble
 
 HELD = 32
@@ -24,7 +25,7 @@ _PLACE = dict.fromkeys((*IDENTITY, "x", "y"), "tile")
 class Tiles:
     """The tiles of a finished run, only read; `used` names those that were."""
 
-    inputs: PartInputs
+    store: Store
     grid: TileGrid
     keys: frozenset[str]
     used: set[str] = field(default_factory=set)
@@ -46,7 +47,7 @@ class Tiles:
         if name not in self._held:
             if len(self._held) >= HELD:
                 self._held.pop(next(iter(self._held)))
-            self._held[name] = self.inputs.rows(key, wanted).select(wanted)
+            self._held[name] = PartInputs(self.store).rows(key, wanted).select(wanted)
         return self._held[name]
 
 

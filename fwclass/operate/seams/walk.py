@@ -73,7 +73,7 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
     strips = chosen(candidates, asked.share, asked.length, config.seams.seed)
     total = sum(p.length for p in candidates)
     share = min(1.0, sum(p.length for p in strips) / total)
-    tiles = Tiles(PartInputs(look.store), TileGrid(config.tile.size), layout.keys)
+    tiles = Tiles(look.store, TileGrid(config.tile.size), layout.keys)
     bounded = _strips(plan, strips, tiles, display)
     bounded += _blocks(plan, share, look, tiles, display)
     moved = _moved(plan, share, look, tiles, display)
@@ -127,7 +127,7 @@ def _strips(plan: Plan, strips: list[Place], tiles: Tiles, display: Display) -> 
     places = tuple(p.tile for p in strips)
     ever = dict.fromkeys((t.key for t in places), (whole.times,))  # which strips pass these tiles is not known
     layout = replace(whole, tiles=places, passes=ever)
-    inputs = StripInputs(tiles.inputs.store, tiles, {p.tile.key: p for p in strips}, {})
+    inputs = StripInputs(tiles.store, tiles, {p.tile.key: p for p in strips}, {})
     mine = [t for t in plan.tasks(layout) if t.stage in TILE_STAGES and t.part in inputs.places]
     return tile_seams(mine, inputs, layout.config.seams.listed, display)
 
@@ -152,7 +152,7 @@ def _blocks(plan: Plan, share: float, look: StatusWalk, tiles: Tiles, display: D
     cut = config.tile.model_copy(update={"size": size})
     other = replace(whole, tiles=tuple(sorted(around)), config=replace(config, tile=cut))
     tasks = [t for t in ground.ground_tasks(other) if t.name in wanted]
-    return block_seams(tasks, other, OtherTilesInputs(tiles.inputs.store, tiles, grid), config.seams.listed, display)
+    return block_seams(tasks, other, OtherTilesInputs(tiles.store, tiles, grid), config.seams.listed, display)
 
 
 def _moved(plan: Plan, share: float, look: StatusWalk, tiles: Tiles, display: Display) -> list[Apart]:
@@ -164,5 +164,5 @@ def _moved(plan: Plan, share: float, look: StatusWalk, tiles: Tiles, display: Di
         done = set(whole_blocks("", [p.tile for p in here], layout, look, reach_of(stage, layout)))
         here = [p for p in here if p.tile in done]
         here = [here[k] for k in drawn([p.tile for p in here], seed)]
-        found.append(apart(stage, here, _count(share, len(here)), layout, tiles.inputs, WITHIN, display))
+        found.append(apart(stage, here, _count(share, len(here)), layout, PartInputs(tiles.store), WITHIN, display))
     return found

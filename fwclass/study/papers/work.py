@@ -136,7 +136,7 @@ def learned(
 
 
 def _model(inputs: PartInputs, name: str) -> Model:
-    return load_model(inputs.store.path("paper-model", name, MODEL))
+    return load_model(inputs.path("paper-model", name, MODEL))
 
 
 def _test(inputs: PartInputs) -> dict[str, NDArray]:

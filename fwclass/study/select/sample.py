@@ -189,8 +189,7 @@ _kept: dict[tuple[str, str], tuple[Placed, Folds]] = {}
 
 def training_of(inputs: PartInputs, names: tuple[str, ...]) -> tuple[Placed, Folds]:
     """The sample and its folds, kept in this process as long as they are the same."""
-    receipt = inputs.store.receipt(TRAINING, "all")
-    key = (str(inputs.store.root), receipt.digest if receipt else "")
+    key = (str(inputs.path(TRAINING, "all", FOLDS)), inputs.digest(TRAINING, "all"))
     if key not in _kept:
         _kept.clear()
         arrays, _ = inputs.arrays(TRAINING, "all", FOLDS)
