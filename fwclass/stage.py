@@ -1,10 +1,10 @@
-"""What a stage is: one function and one record."""
+"""What rooms and graph share of a stage: its parameters, the chunk that it works on, what it reads and writes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,29 +37,20 @@ class Chunk:
     tile: Tile
 
 
-Kind = Literal["chunk", "scatter", "tile", "block", "gather", "publish"]
-
-
 @dataclass(frozen=True)
-class Stage:
-    """One stage of the run.
+class Computation:
+    """What a room computes of echoes, as the stages of the graph declare it.
 
     Attributes
     ----------
-    name : its name in the store, in receipts and on the command line.
+    name : of the stage that runs it, in the store, in receipts and on the command line.
     version : raised by hand whenever the same input and params would give another output.
-    kind : what a part of it is.
-    function : the work; sees columns, its tile and its params, never disk, Dask or another stage.
-    params : the class of its parameters.
     reads, writes : the columns it reads and the new columns it writes.
     halo : distance around its tile that it reads [m], from its params.
     """
 
     name: str
     version: int
-    kind: Kind
-    function: Callable[..., Any]
-    params: type[Params]
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
     halo: Callable[[Any], float] = lambda params: 0.0

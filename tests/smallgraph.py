@@ -12,7 +12,7 @@ import numpy as np
 
 from fwclass import conf
 from fwclass.cli.runner import open_runner
-from fwclass.graph.work.sources import Digests
+from fwclass.graph.file_digests import Digests
 from fwclass.operate.history import recorded
 from fwclass.operate.request import Request
 from fwclass.run.inputs import TABLE, PartInputs

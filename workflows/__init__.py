@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING
 
-Workflow = Callable[..., dict[str, Any]]
-"""Takes the configuration, the runner and the tiles asked for (None: all), gives the run's report."""
+if TYPE_CHECKING:
+    from fwclass.graph.workflow import Workflow
 
 
-class _Named(Mapping[str, Workflow]):
-    """Workflows by name; a workflow is the function in the file of its name, which is imported when it is taken."""
+class _Named(Mapping[str, "Workflow"]):
+    """Workflows by name; each stands in the file of its name, which is imported when it is taken."""
 
     names = ("classification", "fan2013", "xiong2018")
 

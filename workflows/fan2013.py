@@ -8,20 +8,22 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.graph.area_of_interest import Area
-from fwclass.graph.layout import check_features
-from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.graph.stage import Plan
+from fwclass.graph.stages import check_features
+from fwclass.graph.walk import until_report, until_tiles
+from fwclass.graph.workflow import Workflow, after_tiles
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import fan
 from fwclass.study.papers.begin import features_like, require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, learn_tasks, time_tasks
 from fwclass.study.selection import selection
-from workflows.classification import from_tiles
+from workflows.classification import classification
 
 NAME = "fan2013"
 
 
-def fan2013(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
+def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
     """Run all stages, then the paper's tables on training and test areas; return the run's report.
 
     `tiles` cannot be chosen: the figures are those of the whole survey.
@@ -32,8 +34,8 @@ def fan2013(config: Config, runner: Runner, tiles: frozenset[str] | Area | None 
     computed = (*used, *config.features.also)
     check_features(config, computed, f"{config.path}: survey.features, features.also")
     names = features_like(config, printed["selection"]["order"])
-    tiled = until_tiles(config, runner, used)
-    report = from_tiles(config, runner, tiled, used, until_labels(tiled, computed))
+    plan = until_tiles(Plan(config, used, computed), runner)
+    report = until_report(plan, runner, after_tiles(classification.stages))
     if runner.failures:
         return report
     aside = runner.beside()
@@ -44,12 +46,15 @@ def fan2013(config: Config, runner: Runner, tiles: frozenset[str] | Area | None 
     }
     variants = fan.variants(config, names, printed)
     columns = tuple(dict.fromkeys((*names, *used)))  # the run's own forest may decide by what the paper lacks
-    made = dict(require_all(runner, data_tasks(tiled.layout, columns) + learn_tasks(config, columns, variants)))
+    made = dict(require_all(runner, data_tasks(plan.layout, columns) + learn_tasks(config, columns, variants)))
     made |= require_all(runner, comparison_tasks(config, fan.comparisons(config, variants)))
     made |= require_all(runner, time_tasks(config, columns, fan.timed(variants)))
 
     def page() -> dict[str, Any]:
         facts = fan.facts(config, printed, report, curves, variants, made)
-        return deliver(config, runner, tiled.layout, report, facts)
+        return deliver(config, runner, plan.layout, report, facts)
 
     return runner.tell(page)
+
+
+fan2013 = Workflow(NAME, "Fan 2013: figures beside the paper's", classification.stages, walk)

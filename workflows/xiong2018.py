@@ -8,20 +8,22 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.graph.area_of_interest import Area
-from fwclass.graph.layout import check_features
-from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.graph.stage import Plan
+from fwclass.graph.stages import check_features
+from fwclass.graph.walk import until_report, until_tiles
+from fwclass.graph.workflow import Workflow, after_tiles
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import xiong
 from fwclass.study.papers.begin import require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
 from fwclass.study.selection import selection
-from workflows.classification import from_tiles
+from workflows.classification import classification
 
 NAME = "xiong2018"
 
 
-def xiong2018(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
+def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
     """Select among the survey's features, run all stages with the best set, then the paper's tables; return the report.
 
     `tiles` cannot be chosen: the figures are those of the whole survey.
@@ -32,21 +34,22 @@ def xiong2018(config: Config, runner: Runner, tiles: frozenset[str] | Area | Non
     aside = runner.beside()
     found, final = selected(config, aside)
     chosen = final.features_asked
-    tiled = until_tiles(config, runner, names)
-    report = from_tiles(final, runner, tiled, chosen, until_labels(tiled, names))
+    plan = until_tiles(Plan(config, names, names), runner)
+    best = replace(plan, config=final, names=chosen, tiled=replace(plan.layout, config=final))
+    report = until_report(best, runner, after_tiles(classification.stages))
     if runner.failures:
         return report
     variants = xiong.variants(config, names, chosen)
     forest = next(v for v in variants if v.name == xiong.ALL)
-    made = dict(require_all(runner, data_tasks(tiled.layout, names) + learn_tasks(config, names, variants)))
+    made = dict(require_all(runner, data_tasks(plan.layout, names) + learn_tasks(config, names, variants)))
     made |= require_all(runner, importance_tasks(config, names, forest))
     made |= require_all(runner, comparison_tasks(config, xiong.comparisons(variants)))
-    thinned = xiong.thinned(config, aside, tiled.layout, chosen)
+    thinned = xiong.thinned(config, aside, plan.layout, chosen)
     made |= require_all(runner, time_tasks(config, names, variants))
 
     def page() -> dict[str, Any]:
         facts = xiong.facts(config, printed, report, found, thinned, variants, made)
-        return deliver(config, runner, tiled.layout, report, facts)
+        return deliver(config, runner, plan.layout, report, facts)
 
     return runner.tell(page)
 
@@ -56,3 +59,6 @@ def selected(config: Config, runner: Runner) -> tuple[dict[str, Any], Config]:
     found = selection(config, runner, config.features_asked, "rffs")
     survey = config.survey.model_copy(update={"features": tuple(found["chosen"])})
     return found, replace(config, survey=survey, features=config.features.model_copy(update={"also": ()}))
+
+
+xiong2018 = Workflow(NAME, "Xiong 2018: features are chosen, figures beside the paper's", classification.stages, walk)

@@ -10,11 +10,10 @@ from fwclass.assess.distribution import QUANTILES, distribution, packed, quantil
 from fwclass.assess.intervals import caution, difference, intervals
 from fwclass.assess.params import AssessParams
 from fwclass.errors import QualityError
-from fwclass.stage import Stage
 
 __all__ = [
-    "ASSESS",
-    "DISTRIBUTION",
+    "ASSESS_VERSION",
+    "CONFUSION_VERSION",
     "QUANTILES",
     "AssessParams",
     "BlockCounts",
@@ -48,14 +47,5 @@ def judge(made: dict[str, Any], params: AssessParams) -> None:
             )
 
 
-ASSESS = Stage(
-    name="assess",
-    version=1,
-    kind="tile",
-    function=confusion,
-    params=AssessParams,
-    reads=("reference", "classification"),
-)
-DISTRIBUTION = Stage(
-    name="distribution", version=1, kind="tile", function=distribution, params=AssessParams, reads=("reference",)
-)
+CONFUSION_VERSION, ASSESS_VERSION = 4, 5
+"""Raised when the same classes and labels of a tile would give other counts, and the same counts other figures."""

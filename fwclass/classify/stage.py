@@ -7,12 +7,11 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.classify.params import ClassifyParams
 from fwclass.classify.shares import answer, entropy, fitting
 from fwclass.classify.vote import count, walkable
 from fwclass.model import Forest, Machine, Model, sample_matrix
 from fwclass.schema import Table
-from fwclass.stage import Stage
+from fwclass.stage import Computation
 
 
 def votes(X: NDArray[np.float32], forest: Forest) -> NDArray[np.uint16]:
@@ -62,11 +61,4 @@ def filled(X: NDArray[np.float32], model: Model) -> int:
     return int(np.isnan(X).sum()) if isinstance(model, Machine) else 0
 
 
-CLASSIFY = Stage(
-    name="classify",
-    version=2,
-    kind="tile",
-    function=classify,
-    params=ClassifyParams,
-    writes=("classification", "confidence", "entropy"),
-)
+CLASSIFY = Computation(name="classify", version=2, writes=("classification", "confidence", "entropy"))

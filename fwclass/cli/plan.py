@@ -42,19 +42,19 @@ def plan(
     """
     from fwclass import conf as configuration
     from fwclass.graph.survey import check_areas
+    from fwclass.graph.walk import deciding
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
     from fwclass.operate.estimate.output import check_free, deliver
     from fwclass.operate.estimate.text import describe
     from fwclass.operate.estimate.whole import as_json as plain
     from fwclass.operate.estimate.whole import planned
-    from workflows.classification import features_of
 
     config = configuration.load(conf, settings)
     root = out if out is not None else Path("runs") / config.survey.name
     check_free(root, overwrite)
     number = config.run.workers if workers is None else workers
-    features_of(config)
+    deciding(config)
     facts = survey_facts(config, root)
     check_areas(config, facts.box)
     made = planned(config, facts, number, room_at(root))

@@ -207,7 +207,8 @@ def demo(out: Path, workers: int | None) -> None:
 def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | None) -> None:
     """Simulate a survey: LAS + WDP strips and reference labels."""
     from fwclass import conf as configuration
-    from fwclass.graph.survey import simulate_tasks
+    from fwclass.graph.stage import Plan
+    from fwclass.graph.survey import simulation
 
     config = configuration.load(conf, settings)
     if config.simulate is None:
@@ -219,7 +220,7 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], workers: int | No
         )
     count = config.run.workers if workers is None else workers
     with open_runner(out, count, None, config.run) as runner:
-        receipts = runner.do(simulate_tasks(config.simulate, "."))
+        receipts = runner.do(simulation(".").tasks(Plan(config)))
         failures = runner.failures
     pulses = sum(int(r.meta.get("pulses", 0)) for r in receipts.values())
     click.echo(f"{pulses:,} pulses in {out / 'strips'}, reference in {out / 'reference'}", err=True)

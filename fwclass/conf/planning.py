@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from fwclass.stage import Params
 
-Unit = Literal["point", "pulse", "echo", "reference", "cell", "tree_row"]
-"""What a stage's cost is counted in: a point of a file, a pulse, an echo, a point of the reference, a cell of the
-delivered rasters, or a row of the training sample times the trees that it grows."""
-
 
 class StageCost(Params):
-    """The cost of a stage; numbers stand in `conf/base.yaml`.
+    """The cost of a stage, in the unit that its record names; numbers stand in `conf/base.yaml`.
 
     Attributes
     ----------
-    unit : what it is counted in.
     part : time of a part that holds nothing [ms].
     each : processor time of a unit more [µs].
     stored : written for a unit, besides waveforms [bytes].
@@ -26,7 +21,6 @@ class StageCost(Params):
     held : memory for a unit that the part reads, its halo's too [bytes].
     """
 
-    unit: Unit
     part: float = Field(ge=0)
     each: float = Field(ge=0)
     stored: float = Field(ge=0)

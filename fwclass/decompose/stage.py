@@ -12,13 +12,12 @@ from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, outgoing_times
 from fwclass.decompose.plausible import UNKNOWN, Surroundings, judge, renumbered
-from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import quantised
 from fwclass.schema import Table
-from fwclass.stage import Stage
+from fwclass.stage import Computation
 from fwclass.units import AREA_PER_FWHM
-from fwclass.waveforms import ECHO_COLUMNS, PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
+from fwclass.waveforms import ECHO_COLUMNS, Waveforms
 
 FITTED, KEPT, READ_AS_ECHO = 0, 1, 2
 """Values of `origin`."""
@@ -216,13 +215,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Stage(name="pulse", version=3, kind="gather", function=estimate_pulse, params=PulseParams, reads=PULSE_COLUMNS)
-DECOMPOSE = Stage(
-    name="decompose",
-    version=5,
-    kind="chunk",
-    function=decompose,
-    params=DecomposeParams,
-    reads=tuple(dict.fromkeys((*PULSE_COLUMNS, *RETURN_COLUMNS))),
-    writes=ECHO_COLUMNS,
-)
+PULSE = Computation(name="pulse", version=3)
+DECOMPOSE = Computation(name="decompose", version=5, writes=ECHO_COLUMNS)

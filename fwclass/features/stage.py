@@ -14,7 +14,7 @@ from fwclass.features.params import NORMAL, ORIENTED, Asked, FeaturesParams
 from fwclass.features.pulses import MEASURED, pulse_variances
 from fwclass.features.spheres import optimal, spheres
 from fwclass.schema import Scale, Table, require
-from fwclass.stage import Chunk, Stage
+from fwclass.stage import Chunk, Computation
 
 
 def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Table:
@@ -79,5 +79,5 @@ def named(made: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
     return {f"{base}_{scale.suffix}": values for base, values in made.items()}
 
 
-FEATURES = Stage(name="features", version=6, kind="tile", function=features, params=FeaturesParams, writes=NORMAL)
+FEATURES = Computation(name="features", version=6, writes=NORMAL)
 """It reads and writes what a list of names asks for: `Asked.reads`, `Asked.reach`."""

@@ -1,105 +1,273 @@
-"""Parts of the ground: filters and terrain by blocks of the fixed grid, their columns by tile, and the seams."""
+"""Stages of the ground: filters and terrain by blocks of the fixed grid, their columns by tile, and the seams."""
 
 from __future__ import annotations
 
-from functools import partial
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
-from fwclass.graph.layout import Layout, needs_of, plain
-from fwclass.graph.work import ground
-from fwclass.grid import Tile, TileGrid, Window
-from fwclass.ground.stage import GROUND_FILTER, TERRAIN
-from fwclass.run.part import Task
-from fwclass.run.tasks import Tasks
+import numpy as np
+from numpy.typing import NDArray
 
-SEAMS_VERSION = 2
+from fwclass.errors import StoreError
+from fwclass.graph.layout import Layout
+from fwclass.graph.rasters import Mosaic, write_rasters
+from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
+from fwclass.ground.params import GroundParams
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filtered
+from fwclass.ground.terrain.params import TerrainParams
+from fwclass.ground.terrain.terrain import terrain
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Name
+from fwclass.schema import Table, column
+from fwclass.store.cells import CELLS, by_name
+
+WITHIN = 0.01
+"""Difference of terrain heights that counts as none [m]."""
 
 
-def ground_tasks(layout: Layout) -> Tasks:
-    """From tiles of echoes to ground flags, terrain rasters and heights above ground."""
-    made = _filter_tasks(layout)
-    made += _column_tasks(layout, "ground", GROUND_FILTER.name, GROUND_FILTER.writes, layout.config.ground.block)
-    made += _terrain_tasks(layout)
-    made += _column_tasks(layout, "height", TERRAIN.name, TERRAIN.writes, layout.config.terrain.block)
-    return made
+@dataclass(frozen=True)
+class Surroundings:
+    """Echoes of a block and its halo, tile after tile.
+
+    Attributes
+    ----------
+    table : their columns.
+    own : the block owns the echo.
+    pieces : (tile, rows of it that the block owns), in the order of `table`.
+    """
+
+    table: Table
+    own: NDArray[np.bool_]
+    pieces: tuple[tuple[str, int], ...]
+
+    def facts(self, made: Table) -> dict[str, Any]:
+        """For the receipt of a block that `made` this of its own echoes: whose they are, a digest for every tile."""
+        offsets = np.cumsum([0, *(rows for _, rows in self.pieces)])
+        cells = by_name(made, (key for key, _ in self.pieces), offsets.tolist())
+        return {"pieces": [list(p) for p in self.pieces], CELLS: cells}
 
 
-def _filter_tasks(layout: Layout) -> Tasks:
-    config, here = layout.config, layout.keys
-    halo, params = GROUND_FILTER.halo(config.ground), plain(config.ground)
+def surroundings(
+    inputs: PartInputs, block: Tile, halo: float, tile_size: float, columns: Mapping[str, str], present: tuple[str, ...]
+) -> Surroundings:
+    """Echoes of `block` grown by `halo` [m] from the tiles that are there."""
+    box, here = block.box.grown(halo), set(present)
+    wanted = {**dict.fromkeys(("x", "y"), "tile"), **columns}
+    tables, owned, pieces = [], [], []
+    for tile in TileGrid(tile_size).touching(box):
+        if tile.key not in here:
+            continue
+        table = inputs.rows(tile.key, wanted, box).select(wanted)
+        own = block.box.contains(table["x"], table["y"])
+        tables.append(table)
+        owned.append(own)
+        if own.any():
+            pieces.append((tile.key, int(own.sum())))
+    if not tables:
+        return Surroundings(Table.empty(wanted), np.zeros(0, bool), ())
+    return Surroundings(Table.concat(tables), np.concatenate(owned), tuple(pieces))
 
-    def made(block: Tile) -> Task:
-        within = block.box.grown(halo)
-        present = layout.around(within, here)
-        return Task(
-            GROUND_FILTER.name,
-            block.key,
-            GROUND_FILTER.version,
-            params,
-            partial(ground.filtered_block, block, config.tile.size, present, config.ground),
-            needs=tuple(("tile", k) for k in present),
-            within=within,
+
+def around_block(here: StageInputs) -> Surroundings:
+    """The declared columns of a block's echoes and of those in its halo."""
+    return surroundings(here.inputs, here.tile, here.halo, here.tile_size, here.columns, here.present)
+
+
+def filtered_block(here: StageInputs, params: GroundParams) -> Made:
+    """Ground and noise flags of a block's echoes, tile after tile."""
+    around = around_block(here)
+    flags = filtered(around.table, params)
+    table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
+    return table, {
+        **around.facts(table),
+        "ground": int(table["ground"].sum()),
+        "noise": int(table["noise"].sum()),
+        "rows": table.rows,
+    }
+
+
+def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
+    """Terrain rasters of a block, and the heights above ground of its echoes, tile after tile."""
+    core = Window.covering(here.tile.box, params.cell)
+    around = around_block(here)
+    t = around.table
+    made = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], around.own, core, params)
+    write_rasters(here.directory, {"dtm": made.dtm, "dsm": made.dsm, "support": made.support}, core)
+    heights = Table({"height_above_ground": made.height})
+    return heights, {
+        **around.facts(heights),
+        "measured": int((made.support == 0).sum()),
+        "beyond": int((made.support == 2).sum()),
+        "without_terrain": int(np.isnan(made.height).sum()),
+    }
+
+
+def gathered_columns(here: StageInputs, source: str, columns: tuple[str, ...], block: float) -> Made:
+    """Columns that blocks of edge `block` [m] wrote about a tile's echoes, in the tile's row order."""
+    places = here.inputs.rows(here.part, {"x": "tile", "y": "tile"})
+    out = {n: np.zeros(places.rows, np.dtype(column(n).dtype)) for n in columns}
+    echoes, grid = 0, TileGrid(block)
+    for key in here.parts(source):
+        first = 0
+        for tile, rows in here.inputs.meta(source, key)["pieces"]:
+            if tile == here.part:
+                own = grid.tile(key).box.contains(places["x"], places["y"])
+                piece = here.inputs.table(source, key, columns)
+                if int(own.sum()) != rows:
+                    raise StoreError("a block's echoes are not the tile's", where=f"{source}/{key}", got=rows)
+                for name in columns:
+                    out[name][own] = piece[name][first : first + rows]
+                echoes += rows
+            first += rows
+    if echoes != places.rows:
+        raise StoreError("echoes of a tile lie in no block", where=f"{source} of {here.part}", got=places.rows - echoes)
+    return Table(out), {"rows": places.rows}
+
+
+def measured_seams(
+    here: StageInputs, ground: GroundParams, terrain: TerrainParams, most_cells: int, bounds: tuple[float, ...]
+) -> Made:
+    """The survey filtered once more as a single block, against what its blocks say.
+
+    Where it lies in several places, each of them is one: blocks that do not touch know nothing of each other. A place
+    whose box has more than `most_cells` cells of the terrain is left out, and so is a single block among several.
+    """
+    columns, box = here.columns, Box(*bounds)
+    table = Table.concat([here.inputs.rows(key, columns).select(columns) for key in here.present])
+    cut = TileGrid(terrain.block)
+    blocks = [cut.tile(key) for key in here.parts(TERRAIN.name)]
+    mosaic = Mosaic(here.inputs, TERRAIN.name, blocks, terrain.cell, {"dtm": np.float32(np.nan)})
+    grid = TileGrid(ground.block)
+    ix, iy = grid.indices(table["x"], table["y"])
+    owned, block_of = np.unique(np.stack([ix, iy], axis=1), axis=0, return_inverse=True)
+    parts = groups(Tile(int(cx), int(cy), ground.block) for cx, cy in owned)
+    part_of = {(t.ix, t.iy): k for k, part in enumerate(parts) for t in part}
+    place = np.array([part_of[cx, cy] for cx, cy in owned.tolist()], np.int64)[block_of.reshape(-1)]
+    seen, left_out = _Seams(), 0
+    for k, part in enumerate(parts):
+        inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
+        window = Window.covering(inside or box, terrain.cell)
+        if math.prod(window.shape) > most_cells or (len(part) == 1 < len(parts)):
+            left_out += int((place == k).sum())
+            continue
+        echoes = table if len(parts) == 1 else table.take(place == k)
+        seen.add(echoes, mosaic.laid(window)["dtm"], window, ground, terrain)
+    return {**seen.facts(), "left_out": left_out}
+
+
+@dataclass
+class _Seams:
+    """What differs, place by place."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    off: list[NDArray[np.float32]] = field(default_factory=list)
+
+    def add(
+        self, table: Table, dtm: NDArray[np.float32], window: Window, ground: GroundParams, params: TerrainParams
+    ) -> None:
+        """Filter the echoes of one place as one block, and hold the answer against their flags and the `dtm`."""
+        whole = filtered(table, ground)
+        nobody = np.zeros(table.rows, bool)
+        place = (table["x"], table["y"], table["z"])
+        surface = terrain(*place, whole.ground, whole.noise, nobody, window, params).dtm
+        differs = (table["ground"] != whole.ground) | (table["noise"] != whole.noise)
+        both = np.isfinite(dtm) & np.isfinite(surface)
+        off = np.abs(dtm - surface)[both]
+        self.off.append(off)
+        self.counts.update(
+            echoes=table.rows,
+            flags_differ=int(differs.sum()),
+            cells=int((np.isfinite(dtm) | np.isfinite(surface)).sum()),
+            cells_one_sided=int((np.isfinite(dtm) != np.isfinite(surface)).sum()),
+            cells_off=int((off > WITHIN).sum()),
         )
 
-    return Tasks.of(GROUND_FILTER.name, layout.blocks(config.ground.block), made)
-
-
-def _terrain_tasks(layout: Layout) -> Tasks:
-    config, here = layout.config, layout.keys
-    halo, params = TERRAIN.halo(config.terrain), plain(config.terrain)
-    columns = layout.columns(TERRAIN.reads)
-
-    def made(block: Tile) -> Task:
-        within = Window.covering(block.box, config.terrain.cell).box.grown(halo)
-        present = layout.around(within, here)
-        return Task(
-            TERRAIN.name,
-            block.key,
-            TERRAIN.version,
-            params,
-            partial(ground.terrain_block, block, config.tile.size, columns, present, config.terrain),
-            needs=needs_of(columns, present),
-            within=within,
-        )
-
-    return Tasks.of(TERRAIN.name, layout.blocks(config.terrain.block, margin=1), made)
-
-
-def _column_tasks(layout: Layout, stage: str, source: str, columns: tuple[str, ...], block: float) -> Tasks:
-    """What blocks wrote about echoes, put into the rows of their tiles."""
-    there = {b.key for b in layout.blocks(block)}
-    params = {"columns": list(columns), "block": block}
-
-    def made(tile: Tile) -> Task:
-        mine = tuple(b for b in TileGrid(block).touching(tile.box) if b.key in there)
-        return Task(
-            stage,
-            tile.key,
-            1,
-            params,
-            partial(ground.gathered_columns, tile, mine, source, columns),
-            needs=(("tile", tile.key), *((source, b.key) for b in mine)),
-            within=tile.key,
-        )
-
-    return Tasks.of(stage, layout.tiles, made)
-
-
-def seam_tasks(layout: Layout) -> list[Task]:
-    """The check that cutting the survey into blocks changed nothing; none where the survey is too large for it."""
-    config = layout.config
-    if layout.echoes > config.run.seam_check_echoes:
-        return []
-    columns = layout.columns(tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))))
-    keys = tuple(t.key for t in layout.tiles)
-    blocks = terrain_blocks(layout)
-    most = config.run.seam_check_cells
-    params = {"ground": plain(config.ground), "terrain": plain(config.terrain), "cells": most}
-    work = partial(ground.measured_seams, keys, columns, blocks, layout.box, config.ground, config.terrain, most)
-    needs = (*needs_of(columns, keys), *((TERRAIN.name, b.key) for b in blocks))
-    return [Task("seams", "all", SEAMS_VERSION, params, work, needs=needs, check=True)]
+    def facts(self) -> dict[str, Any]:
+        """Counts, and how far heights are apart [m]."""
+        off = np.concatenate([np.empty(0, np.float32), *self.off])
+        names = ("echoes", "flags_differ", "cells", "cells_one_sided", "cells_off")
+        return {
+            **{n: self.counts[n] for n in names},
+            "within": WITHIN,
+            "dtm_p999": float(np.quantile(off, 0.999)) if off.size else None,
+            "dtm_worst": float(off.max()) if off.size else None,
+        }
 
 
 def terrain_blocks(layout: Layout) -> tuple[Tile, ...]:
     """Terrain blocks that the survey's box touches."""
     blocks = layout.blocks(layout.config.terrain.block, margin=1)
     return tuple(b for b in blocks if b.box.touches(layout.box))
+
+
+def _gathers(name: str, source: Stage, columns: Names, block: Any) -> Stage:
+    """The stage that puts what blocks wrote about echoes into the rows of their tiles."""
+
+    def blocks(plan: Plan, tile: Tile) -> list[Name]:
+        edge = block(plan)
+        return [(source.name, b.key) for b in TileGrid(edge).touching(tile.box) if b.key in plan.layout.occupied[edge]]
+
+    return Stage(
+        name,
+        1,
+        "tile",
+        "echo",
+        gathered_columns,
+        arguments=lambda plan: {"source": source.name, "columns": columns, "block": block(plan)},
+        own=("x", "y"),
+        writes=columns,
+        needs=blocks,
+        named=True,
+        cells=True,
+    )
+
+
+FILTER_GROUND = Stage(
+    GROUND_FILTER.name,
+    GROUND_FILTER.version,
+    "block",
+    "echo",
+    filtered_block,
+    edge=lambda plan: plan.config.ground.block,
+    arguments=lambda plan: {"params": plan.config.ground},
+    reads=GROUND_FILTER.reads,
+    writes=GROUND_FILTER.writes,
+    halo=lambda plan: GROUND_FILTER.halo(plan.config.ground),
+)
+GATHER_GROUND = _gathers("ground", FILTER_GROUND, GROUND_FILTER.writes, lambda plan: plan.config.ground.block)
+MAKE_TERRAIN = Stage(
+    TERRAIN.name,
+    TERRAIN.version,
+    "block",
+    "echo",
+    terrain_block,
+    edge=lambda plan: plan.config.terrain.block,
+    margin=1,
+    arguments=lambda plan: {"params": plan.config.terrain},
+    reads=TERRAIN.reads,
+    writes=TERRAIN.writes,
+    halo=lambda plan: TERRAIN.halo(plan.config.terrain),
+    area=lambda plan, block: Window.covering(block.box, plan.config.terrain.cell).box,
+)
+GATHER_HEIGHT = _gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)
+CHECK_SEAMS = Stage(
+    "seams",
+    2,
+    "survey",
+    "echo",
+    measured_seams,
+    when=lambda plan: plan.tiled is None or plan.layout.echoes <= plan.config.run.seam_check_echoes,
+    arguments=lambda plan: {
+        "ground": plan.config.ground,
+        "terrain": plan.config.terrain,
+        "most_cells": plan.config.run.seam_check_cells,
+        "bounds": plan.layout.box.bounds,
+    },
+    reads=tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))),
+    needs=lambda plan, part: [(TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)],
+    check=True,
+)

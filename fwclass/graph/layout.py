@@ -9,23 +9,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from fwclass.classify.stage import CLASSIFY, probability_columns
-from fwclass.columns import FEATURES
 from fwclass.conf import Config
-from fwclass.decompose.stage import DECOMPOSE
-from fwclass.errors import ConfigError, InputError, nearest
-from fwclass.features.params import NO_FEATURE, NORMAL, Asked, check_scale, is_feature, meant
+from fwclass.errors import InputError
+from fwclass.features.params import is_feature
+from fwclass.features.stage import FEATURES
 from fwclass.grid import Box, Tile, TileGrid
-from fwclass.ground.stage import GROUND_FILTER, TERRAIN
-from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.quantities import Quantities
 from fwclass.run.part import Name
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
-
-MAX_REACH = 100.0
-"""m, no feature reaches further: the neighbourhoods of a point, not of a quarter."""
 
 FileDigests = tuple[ExternalFile, ...]
 """The files of one source, with the digests of their bytes."""
@@ -39,6 +32,10 @@ class Strip:
     path: Location
     digests: FileDigests
     point_format: int
+
+    @property
+    def key(self) -> str:
+        return f"{self.number:05d}"
 
 
 @dataclass(frozen=True)
@@ -75,7 +72,8 @@ class Layout:
 
     `occupied` has for every size of block [m] those that own an echo; `times` is (first, last) GPS time [s], NaN
     without any; `passes` the same of every tile, for each strip that has times there; `lowest` the least z [m];
-    `polygons` are parts of the reference that are no tiles; `quantities`: what amplitudes and widths are.
+    `polygons` are parts of the reference that are no tiles; `quantities`: what amplitudes and widths are; `providers`:
+    the stage that writes each column.
     """
 
     config: Config
@@ -89,6 +87,7 @@ class Layout:
     echoes: int
     polygons: tuple[str, ...] = ()
     quantities: Quantities | None = None
+    providers: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
@@ -147,62 +146,14 @@ class Layout:
 
     def columns(self, names: Iterable[str]) -> dict[str, str]:
         """The stage whose tables hold each of `names`."""
-        known = providers(self.config)
-        return {n: "features" if is_feature(n) else known[n] for n in names}
+        return {n: self.providers[n] if n in self.providers else _of_features(n) for n in names}
 
 
-def providers(config: Config) -> dict[str, str]:
-    """Which stage's tables hold each column that may be asked for, besides features of a neighbourhood."""
-    found = dict.fromkeys(DECOMPOSE.writes, "tile")
-    found |= dict.fromkeys(GROUND_FILTER.writes, "ground")
-    found |= dict.fromkeys(TERRAIN.writes, "height")
-    found |= dict.fromkeys(NORMAL, "features")
-    if has_range(config):
-        found |= dict.fromkeys(RADIOMETRY.writes, "radiometry")
-    found |= dict.fromkeys(CLASSIFY.writes, "classify")
-    if config.classify.probabilities:
-        found |= dict.fromkeys(probability_columns(c.code for c in config.classes), "classify")
-    return found | {"reference": "label"}
-
-
-def has_range(config: Config) -> bool:
-    """Something tells how far the sensor was: an altitude, a trajectory, or a format that knows the sensor's place."""
-    known = config.radiometry.platform_altitude is not None or bool(config.survey.trajectory.files)
-    return known or any(p.lower().endswith(".pls") for p in config.survey.sources)
-
-
-def check_features(config: Config, names: Iterable[str], where: object) -> None:
-    """`ConfigError` for a feature that no stage writes, or that would tell the forest the answer or the place."""
-    known = {n: s for n, s in providers(config).items() if n not in NO_FEATURE and s not in ("label", "classify")}
-    for name in names:
-        check_scale(name, where)
-        if name in RADIOMETRY.writes and name not in known and name not in NO_FEATURE:
-            raise ConfigError(
-                f"{name!r} needs the range to the sensor, which nothing tells",
-                where=where,
-                expected="survey.trajectory.files or radiometry.platform_altitude",
-                got="neither",
-                do="set one of them, or leave the feature out",
-            )
-        if name not in known and not is_feature(name):
-            bases = {c.name: "" for c in FEATURES}
-            raise ConfigError(
-                f"{name!r} is not a feature",
-                where=where,
-                expected="a measured column, or a feature with its scale, as echo_ratio_r100 "
-                "(`fwclass features --list` shows all)",
-                got=name,
-                do=meant(name, known) or nearest(name, {**known, **bases}),
-            )
-    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features)
-    if reach > MAX_REACH:
-        raise ConfigError(
-            "a feature reaches too far",
-            where=where,
-            expected=f"at most {MAX_REACH:g} m: every tile would read its surroundings that far",
-            got=f"{reach:g} m",
-            do="names end in centimetres: height_range_c500 is a cylinder of 5 m",
-        )
+def _of_features(name: str) -> str:
+    """A feature of a neighbourhood that nobody asked for yet has the stage of those that are."""
+    if not is_feature(name):
+        raise KeyError(f"no stage writes {name!r}")
+    return FEATURES.name
 
 
 def plain(params: Any) -> Any:

@@ -1,89 +1,61 @@
-"""Parts of radiometry: the trajectories, the comparison of strips, the calibration, every tile's columns."""
+"""Stages of radiometry: the trajectories, the comparison of strips, the calibration, every tile's columns."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from functools import partial
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+
+from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.graph.layout import Layout, Survey, has_range, needs_of, plain
-from fwclass.graph.work import radiometry
-from fwclass.grid import Tile
-from fwclass.radiometry.stage import CALIBRATE, OVERLAP, RADIOMETRY
-from fwclass.run.part import Name, Task
-from fwclass.run.tasks import Tasks
+from fwclass.graph.layout import FileDigests, Layout
+from fwclass.graph.stage import Flown, Made, Plan, Stage, StageInputs
+from fwclass.radiometry.stage import (
+    CALIBRATE,
+    OVERLAP,
+    RADIOMETRY,
+    Calibration,
+    Overlap,
+    RadiometryParams,
+    calibrate,
+    check_pointing,
+    overlap,
+    pointing_error,
+    radiometry,
+)
+from fwclass.read.trajectory import in_survey_time, read_trajectory, thinned
+from fwclass.run.inputs import TABLE
+from fwclass.run.part import Name
+from fwclass.schema import Table
+from fwclass.store.arrays import write_arrays
+from fwclass.store.atomic import read_json, write_json
 from fwclass.store.receipts import Receipt
+from fwclass.store.remote_file import Location
+from fwclass.store.tables import write_table
 
-Flown = Mapping[str, tuple[float, float]]
-"""First and last time of every trajectory, on the survey's time scale [s]."""
-
-TRAJECTORY_VERSION = 3
-"""Raised when the same file would give other fixes."""
-
+_POINTING = ("x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z")
+COUNTS, CALIBRATION = "counts.zarr", "calibration.json"
+SPACING = 0.1
+"""Fixes closer than this [s] are thinned: a platform that turns at 2 m/s2 is 3 mm off its chord."""
+FIXES = 8192
+"""Fixes in a row group: some minutes of flight."""
 PROBES = 5
 """Tiles, about, whose beams are held against the trajectory before any range is taken from it."""
 
 
-def radiometry_tasks(layout: Layout, flown: Flown) -> Tasks:
-    """All parts of radiometry; none where nothing tells how far the sensor was.
-
-    A tile reads the trajectories that were flown while a strip passed it, so another one leaves it alone.
-    """
-    config = layout.config
-    if not has_range(config):
-        return Tasks()
-    _check_altitude(layout)
-    probed = _pointing_tasks(layout, flown)
-    checked: tuple[Name, ...] = tuple(t.name for t in probed)
-    columns = layout.columns(RADIOMETRY.reads)
-    compared = config.radiometry.balance or config.radiometry.target is not None
-    params = plain(config.radiometry)
-    halo, here = OVERLAP.halo(config.radiometry), layout.keys
-
-    def overlapping(tile: Tile) -> Task:
-        within = tile.box.grown(halo)
-        present = layout.around(within, here)
-        flights = _flights(layout, flown, present)
-        return Task(
-            "overlap",
-            tile.key,
-            OVERLAP.version,
-            params,
-            partial(radiometry.compared, tile, halo, columns, present, flights, config.radiometry),
-            needs=(*needs_of(columns, present), *_needed(flights), *checked),
-            within=within,
-        )
-
-    keys = tuple(t.key for t in layout.tiles) if compared else ()
-    calibration = Task(
-        "calibrate",
-        "all",
-        CALIBRATE.version,
-        params,
-        partial(radiometry.calibrated, keys, config.radiometry),
-        needs=tuple(("overlap", k) for k in keys),
-    )
-
-    def measured(tile: Tile) -> Task:
-        flights = _flights(layout, flown, (tile.key,))
-        return Task(
-            "radiometry",
-            tile.key,
-            RADIOMETRY.version,
-            params,
-            partial(radiometry.measured, tile, columns, flights, config.radiometry),
-            needs=(*needs_of(columns, (tile.key,)), ("calibrate", "all"), *_needed(flights), *checked),
-        )
-
-    before = Tasks.held(probed) + Tasks.of("overlap", layout.tiles if compared else (), overlapping)
-    return before + Tasks.held([calibration]) + Tasks.of("radiometry", layout.tiles, measured)
+def has_range(config: Config) -> bool:
+    """Something tells how far the sensor was: an altitude, a trajectory, or a format that knows the sensor's place."""
+    known = config.radiometry.platform_altitude is not None or bool(config.survey.trajectory.files)
+    return known or any(p.lower().endswith(".pls") for p in config.survey.sources)
 
 
-def _check_altitude(layout: Layout) -> None:
+def check_altitude(layout: Layout) -> None:
     """`ConfigError` for a platform below all echoes."""
     altitude = layout.config.radiometry.platform_altitude
-    if altitude is not None and altitude <= layout.lowest:
+    if has_range(layout.config) and altitude is not None and altitude <= layout.lowest:
         raise ConfigError(
             "the platform is below all echoes",
             where=f"{layout.config.path}: radiometry.platform_altitude",
@@ -93,46 +65,193 @@ def _check_altitude(layout: Layout) -> None:
         )
 
 
-def trajectory_tasks(layout: Layout, survey: Survey) -> list[Task]:
-    """One part for every file of the trajectory; they tell when it was flown, which the rest is planned by."""
-    undulation, made = layout.config.survey.trajectory.undulation, []
-    params = {"undulation": undulation, "crs": survey.crs, "times": layout.times}
-    for file, digests in survey.trajectory:
-        work = partial(radiometry.flown, file, survey.crs, undulation, layout.times)
-        made.append(Task("trajectory", file.stem, TRAJECTORY_VERSION, params, work, external=digests))
-    return made
+def flown(here: StageInputs, crs: str | None, undulation: float, times: tuple[float, float]) -> Made:
+    """A file's trajectory on the time scale of a survey of `times`, sorted by time."""
+    path = here.file()
+    table = in_survey_time(thinned(read_trajectory(path, crs, undulation), SPACING), *times, where=path)
+    write_table(here.directory / TABLE, table, FIXES)
+    at = table["gps_time"]
+    return {"fixes": table.rows, "begins": at[::FIXES].tolist(), "ends": float(at[-1])}
 
 
-def flown_by(tasks: Iterable[Task], done: Mapping[Name, Receipt]) -> Flown:
+def flown_by(plan: Plan, done: Mapping[Name, Receipt]) -> Flown:
     """When each trajectory was flown; (-inf, inf) for one that could not be read."""
-    found = {}
-    for task in tasks:
-        receipt = done.get(task.name)
-        times = (receipt.meta["begins"][0], receipt.meta["ends"]) if receipt else (-math.inf, math.inf)
-        found[task.part] = times
-    return found
+    known = {}
+    for part in READ_TRAJECTORY.all_parts(plan):
+        receipt = done.get((READ_TRAJECTORY.name, part.key))
+        known[part.key] = (receipt.meta["begins"][0], receipt.meta["ends"]) if receipt else (-math.inf, math.inf)
+    return known
 
 
-def _pointing_tasks(layout: Layout, flown: Flown) -> list[Task]:
-    if not flown:
-        return []
-    probes = tuple(t.key for t in layout.tiles[:: max(1, len(layout.tiles) // PROBES)])
-    flights = _flights(layout, flown, probes)
-    work = partial(radiometry.pointing, flights, probes, layout.config.radiometry)
-    needs = (*(("tile", key) for key in probes), *_needed(flights))
-    return [Task("pointing", "all", 1, plain(layout.config.radiometry), work, needs=needs)] if flights else []
+def pointing(here: StageInputs, params: RadiometryParams) -> Made:
+    """Refuses a trajectory that the beams of some tiles do not come from."""
+    echoes = Table.concat([here.inputs.table("tile", key, _POINTING) for key in here.parts("tile")])
+    flights = here.parts("trajectory")
+    check_pointing(pointing_error(echoes, _trajectory(here, echoes["gps_time"]), params), ", ".join(flights))
+    return {}
 
 
-def _flights(layout: Layout, flown: Flown, tiles: Iterable[str]) -> tuple[str, ...]:
-    """The trajectories that a strip over one of `tiles` may be told by."""
-    gap = layout.config.radiometry.max_time_gap
-    passes = [one for key in tiles for one in layout.passes[key]]
-    return tuple(
-        name
-        for name, (begin, end) in flown.items()
+def _trajectory(here: StageInputs, times: Any) -> Table:
+    """The declared fixes around `times`: the row groups that hold them, and one on either side.
+
+    Where two files have the same time, the first one's.
+    """
+    at = times[np.isfinite(times)]
+    table = Table.concat([_around(here, flight, at) for flight in here.parts("trajectory")])
+    _, first = np.unique(table["gps_time"], return_index=True)
+    return table.take(first)
+
+
+def _around(here: StageInputs, flight: str, times: Any) -> Table:
+    begins = np.array(here.inputs.meta("trajectory", flight)["begins"])
+    at = np.unique(np.searchsorted(begins, times, side="right") - 1) if len(times) else np.empty(0, np.int64)
+    groups = {int(g) + d for g in at for d in (-1, 0, 1)}
+    return here.inputs.groups("trajectory", flight, sorted(g for g in groups if 0 <= g < len(begins)))
+
+
+def compared(here: StageInputs, params: RadiometryParams) -> Made:
+    """What a tile says about the gains of its strips."""
+    chunk = here.chunk()
+    trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None
+    write_arrays(here.directory / COUNTS, overlap(chunk, trajectory, params).arrays())
+    return {}
+
+
+def calibrated(here: StageInputs, params: RadiometryParams) -> Made:
+    """The gains of the strips and the constant of the survey."""
+    tiles = here.parts("overlap")
+    calibration = calibrate((Overlap.from_arrays(here.inputs.arrays("overlap", t, COUNTS)[0]) for t in tiles), params)
+    facts = calibration.to_json()
+    write_json(here.directory / CALIBRATION, facts)
+    return {"calibration": facts}
+
+
+def measured(here: StageInputs, params: RadiometryParams) -> Made:
+    """Radiometric columns of a tile's echoes."""
+    chunk = here.chunk()
+    trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None
+    calibration = Calibration.from_json(read_json(here.inputs.path("calibrate", "all", CALIBRATION)))
+    table = radiometry(chunk, trajectory, calibration, params)
+    error = pointing_error(chunk.table, trajectory, params) if trajectory is not None else float("nan")
+    return table, {
+        "without_range": int(np.isnan(table["range"]).sum()),
+        "pointing_error": error if np.isfinite(error) else None,
+    }
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """A file of the trajectory."""
+
+    key: str
+    path: Location
+    digests: FileDigests
+
+
+def _flights(plan: Plan) -> list[_Flight]:
+    return [_Flight(path.stem, path, digests) for path, digests in plan.survey.trajectory]
+
+
+def _params(plan: Plan) -> Mapping[str, Any]:
+    return {"params": plan.config.radiometry}
+
+
+def _ranged(plan: Plan) -> bool:
+    return has_range(plan.config)
+
+
+def _compares(plan: Plan) -> bool:
+    wanted = plan.config.radiometry.balance or plan.config.radiometry.target is not None
+    return has_range(plan.config) and wanted
+
+
+def _over(plan: Plan, tiles: Iterable[str]) -> list[Name]:
+    """The trajectories that a strip over one of `tiles` may be told by: another one leaves them alone."""
+    gap = plan.config.radiometry.max_time_gap
+    passes = [one for key in tiles for one in plan.layout.passes[key]]
+    return [
+        ("trajectory", name)
+        for name, (begin, end) in plan.flown.items()
         if any(begin <= last + gap and end >= first - gap for first, last in passes)
-    )
+    ]
 
 
-def _needed(flights: Iterable[str]) -> tuple[Name, ...]:
-    return tuple(("trajectory", name) for name in flights)
+def _probes(plan: Plan) -> tuple[str, ...]:
+    tiles = plan.layout.tiles
+    return tuple(t.key for t in tiles[:: max(1, len(tiles) // PROBES)])
+
+
+def _points(plan: Plan) -> bool:
+    if plan.tiled is None:  # not known yet
+        return bool(plan.config.survey.trajectory.files)
+    return has_range(plan.config) and bool(plan.flown) and bool(_over(plan, _probes(plan)))
+
+
+def _checked(plan: Plan) -> list[Name]:
+    return [("pointing", "all")] if _points(plan) else []
+
+
+def _overlap_needs(plan: Plan, tile: Any) -> list[Name]:
+    box = tile.box.grown(OVERLAP.halo(plan.config.radiometry))
+    return [*_over(plan, plan.layout.around(box, plan.layout.keys)), *_checked(plan)]
+
+
+READ_TRAJECTORY = Stage(
+    "trajectory",
+    3,
+    "file",
+    "part",
+    flown,
+    when=lambda plan: bool(plan.config.survey.trajectory.files),
+    parts=_flights,
+    arguments=lambda plan: {
+        "crs": plan.survey.crs,
+        "undulation": plan.config.survey.trajectory.undulation,
+        "times": plan.layout.times,
+    },
+    source=lambda plan, part: (part.path, part.digests),
+)
+CHECK_POINTING = Stage(
+    "pointing",
+    1,
+    "survey",
+    "part",
+    pointing,
+    when=_points,
+    arguments=_params,
+    needs=lambda plan, part: [*(("tile", key) for key in _probes(plan)), *_over(plan, _probes(plan))],
+)
+COMPARE_STRIPS = Stage(
+    OVERLAP.name,
+    OVERLAP.version,
+    "tile",
+    "echo",
+    compared,
+    when=_compares,
+    arguments=_params,
+    reads=OVERLAP.reads,
+    halo=lambda plan: OVERLAP.halo(plan.config.radiometry),
+    needs=_overlap_needs,
+)
+CALIBRATE_STRIPS = Stage(
+    CALIBRATE.name,
+    CALIBRATE.version,
+    "survey",
+    "part",
+    calibrated,
+    when=_ranged,
+    arguments=_params,
+    needs=lambda plan, part: [("overlap", t.key) for t in COMPARE_STRIPS.all_parts(plan)],
+)
+MEASURE_RADIOMETRY = Stage(
+    RADIOMETRY.name,
+    RADIOMETRY.version,
+    "tile",
+    "echo",
+    measured,
+    when=_ranged,
+    arguments=_params,
+    own=RADIOMETRY.reads,
+    writes=RADIOMETRY.writes,
+    needs=lambda plan, tile: [(CALIBRATE.name, "all"), *_over(plan, (tile.key,)), *_checked(plan)],
+)

@@ -9,9 +9,9 @@ from pyproj import CRS
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
+from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, found_files, joint_bounds
 from fwclass.graph.layout import FileDigests, PolygonFile
-from fwclass.graph.work.sources import Digests
 from fwclass.grid import Box
 from fwclass.label.values import codes_of
 from fwclass.read.polygons import check_field, open_polygons, source_crs, values_of

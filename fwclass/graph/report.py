@@ -19,9 +19,10 @@ from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.layout import Layout, Survey
 from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.graph.rasters import Mosaic
+from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
-from fwclass.graph.work.rasters import Mosaic
-from fwclass.graph.work.sources import pulse_of
+from fwclass.graph.sources import pulse_of
 from fwclass.grid import TileGrid, Window
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import reported
@@ -69,9 +70,7 @@ def write_report(
         "accuracy": (accuracy := _accuracy(runner, config)),
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(runner, names),
-        "sampling": (
-            counted := sampling(config, *(_made(runner, s) for s in ("census", "taken", "label", "polygons")))
-        ),
+        "sampling": (counted := sampling(config, *(_made(runner, s) for s in (LABELS, SAMPLES, "label", "polygons")))),
         "distribution": _distribution(runner),
         "waveforms": _waveforms(runner, survey),
         "plausibility": (plausible := _plausibility(runner, survey, config)),

@@ -1,29 +1,56 @@
-"""Parts that count the labels: where they are, and which of them train."""
+"""Stages that count the labels: how many echoes of every tile have which, and how many of them train."""
 
 from __future__ import annotations
 
-from functools import partial
+import numpy as np
 
-from fwclass.graph.layout import Layout, plain_classes
-from fwclass.graph.work import sampling
-from fwclass.grid import Tile
-from fwclass.run.part import Task
-from fwclass.run.tasks import Tasks
+from fwclass.conf.model import AreasSection
+from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested, training_tiles
+from fwclass.graph.learn import SAMPLE, trains
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.label.census import census, taken
+from fwclass.model import ClassDef
+from fwclass.schema import canonical_key
+
+LABELS, SAMPLES = "label-counts", "sample-counts"
 
 
-def sampling_tasks(layout: Layout) -> Tasks:
-    """census of every tile, and taken of the tiles in training areas."""
-    config = layout.config
-    train, test = config.areas.boxes("train"), config.areas.boxes("test")
-    params = {"areas": config.areas.model_dump(mode="json"), "classes": plain_classes(config)}
+def labels_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Made:
+    """How many of a tile's echoes are labelled as what, and where they lie."""
+    table, train = here.rows(), areas.boxes("train")
+    return census(table, tested(table, train, areas.boxes("test"), areas.gap), train, classes)
 
-    def census(tile: Tile) -> Task:
-        work = partial(sampling.counted, tile, train, test, config.areas.gap, config.classes)
-        return Task("census", tile.key, 1, params, work, needs=(("tile", tile.key), ("label", tile.key)))
 
-    def taken(tile: Tile) -> Task:
-        needs = (("tile", tile.key), ("label", tile.key), ("training", "all"))
-        return Task("taken", tile.key, 1, params, partial(sampling.drawn, tile, train, config.classes), needs=needs)
+def samples_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Made:
+    """How many of a tile's echoes are in the survey's sample."""
+    table = here.rows()
+    arrays, _ = here.inputs.arrays("training", "all", SAMPLE, ("key",))
+    return taken(table, np.isin(canonical_key(table), arrays["key"]), areas.boxes("train"), classes)
 
-    training = [t for t in layout.tiles if any(t.box.touches(b) for b in train)]
-    return Tasks.of("census", layout.tiles, census) + Tasks.of("taken", training, taken)
+
+def _counted(plan: Plan) -> bool:
+    return trains(plan) and labelled(plan)
+
+
+COUNT_LABELS = Stage(
+    LABELS,
+    1,
+    "tile",
+    "echo",
+    labels_counted,
+    when=_counted,
+    arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},
+    own=("x", "y", "reference"),
+)
+COUNT_SAMPLES = Stage(
+    SAMPLES,
+    1,
+    "tile",
+    "echo",
+    samples_counted,
+    when=_counted,
+    parts=training_tiles,
+    arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},
+    own=(*IDENTITY_AND_PLACE, "reference"),
+    needs=lambda plan, tile: (("training", "all"),),
+)

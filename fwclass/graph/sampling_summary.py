@@ -22,7 +22,7 @@ def sampling(
 
     Parameters
     ----------
-    counted, drawn, labelled, polygons : receipts of the parts `census`, `taken`, `label` and `polygons`.
+    counted, drawn, labelled, polygons : receipts of the parts `label-counts`, `sample-counts`, `label` and `polygons`.
     """
     if not counted:
         return None

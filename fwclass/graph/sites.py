@@ -68,7 +68,7 @@ def sites(layout: Layout) -> tuple[Site, ...]:
     return tuple(made)
 
 
-def told(found: Sequence[Site], strips: Sequence[Strip], in_strip: Mapping[int, tuple[str, ...]]) -> str:
+def describe_sites(found: Sequence[Site], strips: Sequence[Strip], in_strip: Mapping[int, tuple[str, ...]]) -> str:
     """What a user should know of a survey of several sites; nothing of one. The smallest sites, which stray points
     make, are named with their files."""
     if len(found) == 1:

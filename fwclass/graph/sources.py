@@ -1,218 +1,290 @@
-"""Parts that read: index, chunks, reference clouds, tiles."""
+"""Stages that read: the index of every strip, its system pulse, and the echoes of its spans."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from fwclass.conf import Config
-from fwclass.decompose.stage import DECOMPOSE, PULSE
-from fwclass.graph.layout import FileDigests, Strip, Survey, plain
-from fwclass.graph.numbering import numbers
-from fwclass.graph.work import reference as of_reference
-from fwclass.graph.work import sources
-from fwclass.grid import TileGrid
+import numpy as np
+
+from fwclass.decompose.envelope import Envelope
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.plausible import UNKNOWN, Surroundings
+from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
+from fwclass.decompose.quiet import QuietNoise, quiet_noise
+from fwclass.decompose.stage import DECOMPOSE, PULSE, decompose
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.graph.layout import FileDigests, Strip
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.read.source import open_source
 from fwclass.read.spans import Span
-from fwclass.read.stage import READ
-from fwclass.run.part import Name, Task
-from fwclass.run.tasks import Tasks
-from fwclass.store.receipts import Receipt
+from fwclass.read.stage import READ, ReadParams, index_source, read_span
+from fwclass.run.inputs import TABLE, PartInputs
+from fwclass.run.part import Name
+from fwclass.schema import Table
+from fwclass.store.arrays import write_arrays
+from fwclass.store.atomic import read_json, write_json
 from fwclass.store.remote_file import Location
-from fwclass.tile.stage import REFERENCE, SPLIT, TILE
+from fwclass.store.tables import write_table
+from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
-INDEX_VERSION = 2
-"""Raised when the same file would be cut into other spans or other pulses."""
+PULSE_FILE = "pulse.json"
+ENVELOPE = "envelope.zarr"
 
-
-def _spans(receipt: Receipt) -> list[Span]:
-    return [Span(a, b, first, pulses, tuple(shared)) for a, b, first, pulses, shared in receipt.meta["spans"]]
-
-
-def index_name(strip: Strip) -> Name:
-    return "index", f"{strip.number:05d}"
+_ARRAYS = ("samples", "offsets", "outgoing", "outgoing_offsets")
+"""What of `Waveforms` is stored as arrays."""
 
 
-def index_tasks(config: Config, strips: Iterable[Strip]) -> list[Task]:
-    return [
-        Task(
-            *index_name(s),
-            INDEX_VERSION,
-            plain(config.read),
-            partial(sources.index, s.path, config.read),
-            external=s.digests,
-        )
-        for s in strips
-    ]
+@dataclass(frozen=True)
+class StripSpan:
+    """A span of a strip, the `number`-th."""
+
+    strip: Strip
+    number: int
+    span: Span
+    waves: bool
+
+    @property
+    def key(self) -> str:
+        return chunk_name(self.strip.number, self.number)
 
 
 def chunk_name(strip: int, span: int) -> str:
     return f"{strip:05d}-{span:05d}"
 
 
-def chunk_tasks(config: Config, strips: Iterable[Strip], indexed: Mapping[Name, Receipt]) -> Tasks:
-    """read, decompose and split of every span of every strip, and every strip's system pulse."""
-    made = Tasks()
-    for strip in strips:
-        index = indexed[index_name(strip)]
-        made += _strip_tasks(config, strip, _spans(index), int(index.meta["pulses"]))
-    return made
+def index_name(strip: Strip) -> Name:
+    return "index", strip.key
 
 
-def _strip_tasks(config: Config, strip: Strip, spans: list[Span], pulses: int) -> Tasks:
-    grid, reading, sizes = TileGrid(config.tile.size), plain(config.read), plain(config.tile)
-    decomposing = plain(config.decompose)  # of the strip that the part is named after
-
-    def rows_of(span: Span) -> list[Any]:
-        return [span.first_point, span.last_point, span.first_pulse, span.n_pulses, list(span.shared)]
-
-    def read(k: int) -> Task:
-        span = spans[k]
-        return Task(
-            "read",
-            chunk_name(strip.number, k),
-            READ.version,
-            {**reading, "span": rows_of(span)},
-            partial(sources.read, strip.path, span, config.read),
-            external=strip.digests,
-        )
-
-    def decompose(k: int) -> Task:
-        part = chunk_name(strip.number, k)
-        return Task(
-            "decompose",
-            part,
-            DECOMPOSE.version,
-            decomposing,
-            partial(sources.decomposed, part, strip.number, config.decompose),
-            needs=(("read", part), ("pulse", f"{strip.number:05d}")),
-        )
-
-    def echoes(k: int) -> Task:
-        """decompose of a file without waveforms, whose returns are echoes: nothing is kept in between."""
-        span, width = spans[k], config.pulse.width or config.pulse.fallback_width
-        return Task(
-            "decompose",
-            chunk_name(strip.number, k),
-            DECOMPOSE.version,
-            {**decomposing, "read": reading, "span": rows_of(span)},
-            partial(sources.returned, strip.path, strip.number, span, config.read, width, config.decompose),
-            external=strip.digests,
-        )
-
-    def split(k: int) -> Task:
-        part = chunk_name(strip.number, k)
-        work = partial(sources.scattered, part, grid)
-        return Task("split", part, SPLIT.version, sizes, work, needs=(("decompose", part),))
-
-    each = range(len(spans))
-    if not pulses:
-        return Tasks.of("decompose", each, echoes) + Tasks.of("split", each, split)
-    pulse = Tasks.held([_pulse_task(config, strip, pulses, len(spans))])
-    return (
-        Tasks.of("read", each, read) + pulse + Tasks.of("decompose", each, decompose) + Tasks.of("split", each, split)
-    )
+def spans_of(plan: Plan, strip: Strip) -> list[StripSpan]:
+    """The spans that a strip's index cuts it into."""
+    meta = plan.indexed[index_name(strip)].meta
+    cut = [Span(a, b, first, pulses, tuple(shared)) for a, b, first, pulses, shared in meta["spans"]]
+    return [StripSpan(strip, k, span, bool(meta["pulses"])) for k, span in enumerate(cut)]
 
 
-def _pulse_task(config: Config, strip: Strip, pulses: int, spans: int) -> Task:
-    parts, cell = tuple(chunk_name(strip.number, k) for k in range(spans)), config.decompose.envelope_cell
-    return Task(
-        "pulse",
-        f"{strip.number:05d}",
-        PULSE.version,
-        {**plain(config.pulse), "cell": cell},
-        partial(sources.measured_pulse, strip.number, pulses, parts, config.pulse, cell),
-        needs=tuple(("read", p) for p in parts),
-    )
+def _spans(plan: Plan) -> list[StripSpan]:
+    return [span for strip in plan.survey.strips for span in spans_of(plan, strip)]
 
 
-def cloud_tasks(config: Config, files: Iterable[tuple[Location, FileDigests, int]]) -> Tasks:
-    """Splits of the reference files, `CLOUD_ROWS` points at a time."""
-    grid, sizes, listed = TileGrid(config.tile.size), plain(config.tile), list(files)
-    numbered = numbers(path.name for path, _, _ in listed)
-    pieces = [
-        (path, digests, k, first, min(points, first + sources.CLOUD_ROWS))
-        for path, digests, points in listed
-        for k, first in enumerate(range(0, points, sources.CLOUD_ROWS))
-    ]
-
-    def made(piece: tuple[Location, FileDigests, int, int, int]) -> Task:
-        path, digests, k, first, last = piece
-        work = partial(sources.scattered_cloud, path, first, last, grid)
-        part = chunk_name(numbered[path.name], k)
-        return Task("reference-split", part, SPLIT.version, {**sizes, "rows": [first, last]}, work, external=digests)
-
-    return Tasks.of("reference-split", pieces, made)
+def _with_waves(plan: Plan) -> list[StripSpan]:
+    return [s for s in _spans(plan) if s.waves]
 
 
-def polygon_tasks(config: Config, survey: Survey) -> list[Task]:
-    """One part for every file of reference polygons: corners in the survey's system, with codes."""
-    asked, made = config.survey.reference, []
-    params = {
-        "field": asked.field,
-        "values": {str(k): v for k, v in asked.values.items()},
-        "crs": survey.crs,
-        "classes": [[c.name, c.code, list(c.codes)] for c in config.classes],
+def _without_waves(plan: Plan) -> list[StripSpan]:
+    return [s for s in _spans(plan) if not s.waves]
+
+
+def _strips(plan: Plan) -> Sequence[Strip]:
+    return plan.survey.strips
+
+
+def _strips_with_waves(plan: Plan) -> list[Strip]:
+    return [s for s in plan.survey.strips if plan.indexed[index_name(s)].meta["pulses"]]
+
+
+def _file(plan: Plan, part: Strip | StripSpan) -> tuple[Location, FileDigests]:
+    strip = part if isinstance(part, Strip) else part.strip
+    return strip.path, strip.digests
+
+
+def index(here: StageInputs, params: ReadParams) -> Made:
+    """Cut a source file into spans that no pulse straddles."""
+    source = open_source(here.file())
+    spans = index_source(source, params)
+    return {
+        "spans": [[s.first_point, s.last_point, s.first_pulse, s.n_pulses, list(s.shared)] for s in spans],
+        "points": source.n_points,
+        "pulses": sum(s.n_pulses for s in spans) if source.has_waves else 0,
+        "point_format": source.point_format,
     }
-    for number, file in enumerate(survey.polygons):
-        work = partial(of_reference.polygons_read, file, asked.field or "", asked.values, config.classes, survey.crs)
-        own = {**params, "layer": file.layer, "from": file.crs}
-        made.append(Task("polygons", f"{number:03d}", 1, own, work, external=file.digests))
-    return made
 
 
-def _fragments(splits: Mapping[Name, Receipt], stage: str) -> dict[str, list[tuple[str, int]]]:
-    """For every tile the (chunk, row group) pairs that hold its rows, in chunk order."""
-    found: dict[str, list[tuple[str, int]]] = {}
-    for name in sorted(splits):
-        if name[0] == stage:
-            for key, (group, _) in splits[name].meta["tiles"].items():
-                found.setdefault(key, []).append((name[1], group))
-    return found
+def read(here: StageInputs, params: ReadParams, span: Span) -> Made:
+    """Pulses, returns and waveforms of one span."""
+    waves = read_span(open_source(here.file()), span, params)
+    write_table(here.directory / "returns.parquet", waves.returns)
+    if waves.pulses.rows:
+        write_table(here.directory / "pulses.parquet", waves.pulses)
+        write_arrays(here.directory / "waveforms.zarr", {name: getattr(waves, name) for name in _ARRAYS})
+    return _facts(waves)
 
 
-def tile_tasks(config: Config, splits: Mapping[Name, Receipt]) -> Tasks:
-    """Tiles of echoes and of reference points."""
-    sizes = plain(config.tile)
-    blocks = tuple(sorted({float(config.ground.block), float(config.terrain.block)}))
-    of_echoes, of_points = _fragments(splits, "split"), _fragments(splits, "reference-split")
-
-    def tile(key: str) -> Task:
-        pairs = of_echoes[key]
-        return Task(
-            "tile",
-            key,
-            TILE.version,
-            {**sizes, "blocks": list(blocks)},
-            partial(sources.tiled, key, tuple(pairs), blocks),
-            needs=tuple(("split", p) for p, _ in pairs),
-            within=key,
-        )
-
-    def reference(key: str) -> Task:
-        pairs = of_points[key]
-        return Task(
-            "reference",
-            key,
-            REFERENCE.version,
-            sizes,
-            partial(sources.tiled_cloud, tuple(pairs)),
-            needs=tuple(("reference-split", p) for p, _ in pairs),
-            within=key,
-        )
-
-    return Tasks.of("tile", sorted(of_echoes), tile) + Tasks.of("reference", sorted(of_points), reference)
+def _facts(waves: Waveforms) -> dict[str, Any]:
+    """What was read, for a receipt."""
+    return {
+        "returns": waves.returns.rows,
+        "waveforms": waves.pulses.rows,
+        "returns_without_packet": int((~waves.returns["has_packet"]).sum()),
+        "faults": {k: int(v) for k, v in sorted(waves.faults.items()) if v},
+    }
 
 
-def where(
-    chunks: Iterable[Task], splits: Mapping[Name, Receipt]
-) -> tuple[dict[int, tuple[str, ...]], dict[int, tuple[str, ...]]]:
-    """For every strip its chunks, and the tiles that hold its echoes."""
-    parts: dict[int, list[str]] = {}
-    held: dict[int, set[str]] = {}
-    for task in chunks:
-        if task.stage == "split":
-            strip = int(task.part.split("-")[0])
-            parts.setdefault(strip, []).append(task.part)
-            held.setdefault(strip, set()).update(splits[task.name].meta["tiles"] if task.name in splits else ())
-    return {s: tuple(p) for s, p in parts.items()}, {s: tuple(sorted(t)) for s, t in held.items()}
+def _waveforms(part: str, inputs: PartInputs, returns: bool = True) -> Waveforms:
+    """A chunk as it was read; on request without its returns."""
+    points = inputs.table("read", part, name="returns.parquet") if returns else Table.empty(RETURN_COLUMNS)
+    if not inputs.meta("read", part)["waveforms"]:
+        return Waveforms(Table.empty(PULSE_COLUMNS), points, np.empty(0, np.uint8), np.zeros(1, np.int64))
+    arrays, _ = inputs.arrays("read", part, "waveforms.zarr")
+    pulses = inputs.table("read", part, name="pulses.parquet")
+    return Waveforms(
+        pulses,
+        points,
+        arrays["samples"],
+        arrays["offsets"],
+        outgoing=arrays["outgoing"],
+        outgoing_offsets=arrays["outgoing_offsets"],
+    )
+
+
+def measured_pulse(here: StageInputs, params: PulseParams, cell: float) -> Made:
+    """The system's pulse and the receiver of a strip, from a sample of its waveforms; the envelope of its returns."""
+    parts, inputs, directory = here.parts("read"), here.inputs, here.directory
+    strip, pulses = int(here.part), int(inputs.meta("index", here.part)["pulses"])
+    samples = [sample_pulses(_waveforms(part, inputs, returns=False), strip, pulses, params) for part in parts]
+    sampled, noise, pulse = (
+        sum(s.pulses.rows for s in samples),
+        UNKNOWN.noise,
+        SystemPulse.gaussian(params.fallback_width),
+    )
+    if samples:
+        sample = join_samples(samples)
+        pulse = estimate_pulse(sample, params)
+    write_json(directory / PULSE_FILE, pulse.to_json())
+    if sampled:
+        noise = quiet_noise(sample, pulse, params.tail)
+        returns = (inputs.table("read", part, "xyz", "returns.parquet") for part in parts)
+        envelope = Envelope.of(returns, cell)
+        ends = {n: v if np.isfinite(v) else None for n, v in (("bottom", envelope.bottom), ("top", envelope.top))}
+        attributes = {"cell": cell, **ends, **asdict(noise)}
+        write_arrays(directory / ENVELOPE, {"keys": envelope.keys, "lowest": envelope.lowest}, attributes)
+    return {
+        "pulse": describe(pulse),
+        "noise": max((c.noise for c in pulse.channels), default=None),
+        "sampled": sampled,
+        **noise.told,
+    }
+
+
+def pulse_of(strip: int, inputs: PartInputs) -> SystemPulse:
+    """The system's pulse of a strip, as `measured_pulse` stored it."""
+    return SystemPulse.from_json(read_json(inputs.path("pulse", f"{strip:05d}", PULSE_FILE)))
+
+
+def surroundings_of(strip: int, inputs: PartInputs) -> Surroundings:
+    """What the echoes of a strip are held against, as `measured_pulse` stored it."""
+    part = f"{strip:05d}"
+    if not inputs.meta("pulse", part)["sampled"]:
+        return UNKNOWN
+    arrays, facts = inputs.arrays("pulse", part, ENVELOPE)
+    bottom, top = (np.nan if facts[n] is None else facts[n] for n in ("bottom", "top"))
+    envelope = Envelope(facts["cell"], arrays["keys"], arrays["lowest"], bottom, top)
+    return Surroundings(envelope, QuietNoise(facts["lag1"], facts["inflation"], facts["samples"]))
+
+
+def strip_of(chunk: str) -> int:
+    """The number of the strip that a chunk is of, as `chunk_name` has it."""
+    return int(chunk.split("-")[0])
+
+
+def decomposed(here: StageInputs, params: DecomposeParams) -> Made:
+    """Echoes of a chunk, and the echo of every return."""
+    strip = strip_of(here.part)
+    waves = _waveforms(here.part, here.inputs)
+    pulse, around = pulse_of(strip, here.inputs), surroundings_of(strip, here.inputs)
+    return _write_echoes(here, decompose(waves, strip, params, pulse, around))
+
+
+def returned(here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span) -> Made:
+    """`read` and `decomposed` of a span without waveforms: its returns are its echoes, and nothing is kept in between.
+
+    `width`: of a pulse [ns] that nothing is fitted with.
+    """
+    waves = read_span(open_source(here.file()), span, reading)
+    made = decompose(waves, strip_of(here.part), params, SystemPulse.gaussian(width), UNKNOWN)
+    return {**_facts(waves), **_write_echoes(here, made)}
+
+
+def _write_echoes(here: StageInputs, made: tuple[Table, Table, Mapping[str, int]]) -> dict[str, Any]:
+    echoes, links, counts = made
+    write_table(here.directory / TABLE, echoes)
+    write_table(here.directory / "links.parquet", links)
+    origin = echoes["origin"]
+    return {
+        "returns_without_echo": counts["returns_without_echo"],
+        "plausibility": counts,
+        "echoes": echoes.rows,
+        "fitted": int((origin == 0).sum()),
+        "kept_returns": int((origin == 1).sum()),
+        "read_as_echoes": int((origin == 2).sum()),
+        "without_width": int(np.isnan(echoes["width"]).sum()),
+    }
+
+
+def link_table(inputs: PartInputs, part: str) -> Table:
+    """Pulse and echo number of every return of a chunk, in file order."""
+    return inputs.table("decompose", part, ("pulse", "echo_number"), "links.parquet")
+
+
+INDEX = Stage(
+    "index",
+    2,
+    "strip",
+    "point",
+    index,
+    parts=_strips,
+    source=_file,
+    arguments=lambda plan: {"params": plan.config.read},
+)
+READ_SPAN = Stage(
+    READ.name,
+    READ.version,
+    "chunk",
+    "pulse",
+    read,
+    parts=_with_waves,
+    waves=True,
+    source=_file,
+    arguments=lambda plan: {"params": plan.config.read},
+    each=lambda plan, part: {"span": part.span},
+)
+MEASURE_PULSE = Stage(
+    PULSE.name,
+    PULSE.version,
+    "strip",
+    "pulse",
+    measured_pulse,
+    parts=_strips_with_waves,
+    waves=True,
+    arguments=lambda plan: {"params": plan.config.pulse, "cell": plan.config.decompose.envelope_cell},
+    needs=lambda plan, strip: [index_name(strip), *(("read", s.key) for s in spans_of(plan, strip))],
+)
+DECOMPOSE_WAVES = Stage(
+    DECOMPOSE.name,
+    DECOMPOSE.version,
+    "chunk",
+    "pulse",
+    decomposed,
+    parts=_with_waves,
+    waves=True,
+    arguments=lambda plan: {"params": plan.config.decompose},
+    needs=lambda plan, part: (("read", part.key), ("pulse", part.strip.key)),
+)
+DECOMPOSE_RETURNS = Stage(
+    DECOMPOSE.name,
+    DECOMPOSE.version,
+    "chunk",
+    "pulse",
+    returned,
+    parts=_without_waves,
+    waves=False,
+    source=_file,
+    arguments=lambda plan: {
+        "params": plan.config.decompose,
+        "reading": plan.config.read,
+        "width": plan.config.pulse.width or plan.config.pulse.fallback_width,
+    },
+    each=lambda plan, part: {"span": part.span},
+)

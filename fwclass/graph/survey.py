@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,13 @@ from fwclass.conf import Config
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
+from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, found_files, joint_bounds
 from fwclass.graph.layout import Strip, Survey
 from fwclass.graph.numbering import numbers
 from fwclass.graph.reference import reference_clouds, reference_polygons
-from fwclass.graph.work.sources import CLOUD_ROWS, Digests, max_of, min_of
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.tiling import CLOUD_ROWS, max_of, min_of
 from fwclass.grid import Box
 from fwclass.paths import name_fault
 from fwclass.read.pls_read import pulse_bounds
@@ -27,8 +28,7 @@ from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.quantities import quantities_of
 from fwclass.read.source import Source, open_source
 from fwclass.read.stage import check_source, read_cloud
-from fwclass.run.inputs import PartInputs
-from fwclass.run.part import Name, Task
+from fwclass.run.part import Name
 from fwclass.run.runner import Runner
 from fwclass.simulate.params import SimulateParams
 from fwclass.store.receipts import Receipt
@@ -43,44 +43,50 @@ LOOKED_AT = 100_000
 """Points at the start of a file that its header is held against."""
 
 
-def _simulated(
-    params: SimulateParams, strip: Any, prefix: str, inputs: PartInputs, directory: Path
-) -> Mapping[str, Any]:
-    from fwclass.simulate.stage import simulate_strip  # a survey with files of its own need not load the simulator
+def simulated(here: StageInputs, params: SimulateParams, prefix: str) -> Made:
+    """A strip of the simulated survey, or its trajectory, in the directory `prefix`."""
+    from fwclass.simulate.stage import plan_strips, simulate_strip, write_trajectory  # other surveys need not load it
 
-    facts = dict(simulate_strip(params, strip, directory / prefix))
+    directory = here.directory / prefix
+    directory.mkdir(parents=True, exist_ok=True)
+    if here.part == TRAJECTORY:
+        write_trajectory(params, directory)
+        return {}
+    facts = dict(simulate_strip(params, next(s for s in plan_strips(params) if s.name == here.part), directory))
     facts.pop("seconds", None)
     return facts
 
 
-def _trajectory(params: SimulateParams, prefix: str, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
-    from fwclass.simulate.stage import write_trajectory
+TRAJECTORY = "trajectory"
+"""The part of the simulation that is no strip."""
 
-    (directory / prefix).mkdir(parents=True, exist_ok=True)
-    write_trajectory(params, directory / prefix)
-    return {}
+
+def simulation(prefix: str) -> Stage:
+    """The stage that makes a survey, one part for every strip; files go to `prefix` below the run directory."""
+
+    def parts(plan: Plan) -> list[str]:
+        from fwclass.simulate.flight import plan_strips
+
+        return [*(s.name for s in plan_strips(plan.config.simulate)), TRAJECTORY]  # type: ignore[arg-type]
+
+    return Stage(
+        "simulate",
+        1,
+        "file",
+        "pulse",
+        simulated,
+        when=lambda plan: plan.config.simulate is not None,
+        parts=parts,
+        arguments=lambda plan: {"params": plan.config.simulate, "prefix": prefix},
+        where="run",
+    )
+
+
+SIMULATE = simulation(SIMULATED)
 
 
 BAD_FILES = 20
 """Files that cannot be used that are named."""
-
-
-def simulate_tasks(params: SimulateParams, prefix: str) -> list[Task]:
-    """One part per strip, and the trajectory; files go to `prefix` below the run directory."""
-    from fwclass.simulate.flight import plan_strips
-
-    plain = params.model_dump(mode="json")
-    strips = plan_strips(params)
-    made = [
-        Task("simulate", s.name, 1, {**plain, "prefix": prefix}, partial(_simulated, params, s, prefix), place="run")
-        for s in strips
-    ]
-    made.append(
-        Task(
-            "simulate", "trajectory", 1, {**plain, "prefix": prefix}, partial(_trajectory, params, prefix), place="run"
-        )
-    )
-    return made
 
 
 def directory_of(config: Config, root: Path) -> Path | Url:
@@ -103,7 +109,7 @@ def gather(config: Config, runner: Runner) -> Survey:
                 where=f"{config.path}: survey.directory",
                 do="fwclass simulate CONF --out DIR, copy DIR to object storage, and set survey.directory to it",
             )
-        tasks = simulate_tasks(config.simulate, SIMULATED)
+        tasks = SIMULATE.tasks(Plan(config))
         if len(runner.do(tasks)) < len(tasks):
             raise InputError("the survey could not be simulated", where=runner.root, do="see the failed parts above")
     directory = directory_of(config, runner.root)

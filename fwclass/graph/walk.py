@@ -1,65 +1,151 @@
-"""What every workflow begins with: echoes in tiles, then their heights, features, radiometry and labels."""
+"""The walk of a run: files, tiles, then all that is made of them; each step is planned by what the last one found."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.graph import ground, sources
-from fwclass.graph import tiles as of_tiles
-from fwclass.graph.layout import Layout, Survey
+from fwclass.errors import ConfigError
+from fwclass.graph.area_of_interest import Area
+from fwclass.graph.label import READ_POLYGONS
+from fwclass.graph.layout import Layout, Strip
+from fwclass.graph.model_fit import check_model
+from fwclass.graph.outputs import DELIVER_TILE
 from fwclass.graph.quantities import check_learned, joint
-from fwclass.graph.radiometry import Flown, flown_by, radiometry_tasks, trajectory_tasks
+from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by
 from fwclass.graph.reference import check_polygons
+from fwclass.graph.report import write_report
+from fwclass.graph.sites import describe_sites, sites
+from fwclass.graph.sources import INDEX, index_name
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, check_features, providers
 from fwclass.graph.survey import check_widths, gather
-from fwclass.graph.thin import thin_tasks
-from fwclass.run.runner import Runner, require_all, stop_if_nothing
+from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
+from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
+from fwclass.store.models import load_model, model_digest
+from fwclass.store.remote_file import Location, directory_outside, local
+from fwclass.store.url import is_url, url_of
+
+MANY, FEW = 1000, 1000
+"""A run of so many tiles with fewer echoes than this in each, on average, spends its time on opening files."""
 
 
-@dataclass(frozen=True)
-class Tiled:
-    """A survey whose echoes lie in tiles.
+def given_model(config: Config) -> tuple[Location, str] | None:
+    """Place and digest of the model that the configuration names, None where it is to be trained."""
+    if config.survey.model is None:
+        return None
+    place: Location = (config.path.parent / config.survey.model).resolve()
+    if is_url(config.survey.model):
+        place = directory_outside(url_of(config.survey.model, f"{config.path}: survey.model"), config.store)
+    path = local(place)
+    check_model(load_model(path), config, path)
+    return place, model_digest(path)
 
-    `where`: which chunks, and which tiles, every strip's echoes came from; `flown`: when each trajectory was.
-    """
 
-    survey: Survey
-    layout: Layout
-    where: tuple[Mapping[int, tuple[str, ...]], Mapping[int, tuple[str, ...]]]
-    flown: Flown
+def deciding(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
+    """A plan that knows the features that decide, and the model that is given; `ConfigError` for what is no feature."""
+    model = given_model(config)
+    names = load_model(local(model[0])).features if model else config.features_asked
+    check_features(config, names, model[0] if model else f"{config.path}: survey.features", stages)
+    check_features(config, config.features.also, f"{config.path}: features.also", stages)
+    return Plan(config, names, tuple(dict.fromkeys((*names, *config.features.also))), model)
 
 
-def until_tiles(
-    config: Config, runner: Runner, names: tuple[str, ...], learned: Mapping[str, Any] | None = None
-) -> Tiled:
-    """Walk the stages up to the tiles; `names` are the columns that will be decided by, `learned` the card of the model
-    that does."""
+def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) -> Plan:
+    """Make all parts up to the tiles; the plan with what is known then."""
+    config = plan.config
     survey = gather(config, runner)
-    quantities = joint(survey.quantities, names, f"{config.path}: survey.sources")
+    learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
+    quantities = joint(survey.quantities, plan.names, f"{config.path}: survey.sources")
     for note in check_learned(learned, survey.quantities, config.survey.model) if learned else ():
         runner.display.say(f"note: {note}")
-    polygons = require_all(runner, sources.polygon_tasks(config, survey))
-    indexed = require_all(runner, sources.index_tasks(config, survey.strips))
-    survey = replace(survey, strips=tuple(s for s in survey.strips if sources.index_name(s) in indexed))
-    chunks = sources.chunk_tasks(config, survey.strips, indexed)
-    splits = runner.do(chunks + sources.cloud_tasks(config, survey.reference))
-    check_widths(config, names, splits, runner.store)
-    tiled = runner.do(sources.tile_tasks(config, splits))
+    plan = replace(plan, files=survey)
+    polygons = require_all(runner, READ_POLYGONS.tasks(plan))
+    indexed = require_all(runner, INDEX.tasks(plan))
+    survey = replace(survey, strips=tuple(s for s in survey.strips if index_name(s) in indexed))
+    plan = replace(plan, files=survey, indexed=indexed)
+    splits = runner.do(_of_strips(plan) + SPLIT_REFERENCE.tasks(plan))
+    check_widths(config, plan.names, splits, runner.store)
+    plan = replace(plan, splits=splits)
+    tiled = runner.do(TILE_ECHOES.tasks(plan) + TILE_REFERENCE.tasks(plan))
     stop_if_nothing(runner, {name: receipt for name, receipt in tiled.items() if name[0] == "tile"})
-    layout = replace(Layout.of(config, {**tiled, **polygons}), quantities=quantities)
+    layout = replace(Layout.of(config, {**tiled, **polygons}), quantities=quantities, providers=providers(plan, stages))
     check_polygons(config, polygons.values(), layout.box)
-    flights = trajectory_tasks(layout, survey)
-    return Tiled(survey, layout, sources.where(chunks, splits), flown_by(flights, runner.do(flights)))
+    plan = replace(plan, tiled=layout)
+    return replace(plan, flown=flown_by(plan, runner.do(READ_TRAJECTORY.tasks(plan))))
 
 
-def until_labels(tiled: Tiled, names: tuple[str, ...]) -> Tasks:
-    """Ground, heights, those of `names` that are features of a neighbourhood, radiometry; labels where there are."""
-    layout = tiled.layout
-    tasks = ground.ground_tasks(layout) + thin_tasks(layout) + of_tiles.feature_tasks(layout, names)
-    tasks += radiometry_tasks(layout, tiled.flown)
-    if layout.config.survey.reference.kind != "none":
-        tasks += of_tiles.label_tasks(layout)
+def _of_strips(plan: Plan) -> Tasks:
+    """Strip by strip, so that what was read last is decomposed next."""
+    tasks = Tasks()
+    for strip in plan.survey.strips:
+        tasks += tasks_of(_strip_alone(plan, strip), OF_STRIPS)
     return tasks
+
+
+def _strip_alone(plan: Plan, strip: Strip) -> Plan:
+    return replace(plan, files=replace(plan.survey, strips=(strip,)))
+
+
+def tasks_of(plan: Plan, stages: Iterable[Stage]) -> Tasks:
+    """The tasks of `stages`, one stage after the other."""
+    tasks = Tasks()
+    for stage in stages:
+        tasks += stage.tasks(plan)
+    return tasks
+
+
+def until_labels(plan: Plan) -> Tasks:
+    """Tasks of ground, heights, the features that `plan` computes, radiometry; labels where there are."""
+    check_altitude(plan.layout)
+    return tasks_of(plan, TO_LABELS)
+
+
+def until_report(
+    plan: Plan, runner: Runner, stages: Iterable[Stage], tiles: frozenset[str] | Area | None = None
+) -> dict[str, Any]:
+    """Make the parts of `stages` and all that is delivered, and write the report.
+
+    `tiles`: deliver only these, or those in an area; what they need (their neighbours' echoes, the training areas) is
+    made too, so that they come out as in a whole run.
+    """
+    layout, config = plan.layout, plan.config
+    check_altitude(layout)
+    keys = tiles.tiles(layout, plan.survey.crs) if isinstance(tiles, Area) else tiles
+    tasks = tasks_of(plan, stages)
+    for words in (describe_sites(sites(layout), plan.survey.strips, tiles_of_strips(plan)), small_tiles(layout)):
+        if words:
+            runner.display.say(words)
+    if keys is not None:
+        tasks = Tasks.held(ancestors(tasks, _wanted(layout, keys)))
+    runner.do(tasks)
+    runner.finish(whole=keys is None)
+    return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names))
+
+
+def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:
+    unknown = sorted(tiles - layout.keys)
+    if unknown:
+        raise ConfigError(
+            "no such tile in this survey",
+            where="--tiles",
+            expected="keys of tiles with echoes, for example " + ", ".join(t.key for t in layout.tiles[:3]),
+            got=", ".join(unknown),
+            do="the keys are the names of the files in laz/tiles",
+        )
+    return [(DELIVER_TILE.name, key) for key in sorted(tiles)]
+
+
+def small_tiles(layout: Layout) -> str:
+    """What a user should know of tiles that hold hardly anything; nothing of others."""
+    number, size = len(layout.tiles), layout.config.tile.size
+    each = layout.echoes / number
+    if number < MANY or each >= FEW:
+        return ""
+    return (
+        f"note: {number:,} tiles of {size:g} m hold {each:,.0f} echoes each on average: larger ones (tile.size) take "
+        "less time and change no result; `fwclass plan` compares sizes"
+    )

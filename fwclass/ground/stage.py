@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from fwclass.ground.filters import Flags, ground_points
 from fwclass.ground.params import GroundParams
-from fwclass.ground.terrain.params import HEIGHTS, TerrainParams
-from fwclass.ground.terrain.terrain import terrain
+from fwclass.ground.terrain.params import HEIGHTS
 from fwclass.schema import Table, require
-from fwclass.stage import Stage
+from fwclass.stage import Computation
 from fwclass.waveforms import IMPLAUSIBLE
 
 
@@ -38,23 +37,17 @@ def last_of(table: Table) -> NDArray[np.bool_]:
     return np.asarray(table["echo_number"] >= table["number_of_echoes"])
 
 
-GROUND_FILTER = Stage(
+GROUND_FILTER = Computation(
     name="ground-filter",
     version=2,
-    kind="block",
-    function=filtered,
-    params=GroundParams,
     reads=("x", "y", "z", "echo_number", "number_of_echoes", "fit_flags"),
     writes=("ground", "noise"),
     halo=lambda params: float(params.halo),
 )
 
-TERRAIN = Stage(
+TERRAIN = Computation(
     name="terrain",
     version=1,
-    kind="block",
-    function=terrain,
-    params=TerrainParams,
     reads=("x", "y", "z", "ground", "noise"),
     writes=HEIGHTS,
     halo=lambda params: float(params.block_halo),

@@ -6,7 +6,7 @@ from fwclass.label.cloud import from_cloud
 from fwclass.label.params import LabelParams
 from fwclass.label.polygons import from_polygons
 from fwclass.schema import Table
-from fwclass.stage import Chunk, Stage
+from fwclass.stage import Chunk, Computation
 
 __all__ = ["LABEL", "LabelParams", "from_cloud", "from_polygons", "from_source"]
 
@@ -16,13 +16,6 @@ def from_source(chunk: Chunk, params: LabelParams) -> Table:
     return Table({"reference": chunk.table["source_class"][chunk.core]})
 
 
-LABEL = Stage(
-    "label",
-    2,
-    "tile",
-    from_cloud,
-    LabelParams,
-    reads=("x", "y", "z", "gps_time", "source_class"),
-    writes=("reference",),
-    halo=lambda p: p.max_distance,
+LABEL = Computation(
+    "label", 2, reads=("x", "y", "z", "gps_time", "source_class"), writes=("reference",), halo=lambda p: p.max_distance
 )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.assess.stage import BlockCounts, difference
 from fwclass.errors import InputError
-from fwclass.graph.work.forest import COUNTS
+from fwclass.graph.assess import COUNTS
 from fwclass.store.arrays import read_arrays
 from fwclass.store.run_store import Store
 

@@ -11,7 +11,7 @@ from fwclass.radiometry.overlap import READS, Overlap, incidence_cosine, overlap
 from fwclass.radiometry.params import RADIOMETRIC, OverlapParams, RadiometryParams, TargetParams
 from fwclass.radiometry.ranges import check_pointing, pointing_error, ranges
 from fwclass.schema import Table, require
-from fwclass.stage import Chunk, Stage
+from fwclass.stage import Chunk, Computation
 
 __all__ = [
     "CALIBRATE",
@@ -87,22 +87,6 @@ def _flags(
     return flags
 
 
-OVERLAP = Stage(
-    name="overlap",
-    version=1,
-    kind="tile",
-    function=overlap,
-    params=RadiometryParams,
-    reads=READS,
-    halo=lambda params: float(params.overlap.cell),
-)
-CALIBRATE = Stage(name="calibrate", version=1, kind="gather", function=calibrate, params=RadiometryParams)
-RADIOMETRY = Stage(
-    name="radiometry",
-    version=1,
-    kind="tile",
-    function=radiometry,
-    params=RadiometryParams,
-    reads=READS,
-    writes=RADIOMETRIC,
-)
+OVERLAP = Computation(name="overlap", version=1, reads=READS, halo=lambda params: float(params.overlap.cell))
+CALIBRATE = Computation(name="calibrate", version=1)
+RADIOMETRY = Computation(name="radiometry", version=1, reads=READS, writes=RADIOMETRIC)

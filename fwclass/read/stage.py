@@ -14,8 +14,8 @@ from fwclass.read.source import PulseSource, Source, las_of
 from fwclass.read.source import open_source as open_source
 from fwclass.read.spans import Span
 from fwclass.schema import Table
-from fwclass.stage import Stage
-from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
+from fwclass.stage import Computation
+from fwclass.waveforms import Waveforms
 
 
 def check_source(source: Source, params: ReadParams) -> None:
@@ -74,11 +74,4 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     )
 
 
-READ = Stage(
-    name="read",
-    version=3,
-    kind="chunk",
-    function=read_span,
-    params=ReadParams,
-    writes=tuple(dict.fromkeys((*PULSE_COLUMNS, *RETURN_COLUMNS))),
-)
+READ = Computation("read", 3)

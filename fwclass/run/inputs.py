@@ -69,13 +69,12 @@ class PartInputs:
         """A part's table; `columns` None for all."""
         return read_table(self.path(stage, part, name), columns)
 
-    def fragment(self, stage: str, part: str, group: int) -> Table:
-        """One row group of a scattered chunk."""
+    def fragment(self, stage: str, part: str, tile: str) -> Table:
+        """The rows of a tile in a chunk that is cut by tile: a row group, whose number its receipt tells."""
         self._check(stage, part)
-        if self.declared is not None and isinstance(self.declared.within, str):
-            own = self.meta(stage, part).get("tiles", {}).get(self.declared.within, (None,))[0]
-            if own != group:
-                self._refuse(f"row group {group} of {stage}/{part}", f"that of {self.declared.within}: {own}")
+        if self.declared is not None and isinstance(self.declared.within, str) and self.declared.within != tile:
+            self._refuse(f"rows of tile {tile} in {stage}/{part}", f"those of {self.declared.within}")
+        group = self.meta(stage, part)["tiles"][tile][0]
         return read_table(self._store.path(stage, part, TABLE), None, [group])
 
     def groups(self, stage: str, part: str, groups: list[int]) -> Table:

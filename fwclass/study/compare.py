@@ -11,9 +11,9 @@ import numpy as np
 from fwclass.assess.stage import confusion, figures
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
+from fwclass.graph.areas import tested
 from fwclass.graph.layout import Layout
-from fwclass.graph.work.forest import tested
-from fwclass.graph.work.others import merged_sample
+from fwclass.graph.learn import merged_sample
 from fwclass.model import ClassDef, Model, assemble, class_index, sample_matrix
 from fwclass.run.inputs import PartInputs
 from fwclass.store.run_store import Store

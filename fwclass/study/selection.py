@@ -10,8 +10,10 @@ import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError, nearest
-from fwclass.graph.layout import Layout, check_features, plain
-from fwclass.graph.walk import Tiled, until_labels, until_tiles
+from fwclass.graph.layout import Layout, plain
+from fwclass.graph.stage import Plan
+from fwclass.graph.stages import check_features
+from fwclass.graph.walk import until_labels, until_tiles
 from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.select.score import Names, Score, Trial, score
@@ -69,10 +71,10 @@ def selection(
 
 def training(config: Config, runner: Runner, names: Names, computed: Names) -> tuple[Layout, dict[str, Any]]:
     """Walk until the placed sample of the training areas is there, of `names` among `computed`; what it says."""
-    tiled: Tiled = until_tiles(config, runner, names)
-    tasks = [*until_labels(tiled, computed), *sample_tasks(tiled.layout, names)]
+    plan = until_tiles(Plan(config, names, computed), runner)
+    tasks = [*until_labels(plan), *sample_tasks(plan.layout, names)]
     done = require_all(runner, ancestors(tasks, [(TRAINING, "all")]))
-    return tiled.layout, dict(done[TRAINING, "all"].meta)
+    return plan.layout, dict(done[TRAINING, "all"].meta)
 
 
 def _search(

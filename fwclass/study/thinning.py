@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.graph.layout import check_features
+from fwclass.graph.stage import Plan
+from fwclass.graph.stages import check_features
 from fwclass.graph.walk import until_labels, until_tiles
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.select.score import Names
@@ -17,10 +18,10 @@ def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
     """The curve over ``select.rates`` on the training areas, for a classifier by `names`; plain data."""
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))  # all features are there then
     check_features(config, names, "survey.features or --candidates")
-    tiled = until_tiles(config, runner, names)
-    layout = tiled.layout
+    plan = until_tiles(Plan(config, names, names), runner)
+    layout = plan.layout
     rates = rate_tasks(layout, names)
-    made = ancestors([*until_labels(tiled, names), *rates], [t.name for t in rates])
+    made = ancestors([*until_labels(plan), *rates], [t.name for t in rates])
     done = require_all(runner, made)
     boxes = config.areas.boxes("train")
     trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]

@@ -7,11 +7,12 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph import forest
 from fwclass.graph.accuracy_remarks import accuracy_remarks
-from fwclass.graph.layout import Layout, check_features
-from fwclass.graph.walk import Tiled, until_labels, until_tiles
-from fwclass.run.part import Task
+from fwclass.graph.layout import Layout
+from fwclass.graph.learn import DRAW_SAMPLE, MERGE_SAMPLE
+from fwclass.graph.stage import Plan
+from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING, check_features
+from fwclass.graph.walk import tasks_of, until_labels, until_tiles
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
 from fwclass.study.compare import compared
@@ -31,19 +32,19 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     `classification`: a run in the same directory takes them over.
     """
     _check_labelled(config)
-    tiled, tasks = _begun(config, runner)
-    tasks += forest.training_tasks(tiled.layout)
+    plan, tasks = _begun(config, runner)
+    tasks += tasks_of(plan, LEARNING)
     require_all(runner, ancestors(tasks, [("train", "model")]))
     receipt = runner.store.receipt("train", "model")
     made: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
     made |= {"ambiguous": 0, "remarks": []}
     if assess:
-        names, layout = config.features_asked, tested_layout(tiled.layout)
-        tasks += forest.classify_tasks(layout, names, None) + forest.assess_tasks(layout, names)
+        names, layout = config.features_asked, tested_layout(plan.layout)
+        tasks += tasks_of(replace(plan, tiled=layout), (*CLASSIFYING, *JUDGING))
         require_all(runner, ancestors(tasks, [("assess", "all")]))
         judged = runner.store.receipt("assess", "all")
         found = judged.meta["accuracy"] if judged else None
-        told = accuracy_remarks(found, config, names, tiled.layout.echoes) if found else [NOTHING_TESTED]
+        told = accuracy_remarks(found, config, names, plan.layout.echoes) if found else [NOTHING_TESTED]
         made |= {"accuracy": found, "remarks": told}
     labelled = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
     made["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
@@ -54,21 +55,21 @@ def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict
     """Several kinds of classifier on one sample and the same test echoes; see `compared`. Nothing is thinned."""
     _check_labelled(config)
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))
-    tiled, tasks = _begun(config, runner)
-    layout, names = tested_layout(tiled.layout), config.features_asked
-    sample: list[Task] = [t for t in forest.training_tasks(tiled.layout) if t.stage in ("sample", "training")]
+    plan, tasks = _begun(config, runner)
+    layout, names = tested_layout(plan.layout), config.features_asked
+    sample = tasks_of(plan, (DRAW_SAMPLE, MERGE_SAMPLE))
     columns = {*layout.columns(names).values(), "label", "tile"}
     wanted = [("training", "all"), *((stage, t.key) for t in layout.tiles for stage in columns if stage != "tile")]
     require_all(runner, ancestors([*tasks, *sample], wanted))
     return compared(config, runner.store, layout, methods, runner.display.say)
 
 
-def _begun(config: Config, runner: Runner) -> tuple[Tiled, Tasks]:
+def _begun(config: Config, runner: Runner) -> tuple[Plan, Tasks]:
     names = config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
     check_features(config, config.features.also, f"{config.path}: features.also")
-    tiled = until_tiles(config, runner, names)
-    return tiled, until_labels(tiled, (*names, *config.features.also))
+    plan = until_tiles(Plan(config, names, (*names, *config.features.also)), runner)
+    return plan, until_labels(plan)
 
 
 def _check_labelled(config: Config) -> None:

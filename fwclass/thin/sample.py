@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fwclass.grid import millimetres, whole_millimetres
 from fwclass.hashing import hashed
 from fwclass.schema import Table, canonical_key, require
-from fwclass.stage import Chunk, Stage
+from fwclass.stage import Chunk, Computation
 from fwclass.thin.follow import follow
 from fwclass.thin.params import ThinParams
 
@@ -119,6 +119,4 @@ def _halo(params: ThinParams) -> float:
     return params.cell + params.reach + _cube(params.reach)
 
 
-THIN = Stage(
-    name="thin", version=1, kind="tile", function=thin, params=ThinParams, reads=READS, writes=("sampled",), halo=_halo
-)
+THIN = Computation(name="thin", version=1, reads=READS, writes=("sampled",), halo=_halo)

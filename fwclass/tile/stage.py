@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.grid import TileGrid, millimetres
 from fwclass.schema import Table, canonical_key
-from fwclass.stage import Stage
-from fwclass.tile.params import TileParams
+from fwclass.stage import Computation
 
 MORTON_CELL = 2_000
 """Edge of the cells of the spatial sort [mm]; only the order of rows in a tile depends on it."""
@@ -88,6 +87,6 @@ def assemble_points(fragments: list[Table]) -> Table:
     return table.take(order)
 
 
-SPLIT = Stage("split", 1, "scatter", split, TileParams)
-TILE = Stage("tile", 2, "scatter", assemble, TileParams)
-REFERENCE = Stage("reference", 1, "scatter", assemble_points, TileParams)
+SPLIT = Computation("split", 1)
+TILE = Computation("tile", 2)
+REFERENCE = Computation("reference", 1)

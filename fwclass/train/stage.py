@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from fwclass import __version__
 from fwclass.model import FORMAT, ClassDef, Forest, Tree, assemble
 from fwclass.schema import Table
-from fwclass.stage import Stage
+from fwclass.stage import Computation
 from fwclass.train.bag import bag
 from fwclass.train.gain import GINI, entropy_table
 from fwclass.train.grow import count_out_of_bag, grow
-from fwclass.train.importance import drops as count_drops
 from fwclass.train.importance import summary
 from fwclass.train.node import workspace
 from fwclass.train.params import TrainParams
@@ -164,14 +163,7 @@ def train(
     return assemble(trees, written)
 
 
-TRAIN_SAMPLE = Stage(
-    name="sample",
-    version=2,
-    kind="tile",
-    function=candidates,
-    params=TrainParams,
-    reads=("strip", "pulse", "echo_number", "reference"),
-)
-TRAIN_TREES = Stage(name="trees", version=1, kind="gather", function=grow_trees, params=TrainParams)
-TRAIN_IMPORTANCE = Stage(name="importance", version=1, kind="gather", function=count_drops, params=TrainParams)
-TRAIN = Stage(name="train", version=3, kind="gather", function=train, params=TrainParams)
+TRAIN_SAMPLE = Computation(name="sample", version=2)
+TRAIN_TREES = Computation(name="trees", version=1)
+TRAIN_IMPORTANCE = Computation(name="importance", version=1)
+TRAIN = Computation(name="train", version=3)

@@ -25,13 +25,12 @@ from fwclass import conf
 from fwclass.assess.confusion import describe, figures
 from fwclass.assess.intervals import difference, intervals
 from fwclass.conf import Config
-from fwclass.graph import forest
-from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.graph.stages import CLASSIFYING, JUDGING
+from fwclass.graph.walk import deciding, tasks_of, until_labels, until_tiles
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.store.arrays import read_arrays
-from fwclass.store.models import load_model
 from fwclass.study.training import training
 
 DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "ign_hd"
@@ -74,16 +73,13 @@ def judged(split: Split, seed: int, root: Path, data: Path, settings: tuple[str,
         training(conf.load(survey, (*common, *learn)), runner, assess=False)
         model = runner.store.path("train", "model", "model")
         apply = (f"survey.sources=[{', '.join(test)}]", f"survey.model={model}", "areas.train=[]")
-        return assessed(conf.load(survey, (*common, *apply)), model, Runner(root / "test", Loop(), display))
+        return assessed(conf.load(survey, (*common, *apply)), Runner(root / "test", Loop(), display))
 
 
-def assessed(config: Config, model: Path, runner: Runner) -> tuple[dict[str, Any], Any]:
+def assessed(config: Config, runner: Runner) -> tuple[dict[str, Any], Any]:
     """What `fwclass run` with a model does up to the assessment; nothing is published."""
-    names = load_model(model).features
-    tiled = until_tiles(config, runner, names)
-    tasks = until_labels(tiled, names)
-    tasks += forest.classify_tasks(tiled.layout, names, (model, forest.digest_of_model(model)))
-    tasks += forest.assess_tasks(tiled.layout, names)
+    plan = until_tiles(deciding(config), runner)
+    tasks = until_labels(plan) + tasks_of(plan, (*CLASSIFYING, *JUDGING))
     require_all(runner, ancestors(tasks, [("assess", "all")]))
     receipt = runner.store.receipt("assess", "all")
     if receipt is None:

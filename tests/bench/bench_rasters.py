@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from fwclass import conf
-from fwclass.graph.work.outputs import delivered_rasters
+from fwclass.graph.outputs import delivered_rasters
+from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, TileGrid, Window
 from fwclass.store.run_store import peak_mib
 
@@ -26,7 +27,7 @@ ROW = "{:>8}{:>14}{:>14}{:>12}{:>14}{:>12}"
 
 
 class Noise:
-    """A inputs whose parts are drawn when they are read."""
+    """Inputs whose parts are drawn when they are read."""
 
     def arrays(self, stage, part, name):
         block = GRID.tile(part)
@@ -44,19 +45,17 @@ def one(kilometres: float) -> None:
     """Make them, and tell."""
     edge = 1000.0 * kilometres
     box = Box(512_000.0, 5_403_200.0, 512_000.0 + edge, 5_403_200.0 + edge)
-    names = {2: "ground", 5: "vegetation", 6: "building"}
+    names = {"2": "ground", "5": "vegetation", "6": "building"}
     with tempfile.TemporaryDirectory() as folder:
         before, began = peak_mib(), time.process_time()
         told = delivered_rasters(
-            box,
-            1.0,
-            tuple(GRID.touching(box)),
-            names,
-            "EPSG:25832",
+            StageInputs(Noise(), Path(folder), "all", tuple(("terrain", b.key) for b in GRID.touching(box))),
             conf.section("publish"),
-            "rasters",
-            Noise(),
-            Path(folder),
+            "EPSG:25832",
+            names,
+            1.0,
+            GRID.size,
+            box.bounds,
         )
         took = time.process_time() - began
         size = sum(p.stat().st_size for p in Path(folder).rglob("*.tif"))

@@ -25,7 +25,8 @@ def test_nothing_heavy_is_loaded(statement: str) -> None:
 def test_every_workflow_is_a_function_of_its_name() -> None:
     assert len(WORKFLOWS) == len(list(WORKFLOWS)) >= 3
     for name in WORKFLOWS:
-        assert WORKFLOWS[name].__name__ == name and WORKFLOWS[name].__module__ == f"workflows.{name}"
+        workflow = WORKFLOWS[name]
+        assert workflow.name == name and workflow.what and workflow.stages
     assert "nonsense" not in WORKFLOWS
     with pytest.raises(KeyError):
         WORKFLOWS["nonsense"]

@@ -70,7 +70,7 @@ def test_class_weights_are_of_the_survey_s_classes():
     ],
 )
 def test_a_survey_s_features_have_a_size_that_can_be_had(name, says):
-    from fwclass.graph.layout import check_features
+    from fwclass.graph.stages import check_features
 
     config = conf.load("demo", ("survey.trajectory.files=[]", "radiometry.platform_altitude=null"))
     check_features(config, ("planarity_k500", "planarity_opt", "zc"), "here")

@@ -9,7 +9,8 @@ from faultmaker import SMALL, running, words
 from runmaker import SETTINGS, delivered
 
 from fwclass import conf
-from fwclass.graph.survey import simulate_tasks
+from fwclass.graph.stage import Plan
+from fwclass.graph.survey import simulation
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -21,7 +22,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("survey")
     with Display() as display:
         runner = Runner(root, Loop(), display)
-        runner.do(simulate_tasks(conf.load("demo", (*SETTINGS, *SMALL)).simulate, "."))
+        runner.do(simulation(".").tasks(Plan(conf.load("demo", (*SETTINGS, *SMALL)))))
         assert not runner.failures
     return root
 

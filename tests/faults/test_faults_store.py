@@ -19,7 +19,7 @@ from runmaker import SETTINGS, delivered, walk
 from fwclass import conf
 from fwclass.cli.runner import open_runner
 from fwclass.errors import InputError, StoreError
-from fwclass.graph.work.sources import Digests
+from fwclass.graph.file_digests import Digests
 from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop
 from fwclass.run.part import Task, execute

@@ -11,6 +11,7 @@ import argparse
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -81,7 +82,8 @@ def record(directory: Path, to: Path, root: Path) -> None:
         run(["run", str(survey), *words[1:], *real, "--out", name], directory, root)
         kept[name] = digests(directory / name)
     files = directory / "files"
-    files.mkdir(exist_ok=True)
+    shutil.rmtree(files, ignore_errors=True)
+    files.mkdir()
     for words in FILES.values():
         run([w.format(out="files") for w in words], directory, root)
     kept["files"] = digests(files)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from fwclass.errors import InputError
 from fwclass.formats.wkb import shapes
-from fwclass.graph.work import reference
+from fwclass.graph import label
+from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, Tile
 from fwclass.label.polygons import AMBIGUOUS, NONE, WIDEST, Polygons, from_polygons, owners
 from fwclass.schema import Table
@@ -188,9 +189,8 @@ def test_a_polygon_as_wide_as_a_continent_is_refused():
 def test_implausible_echoes_have_no_label_whatever_polygon_is_above(tmp_path, monkeypatch):
     table = Table({"x": [1.0, 1.0], "y": [1.0, 1.0], "fit_flags": np.array([0, IMPLAUSIBLE], np.uint8)})
     chunk = Chunk(table, np.arange(2), Tile(0, 0, 100.0))
-    monkeypatch.setattr(reference, "from_polygons", lambda *_: (Table({"reference": [6, 6]}), 0))
-    monkeypatch.setattr(reference, "polygons_at", lambda *_: SimpleNamespace(within=lambda box: None))
-    monkeypatch.setattr(reference, "write_labels", lambda made, _: {"codes": made["reference"].tolist()})
+    monkeypatch.setattr(label, "from_polygons", lambda *_: (Table({"reference": [6, 6]}), 0))
+    monkeypatch.setattr(label, "polygons_at", lambda *_: SimpleNamespace(within=lambda box: None))
     inputs = SimpleNamespace(chunk=lambda tile, halo, columns, present: chunk)
-    made = reference.labelled_by_polygons(chunk.tile, (), inputs, tmp_path)
-    assert made == {"codes": [6, 0], "ambiguous": 0}
+    table, facts = label.labelled_by_polygons(StageInputs(inputs, tmp_path, chunk.tile.key, place=chunk.tile))
+    assert table["reference"].tolist() == [6, 0] and facts == {"codes": {"0": 1, "6": 1}, "ambiguous": 0}

@@ -20,9 +20,8 @@ from hypothesis import strategies as st
 from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.grid import Window
-from fwclass.publish.cog import STRIPE, cog
+from fwclass.publish.cog import STRIPE, class_raster, cog, write_cog
 from fwclass.publish.params import PublishParams
-from fwclass.publish.stage import class_raster, write_cog
 
 CRS = pyproj.CRS(2154)
 PARAMS = conf.section("publish")

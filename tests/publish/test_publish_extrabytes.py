@@ -13,8 +13,9 @@ import pytest
 
 from fwclass.columns import COLUMNS, PER_CODE
 from fwclass.formats.extra_bytes import descriptor, extra_bytes, free_name, packed, published
+from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.params import PublishParams
-from fwclass.publish.stage import write_strip_laz, write_tile_laz
+from fwclass.publish.strips import write_strip_laz
 from fwclass.schema import Table, column
 
 BACKENDS = [laspy.LazBackend.Lazrs, laspy.LazBackend.Laszip]

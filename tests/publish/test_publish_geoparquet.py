@@ -13,9 +13,8 @@ import pyproj
 import pytest
 
 from fwclass.errors import InputError
-from fwclass.publish.geoparquet import wkb_points
+from fwclass.publish.geoparquet import wkb_points, write_geoparquet
 from fwclass.publish.params import PublishParams
-from fwclass.publish.stage import write_geoparquet
 from fwclass.schema import Table
 
 CRS = pyproj.CRS(2154)

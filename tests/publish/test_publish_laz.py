@@ -13,8 +13,8 @@ import pytest
 
 from fwclass.errors import InputError
 from fwclass.formats.extra_bytes import description
+from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.params import PublishParams
-from fwclass.publish.stage import write_tile_laz
 from fwclass.schema import COLUMNS, Table
 
 BACKENDS = [laspy.LazBackend.Lazrs, laspy.LazBackend.Laszip]

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from fwclass.publish.report import render_report
 from fwclass.publish.sections import measure, number, percent, quantity, seconds
-from fwclass.publish.stage import render_report
 
 PNG = b"\x89PNG\r\n\x1a\n-not-really"
 EVIL = "<script>alert('x')</script>&\"'{{ 7 * 7 }}"

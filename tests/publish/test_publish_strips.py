@@ -19,7 +19,7 @@ from fwclass.formats.las_bytes import extended_records, point_chunks, read_head
 from fwclass.formats.laz_writer import LazWriter
 from fwclass.publish import packets as packets_room
 from fwclass.publish.params import PublishParams
-from fwclass.publish.stage import write_strip_laz
+from fwclass.publish.strips import write_strip_laz
 
 PACKET_AT = {4: 28, 5: 34, 9: 30, 10: 38}
 CLASS_AT = {fmt: 15 if fmt < 6 else 16 for fmt in range(11)}

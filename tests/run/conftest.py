@@ -8,7 +8,8 @@ import pytest
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
-from fwclass.graph.survey import simulate_tasks
+from fwclass.graph.stage import Plan
+from fwclass.graph.survey import simulation
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -21,7 +22,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with Display() as display:
         runner = Runner(root, Loop(), display)
         config = conf.load("demo", SETTINGS)
-        runner.do(simulate_tasks(config.simulate, "."))
+        runner.do(simulation(".").tasks(Plan(config)))
         assert not runner.failures
     return root
 

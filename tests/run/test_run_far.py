@@ -12,8 +12,7 @@ from commandline import fwclass
 
 from fwclass import conf
 from fwclass.errors import InputError
-from fwclass.graph import ground as ground_plan
-from fwclass.graph import tiles as of_tiles
+from fwclass.graph import walk as of_walk
 from fwclass.grid import Tile, TileGrid, Window, groups
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import Room
@@ -125,9 +124,9 @@ def test_a_failed_check_leaves_the_delivery_whole(stage, far, tmp_path, monkeypa
         raise InputError("this check cannot be made", where=stage)
 
     if stage == "seams":
-        monkeypatch.setattr(ground_plan.ground, "measured_seams", broken)
+        monkeypatch.setattr("fwclass.graph.ground._Seams", broken)
     else:
-        monkeypatch.setattr("fwclass.graph.forest.forest.judged", broken)
+        monkeypatch.setattr("fwclass.graph.assess.confusion", broken)
     runner, _, made = walked(far, tmp_path / "run", "survey.sources=[a.las]")
     assert {o.stage for o in runner.failures} == {stage}
     assert made.whole
@@ -138,7 +137,7 @@ def test_a_failed_part_of_the_delivery_is_not_whole(far, tmp_path, monkeypatch):
     def broken(*_):
         raise InputError("no")
 
-    monkeypatch.setattr("fwclass.graph.outputs.outputs.delivered_rasters", broken)
+    monkeypatch.setattr("fwclass.graph.outputs._terrain_rasters", broken)
     runner, _, made = walked(far, tmp_path / "run", "survey.sources=[a.las]")
     assert runner.failures
     assert not made.whole
@@ -170,11 +169,13 @@ def test_a_file_without_waveforms_costs_few_parts_and_files(far, tmp_path):
     one = {p.name for p in (store / "params").iterdir()}
     both, _, _ = walked(far, tmp_path / "both", "survey.sources=[a.las, b.las]")
     assert both.tallies["decompose"].parts == 2
-    assert len({p.name for p in (tmp_path / "both" / "store" / "params").iterdir()}) <= len(one) + 2  # not by file
+    assert (
+        len({p.name for p in (tmp_path / "both" / "store" / "params").iterdir()}) <= len(one) + 4
+    )  # boxes and spans, not by file
 
 
 def test_tiles_that_hold_hardly_anything_are_told(far, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(of_tiles, "MANY", 2)
+    monkeypatch.setattr(of_walk, "MANY", 2)
     walked(far, tmp_path / "run", "survey.sources=[a.las]", "tile.size=20")
     assert "tiles of 20 m hold" in capsys.readouterr().err
 

@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import yaml
 
-from fwclass.graph.work import forest
+from fwclass.graph import learn
+from fwclass.graph.stage import StageInputs
 from fwclass.model import ClassDef
-from fwclass.store.arrays import read_arrays
+from fwclass.store.arrays import read_arrays, write_arrays
 from fwclass.store.models import load_model
 from fwclass.train.importance import importance
 from fwclass.train.sample import Sample
@@ -32,16 +33,18 @@ def test_importance_in_parts(tmp_path):
         return tmp_path / stage / part / name
 
     inputs = SimpleNamespace(
-        store=SimpleNamespace(path=path), arrays=lambda stage, part, name: read_arrays(path(stage, part, name))
+        path=path, arrays=lambda stage, part, name, only=None: read_arrays(path(stage, part, name), only)
     )
-    forest._save_sample(path("training", "all"), sample)
+    write_arrays(path("training", "all") / learn.SAMPLE, sample.arrays())
     for first, count in ((0, 3), (3, 1)):
         part = f"{first:05d}"
-        forest.grown(first, count, NAMES, params, CLASSES, inputs, path("trees", part))
-        forest.weighed(first, NAMES, params, inputs, path("importance", part))
-    made = forest.trained(("00000", "00003"), NAMES, params, CLASSES, {}, inputs, path("train", "model"))
+        learn.grown(StageInputs(inputs, path("trees", part), part), NAMES, params, CLASSES, count)
+        learn.weighed(StageInputs(inputs, path("importance", part), part), NAMES, params, count, 3)
+    needs = tuple((stage, part) for stage in ("trees", "importance") for part in ("00000", "00003"))
+    here = StageInputs(inputs, path("train", "model"), "model", needs)
+    made = learn.trained(here, NAMES, params, CLASSES, {})
     expected = importance(sample, grow_trees(sample, CLASSES, 0, 4, params), 2, params, 3)
-    for card in (made["card"], load_model(path("train", "model", forest.MODEL)).card):
+    for card in (made["card"], load_model(path("train", "model", learn.MODEL)).card):
         told = card["importance"]
         assert told["repeats"] == 3
         assert [told["drop"][n]["mean"] for n in NAMES] == expected.mean(axis=1).tolist()

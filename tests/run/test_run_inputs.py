@@ -10,7 +10,7 @@ from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 from fwclass.store.cells import CELLS, by_name, by_place
 from fwclass.store.run_location import open_store
-from fwclass.store.tables import write_table
+from fwclass.store.tables import write_groups, write_table
 
 SIZE = 10.0
 OWN = Tile(0, 0, SIZE)
@@ -39,7 +39,7 @@ def echoes(tile, inputs, directory):
 
 def named(inputs, directory):
     table = Table({"z": np.arange(4.0)})
-    write_table(directory / TABLE, table)
+    write_groups(directory / TABLE, table, [0, 2, 4])
     return {"tiles": {"0_0": [0, 2], "1_0": [1, 2]}, CELLS: by_name(table, ["0_0", "1_0"], [0, 2, 4])}
 
 
@@ -70,7 +70,7 @@ BOTH = (("tile", OWN.key), ("tile", NEXT.key))
         lambda i: i.meta("other", OWN.key),
         lambda i: i.digest("other", OWN.key),
         lambda i: i.path("other", OWN.key, TABLE),
-        lambda i: i.fragment("split", "a", 0),
+        lambda i: i.fragment("split", "a", OWN.key),
         lambda i: i.groups("other", OWN.key, [0]),
         lambda i: i.rows(OWN.key, {"z": "other"}),
         lambda i: i.rows("0_1", {"z": "tile"}),
@@ -118,9 +118,9 @@ def test_what_is_declared_is_read(location):
 
 def test_a_fragment_of_another_tile_is_refused(location):
     inputs = inputs_of(location, [("split", "a")], OWN.key)
-    assert inputs_of(location, [("split", "a")]).meta("split", "a")["tiles"]
-    with pytest.raises(UndeclaredRead, match="row group 1"):
-        inputs.fragment("split", "a", 1)
+    assert inputs.fragment("split", "a", OWN.key)["z"].tolist() == [0.0, 1.0]
+    with pytest.raises(UndeclaredRead, match="rows of tile 1_0"):
+        inputs.fragment("split", "a", NEXT.key)
 
 
 def test_a_part_that_reads_more_than_its_task_says_fails_in_words(location):

@@ -13,9 +13,9 @@ from runmaker import SETTINGS, walk
 
 from fwclass import conf
 from fwclass.errors import ConfigError, FwclassError, InputError
+from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_POLYGONS, LABEL_BY_SOURCE
 from fwclass.graph.report import summary
-from fwclass.graph.tiles import label_tasks
-from fwclass.graph.walk import until_tiles
+from fwclass.graph.walk import deciding, tasks_of, until_tiles
 from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
@@ -54,12 +54,12 @@ def labelled(survey: Path, root: Path, *settings: str):
     root.mkdir(parents=True, exist_ok=True)
     with writer(root), Display() as display:
         runner = Runner(root, Loop(), display)
-        tiled = until_tiles(config, runner, config.features_asked)
-        runner.do(label_tasks(tiled.layout))
+        plan = until_tiles(deciding(config), runner)
+        runner.do(tasks_of(plan, (LABEL_BY_SOURCE, LABEL_BY_CLOUD, LABEL_BY_POLYGONS)))
         assert not runner.failures, runner.failures
         inputs = PartInputs(runner.store)
         columns = {**dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile"), "reference": "label"}
-        tables = [inputs.rows(t.key, columns) for t in tiled.layout.tiles]
+        tables = [inputs.rows(t.key, columns) for t in plan.layout.tiles]
     found = {n: np.concatenate([t[n] for t in tables]) for n in columns}
     order = np.lexsort((found["echo_number"], found["pulse"], found["strip"]))
     return runner, {n: v[order] for n, v in found.items()}

@@ -13,7 +13,7 @@ from runmaker import walk
 
 from fwclass import conf
 from fwclass.errors import ConfigError
-from fwclass.graph.layout import check_features
+from fwclass.graph.stages import check_features
 
 NAMES = [
     "strip",

@@ -12,8 +12,9 @@ import rasterio
 
 from fwclass import conf
 from fwclass.graph import report
-from fwclass.graph.work.outputs import delivered_rasters
-from fwclass.graph.work.rasters import Mosaic, stripes, write_rasters
+from fwclass.graph.outputs import delivered_rasters
+from fwclass.graph.rasters import Mosaic, stripes, write_rasters
+from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.figures import class_map
 from fwclass.publish.shade import hillshade
@@ -26,7 +27,7 @@ NAMES = {2: "ground", 6: "building"}
 
 
 class Counted(PartInputs):
-    """A inputs that counts how often each part is read."""
+    """Inputs that count how often each part is read."""
 
     def arrays(self, stage: str, part: str, name: str):
         self.read[stage, part] = self.read.get((stage, part), 0) + 1
@@ -127,7 +128,9 @@ def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> N
     params = conf.load("demo", ()).publish.model_copy(update={"class_cell": cell})
     window = Window.covering(BOX, cell)
     whole = expected(blocks, cell, window)
-    told = delivered_rasters(BOX, cell, blocks, NAMES, "EPSG:25832", params, "rasters", inputs, tmp_path)
+    here = StageInputs(inputs, tmp_path, "all", tuple(("terrain", b.key) for b in blocks))
+    names = {str(code): name for code, name in NAMES.items()}
+    told = delivered_rasters(here, params, "EPSG:25832", names, cell, SIZE, BOX.bounds)
     there = np.isfinite(whole["dtm"])
     assert told == {"dtm_cells": there.sum(), "class_cells": (whole["classes"] > 0).sum()}
     tone = np.where(there, 1 + 254 * hillshade(whole["dtm"], cell, params), 0).astype(np.uint8)

@@ -13,7 +13,7 @@ from runmaker import SETTINGS, walk
 from fwclass import conf
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.work.forest import within
+from fwclass.graph.areas import within
 from fwclass.grid import Box
 from fwclass.run.cluster import Cluster
 from fwclass.run.inputs import PartInputs

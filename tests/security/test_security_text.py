@@ -20,8 +20,7 @@ from fwclass.grid import Window
 from fwclass.publish.cog import write_cog
 from fwclass.publish.figures import class_map
 from fwclass.publish.params import PublishParams
-from fwclass.publish.report import environment
-from fwclass.publish.stage import render_report
+from fwclass.publish.report import environment, render_report
 from fwclass.read.info import describe, info
 from fwclass.run.progress import Display
 from fwclass.store.atomic import write_json

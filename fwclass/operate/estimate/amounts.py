@@ -10,21 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.conf import Config
-from fwclass.features.params import Asked, is_feature
-from fwclass.graph.forest import TREES_PER_PART
-from fwclass.graph.layout import has_range
+from fwclass.graph.areas import training_tiles
+from fwclass.graph.ground import CHECK_SEAMS
+from fwclass.graph.learn import TREES_PER_PART
+from fwclass.graph.radiometry import READ_TRAJECTORY
 from fwclass.graph.sites import in_sites
-from fwclass.graph.thin import thins
-from fwclass.graph.work.sources import CLOUD_ROWS
+from fwclass.graph.sources import INDEX
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stages import STAGES
+from fwclass.graph.survey import SIMULATE
+from fwclass.graph.tiling import CLOUD_ROWS
+from fwclass.graph.walk import given_model
 from fwclass.grid import Box, TileGrid, groups, joint_box
-from fwclass.ground.stage import GROUND_FILTER, TERRAIN
-from fwclass.label.stage import LABEL
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.spread import Piece, Spread, spread_of
 from fwclass.publish.cog import STRIPE
-from fwclass.radiometry.stage import OVERLAP
 from fwclass.store.models import load_model
-from fwclass.thin.sample import THIN
+from fwclass.store.remote_file import local
 
 MIB = 1 << 20
 
@@ -45,6 +47,17 @@ class Amount:
     units: float
     longest: float
     held: float
+
+    def joined(self, other: Amount | None) -> Amount:
+        """Of both together, whose stages have one name."""
+        if other is None:
+            return self
+        return Amount(
+            self.parts + other.parts,
+            self.units + other.units,
+            max(self.longest, other.longest),
+            max(self.held, other.held),
+        )
 
 
 @dataclass(frozen=True)
@@ -75,27 +88,29 @@ class Counts:
         )
 
 
-def features_of(config: Config) -> tuple[str, ...]:
-    """Features of a neighbourhood that the run computes, those that are described besides too."""
-    model = config.survey.model
-    if model is None:
-        names = config.features_asked
-    else:
-        path = Path(model)
-        names = load_model(path if path.is_absolute() else (config.path.parent / path).resolve()).features
-    return tuple(n for n in dict.fromkeys((*names, *config.features.also)) if is_feature(n))
+def plan_of(config: Config) -> Plan:
+    """What the stages are planned by before any file is read."""
+    names = config.features_asked if config.survey.model is None else _features_of_model(config)
+    return Plan(config, names, tuple(dict.fromkeys((*names, *config.features.also))))
+
+
+_known: dict[tuple[Path, str | None], tuple[str, ...]] = {}
+
+
+def _features_of_model(config: Config) -> tuple[str, ...]:
+    """Of the model that is given, wherever it lies; it is opened once."""
+    key = (config.path, config.survey.model)
+    if key not in _known:
+        given = given_model(config)
+        _known.clear()
+        _known[key] = load_model(local(given[0])).features if given else ()
+    return _known[key]
 
 
 def tile_halo(config: Config) -> float:
     """The furthest that any stage reads around a tile [m]."""
-    halos = [Asked.of(features_of(config)).halo(config.features)]
-    if config.survey.reference.kind != "none":
-        halos.append(LABEL.halo(config.label))
-    if has_range(config) and (config.radiometry.balance or config.radiometry.target is not None):
-        halos.append(OVERLAP.halo(config.radiometry))
-    if thins(config):
-        halos += [THIN.halo(config.thin), config.thin.reach]
-    return max(halos)
+    plan = plan_of(config)
+    return max(s.reach(plan) for s in STAGES if s.over == "tile" and s.when(plan))
 
 
 def crowding(config: Config, facts: SurveyFacts) -> float:
@@ -105,111 +120,125 @@ def crowding(config: Config, facts: SurveyFacts) -> float:
 
 def amounts(config: Config, facts: SurveyFacts, size: float) -> dict[str, Amount]:
     """The work of every stage with tiles of `size` [m], in the order of the run."""
-    counts = Counts.of(config, facts)
-    tiles = spread_of(counts.pieces(facts), size)
-    return {
-        **_of_files(config, facts, counts),
-        **_of_reference(facts, tiles, crowding(config, facts)),
-        **_of_tiles(config, facts, tiles),
-        **_of_blocks(config, facts, counts),
-        **_of_training(config),
-        **_of_delivery(config, facts, counts),
-    }
-
-
-def _of_files(config: Config, facts: SurveyFacts, counts: Counts) -> dict[str, Amount]:
-    wanted = config.read.chunk_pulses
-    pulses, points = counts.pulses, counts.points
-    number = pulses // wanted + 1
-    chunk = float(min(pulses.max(), wanted * 1.0))
-    chunks = Amount(int(number.sum()), float(pulses.sum()), chunk, chunk)
-    files, waving = len(pulses), int(counts.waves.sum())
-    indexed = float(np.where(counts.waves, points, 0.0).max())
-    waves = np.where(counts.waves, pulses, 0.0)
-    made = {
-        "index": Amount(files, float(points.sum()), float(points.max()), indexed),
-        "read": Amount(int(number[counts.waves].sum()), float(waves.sum()), min(chunk, float(waves.max())), chunk),
-        "pulse": Amount(waving, float(waves.sum()), float(waves.max()), chunk),
-        "decompose": chunks,
-        "split": chunks,
-    }
-    if facts.simulated:
-        made = {"simulate": Amount(files, float(pulses.sum()), float(pulses.max()), 0.0), **made}
+    plan, quantities = plan_of(config), _Quantities.of(config, facts, size)
+    made: dict[str, Amount] = {}
+    for stage in STAGES:
+        amount = quantities.amount(stage, plan) if stage.when(plan) else None
+        if amount is not None and amount.parts:
+            made[stage.name] = amount.joined(made.get(stage.name))
     return made
 
 
-def _of_reference(facts: SurveyFacts, tiles: Spread, crowd: float) -> dict[str, Amount]:
-    points = facts.reference_points
-    if not points:
-        return {}
-    share = points / float(tiles.counts.sum())
-    most, fullest = min(points, CLOUD_ROWS), float(tiles.counts.max()) * share * crowd
-    return {
-        "reference-split": Amount(math.ceil(points / CLOUD_ROWS), points, most, most),
-        "reference": Amount(tiles.number, points, fullest, fullest),
-    }
+@dataclass(frozen=True)
+class _Quantities:
+    """What the amounts of all stages follow from: the files, and how their echoes are spread over tiles of a size."""
 
+    config: Config
+    facts: SurveyFacts
+    counts: Counts
+    tiles: Spread
+    crowd: float
 
-def _of_tiles(config: Config, facts: SurveyFacts, tiles: Spread) -> dict[str, Amount]:
-    crowd, total = crowding(config, facts), float(tiles.counts.sum())
-    fullest = float(tiles.counts.max()) * crowd
-    plain = Amount(tiles.number, total, fullest, fullest)
-    around = tiles.grown(Asked.of(features_of(config)).halo(config.features))
-    seen = float(around.max()) * crowd
-    labelled = config.survey.reference.kind != "none"
-    made = dict.fromkeys(("tile", "ground", "height"), plain)
-    made["features"] = Amount(tiles.number, float(around[tiles.occupied].sum()), seen, seen)
-    if has_range(config):
-        made["radiometry"] = plain
-    if labelled:
-        made["label"] = plain
-    if labelled and config.survey.model is None:
-        made["census"] = plain
-    made["classify"] = plain
-    if labelled:
-        made["confusion"] = plain
-        made["assess"] = Amount(1, total, total, 0.0)
-    made["publish-tile"] = plain
-    return made
+    @classmethod
+    def of(cls, config: Config, facts: SurveyFacts, size: float) -> _Quantities:
+        counts = Counts.of(config, facts)
+        return cls(config, facts, counts, spread_of(counts.pieces(facts), size), crowding(config, facts))
 
+    def amount(self, stage: Stage, plan: Plan) -> Amount | None:
+        """By what a part of the stage is and what its cost is counted in; None where it has no part."""
+        if stage is SIMULATE:
+            pulses = self.counts.pulses
+            return Amount(len(pulses), float(pulses.sum()), float(pulses.max()), 0.0) if self.facts.simulated else None
+        by_kind = {
+            "file": self._of_files,
+            "strip": self._of_strips,
+            "chunk": self._of_chunks,
+            "tile": self._of_tiles,
+            "block": self._of_blocks,
+            "survey": self._of_survey,
+        }
+        return by_kind[stage.over](stage, plan)
 
-def _of_blocks(config: Config, facts: SurveyFacts, counts: Counts) -> dict[str, Amount]:
-    crowd, pieces, made = crowding(config, facts), counts.pieces(facts), {}
-    for name, block, halo, margin in (
-        ("ground-filter", config.ground.block, GROUND_FILTER.halo(config.ground), 0),
-        ("terrain", config.terrain.block, TERRAIN.halo(config.terrain), 1),
-    ):
-        blocks = spread_of(pieces, block)
-        longest, held = float(blocks.counts.max()) * crowd, float(blocks.grown(halo).max()) * crowd
-        made[name] = Amount(blocks.within(margin), float(blocks.counts.sum()), longest, held)
-    total = float(counts.echoes.sum())
-    if total <= config.run.seam_check_echoes:
-        made["seams"] = Amount(1, total, total, total)
-    return made
+    def _of_files(self, stage: Stage, plan: Plan) -> Amount | None:
+        if stage.unit == "reference":
+            points = self.facts.reference_points
+            most = min(points, CLOUD_ROWS)
+            return Amount(math.ceil(points / CLOUD_ROWS), points, most, most) if points else None
+        asked = self.config.survey
+        number = len(asked.trajectory.files if stage.name == READ_TRAJECTORY.name else asked.reference.files)
+        return Amount(number, float(number), 1.0, 1.0)
 
+    def _of_strips(self, stage: Stage, plan: Plan) -> Amount | None:
+        counts = self.counts
+        own = counts.points if stage.unit == "point" else counts.pulses
+        held = float(np.where(counts.waves, own, 0.0).max()) if stage is INDEX else float(own.max())
+        if stage.waves:
+            own = own[counts.waves]
+            held = self._chunk()
+        return Amount(len(own), float(own.sum()), float(own.max()), held) if len(own) else None
 
-def _of_training(config: Config) -> dict[str, Amount]:
-    if config.survey.model is not None or config.train.method != "forest":
-        return {}
-    rows = float(config.train.samples_per_class * len(config.survey.classes))
-    trees = config.train.trees
-    parts, each = math.ceil(trees / TREES_PER_PART), rows * min(trees, TREES_PER_PART)
-    return {"trees": Amount(parts, rows * trees, each, each), "train": Amount(1, rows * trees, rows * trees, 0.0)}
+    def _chunk(self) -> float:
+        return float(min(self.counts.pulses.max(), self.config.read.chunk_pulses * 1.0))
 
+    def _of_chunks(self, stage: Stage, plan: Plan) -> Amount | None:
+        counts, chunk = self.counts, self._chunk()
+        mine = np.ones(len(counts.pulses), bool) if stage.waves is None else counts.waves == stage.waves
+        pulses = counts.pulses[mine]
+        number = int((pulses // self.config.read.chunk_pulses + 1).sum())
+        return Amount(number, float(pulses.sum()), min(chunk, float(pulses.max())), chunk) if len(pulses) else None
 
-def _of_delivery(config: Config, facts: SurveyFacts, counts: Counts) -> dict[str, Amount]:
-    cell, edge = min(config.terrain.cell, config.publish.class_cell), config.terrain.block
-    boxes = raster_boxes(config, facts, counts)
-    sizes = [b.area / cell**2 for b in boxes]
-    cells, most = sum(sizes), max(sizes)
-    held = max(_held_for_rasters(config, b.xmax - b.xmin, n, cell) for b, n in zip(boxes, sizes, strict=True))
-    blocks = sum(math.ceil(b.area / edge**2) for b in boxes)
-    largest = float(counts.points.max())
-    return {
-        "publish-strip": Amount(len(counts.points), float(counts.points.sum()), largest, largest),
-        "class-block": Amount(blocks, cells, min(cells, (edge / cell) ** 2), 0.0),
-        "publish-rasters": Amount(len(boxes), cells, most, held),
-    }
+    def _of_tiles(self, stage: Stage, plan: Plan) -> Amount | None:
+        tiles, crowd = self.tiles, self.crowd
+        if stage.unit == "reference":
+            points = self.facts.reference_points
+            fullest = float(tiles.counts.max()) * points / float(tiles.counts.sum()) * crowd
+            return Amount(tiles.number, points, fullest, fullest) if points else None
+        reads = stage.reads(plan) if callable(stage.reads) else stage.reads
+        echoes = tiles.grown(stage.reach(plan)) if reads else tiles.counts
+        chosen = tiles.occupied
+        if stage.parts is training_tiles:
+            chosen = chosen & tiles.touching(self.config.areas.boxes("train"))
+        fullest = float(echoes.max()) * crowd
+        return Amount(int(chosen.sum()), float(echoes[chosen].sum()), fullest, fullest)
+
+    def _of_blocks(self, stage: Stage, plan: Plan) -> Amount | None:
+        if stage.edge is None:
+            return None
+        edge = stage.edge(plan)
+        if stage.unit == "cell":
+            cell = self._cell()
+            boxes = raster_boxes(self.config, self.facts, self.counts)
+            cells = sum(b.area / cell**2 for b in boxes)
+            blocks = sum(math.ceil(b.area / edge**2) for b in boxes)
+            return Amount(blocks, cells, min(cells, (edge / cell) ** 2), 0.0)
+        spread = spread_of(self.counts.pieces(self.facts), edge)
+        longest = float(spread.counts.max()) * self.crowd
+        held = float(spread.grown(stage.reach(plan)).max()) * self.crowd
+        return Amount(spread.within(stage.margin), float(spread.counts.sum()), longest, held)
+
+    def _cell(self) -> float:
+        return min(self.config.terrain.cell, self.config.publish.class_cell)
+
+    def _of_survey(self, stage: Stage, plan: Plan) -> Amount | None:
+        config, total = self.config, float(self.counts.echoes.sum())
+        if stage is CHECK_SEAMS and total > config.run.seam_check_echoes:
+            return None
+        if stage.unit == "cell":
+            cell, boxes = self._cell(), raster_boxes(config, self.facts, self.counts)
+            sizes = [b.area / cell**2 for b in boxes]
+            held = max(_held_for_rasters(config, b.xmax - b.xmin, n, cell) for b, n in zip(boxes, sizes, strict=True))
+            return Amount(len(boxes), sum(sizes), max(sizes), held)
+        if stage.unit == "echo":
+            return Amount(1, total, total, total if stage.reads else 0.0)
+        parts = len(stage.all_parts(plan))
+        if stage.unit == "part":
+            return Amount(parts, float(parts), 1.0, 1.0)
+        rows = float(config.train.samples_per_class * len(config.survey.classes))
+        if stage.unit == "row":
+            return Amount(parts, rows, rows, rows)
+        units = rows * config.train.trees
+        each = rows * min(config.train.trees, TREES_PER_PART) if parts > 1 else units
+        return Amount(parts, units, each, each if parts > 1 else 0.0)
 
 
 def raster_boxes(config: Config, facts: SurveyFacts, counts: Counts) -> list[Box]:

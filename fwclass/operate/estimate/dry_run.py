@@ -4,24 +4,18 @@ from __future__ import annotations
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.graph.layout import check_features
-from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.graph.walk import deciding, until_report, until_tiles
+from fwclass.graph.workflow import after_tiles
 from fwclass.operate.estimate.trial import Trial, whole_tiles
 from fwclass.run.runner import Runner
-from fwclass.store.models import load_model
-from fwclass.store.remote_file import local
-from workflows.classification import from_tiles, given_model
+from workflows.classification import classification
 
 
 def trial(asked: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
     """Run the `count` tiles with most echoes of those that are whole; return their keys, the fullest first."""
     config: Config = asked.config
-    model = given_model(config)
-    names = load_model(local(model[0])).features if model else config.features_asked
-    check_features(config, names, model[0] if model else f"{config.path}: survey.features")
-    check_features(config, config.features.also, f"{config.path}: features.also")
-    tiled = until_tiles(config, runner, names)
-    tiles = tiled.layout.tiles
+    plan = until_tiles(deciding(config), runner)
+    tiles = plan.layout.tiles
     whole = whole_tiles([t.key for t in tiles], [t.box for t in tiles], asked.left, halo)
     if not whole:
         raise InputError(
@@ -31,8 +25,7 @@ def trial(asked: Trial, runner: Runner, count: int, halo: float) -> tuple[str, .
             do="--dry-run with more tiles, or smaller tile.size",
         )
     chosen = tuple(sorted(whole, key=lambda key: (-_rows(runner, key), key))[:count])
-    labelling = until_labels(tiled, (*names, *config.features.also))
-    from_tiles(config, runner, tiled, names, labelling, model, frozenset(chosen))
+    until_report(plan, runner, after_tiles(classification.stages), frozenset(chosen))
     return chosen
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from fwclass.conf import Config
 from fwclass.conf.planning import StageCost
+from fwclass.graph.stages import STAGES
 from fwclass.grid import TileGrid
 from fwclass.operate.estimate.amounts import Amount, amounts
 from fwclass.operate.estimate.headers import SurveyFacts
@@ -18,6 +19,7 @@ NEAR = 0.1
 """A gain of less than this share is none: a size that is set stays."""
 
 Costs = Mapping[str, StageCost]
+UNITS = {stage.name: stage.unit for stage in STAGES}
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def estimated(config: Config, facts: SurveyFacts, size: float, workers: int, cos
 def _stage(name: str, amount: Amount, cost: StageCost, waves: float, base_mib: float) -> StagePlan:
     return StagePlan(
         name,
-        cost.unit,
+        UNITS[name],
         amount,
         seconds=amount.parts * cost.part * 1e-3 + amount.units * cost.each * 1e-6,
         longest=cost.part * 1e-3 + amount.longest * cost.each * 1e-6,

@@ -12,7 +12,7 @@ from fwclass.conf import Config
 from fwclass.errors import InputError
 from fwclass.graph.files import found_files
 from fwclass.graph.survey import common_crs, directory_of, opened_all
-from fwclass.graph.work.sources import CLOUD_ROWS
+from fwclass.graph.tiling import CLOUD_ROWS
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates

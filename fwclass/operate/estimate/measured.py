@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from fwclass.conf.planning import StageCost
+from fwclass.graph.outputs import DELIVER_STRIP
+from fwclass.graph.stages import STAGES
 from fwclass.operate.estimate.amounts import Amount
 from fwclass.operate.estimate.estimate import Costs, Estimate
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
 
-OF_TILE = ("tile", "ground", "height", "features", "radiometry", "label", "census", "classify", "publish-tile")
-OF_CHUNK = ("read", "decompose", "split")
-WHOLE = ("seams", "assess", "publish-rasters", "train", "training")
+WHOLE = frozenset(s.name for s in STAGES if s.over == "survey")
 """Parts of a whole survey: those of a few tiles tell nothing of their memory."""
 
 
@@ -85,15 +85,21 @@ def _units(store: Store, made: Mapping[str, Amount]) -> dict[str, dict[str, floa
     rows = {r.part: float(r.meta["rows"]) for r in store.receipts("tile")}
     read = [r for stage in ("read", "decompose") for r in store.receipts(stage) if "returns" in r.meta]
     pulses = {r.part: float(r.meta["waveforms"] or r.meta["returns"]) for r in read}
-    around = made["features"].units / made["tile"].units
-    units: dict[str, dict[str, float]] = dict.fromkeys(OF_TILE, rows) | dict.fromkeys(OF_CHUNK, pulses)
-    units["features"] = {part: n * around for part, n in rows.items()}
-    units["index"] = {r.part: float(r.meta["points"]) for r in store.receipts("index")}
-    units["pulse"] = {r.part: float(r.meta["pulses"]) for r in store.receipts("index")}
-    for stage in ("ground-filter", "terrain"):
-        units[stage] = {r.part: _pieces(r.meta) for r in store.receipts(stage)}
-    for stage in ("reference-split", "reference"):
-        units[stage] = {r.part: float(r.meta["rows"]) for r in store.receipts(stage)}
+    units: dict[str, dict[str, float]] = {}
+    for stage in STAGES:
+        name = stage.name
+        if stage.unit == "reference":
+            units[name] = {r.part: float(r.meta["rows"]) for r in store.receipts(name)}
+        elif stage.over == "chunk":
+            units[name] = pulses
+        elif stage.over == "strip" and name != DELIVER_STRIP.name:
+            count = "points" if stage.unit == "point" else "pulses"
+            units[name] = {r.part: float(r.meta[count]) for r in store.receipts("index")}
+        elif stage.over == "block" and stage.unit == "echo":
+            units[name] = {r.part: _pieces(r.meta) for r in store.receipts(name)}
+        elif stage.over == "tile" and name in made:
+            around = made[name].units / made[name].parts / (made["tile"].units / made["tile"].parts)
+            units[name] = {part: n * around if stage.reads else n for part, n in rows.items()}
     return units
 
 

@@ -85,6 +85,16 @@ class Spread:
     def tile(self, i: int, j: int) -> Tile:
         return Tile(int(self.cols[i]), int(self.rows[j]), self.size)
 
+    def touching(self, boxes: Sequence[Box]) -> NDArray[np.bool_]:
+        """Squares that share area with one of `boxes`."""
+        low_x, low_y = self.cols * self.size, self.rows * self.size
+        near = np.zeros(self.counts.shape, bool)
+        for box in boxes:
+            along = (low_x < box.xmax) & (low_x + self.size > box.xmin)
+            up = (low_y < box.ymax) & (low_y + self.size > box.ymin)
+            near |= np.outer(along, up)
+        return near
+
     def squares(self) -> list[Tile]:
         """Those that are occupied."""
         return [self.tile(i, j) for i, j in np.argwhere(self.occupied).tolist()]

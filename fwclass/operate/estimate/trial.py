@@ -11,9 +11,10 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.files import found_files, joint_bounds
+from fwclass.graph.stages import STAGES
 from fwclass.graph.survey import directory_of
 from fwclass.grid import Box
-from fwclass.ground.stage import GROUND_FILTER, TERRAIN
+from fwclass.operate.estimate.amounts import plan_of
 from fwclass.operate.estimate.whole import Plan
 from fwclass.read.source import open_source
 from fwclass.store.remote_file import local
@@ -81,11 +82,8 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
 
 def reach(plan: Plan) -> float:
     """The furthest that the road to a tile's classes reads around it [m]: its own halo, and its blocks with theirs."""
-    config = plan.config
-    blocks = (
-        config.ground.block + GROUND_FILTER.halo(config.ground),
-        config.terrain.block + TERRAIN.halo(config.terrain),
-    )
+    stages = plan_of(plan.config)
+    blocks = (s.edge(stages) + s.reach(stages) for s in STAGES if s.edge is not None and s.unit == "echo")
     return plan.halo + max(blocks)
 
 

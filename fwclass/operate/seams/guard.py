@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from fwclass.errors import StoreError
 from fwclass.graph.layout import Layout
-from fwclass.grid import Tile, TileGrid
+from fwclass.grid import Box, Tile, TileGrid
 from fwclass.operate.status.walk import StatusWalk
 from fwclass.store.run_location import RunLocation, address_of, held_by, open_store
 
@@ -40,12 +40,15 @@ def check_done(look: StatusWalk, tiles: Iterable[str], stages: Sequence[str]) ->
         )
 
 
-def whole_blocks(stage: str, blocks: list[Tile], layout: Layout, look: StatusWalk, halo: float) -> list[Tile]:
+def whole_blocks(
+    stage: str, blocks: list[Tile], layout: Layout, look: StatusWalk, reads: Callable[[Tile], Box]
+) -> list[Tile]:
     """Blocks that are done, as are flags and heights of all tiles that they are made from: all blocks of a whole run,
-    those in the middle of one that was restricted to some tiles. `stage` empty: only the tiles count."""
+    those in the middle of one that was restricted to some tiles. `reads` tells where a block reads; `stage` empty: only
+    the tiles count."""
     found, keys, grid = [], layout.keys, TileGrid(layout.config.tile.size)
     for block in blocks:
-        near = [t.key for t in grid.touching(block.box.grown(halo)) if t.key in keys]
+        near = [t.key for t in grid.touching(reads(block)) if t.key in keys]
         names = [(s, t) for t in near for s in ("ground", "height")] + ([(stage, block.key)] if stage else [])
         if near and all(look.states[n].standing == "done" for n in names):
             found.append(block)

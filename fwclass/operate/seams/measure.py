@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import StoreError
-from fwclass.graph.layout import Layout
-from fwclass.graph.work.ground import filtered_block, surroundings, terrain_block
-from fwclass.graph.work.rasters import RASTERS
-from fwclass.grid import Tile, TileGrid
-from fwclass.ground.stage import GROUND_FILTER, TERRAIN
+from fwclass.graph.ground import surroundings
+from fwclass.graph.rasters import RASTERS
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stages import CLASSIFYING, TO_LABELS
+from fwclass.grid import Tile
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs
 from fwclass.operate.seams.places import Place, places
@@ -26,15 +26,15 @@ from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Outcome, Task, single_thread
 from fwclass.run.progress import Display
 from fwclass.schema import IDENTITY, Table
-from fwclass.stage import Stage
 from fwclass.store.arrays import read_arrays
 from fwclass.store.tables import read_table
 
-TILE_STAGES = ("thin", "features", "radiometry", "label", "classify")
+_OF_ECHOES = [s for s in (*TO_LABELS, *CLASSIFYING) if s.writes]
+TILE_STAGES = tuple(dict.fromkeys(s.name for s in _OF_ECHOES if s.over == "tile" and not s.named))
 """Stages whose parts are tiles and that compute something of echoes."""
-BLOCK_STAGES = (GROUND_FILTER, TERRAIN)
-GATHERED = {GROUND_FILTER.name: "ground", TERRAIN.name: "height"}
-"""Stages of blocks, and the stage of tiles that holds their columns."""
+BLOCK_STAGES = tuple(s for s in _OF_ECHOES if s.over == "block")
+GATHERING = tuple(s.name for s in _OF_ECHOES if s.over == "tile" and s.named)
+"""Stages of blocks that compute something of echoes, and those of tiles that hold their columns."""
 _PLACE = dict.fromkeys((*IDENTITY, "x", "y"), "tile")
 
 
@@ -72,21 +72,20 @@ def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display:
 
 
 def block_seams(
-    tasks: Sequence[Task], layout: Layout, inputs: OtherTilesInputs, listed: int, display: Display
+    tasks: Sequence[tuple[Tile, Task]], plan: Plan, inputs: OtherTilesInputs, listed: int, display: Display
 ) -> list[Seam]:
-    """Do the work of `tasks` (filter and terrain of blocks) with tiles of another size (those of `layout`), compare the
+    """Do the work of `tasks` (filter and terrain of blocks) with tiles of another size (those of `plan`), compare the
     columns of the blocks' echoes and the cells of the terrain."""
     single_thread()
-    display.expect(Counter(t.stage for t in tasks))
+    display.expect(Counter(t.stage for _, t in tasks))
     found: dict[str, Seam] = {}
-    size, keys = layout.config.tile.size, tuple(layout.keys)
-    for task in tasks:
-        block = TileGrid(size_of(task.stage, layout)).tile(task.part)
+    size, keys = plan.config.tile.size, tuple(plan.layout.keys)
+    for block, task in tasks:
         with _scratch() as directory:
             task.work(inputs, directory)
             now = read_table(directory / TABLE)
-            cells = read_arrays(directory / RASTERS)[0] if task.stage == TERRAIN.name else {}
-        stage = GATHERED[task.stage]
+            cells = read_arrays(directory / RASTERS)[0] if (directory / RASTERS).exists() else {}
+        stage = gathering(plan, now)
         stored = surroundings(inputs, block, 0.0, size, {**_PLACE, **dict.fromkeys(now, stage)}, keys).table
         _same_rows(stored, now, task)
         found.setdefault(stage, Seam(stage, "block", "echoes", listed)).add(
@@ -131,46 +130,40 @@ class Apart:
         return {**self.__dict__, "share": self.off / max(self.echoes, 1)}
 
 
-def size_of(stage: str, layout: Layout) -> float:
-    """Edge of the stage's blocks [m]."""
-    return layout.config.ground.block if stage == GROUND_FILTER.name else layout.config.terrain.block
+def gathering(plan: Plan, columns: Iterable[str]) -> str:
+    """The stage whose tables of tiles hold `columns` that blocks computed."""
+    return plan.layout.columns(columns)[next(iter(columns))]
 
 
-def shifted_blocks(stage: Stage, layout: Layout) -> list[Place]:
+def shifted_blocks(stage: Stage, plan: Plan) -> list[Place]:
     """Blocks moved by half their size that hold a border between two of the stage's blocks."""
-    size, width = size_of(stage.name, layout), layout.config.seams.width
+    blocks = stage.all_parts(plan)
+    size, width = blocks[0].size, plan.config.seams.width
     half = round(500.0 * size) / 1000.0
-    return places((b.key for b in layout.blocks(size)), size, (half, half), width)
+    return places((b.key for b in plan.layout.blocks(size)), size, (half, half), width)
 
 
 def apart(
-    stage: Stage,
-    moved: Sequence[Place],
-    count: int,
-    layout: Layout,
-    inputs: PartInputs,
-    within: float,
-    display: Display,
+    stage: Stage, moved: Sequence[Place], count: int, plan: Plan, inputs: PartInputs, within: float, display: Display
 ) -> Apart:
     """Filter, or make the terrain of, the first `count` of the blocks `moved` that have echoes near the borders of the
     run's blocks, and compare these."""
-    size, columns = layout.config.tile.size, layout.columns(stage.reads)
+    columns = stage.columns(plan)
+    stage_of_tiles = gathering(plan, columns)
     made, echoes, off = 0, 0, 0
     heights: list[NDArray[np.float64]] = []
     for place in moved:
         if made == count:
             break
-        block, present = place.tile, reached(stage, place.tile, layout)
-        wanted = {**_PLACE, **dict.fromkeys(stage.writes, GATHERED[stage.name])}
-        stored = surroundings(inputs, block, 0.0, size, wanted, present).table
+        block, layout = place.tile, plan.layout
+        present = layout.around(stage.box(plan, block), layout.keys)
+        wanted = {**_PLACE, **dict.fromkeys(columns, stage_of_tiles)}
+        stored = surroundings(inputs, block, 0.0, plan.config.tile.size, wanted, present).table
         near = place.holds(stored["x"], stored["y"])
         if not near.any():
             continue
         with _scratch() as directory:
-            if stage.name == GROUND_FILTER.name:
-                filtered_block(block, size, present, layout.config.ground, inputs, directory)
-            else:
-                terrain_block(block, size, columns, present, layout.config.terrain, inputs, directory)
+            stage.task(plan, block).work(inputs, directory)
             now = read_table(directory / TABLE)
         wrong, differences = _off(stored.take(near), now.take(near), within)
         heights += differences
@@ -178,7 +171,7 @@ def apart(
         display.say(f"{stage.name:<12} block moved to {', '.join(f'{v:.0f}' for v in block.box.bounds[:2])}")
     every = np.concatenate(heights) if heights else np.empty(0)
     told = (float(np.quantile(every, 0.999)), float(every.max())) if every.size else (None, None)
-    return Apart(GATHERED[stage.name], made, echoes, off, within, *told)
+    return Apart(stage_of_tiles, made, echoes, off, within, *told)
 
 
 def _off(stored: Table, now: Table, within: float) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:
@@ -193,15 +186,3 @@ def _off(stored: Table, now: Table, within: float) -> tuple[NDArray[np.bool_], l
         differences.append(difference[np.isfinite(difference)])
         wrong |= (difference > within) | (np.isnan(a) != np.isnan(b))
     return wrong, differences
-
-
-def reach_of(stage: Stage, layout: Layout) -> float:
-    """How far around a block its stage reads [m]."""
-    if stage.name == GROUND_FILTER.name:
-        return stage.halo(layout.config.ground)
-    return stage.halo(layout.config.terrain) + layout.config.terrain.cell
-
-
-def reached(stage: Stage, block: Tile, layout: Layout) -> tuple[str, ...]:
-    """Tiles that a block of the stage is made from."""
-    return layout.around(block.box.grown(reach_of(stage, layout)), layout.keys)

@@ -17,7 +17,7 @@ from fwclass.errors import ConfigError
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import features
-from fwclass.graph.layout import MAX_REACH
+from fwclass.graph.stages import MAX_REACH
 from fwclass.graph.survey import given_crs
 from fwclass.ground.blocks import blocks_of
 from fwclass.ground.stage import TERRAIN

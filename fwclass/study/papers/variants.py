@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
-from fwclass.graph.forest import TREES_PER_PART
+from fwclass.graph.areas import IDENTITY_AND_PLACE
 from fwclass.graph.layout import Layout, needs_of, plain
-from fwclass.graph.work import forest
+from fwclass.graph.learn import DRAW_SAMPLE, TREES_PER_PART
+from fwclass.graph.stage import Plan, always
 from fwclass.model import ClassDef
 from fwclass.run.part import Task
 from fwclass.study.papers import work
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import VERSION as OTHERS_VERSION
 from fwclass.train.params import TrainParams
-from fwclass.train.stage import TRAIN_IMPORTANCE, TRAIN_SAMPLE, TRAIN_TREES
+from fwclass.train.stage import TRAIN_IMPORTANCE, TRAIN_TREES
 
 VERSION = 1
 
@@ -72,17 +73,14 @@ def data_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
     }
     chosen = tuple(t for t in layout.tiles if any(t.box.touches(b) for b in train))
     needs = {t.key: needs_of({**columns, "reference": "label"}, (t.key,)) for t in layout.tiles}
-    made = [
-        Task(
-            "paper-sample",
-            t.key,
-            TRAIN_SAMPLE.version,
-            drawn,
-            partial(forest.sampled, t, columns, names, train, config.train, classes),
-            needs=needs[t.key],
-        )
-        for t in chosen
-    ]
+    sampling = replace(
+        DRAW_SAMPLE,
+        name="paper-sample",
+        when=always,
+        arguments=lambda plan: {"names": names, "params": config.train, "classes": classes, "areas": train},
+        own=(*IDENTITY_AND_PLACE, *names, "reference"),
+    )
+    made = [sampling.task(Plan(config, tiled=layout), t) for t in chosen]
     made += [
         Task(
             "paper-test",

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from fwclass.assess.intervals import FIGURES, caution, difference, intervals, scores
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
-from fwclass.graph.work.forest import SAMPLE, tested
+from fwclass.graph.areas import tested
+from fwclass.graph.learn import SAMPLE
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
 from fwclass.hashing import hashed
 from fwclass.model import ClassDef, Forest, Model, Tree, class_index, sample_matrix

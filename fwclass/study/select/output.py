@@ -10,7 +10,8 @@ from fwclass.conf import Config
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
 from fwclass.features.params import is_feature
-from fwclass.graph.layout import providers
+from fwclass.graph.stage import Plan
+from fwclass.graph.stages import providers
 from fwclass.publish.files import whole
 from fwclass.publish.selectplot import draw_selection
 from fwclass.store.atomic import write_json
@@ -22,7 +23,7 @@ def candidates_of(config: Config, text: str | None) -> tuple[str, ...]:
     """Names from a list ``a,b,c``, a feature set's name or file; those of the survey if nothing is given."""
     if text is None:
         return config.features_asked
-    if "," in text or text in providers(config) or is_feature(text):
+    if "," in text or text in providers(Plan(config)) or is_feature(text):
         return tuple(word.strip() for word in text.split(",") if word.strip())
     return feature_set(text, config.path.parent, "--candidates").features
 

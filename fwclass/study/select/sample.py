@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.graph.areas import within
 from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
-from fwclass.graph.thin import thin_columns
-from fwclass.graph.work.forest import within
+from fwclass.graph.thin import thins
 from fwclass.grid import Box, Tile, millimetres
 from fwclass.model import ClassDef
 from fwclass.run.inputs import PartInputs
@@ -23,6 +23,7 @@ from fwclass.schema import Table, canonical_key
 from fwclass.select.folds import Folds, check_folds, spatial_folds
 from fwclass.select.params import SelectParams
 from fwclass.store.arrays import write_arrays
+from fwclass.thin.sample import THIN
 from fwclass.train.sample import Sample
 from fwclass.train.stage import TRAIN_SAMPLE, TrainParams, candidates, merge
 
@@ -47,7 +48,7 @@ def sample_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
     config = layout.config
     boxes = config.areas.boxes("train")
     train = config.train.model_copy(update={"samples_per_class": config.select.samples_per_class})
-    columns = layout.columns(names) | thin_columns(config)
+    columns = layout.columns((*names, *(THIN.writes if thins(config) else ())))
     drawn = {
         "seed": train.seed,
         "samples_per_class": train.samples_per_class,

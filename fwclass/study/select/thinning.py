@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fwclass.features.params import Asked
 from fwclass.features.stage import FEATURES, features
+from fwclass.graph.areas import within
 from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
-from fwclass.graph.work.forest import within
 from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.publish.selectplot import draw_rates

@@ -1,0 +1,140 @@
+"""Stages that judge: confusion counts and distributions of every tile's echoes in the test areas, and of all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.assess.remarks import pure_share
+from fwclass.assess.stage import (
+    ASSESS_VERSION,
+    CONFUSION_VERSION,
+    BlockCounts,
+    confusion,
+    figures,
+    intervals,
+    packed,
+    summary,
+    unclassified,
+    unpacked,
+)
+from fwclass.conf.model import AreasSection
+from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.model import ClassDef, class_index
+from fwclass.schema import Table
+from fwclass.store.arrays import write_arrays
+
+COUNTS = "counts.zarr"
+GROUND = 2
+"""Class code."""
+
+FAN_2013 = ("echo_number", "amplitude", "backscatter", "width")
+"""Of the seven features of Fan 2013 those that no neighbourhood is needed for; the report sets their distribution
+beside the paper's, used by the forest or not."""
+
+
+def described(plan: Plan) -> tuple[str, ...]:
+    """The classifier's features, those that are computed besides, and what else Fan 2013 has."""
+    also = (n for n in FAN_2013 if n in plan.layout.providers)
+    return tuple(dict.fromkeys((*plan.names, *plan.config.features.also, *also)))
+
+
+def judged(
+    here: StageInputs, names: tuple[str, ...], areas: AreasSection, block: float, classes: tuple[ClassDef, ...]
+) -> Made:
+    """Confusion counts (whole, and by blocks of edge `block` [m]) and feature histograms of a tile's echoes in the test
+    areas; the ground filter's counts of all its labelled echoes, for it learns from none."""
+    table = here.rows()
+    filtered = ground_counts(table, classes)
+    table = table.take(tested(table, areas.boxes("train"), areas.boxes("test"), areas.gap))
+    matrix = confusion(table["reference"], table["classification"], classes)
+    lost = unclassified(table["reference"], table["classification"], classes)
+    places, counts = packed(table.select(names), table["reference"], classes)
+    blocks = BlockCounts.of(table["x"], table["y"], table["reference"], table["classification"], classes, block)
+    kept = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
+    write_arrays(here.directory / COUNTS, kept)
+    return {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist()}
+
+
+def ground_counts(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
+    """(2, 2) labelled echoes: the reference says ground or not (rows), the filter says so or not; 0 where no class is
+    ground."""
+    index = class_index(table["reference"], classes)
+    ours = [k for k, one in enumerate(classes) if one.code == GROUND]
+    if not ours:
+        return np.zeros((2, 2), np.int64)
+    known = index >= 0
+    cells = 2 * ~np.isin(index[known], ours) + ~table["ground"][known]
+    return np.bincount(cells, minlength=4).reshape(2, 2).astype(np.int64)
+
+
+def assessed(
+    here: StageInputs,
+    names: tuple[str, ...],
+    areas: AreasSection,
+    block: float,
+    classes: tuple[ClassDef, ...],
+    quantiles: tuple[float, ...],
+) -> Made:
+    """Figures over all test areas with their intervals, and the distribution of the features by class.
+
+    What it keeps of the blocks serves to compare two runs.
+    """
+    n = len(classes)
+    matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
+    parts, counted = [], []
+    for tile in here.parts("confusion"):
+        meta = here.inputs.meta("confusion", tile)
+        matrix += np.array(meta["matrix"], np.int64)
+        lost += np.array(meta["lost"], np.int64)
+        filtered += np.array(meta["ground"], np.int64)
+        arrays, _ = here.inputs.arrays("confusion", tile, COUNTS)
+        counted.append((arrays["places"], arrays["counts"]))
+        parts.append(BlockCounts(arrays["place"], arrays["blocks"]))
+    blocks = BlockCounts.merged(parts, n)
+    write_arrays(here.directory / COUNTS, {"place": blocks.place, "blocks": blocks.counts})
+    histograms = unpacked(counted, names, n)
+    called = [c.name for c in classes]
+    accuracy = figures(matrix, called, lost) | {
+        "intervals": intervals(blocks.counts),
+        "blocks": int(blocks.counts.any(axis=(1, 2)).sum()),
+        "pure_share": pure_share(blocks.counts),
+    }
+    return {
+        "accuracy": accuracy if matrix.any() or lost.any() else None,
+        "distribution": summary(histograms, called, quantiles),
+        "ground": figures(filtered, ("ground", "other")) if filtered.any() else None,
+    }
+
+
+def _judging(plan: Plan) -> Mapping[str, Any]:
+    config = plan.config
+    return {"names": described(plan), "areas": config.areas, "block": config.assess.block, "classes": config.classes}
+
+
+COUNT_CONFUSION = Stage(
+    "confusion",
+    CONFUSION_VERSION,
+    "tile",
+    "echo",
+    judged,
+    when=labelled,
+    arguments=_judging,
+    own=lambda plan: (*IDENTITY_AND_PLACE, *described(plan), "reference", "classification", "ground"),
+    check=True,
+)
+ASSESS = Stage(
+    "assess",
+    ASSESS_VERSION,
+    "survey",
+    "echo",
+    assessed,
+    when=labelled,
+    arguments=lambda plan: {**_judging(plan), "quantiles": plan.config.assess.quantiles},
+    needs=lambda plan, part: [("confusion", t.key) for t in plan.layout.tiles],
+    check=True,
+)

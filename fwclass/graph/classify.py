@@ -1,0 +1,140 @@
+"""The stage that classifies: every echo of a tile by the model, or in a thinned run by its nearest sampled echo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass.classify.stage import CLASSIFY, classify, filled, probability_columns
+from fwclass.errors import InputError
+from fwclass.graph.layout import FileDigests
+from fwclass.graph.learn import MODEL
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.thin import thins
+from fwclass.model import Model, sample_matrix
+from fwclass.run.part import Name
+from fwclass.schema import Table
+from fwclass.store.external_file import ExternalFile
+from fwclass.store.models import load_model, model_digest
+from fwclass.store.remote_file import Location
+from fwclass.thin.follow import follow
+from fwclass.thin.sample import THIN
+
+_PLACE = ("x", "y", "z")
+_loaded: dict[tuple[str, str], Model] = {}
+
+
+def model_at(path: Path, digest: str, foreign: bool) -> Model:
+    """The model in `path`, kept in this process as long as its digest is the same.
+
+    A `foreign` model, which no receipt names, must still have it.
+    """
+    key = (str(path), digest)
+    if key not in _loaded:
+        _loaded.clear()
+        model = load_model(path)
+        if foreign and model_digest(path) != digest:
+            raise InputError(
+                "the model was changed while the run was under way",
+                where=path,
+                do="run the same again with one of them",
+            )
+        _loaded[key] = model
+    return _loaded[key]
+
+
+def _model(here: StageInputs, digest: str | None) -> Model:
+    """The model that is given, by its digest; None: the run's own."""
+    if digest is None:
+        return model_at(here.inputs.path("train", "model", MODEL), here.inputs.digest("train", "model"), False)
+    return model_at(here.file(), digest, True)
+
+
+def classified(here: StageInputs, names: tuple[str, ...], probabilities: bool, model: str | None) -> Made:
+    """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
+
+    `names`: the features that decide; `model`: digest of a given one, None for the run's own.
+    """
+    used = _model(here, model)
+    tables, missing = [], 0
+    for rows in here.cuts():
+        X = sample_matrix(rows, used.features, here.part)
+        tables.append(classify(X, used, probabilities))
+        missing += filled(X, used)
+    table = tables[0] if len(tables) == 1 else Table.concat(tables)
+    return table, {"codes": _codes(table), "filled": missing}
+
+
+def followed(
+    here: StageInputs, names: tuple[str, ...], probabilities: bool, model: str | None, reach: float, thin: int
+) -> Made:
+    """As `classified`, for a thinned run (of the sample's version `thin`): the model is asked about sampled echoes, in
+    the halo too, and every other echo takes the answer to its nearest one within `reach` [m]."""
+    chunk = here.chunk()
+    rows = np.flatnonzero(chunk.table["sampled"])
+    some = chunk.table.take(rows)
+    used = _model(here, model)
+    X = sample_matrix(some, used.features, here.part)
+    answer = classify(X, used, probabilities)
+    core = chunk.table.take(chunk.core)
+    own = core["sampled"]
+    near = np.searchsorted(rows, chunk.core)
+    others = tuple(core[n][~own] for n in _PLACE)
+    near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
+    table = answer.take(near)
+    return table, {"codes": _codes(table), "filled": filled(X, used), "asked": int(own.sum())}
+
+
+def _codes(table: Table) -> dict[str, int]:
+    codes, counts = np.unique(table["classification"], return_counts=True)
+    return {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
+
+
+def _asked(plan: Plan) -> Mapping[str, Any]:
+    shares = plan.config.classify.probabilities
+    return {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
+
+
+def _own_model(plan: Plan, part: Any) -> tuple[Name, ...]:
+    return () if plan.model else (("train", "model"),)
+
+
+def _given_model(plan: Plan, part: Any) -> tuple[Location, FileDigests] | None:
+    return (plan.model[0], (ExternalFile("model", plan.model[1]),)) if plan.model else None
+
+
+def classes_written(plan: Plan) -> tuple[str, ...]:
+    shares = probability_columns(c.code for c in plan.config.classes) if plan.config.classify.probabilities else ()
+    return (*CLASSIFY.writes, *shares)
+
+
+CLASSIFY_ECHOES = Stage(
+    CLASSIFY.name,
+    CLASSIFY.version,
+    "tile",
+    "echo",
+    classified,
+    when=lambda plan: not thins(plan.config),
+    arguments=_asked,
+    own=lambda plan: plan.names,
+    writes=classes_written,
+    needs=_own_model,
+    source=_given_model,
+)
+CLASSIFY_THINNED = Stage(
+    CLASSIFY.name,
+    CLASSIFY.version,
+    "tile",
+    "echo",
+    followed,
+    when=lambda plan: thins(plan.config),
+    arguments=lambda plan: {**_asked(plan), "reach": plan.config.thin.reach, "thin": THIN.version},
+    reads=lambda plan: (*_PLACE, *plan.names, *THIN.writes),
+    writes=classes_written,
+    halo=lambda plan: plan.config.thin.reach,
+    needs=_own_model,
+    source=_given_model,
+)

@@ -1,0 +1,54 @@
+"""The stage of neighbourhood features, tile by tile."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.features.dense import Crowd, crowd_facts
+from fwclass.features.params import NORMAL, Asked, FeaturesParams, is_feature
+from fwclass.features.stage import FEATURES, features
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.thin import features_of_some, sampled_columns
+from fwclass.schema import Table
+
+
+def asked_of(plan: Plan) -> Asked:
+    """The features of a neighbourhood that a run computes; who asks in another order gets the same part."""
+    return Asked.of(sorted(n for n in plan.computed if is_feature(n)))
+
+
+def featured(here: StageInputs, params: FeaturesParams, names: tuple[str, ...]) -> Made:
+    """Neighbourhood features of a tile's echoes; of a thinned run's, of the sampled ones."""
+    sampled = here.own_rows()["sampled"] if here.own else None
+    tables, rows, crowds = [], [], []
+    for these, chunk in here.chunks():
+        some = None if sampled is None else sampled[these]
+        tables.append(features(chunk, names, params) if some is None else features_of_some(chunk, some, names, params))
+        rows.append(these)
+        crowds.append(crowd_facts(chunk, params))
+    crowded = Crowd.of_parts(crowds)
+    return _joined(tables, rows), ({"dense": crowded.told()} if crowded else {})
+
+
+def _joined(pieces: list[Table], rows: list[NDArray[np.int64]]) -> Table:
+    """A tile's rows in their order, from pieces of which each has `rows`."""
+    if len(pieces) == 1:
+        return pieces[0]
+    return Table.concat(pieces).take(np.argsort(np.concatenate(rows), kind="stable"))
+
+
+COMPUTE_FEATURES = Stage(
+    FEATURES.name,
+    FEATURES.version,
+    "tile",
+    "echo",
+    featured,
+    arguments=lambda plan: {"params": plan.config.features, "names": asked_of(plan).names},
+    silent=frozenset({"also"}),
+    reads=lambda plan: asked_of(plan).reads,
+    own=sampled_columns,
+    writes=lambda plan: (*asked_of(plan).names, *NORMAL),
+    halo=lambda plan: asked_of(plan).halo(plan.config.features),
+    cells=True,
+)

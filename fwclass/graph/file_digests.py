@@ -1,0 +1,72 @@
+"""Digests of the files that a run reads from outside, remembered from one run to the next."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from fwclass.errors import DamagedError
+from fwclass.store.external_file import ExternalFile, digested
+from fwclass.store.remote_file import Location, RemoteFile, seen_as
+from fwclass.store.run_store import Store
+
+_INPUTS = "inputs.json"
+_SAVED_EVERY = 30.0
+"""s of digests that an interruption may cost."""
+
+
+class Digests:
+    """Digests of foreign files, remembered by what they look like (`seen_as`) in ``store/inputs.json``.
+
+    For a store that is only read, a file of a size that it has not under this name is not read: it is another one.
+    """
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._known = _remembered(store)
+        self._read_only, self._changed, self._saved = store.read_only, False, time.monotonic()
+        self._sizes = {(Path(path).name, seen[0]) for path, seen in self._known.items()}
+
+    def of(self, paths: Iterable[Path], place: Location | None = None) -> tuple[ExternalFile, ...]:
+        """Every path with the digest of its bytes; files that look unchanged are not read again.
+
+        `place`, if it is on object storage, is where the paths are copies from: who fetches them looks at their e-tags.
+        """
+        found = []
+        for path in paths:
+            name, now = seen_as(path, place)
+            seen = self._known.get(name)
+            if seen is None or seen[:-1] != now:
+                seen = [*now, self._digest(path, int(now[0]))]
+                self._known[name], self._changed = seen, True
+            if isinstance(place, RemoteFile):
+                found.append(ExternalFile(path.name, str(seen[-1])))
+            else:
+                size, changed, entered = (int(n) for n in now)
+                found.append(ExternalFile(path.name, str(seen[-1]), path, (size, changed, entered)))
+        if time.monotonic() - self._saved > _SAVED_EVERY:
+            self.save()
+        return tuple(found)
+
+    def save(self) -> None:
+        """Remember what is new; called when all files are known, and now and then before."""
+        if self._changed and not self._read_only:
+            self._store.keep(_INPUTS, self._known)
+        self._changed, self._saved = False, time.monotonic()
+
+    def _digest(self, path: Path, size: int) -> str:
+        if self._read_only and (path.name, size) not in self._sizes:
+            return f"not read: {path}"
+        return digested(path)
+
+
+def _remembered(store: Store) -> dict[str, Any]:
+    """What was remembered; nothing where that is damaged, and all files are read again."""
+    try:
+        known = store.recall(_INPUTS)
+    except DamagedError:
+        return {}
+    usable = isinstance(known, dict) and all(isinstance(v, list) and len(v) >= 3 for v in known.values())
+    return known if usable else {}

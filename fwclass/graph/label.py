@@ -1,0 +1,194 @@
+"""Stages of the reference: its polygons, and the class of every echo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from fwclass.graph.layout import PolygonFile
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.label.polygons import Polygons, from_polygons
+from fwclass.label.stage import LABEL, LabelParams, from_cloud, from_source
+from fwclass.label.values import codes_of, groups_of
+from fwclass.model import ClassDef
+from fwclass.read.polygons import open_polygons, read_polygons, reprojected
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Name
+from fwclass.schema import Table
+from fwclass.store.arrays import read_arrays, write_arrays
+from fwclass.waveforms import IMPLAUSIBLE
+
+POLYGONS = "polygons.zarr"
+_CLOUD = ("x", "y", "z", "gps_time", "source_class")
+_CLASSES = LABEL.writes
+
+
+def polygons_read(
+    here: StageInputs,
+    field: str,
+    values: Mapping[str | int, str | int | None],
+    classes: tuple[ClassDef, ...],
+    crs: str | None,
+    layer: str,
+    own_crs: str | None,
+) -> Made:
+    """Polygons of a file with their codes, in whole millimetres of the survey's system (`crs`, WKT).
+
+    `own_crs`: the system that the file's coordinates are in (WKT; None: the survey's).
+    """
+    path = here.file()
+    opened = open_polygons(path, layer)
+    read, shapes = read_polygons(opened, field)
+    codes, counts = codes_of(read, values, classes, f"{path}: field {field}")
+    moved = ""
+    if own_crs is not None and crs is not None:
+        shapes, moved = reprojected(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
+    made = Polygons.of(shapes, codes, groups_of(codes, classes), path)
+    write_arrays(here.directory / POLYGONS, made.arrays())
+    least_x, least_y, most_x, most_y = made.bounds
+    return {
+        "file": path.name,
+        "features": opened.features,
+        "polygons": made.parts,
+        "values": counts,
+        "without_code": int((codes < 0).sum()),
+        "without_polygon": shapes.empty,
+        "invalid": shapes.invalid,
+        "reprojected": moved,
+        "bounds": [int(v) / 1000 for v in (least_x.min(), least_y.min(), most_x.max(), most_y.max())]
+        if made.parts
+        else None,
+    }
+
+
+_loaded: dict[tuple[str, ...], Polygons] = {}
+
+
+def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
+    """Polygons of all files, kept in this process as long as their paths, named by their content, are the same."""
+    paths = [inputs.path("polygons", part, POLYGONS) for part in parts]
+    key = tuple(map(str, paths))
+    if key not in _loaded:
+        _loaded.clear()
+        _loaded[key] = Polygons.joined([Polygons.from_arrays(read_arrays(path)[0]) for path in paths])
+    return _loaded[key]
+
+
+def labelled_by_source(here: StageInputs, params: LabelParams) -> Made:
+    """Reference classes from the source's own classification."""
+    return _counted(from_source(here.chunk(), params))
+
+
+def labelled_by_cloud(here: StageInputs, params: LabelParams) -> Made:
+    """Reference classes from the nearest point of another cloud."""
+    box, clouds = here.tile.box.grown(here.halo), here.parts("reference")
+    cloud = here.inputs.inside(box, here.tile_size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
+    order = np.lexsort(tuple(cloud[n] for n in ("source_class", "gps_time", "z", "y", "x")))
+    return _counted(from_cloud(here.chunk(), cloud.take(order), params))
+
+
+def labelled_by_polygons(here: StageInputs) -> Made:
+    """Reference classes from the polygons that the echoes lie in; implausible echoes have none, whatever is above."""
+    chunk = here.chunk()
+    table, ambiguous = from_polygons(chunk, polygons_at(here.parts("polygons"), here.inputs).within(here.tile.box))
+    implausible = (chunk.table["fit_flags"][chunk.core] & IMPLAUSIBLE) > 0
+    table, facts = _counted(Table({"reference": np.where(implausible, 0, table["reference"])}))
+    return table, {**facts, "ambiguous": ambiguous}
+
+
+def _counted(table: Table) -> tuple[Table, dict[str, Any]]:
+    codes, counts = np.unique(table["reference"], return_counts=True)
+    return table, {"codes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}}
+
+
+@dataclass(frozen=True)
+class _Polygons:
+    """The file of polygons of a number."""
+
+    key: str
+    file: PolygonFile
+
+
+def _files(plan: Plan) -> list[_Polygons]:
+    return [_Polygons(f"{number:03d}", file) for number, file in enumerate(plan.survey.polygons)]
+
+
+def _field(plan: Plan) -> Mapping[str, Any]:
+    asked = plan.config.survey.reference
+    return {"field": asked.field or "", "values": asked.values, "classes": plan.config.classes, "crs": plan.survey.crs}
+
+
+def _of_kind(kind: str) -> Any:
+    return lambda plan: plan.config.survey.reference.kind == kind
+
+
+def _params(plan: Plan) -> Mapping[str, Any]:
+    return {"params": plan.config.label}
+
+
+def _only_judges(plan: Plan) -> bool:
+    """Nothing is trained by the labels."""
+    return plan.config.survey.model is not None
+
+
+def _clouds(plan: Plan, tile: Any) -> list[Name]:
+    box = tile.box.grown(LABEL.halo(plan.config.label))
+    return [("reference", c) for c in plan.layout.around(box, plan.layout.clouds)]
+
+
+READ_POLYGONS = Stage(
+    "polygons",
+    1,
+    "file",
+    "part",
+    polygons_read,
+    when=_of_kind("polygons"),
+    parts=_files,
+    arguments=_field,
+    each=lambda plan, part: {"layer": part.file.layer, "own_crs": part.file.crs},
+    source=lambda plan, part: (part.file.path, part.file.digests),
+)
+LABEL_BY_SOURCE = Stage(
+    LABEL.name,
+    LABEL.version,
+    "tile",
+    "echo",
+    labelled_by_source,
+    when=_of_kind("source"),
+    arguments=_params,
+    own=("x", "y", "source_class"),
+    writes=_CLASSES,
+    halo=0.0,
+    check=_only_judges,
+)
+LABEL_BY_CLOUD = Stage(
+    LABEL.name,
+    LABEL.version,
+    "tile",
+    "echo",
+    labelled_by_cloud,
+    when=_of_kind("cloud"),
+    arguments=_params,
+    own=("x", "y", "z", "gps_time"),
+    writes=_CLASSES,
+    halo=lambda plan: LABEL.halo(plan.config.label),
+    needs=_clouds,
+    check=_only_judges,
+)
+LABEL_BY_POLYGONS = Stage(
+    LABEL.name,
+    LABEL.version,
+    "tile",
+    "echo",
+    labelled_by_polygons,
+    when=_of_kind("polygons"),
+    own=("x", "y", "fit_flags"),
+    writes=_CLASSES,
+    halo=0.0,
+    needs=lambda plan, tile: [("polygons", p) for p in plan.layout.polygons],
+    check=_only_judges,
+)

@@ -1,0 +1,269 @@
+"""Stages that learn: the training rows of every tile, the survey's sample, trees, importances, the model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
+from fwclass.graph.model_fit import computed
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.thin import sampled_columns
+from fwclass.grid import Box
+from fwclass.model import ClassDef, Model, Tree
+from fwclass.run.inputs import PartInputs
+from fwclass.schema import canonical_key
+from fwclass.store.arrays import write_arrays
+from fwclass.store.models import save_model
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.stage import VERSION as BASELINE_VERSION
+from fwclass.train.baselines.stage import train_other
+from fwclass.train.importance import drops
+from fwclass.train.sample import Sample, review
+from fwclass.train.stage import (
+    TRAIN,
+    TRAIN_IMPORTANCE,
+    TRAIN_SAMPLE,
+    TRAIN_TREES,
+    TrainParams,
+    candidates,
+    grow_trees,
+    merge,
+    train,
+)
+
+SAMPLE, TREES, DROPS, MODEL = "sample.zarr", "trees.zarr", "drops.zarr", "model"
+
+TREES_PER_PART = 5
+"""Trees that one task grows; a forest does not depend on it."""
+
+
+def sampled(
+    here: StageInputs,
+    names: tuple[str, ...],
+    areas: tuple[Box, ...],
+    params: TrainParams,
+    classes: tuple[ClassDef, ...],
+) -> Made:
+    """The rows of a tile that may train."""
+    table = here.rows()
+    inside = within(table, areas)
+    if "sampled" in table:  # a thinned run
+        inside &= table["sampled"]
+    sample = candidates(table.select(names), table["reference"], canonical_key(table), inside, params, classes)
+    write_arrays(here.directory / SAMPLE, sample.arrays())
+    return {"rows": sample.rows}
+
+
+def merged(here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...]) -> Made:
+    """The survey's sample; refused where a forest cannot be trained on it."""
+    tiles = here.parts(TRAIN_SAMPLE.name)
+    if not tiles:
+        raise InputError(
+            "no echo lies in any training area", where="areas.train", do="give boxes on the survey, in its coordinates"
+        )
+    sample = merge((load_sample(here.inputs, TRAIN_SAMPLE.name, t, names) for t in tiles), params)
+    review(sample, classes)
+    write_arrays(here.directory / SAMPLE, sample.arrays())
+    return {"rows": sample.rows, "counts": sample.counts.tolist()}
+
+
+def load_sample(inputs: PartInputs, stage: str, part: str, names: tuple[str, ...]) -> Sample:
+    """The sample that a part wrote, of features `names`."""
+    return Sample.from_arrays(names, inputs.arrays(stage, part, SAMPLE)[0])
+
+
+def merged_sample(inputs: PartInputs, names: tuple[str, ...]) -> Sample:
+    """The sample of the whole survey."""
+    return load_sample(inputs, "training", "all", names)
+
+
+def grown(
+    here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...], count: int
+) -> Made:
+    """Some of the forest's trees, from that on which the part is named after."""
+    trees = grow_trees(merged_sample(here.inputs, names), classes, int(here.part), count, params)
+    arrays: dict[str, NDArray] = {}
+    for number, (feature, threshold, child) in enumerate(trees, int(here.part)):
+        arrays |= {f"{number:05d}-feature": feature, f"{number:05d}-threshold": threshold, f"{number:05d}-child": child}
+    write_arrays(here.directory / TREES, arrays)
+    return {"nodes": int(sum(len(t[0]) for t in trees))}
+
+
+def _load_trees(inputs: PartInputs, batch: str) -> list[Tree]:
+    arrays, _ = inputs.arrays("trees", batch, TREES)
+    numbers = sorted({n.split("-")[0] for n in arrays})
+    return [(arrays[f"{n}-feature"], arrays[f"{n}-threshold"], arrays[f"{n}-child"]) for n in numbers]
+
+
+def weighed(here: StageInputs, names: tuple[str, ...], params: TrainParams, count: int, repeats: int) -> Made:
+    """What some of the forest's trees lose when a feature is permuted."""
+    sample, trees = merged_sample(here.inputs, names), _load_trees(here.inputs, here.part)
+    lost, judged = drops(sample, trees, int(here.part), params, repeats)
+    write_arrays(here.directory / DROPS, {"drops": lost, "judged": judged})
+    return {"rows": int(judged.sum())}
+
+
+def trained(
+    here: StageInputs,
+    names: tuple[str, ...],
+    params: TrainParams,
+    classes: tuple[ClassDef, ...],
+    computed: Mapping[str, Any],
+) -> Made:
+    """The forest, delivered as the run's model."""
+    trees = [tree for batch in here.parts("trees") for tree in _load_trees(here.inputs, batch)]
+    lost = None
+    if params.importance_repeats:
+        parts = [here.inputs.arrays("importance", b, DROPS)[0] for b in here.parts("importance")]
+        lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
+    forest = stamped(train(merged_sample(here.inputs, names), trees, params, classes, lost), computed)
+    save_model(here.directory / MODEL, forest)
+    return {"card": dict(forest.card), "trees": forest.trees, "nodes": len(forest.feature)}
+
+
+def fitted(
+    here: StageInputs,
+    names: tuple[str, ...],
+    params: TrainParams,
+    compare: CompareParams,
+    classes: tuple[ClassDef, ...],
+    computed: Mapping[str, Any],
+) -> Made:
+    """The classifier that ``train.method`` names where it is no forest, delivered as the run's model."""
+    sample = merged_sample(here.inputs, names)
+    model: Model = stamped(train_other(sample, params, compare, classes, params.method), computed)
+    save_model(here.directory / MODEL, model)
+    return {"card": dict(model.card), "trees": None}
+
+
+def stamped(model: Any, computed: Mapping[str, Any]) -> Any:
+    """`model` with what its features were computed with in its card."""
+    return replace(model, card={**model.card, "computed": dict(computed)})
+
+
+def trains(plan: Plan) -> bool:
+    """The run trains a model of its own."""
+    return plan.config.survey.model is None
+
+
+def _forest(plan: Plan) -> bool:
+    return trains(plan) and plan.config.train.method == "forest"
+
+
+def _importances(plan: Plan) -> bool:
+    return _forest(plan) and bool(plan.config.train.importance_repeats)
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Trees that one part grows: `count` from the one that `key` names."""
+
+    key: str
+    count: int
+
+
+def _batches(plan: Plan) -> list[_Batch]:
+    trees = plan.config.train.trees
+    return [_Batch(f"{k:05d}", min(TREES_PER_PART, trees - k)) for k in range(0, trees, TREES_PER_PART)]
+
+
+def _growing(plan: Plan) -> Mapping[str, Any]:
+    config = plan.config
+    return {"names": config.features_asked, "params": config.train, "classes": config.classes}
+
+
+def _computed(plan: Plan) -> Mapping[str, Any]:
+    config = plan.config
+    return computed(config.features_asked, config.features, config.ground.method, plan.layout.quantities)
+
+
+_NOT_OF_A_TREE = frozenset({"trees", "importance_repeats"})
+_NOT_OF_THE_SAMPLE = frozenset(TrainParams.model_fields) - {"seed", "samples_per_class"}
+
+DRAW_SAMPLE = Stage(
+    TRAIN_SAMPLE.name,
+    TRAIN_SAMPLE.version,
+    "tile",
+    "echo",
+    sampled,
+    when=trains,
+    parts=training_tiles,
+    arguments=lambda plan: {**_growing(plan), "areas": plan.config.areas.boxes("train")},
+    silent=_NOT_OF_THE_SAMPLE,
+    own=lambda plan: (*IDENTITY_AND_PLACE, *plan.config.features_asked, *sampled_columns(plan), "reference"),
+)
+MERGE_SAMPLE = Stage(
+    "training",
+    TRAIN_SAMPLE.version,
+    "survey",
+    "row",
+    merged,
+    when=trains,
+    arguments=_growing,
+    silent=_NOT_OF_THE_SAMPLE,
+    needs=lambda plan, part: [(TRAIN_SAMPLE.name, t.key) for t in training_tiles(plan)],
+)
+GROW_TREES = Stage(
+    TRAIN_TREES.name,
+    TRAIN_TREES.version,
+    "survey",
+    "tree_row",
+    grown,
+    when=_forest,
+    parts=_batches,
+    arguments=_growing,
+    silent=_NOT_OF_A_TREE,
+    each=lambda plan, batch: {"count": batch.count},
+    needs=lambda plan, batch: (("training", "all"),),
+)
+WEIGH_FEATURES = Stage(
+    TRAIN_IMPORTANCE.name,
+    TRAIN_IMPORTANCE.version,
+    "survey",
+    "tree_row",
+    weighed,
+    when=_importances,
+    parts=_batches,
+    arguments=lambda plan: {
+        "names": plan.config.features_asked,
+        "params": plan.config.train,
+        "repeats": plan.config.train.importance_repeats,
+    },
+    silent=_NOT_OF_A_TREE,
+    each=lambda plan, batch: {"count": batch.count},
+    needs=lambda plan, batch: (("training", "all"), ("trees", batch.key)),
+)
+TRAIN_FOREST = Stage(
+    TRAIN.name,
+    TRAIN.version,
+    "survey",
+    "tree_row",
+    trained,
+    when=_forest,
+    parts=lambda plan: ("model",),
+    arguments=lambda plan: {**_growing(plan), "computed": _computed(plan)},
+    needs=lambda plan, part: [
+        ("training", "all"),
+        *(("trees", b.key) for b in _batches(plan)),
+        *(("importance", b.key) for b in _batches(plan) if plan.config.train.importance_repeats),
+    ],
+    where="deliver",
+)
+TRAIN_BASELINE = Stage(
+    TRAIN.name,
+    BASELINE_VERSION,
+    "survey",
+    "row",
+    fitted,
+    when=lambda plan: trains(plan) and plan.config.train.method != "forest",
+    parts=lambda plan: ("model",),
+    arguments=lambda plan: {**_growing(plan), "compare": plan.config.compare, "computed": _computed(plan)},
+    needs=lambda plan, part: (("training", "all"),),
+    where="deliver",
+)

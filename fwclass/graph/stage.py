@@ -1,0 +1,432 @@
+"""What a stage of a run is: one record, from which its tasks, their needs and keys, and the unit of its cost follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.conf import Config
+from fwclass.conf.model import Section
+from fwclass.errors import FwclassError
+from fwclass.graph.layout import FileDigests, Layout, Survey
+from fwclass.grid import Box, Tile
+from fwclass.run.inputs import TABLE, PartInputs
+from fwclass.run.part import Name, Task
+from fwclass.run.tasks import Tasks
+from fwclass.schema import Table
+from fwclass.stage import Chunk, Params
+from fwclass.store.cells import CELLS, Within, by_place
+from fwclass.store.receipts import Receipt
+from fwclass.store.remote_file import Location
+from fwclass.store.tables import write_table
+
+Names = tuple[str, ...]
+
+Over = Literal["file", "strip", "chunk", "tile", "block", "survey"]
+"""What a part of a stage is: a file that is no strip, a strip, a span of a strip, a tile, a block of the fixed grid, or
+something of which the survey has few."""
+
+Unit = Literal["point", "pulse", "echo", "reference", "cell", "tree_row", "row", "part"]
+"""What the cost of a stage is counted in: a point of a file, a pulse, an echo, a point of the reference, a cell of the
+delivered rasters, a row of the training sample times the trees that it grows, such a row, or a part."""
+
+Flown = Mapping[str, tuple[float, float]]
+"""First and last time of every trajectory, on the survey's time scale [s]."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the stages of one run are planned by, as far as the run has come.
+
+    Attributes
+    ----------
+    names, computed : the features that the classifier decides by; all that are computed.
+    model : place and digest of the model that is given, None where one is trained.
+    files : the survey's files, once they are found and checked.
+    indexed : receipts of the strips' index.
+    splits : receipts of the chunks that are cut into tiles.
+    tiled : the tiles that there are, once the echoes lie in them.
+    flown : when each trajectory was.
+    """
+
+    config: Config
+    names: Names = ()
+    computed: Names = ()
+    model: tuple[Location, str] | None = None
+    files: Survey | None = None
+    indexed: Mapping[Name, Receipt] = field(default_factory=dict)
+    splits: Mapping[Name, Receipt] = field(default_factory=dict)
+    tiled: Layout | None = None
+    flown: Flown = field(default_factory=dict)
+
+    @property
+    def survey(self) -> Survey:
+        if self.files is None:
+            raise FwclassError("a stage is planned by the survey's files before they are known")
+        return self.files
+
+    @property
+    def layout(self) -> Layout:
+        if self.tiled is None:
+            raise FwclassError("a stage is planned by the tiles before they are known")
+        return self.tiled
+
+
+@dataclass(frozen=True)
+class StageInputs:
+    """What the work of one part gets: its place, and what it declared of others.
+
+    Attributes
+    ----------
+    inputs : the store, as far as it is declared.
+    directory : where files of the part go.
+    part, needs : its name, and the parts that it reads.
+    place : its tile or block, None for other parts.
+    halo : distance around `place` that is read [m].
+    columns : stage of every column that is read, in the halo too; `own` of those read of the part's own tile alone.
+    present : tiles that echoes are read of.
+    tile_size : edge of the tiles [m].
+    source : the file from outside that the part is made from.
+    """
+
+    inputs: PartInputs
+    directory: Path
+    part: str
+    needs: tuple[Name, ...] = ()
+    place: Tile | None = None
+    halo: float = 0.0
+    columns: Mapping[str, str] = field(default_factory=dict)
+    own: Mapping[str, str] = field(default_factory=dict)
+    present: tuple[str, ...] = ()
+    tile_size: float = 0.0
+    source: Location | None = None
+
+    @property
+    def tile(self) -> Tile:
+        if self.place is None:
+            raise FwclassError("this part has no place", where=self.part)
+        return self.place
+
+    def parts(self, stage: str) -> tuple[str, ...]:
+        """The parts of `stage` that are declared, in the order of the plan."""
+        return tuple(part for name, part in self.needs if name == stage)
+
+    def file(self) -> Path:
+        """The file from outside, on this host."""
+        if self.source is None:
+            raise FwclassError("this part is made from no file", where=self.part)
+        return self.inputs.local(self.source)
+
+    def rows(self) -> Table:
+        """All declared columns of the own tile, in its row order."""
+        return self.inputs.rows(self.part, {**self.columns, **self.own})
+
+    def own_rows(self) -> Table:
+        """The columns that are read of the own tile alone."""
+        return self.inputs.rows(self.part, self.own)
+
+    def cuts(self) -> Iterator[Table]:
+        """As `rows`, in pieces where memory is short."""
+        return self.inputs.runs_of_rows(self.part, {**self.columns, **self.own})
+
+    def chunk(self) -> Chunk:
+        """The overlapping chunk: the own tile's rows and those of its neighbours within `halo`."""
+        if not self.columns:
+            return self.inputs.chunk(self.tile, 0.0, self.own, (self.part,))
+        return self.inputs.chunk(self.tile, self.halo, self.columns, self.present)
+
+    def chunks(self) -> Iterator[tuple[NDArray[np.int64], Chunk]]:
+        """The overlapping chunk, or where memory is short pieces of it, each with the own rows that it has."""
+        return self.inputs.chunks(self.tile, self.halo, self.columns, self.present)
+
+
+Made = Table | Mapping[str, Any] | tuple[Table, Mapping[str, Any]]
+"""What a stage's function returns: the part's table, what its receipt says besides, or both."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """The adapter that every part runs in: loads, calls the stage's function, checks the columns, writes."""
+
+    function: Callable[..., Made]
+    arguments: Mapping[str, Any]
+    part: str
+    needs: tuple[Name, ...]
+    place: Tile | None
+    halo: float
+    columns: Mapping[str, str]
+    own: Mapping[str, str]
+    present: tuple[str, ...]
+    tile_size: float
+    source: Location | None
+    writes: Names
+    cells: bool
+
+    def __call__(self, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
+        here = StageInputs(
+            inputs,
+            directory,
+            self.part,
+            self.needs,
+            self.place,
+            self.halo,
+            self.columns,
+            self.own,
+            self.present,
+            self.tile_size,
+            self.source,
+        )
+        made = self.function(here, **self.arguments)
+        if isinstance(made, tuple):
+            table, facts = made
+        elif isinstance(made, Table):
+            table, facts = made, {}
+        else:
+            return made
+        self._check(table)
+        write_table(directory / TABLE, table)
+        return {**facts, **(self._digests(table, inputs) if self.cells else {})}
+
+    def _check(self, table: Table) -> None:
+        if set(table) != set(self.writes):
+            raise FwclassError(
+                "a stage writes other columns than its record says",
+                where=self.part,
+                expected=", ".join(self.writes),
+                got=", ".join(table),
+                do="name them in Stage.writes",
+            )
+
+    def _digests(self, table: Table, inputs: PartInputs) -> Mapping[str, Any]:
+        """Digests of the rows by place, so that who reads a halo is made anew for what changed in it, and no more."""
+        place = table if "x" in table else inputs.rows(self.part, dict.fromkeys(("x", "y"), "tile"))
+        return {CELLS: by_place(table, place["x"], place["y"])}
+
+
+def always(plan: Plan) -> bool:
+    return True
+
+
+def _no_arguments(plan: Plan) -> Mapping[str, Any]:
+    return {}
+
+
+def _no_more(plan: Plan, part: Any) -> Mapping[str, Any]:
+    return {}
+
+
+def _no_needs(plan: Plan, part: Any) -> Iterable[Name]:
+    return ()
+
+
+def _no_source(plan: Plan, part: Any) -> None:
+    return None
+
+
+def _name_of(part: Any) -> str:
+    return str(getattr(part, "key", part))
+
+
+def _own_box(plan: Plan, place: Tile) -> Box:
+    return place.box
+
+
+Columns = Names | Callable[[Plan], Iterable[str]]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of a run.
+
+    Attributes
+    ----------
+    name : its name in the store, in receipts, reports and `plan.stages` of the configuration. Two records may share a
+        name where their `when` or their parts exclude each other.
+    version : raised by hand whenever the same inputs and arguments would give another output.
+    over : what a part of it is.
+    unit : what its cost is counted in.
+    function : ``function(inputs: StageInputs, **arguments)`` makes a part; importable, it travels to the workers.
+    when : whether a run has this stage.
+    parts : its parts; unless given all tiles, the blocks that own an echo, or the one part `all` of the survey.
+    waves : of strips and chunks those with (True) or without (False) waveforms alone.
+    edge, margin : of its blocks [m], and how many more lie around those that own an echo.
+    key : name of a part.
+    arguments : what `function` gets besides, the same for every part; all of it enters the key.
+    each : likewise, of one part.
+    silent : settings among the arguments' own that change no byte, and stay out of the key.
+    reads : columns of echoes that are read of the part's tile and of its neighbours within `halo`; a stage over the
+        survey reads those of all tiles.
+    own : columns that are read of the own tile alone.
+    writes : columns of the table that it writes. Those of a stage over tiles can be read by others.
+    halo : distance around the part's place that is read [m]; None where no neighbour is.
+    area : what the halo is around; the part's own box unless given.
+    needs : further parts that are read.
+    source : the file from outside that a part is made from, with its digests; the place may be None where the files
+        are known to the arguments.
+    named : of what it needs it reads the piece that bears its own name (`store.cells.by_name`).
+    cells : its rows are digested by place, as others read them in a halo.
+    check : it only judges: a delivery is whole though it failed.
+    where : "store"; "deliver" for what the user gets; "run" for files of the run directory itself.
+    """
+
+    name: str
+    version: int
+    over: Over
+    unit: Unit
+    function: Callable[..., Made]
+    when: Callable[[Plan], bool] = always
+    parts: Callable[[Plan], Sequence[Any]] | None = None
+    waves: bool | None = None
+    edge: Callable[[Plan], float] | None = None
+    margin: int = 0
+    key: Callable[[Any], str] = _name_of
+    arguments: Callable[[Plan], Mapping[str, Any]] = _no_arguments
+    each: Callable[[Plan, Any], Mapping[str, Any]] = _no_more
+    silent: frozenset[str] = frozenset()
+    reads: Columns = ()
+    own: Columns = ()
+    writes: Columns = ()
+    halo: float | Callable[[Plan], float] | None = None
+    area: Callable[[Plan, Tile], Box] = _own_box
+    needs: Callable[[Plan, Any], Iterable[Name]] = _no_needs
+    source: Callable[[Plan, Any], tuple[Location | None, FileDigests] | None] = _no_source
+    named: bool = False
+    cells: bool = False
+    check: bool | Callable[[Plan], bool] = False
+    where: Literal["store", "deliver", "run"] = "store"
+
+    def all_parts(self, plan: Plan) -> Sequence[Any]:
+        """The parts of a run; none where it has not this stage."""
+        if not self.when(plan):
+            return ()
+        if self.parts is not None:
+            return self.parts(plan)
+        if self.edge is not None:
+            return plan.layout.blocks(self.edge(plan), self.margin)
+        return plan.layout.tiles if self.over == "tile" else ("all",)
+
+    def tasks(self, plan: Plan) -> Tasks:
+        """A task for every part, made when it is asked for."""
+        parts = self.all_parts(plan)
+        return Tasks.of(self.name, parts, _Maker(self, plan)) if len(parts) else Tasks()
+
+    def task(self, plan: Plan, part: Any) -> Task:
+        """The task of one part."""
+        return _Maker(self, plan)(part)
+
+    def reach(self, plan: Plan) -> float:
+        """Distance around a part's place that is read [m]."""
+        return float(self.halo(plan) if callable(self.halo) else self.halo or 0.0)
+
+    def box(self, plan: Plan, place: Tile) -> Box:
+        """Where a part at `place` reads echoes."""
+        return self.area(plan, place).grown(self.reach(plan))
+
+    def columns(self, plan: Plan) -> Names:
+        """The columns that it writes under this plan."""
+        return _columns(self.writes, plan) if self.when(plan) else ()
+
+
+def _columns(columns: Columns, plan: Plan) -> Names:
+    return tuple(dict.fromkeys(columns(plan) if callable(columns) else columns))
+
+
+class _Maker:
+    """Makes the tasks of a stage; what is the same for all of them is made once."""
+
+    def __init__(self, stage: Stage, plan: Plan) -> None:
+        self.stage, self.plan = stage, plan
+        self.reads, self.own = _columns(stage.reads, plan), _columns(stage.own, plan)
+        self.of_reads, self.of_own = self._stages(self.reads), self._stages(self.own)
+        self.arguments = stage.arguments(plan)
+        self.params = plain_values(self.arguments, stage.silent)
+        self.writes = stage.columns(plan)
+        self.halo = stage.reach(plan)
+        self.check = stage.check(plan) if callable(stage.check) else stage.check
+        self.size = plan.config.tile.size
+
+    def _stages(self, names: Names) -> dict[str, str]:
+        return self.plan.layout.columns(names) if names else {}
+
+    def __call__(self, part: Any) -> Task:
+        stage, plan = self.stage, self.plan
+        key, place = stage.key(part), part if isinstance(part, Tile) else None
+        present, within = self._around(key, place)
+        read = ((s, t) for t in present for s in sorted({*self.of_reads.values(), "tile"})) if self.reads else ()
+        mine = ((s, key) for s in sorted({*self.of_own.values(), "tile"})) if self.own else ()
+        needs = tuple(dict.fromkeys((*read, *mine, *stage.needs(plan, part))))
+        more = stage.each(plan, part)
+        location, external = stage.source(plan, part) or (None, ())
+        work = Work(
+            stage.function,
+            {**self.arguments, **more},
+            key,
+            needs,
+            place,
+            self.halo,
+            self.of_reads,
+            self.of_own,
+            present,
+            self.size,
+            location,
+            self.writes,
+            stage.cells,
+        )
+        return Task(
+            stage.name,
+            key,
+            stage.version,
+            {**self.params, **plain_values(more, stage.silent)},
+            work,
+            needs,
+            external,
+            stage.where,
+            within,
+            check=self.check,
+        )
+
+    def _around(self, key: str, place: Tile | None) -> tuple[tuple[str, ...], Within]:
+        """Tiles that echoes are read of, and within which box, or under which name."""
+        if self.stage.named:
+            return (), key
+        if place is None:
+            return (tuple(t.key for t in self.plan.layout.tiles) if self.reads else ()), None
+        if self.stage.halo is None:
+            return (key,), None
+        box = self.stage.area(self.plan, place).grown(self.halo)
+        return (self.plan.layout.around(box, self.plan.layout.keys) if self.reads else (key,)), box
+
+
+def plain_values(values: Mapping[str, Any], silent: frozenset[str] = frozenset()) -> dict[str, Any]:
+    """Arguments as plain data for a key, those named `params` (a section of the configuration) field by field.
+
+    `TypeError` for one that has no plain form: what is used is in the key.
+    """
+    made: dict[str, Any] = {}
+    for name, value in values.items():
+        if name in silent:
+            continue
+        plain = _plain(value, silent)
+        made |= plain if name == "params" else {name: plain}
+    return made
+
+
+def _plain(value: Any, silent: frozenset[str] = frozenset()) -> Any:
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, (Params, Section)):
+        return value.model_dump(mode="json", exclude=set(silent) & set(type(value).model_fields))
+    if isinstance(value, (Box, Tile)):
+        return list(value.bounds) if isinstance(value, Box) else value.key
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [_plain(v) for v in value]
+    raise TypeError(f"{type(value).__name__} cannot enter a key: give a stage plain data, or a section of settings")

@@ -1,0 +1,117 @@
+"""All stages of a run, in the order in which a survey goes through them, and which of them writes a column."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from fwclass.columns import FEATURES
+from fwclass.conf import Config
+from fwclass.errors import ConfigError, nearest
+from fwclass.features.params import NO_FEATURE, Asked, check_scale, is_feature, meant
+from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
+from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
+from fwclass.graph.features import COMPUTE_FEATURES
+from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
+from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
+from fwclass.graph.learn import DRAW_SAMPLE, GROW_TREES, MERGE_SAMPLE, TRAIN_BASELINE, TRAIN_FOREST, WEIGH_FEATURES
+from fwclass.graph.outputs import DELIVER_RASTERS, DELIVER_STRIP, DELIVER_TILE, MAP_CLASSES
+from fwclass.graph.radiometry import (
+    CALIBRATE_STRIPS,
+    CHECK_POINTING,
+    COMPARE_STRIPS,
+    MEASURE_RADIOMETRY,
+    READ_TRAJECTORY,
+)
+from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
+from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PULSE, READ_SPAN
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.survey import SIMULATE
+from fwclass.graph.thin import THIN_ECHOES
+from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
+from fwclass.radiometry.stage import RADIOMETRY
+
+MAX_REACH = 100.0
+"""m, no feature reaches further: the neighbourhoods of a point, not of a quarter."""
+
+OF_STRIPS = (READ_SPAN, MEASURE_PULSE, DECOMPOSE_WAVES, DECOMPOSE_RETURNS, SPLIT_ECHOES)
+"""What every strip goes through by itself."""
+TO_TILES = (READ_POLYGONS, INDEX, *OF_STRIPS, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, READ_TRAJECTORY)
+"""From files to tiles: each of these is planned by what the ones before it found."""
+TO_LABELS = (
+    FILTER_GROUND,
+    GATHER_GROUND,
+    MAKE_TERRAIN,
+    GATHER_HEIGHT,
+    THIN_ECHOES,
+    COMPUTE_FEATURES,
+    CHECK_POINTING,
+    COMPARE_STRIPS,
+    CALIBRATE_STRIPS,
+    MEASURE_RADIOMETRY,
+    LABEL_BY_SOURCE,
+    LABEL_BY_CLOUD,
+    LABEL_BY_POLYGONS,
+)
+"""What is known of every echo before it is classified."""
+LEARNING = (
+    DRAW_SAMPLE,
+    MERGE_SAMPLE,
+    GROW_TREES,
+    WEIGH_FEATURES,
+    TRAIN_FOREST,
+    TRAIN_BASELINE,
+    COUNT_LABELS,
+    COUNT_SAMPLES,
+)
+CLASSIFYING = (CLASSIFY_ECHOES, CLASSIFY_THINNED)
+JUDGING = (COUNT_CONFUSION, ASSESS)
+DELIVERY = (DELIVER_TILE, DELIVER_STRIP, MAP_CLASSES, DELIVER_RASTERS)
+STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY)
+"""Every stage that any run has; `plan`, `status`, `seams`, the report and the documentation walk this list."""
+
+
+def providers(plan: Plan, stages: Iterable[Stage] = STAGES) -> dict[str, str]:
+    """Which stage's tables of tiles hold each column. Where two have one (places: echoes' and reference points'), the
+    first counts."""
+    known: dict[str, str] = {}
+    for stage in stages:
+        if stage.over == "tile":
+            for column in stage.columns(plan):
+                known.setdefault(column, stage.name)
+    return known
+
+
+def check_features(config: Config, names: Iterable[str], where: object, stages: Iterable[Stage] = STAGES) -> None:
+    """`ConfigError` for a feature that no stage writes, or that would tell the forest the answer or the place."""
+    labels, classes = {LABEL_BY_CLOUD.name}, {CLASSIFY_ECHOES.name}
+    of_stages = providers(Plan(config), stages)
+    known = {n: s for n, s in of_stages.items() if n not in NO_FEATURE and s not in labels | classes}
+    for name in names:
+        check_scale(name, where)
+        if name in RADIOMETRY.writes and name not in known and name not in NO_FEATURE:
+            raise ConfigError(
+                f"{name!r} needs the range to the sensor, which nothing tells",
+                where=where,
+                expected="survey.trajectory.files or radiometry.platform_altitude",
+                got="neither",
+                do="set one of them, or leave the feature out",
+            )
+        if name not in known and not is_feature(name):
+            bases = {c.name: "" for c in FEATURES}
+            raise ConfigError(
+                f"{name!r} is not a feature",
+                where=where,
+                expected="a measured column, or a feature with its scale, as echo_ratio_r100 "
+                "(`fwclass features --list` shows all)",
+                got=name,
+                do=meant(name, known) or nearest(name, {**known, **bases}),
+            )
+    reach = Asked.of(n for n in names if is_feature(n)).reach(config.features)
+    if reach > MAX_REACH:
+        raise ConfigError(
+            "a feature reaches too far",
+            where=where,
+            expected=f"at most {MAX_REACH:g} m: every tile would read its surroundings that far",
+            got=f"{reach:g} m",
+            do="names end in centimetres: height_range_c500 is a cylinder of 5 m",
+        )

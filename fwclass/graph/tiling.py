@@ -1,0 +1,218 @@
+"""Stages that cut the survey: echoes and reference points of every chunk by tile, and the tiles from all chunks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fwclass.decompose.stage import DECOMPOSE
+from fwclass.graph.layout import FileDigests
+from fwclass.graph.numbering import numbers
+from fwclass.graph.sources import StripSpan, chunk_name, spans_of, strip_of
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.grid import TileGrid, quantised
+from fwclass.read.stage import read_cloud
+from fwclass.run.inputs import TABLE
+from fwclass.schema import Table
+from fwclass.store.cells import CELLS, by_name
+from fwclass.store.remote_file import Location
+from fwclass.store.tables import write_groups
+from fwclass.tile.params import TileParams
+from fwclass.tile.stage import REFERENCE, SPLIT, TILE, assemble, assemble_points, split
+
+CLOUD_ROWS = 2_000_000
+"""Points of a reference cloud read at a time."""
+
+CLOUD_COLUMNS = ("x", "y", "z", "gps_time", "source_class")
+"""What a reference cloud's points have."""
+
+
+@dataclass(frozen=True)
+class CloudPiece:
+    """Points [`first`, `last`) of a file of the reference."""
+
+    key: str
+    path: Location
+    digests: FileDigests
+    first: int
+    last: int
+
+
+def _pieces(plan: Plan) -> list[CloudPiece]:
+    listed = plan.survey.reference
+    numbered = numbers(path.name for path, _, _ in listed)
+    return [
+        CloudPiece(chunk_name(numbered[path.name], k), path, digests, first, min(points, first + CLOUD_ROWS))
+        for path, digests, points in listed
+        for k, first in enumerate(range(0, points, CLOUD_ROWS))
+    ]
+
+
+def _spans(plan: Plan) -> list[StripSpan]:
+    return [span for strip in plan.survey.strips for span in spans_of(plan, strip)]
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """A tile that is still to be put together, and the chunks that hold rows of it, in their order."""
+
+    key: str
+    chunks: tuple[str, ...]
+
+
+def _cut(stage: str) -> Callable[[Plan], list[_Pieces]]:
+    """The tiles that the chunks of `stage` are cut into."""
+
+    def parts(plan: Plan) -> list[_Pieces]:
+        chunks: dict[str, list[str]] = {}
+        for name in sorted(plan.splits):
+            if name[0] == stage:
+                for key in plan.splits[name].meta["tiles"]:
+                    chunks.setdefault(key, []).append(name[1])
+        return [_Pieces(key, tuple(some)) for key, some in sorted(chunks.items())]
+
+    return parts
+
+
+def tiles_of_strips(plan: Plan) -> dict[int, tuple[str, ...]]:
+    """For every strip the tiles that hold its echoes."""
+    held: dict[int, set[str]] = {}
+    for stage, part in plan.splits:
+        if stage == SPLIT.name:
+            held.setdefault(strip_of(part), set()).update(plan.splits[stage, part].meta["tiles"])
+    return {strip: tuple(sorted(keys)) for strip, keys in held.items()}
+
+
+def scattered(here: StageInputs, params: TileParams) -> Made:
+    """Echoes of a chunk in tile order, one row group a tile."""
+    return _write_split(here, here.inputs.table("decompose", here.part), params)
+
+
+def scattered_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Made:
+    """Reference points of part of a file, in tile order."""
+    cloud = read_cloud(here.file(), *rows)
+    return _write_split(here, cloud.with_columns({n: quantised(cloud[n]) for n in "xyz"}), params)
+
+
+def _write_split(here: StageInputs, table: Table, params: TileParams) -> dict[str, Any]:
+    result = split(table, TileGrid(params.size))
+    write_groups(here.directory / TABLE, result.table, result.offsets)
+    rows = (result.offsets[1:] - result.offsets[:-1]).tolist()
+    return {
+        "tiles": {k: [i, n] for i, (k, n) in enumerate(zip(result.keys, rows, strict=True))},
+        "rows": sum(rows),
+        CELLS: by_name(result.table, result.keys, result.offsets),
+    }
+
+
+def _fragments(here: StageInputs, stage: str) -> list[Table]:
+    """The rows of a tile in every chunk that has some."""
+    return [here.inputs.fragment(stage, part, here.part) for part in here.parts(stage)]
+
+
+def tiled(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Made:
+    """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them."""
+    table = assemble(_fragments(here, "split"), f"tile {here.part}")
+    return table, {
+        "rows": table.rows,
+        "blocks": {str(size): _occupied(table, size) for size in blocks},
+        "bounds": [float(f(table[n])) for f in (min_of, max_of) for n in "xyz"],
+        "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
+        "times": _passes(table),
+    }
+
+
+def _occupied(table: Table, size: float) -> list[str]:
+    ix, iy = TileGrid(size).indices(table["x"], table["y"])
+    return sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))})
+
+
+def _passes(table: Table) -> list[list[float]]:
+    """(strip, first, last) of the known times of every strip that has some."""
+    times, strips = table["gps_time"], table["strip"]
+    known = np.isfinite(times)
+    found = []
+    for strip in np.unique(strips[known]).tolist():
+        own = times[known & (strips == strip)]
+        found.append([int(strip), float(own.min()), float(own.max())])
+    return found
+
+
+def min_of(values: Any) -> float:
+    return float(values.min())
+
+
+def max_of(values: Any) -> float:
+    return float(values.max())
+
+
+def tiled_cloud(here: StageInputs, params: TileParams) -> Made:
+    """A tile's reference points."""
+    table = assemble_points(_fragments(here, "reference-split"))
+    return table, {"rows": table.rows}
+
+
+def _has_cloud(plan: Plan) -> bool:
+    return plan.config.survey.reference.kind == "cloud"
+
+
+def _sizes(plan: Plan) -> Mapping[str, Any]:
+    return {"params": plan.config.tile}
+
+
+def _blocks(plan: Plan) -> tuple[float, ...]:
+    return tuple(sorted({float(plan.config.ground.block), float(plan.config.terrain.block)}))
+
+
+SPLIT_ECHOES = Stage(
+    SPLIT.name,
+    SPLIT.version,
+    "chunk",
+    "pulse",
+    scattered,
+    parts=_spans,
+    arguments=_sizes,
+    needs=lambda plan, part: ((DECOMPOSE.name, part.key),),
+)
+SPLIT_REFERENCE = Stage(
+    "reference-split",
+    SPLIT.version,
+    "file",
+    "reference",
+    scattered_cloud,
+    when=_has_cloud,
+    parts=_pieces,
+    arguments=_sizes,
+    each=lambda plan, piece: {"rows": (piece.first, piece.last)},
+    source=lambda plan, piece: (piece.path, piece.digests),
+)
+TILE_ECHOES = Stage(
+    TILE.name,
+    TILE.version,
+    "tile",
+    "echo",
+    tiled,
+    parts=_cut("split"),
+    arguments=lambda plan: {"params": plan.config.tile, "blocks": _blocks(plan)},
+    needs=lambda plan, tile: [("split", part) for part in tile.chunks],
+    writes=DECOMPOSE.writes,
+    named=True,
+    cells=True,
+)
+TILE_REFERENCE = Stage(
+    REFERENCE.name,
+    REFERENCE.version,
+    "tile",
+    "reference",
+    tiled_cloud,
+    when=_has_cloud,
+    parts=_cut("reference-split"),
+    arguments=_sizes,
+    needs=lambda plan, tile: [("reference-split", part) for part in tile.chunks],
+    writes=CLOUD_COLUMNS,
+    named=True,
+    cells=True,
+)

@@ -1,0 +1,72 @@
+"""The one list of stages: what a run does, what `plan` tells, and what a record must say."""
+
+from dataclasses import replace
+
+import pytest
+
+from fwclass import conf
+from fwclass.errors import FwclassError
+from fwclass.graph.assess import ASSESS
+from fwclass.graph.features import COMPUTE_FEATURES
+from fwclass.graph.stage import Plan, StageInputs, Work, plain_values
+from fwclass.graph.stages import STAGES, providers
+from fwclass.schema import Table
+from workflows import WORKFLOWS
+
+
+def test_every_workflow_has_stages_of_the_list_in_its_order():
+    place = {id(stage): k for k, stage in enumerate(STAGES)}
+    for name in WORKFLOWS:
+        mine = [place[id(stage)] for stage in WORKFLOWS[name].stages]
+        assert sorted(mine) == list(range(len(STAGES)))
+
+
+def test_every_stage_has_a_cost():
+    """A stage that nobody told `plan` of cannot exist."""
+    costs = conf.load("demo", ()).plan.stages
+    assert set(costs) == {stage.name for stage in STAGES}
+
+
+def test_records_of_one_name_agree_on_what_plan_and_store_ask():
+    by_name = {}
+    for stage in STAGES:
+        by_name.setdefault(stage.name, []).append(stage)
+    for name, some in by_name.items():
+        assert len({(s.over, s.where) for s in some}) == 1, name
+
+
+def test_what_a_column_comes_from_follows_from_the_records():
+    config = conf.load("demo", ())
+    found = providers(Plan(config, computed=("zc", "height_range_c100")))
+    assert found["x"] == "tile" and found["ground"] == "ground" and found["height_above_ground"] == "height"
+    assert found["zc"] == found["height_range_c100"] == "features" and found["range"] == "radiometry"
+    assert found["reference"] == "label" and found["classification"] == "classify" and "sampled" not in found
+
+
+def test_a_version_that_is_raised_makes_another_task(tmp_path):
+    """Raising the record did nothing once: the task had a number of its own."""
+    for stage in (COMPUTE_FEATURES, ASSESS):
+        plan = Plan(conf.load("demo", ()))
+        raised = replace(stage, version=stage.version + 1, parts=lambda plan: (), when=lambda plan: True)
+        assert raised.version == stage.version + 1
+        simple = replace(stage, reads=(), own=(), needs=lambda plan, part: (), arguments=lambda plan: {}, halo=None)
+        assert simple.task(plan, "all").version == stage.version
+        assert replace(simple, version=99).task(plan, "all").version == 99
+
+
+def test_all_that_a_function_gets_enters_the_key():
+    config = conf.load("demo", ())
+    told = plain_values({"params": config.features, "names": ("zc",), "also": 1}, frozenset({"also"}))
+    assert told["names"] == ["zc"] and "also" not in told
+    assert told["normal_radius"] == config.features.normal_radius
+    with pytest.raises(TypeError, match="cannot enter a key"):
+        plain_values({"path": object()})
+
+
+def test_columns_that_the_record_does_not_name_are_refused(tmp_path):
+    def function(here: StageInputs):
+        return Table.empty(("z",))
+
+    work = Work(function, {}, "0_0", (), None, 0.0, {}, {}, (), 100.0, None, ("x", "y"), False)
+    with pytest.raises(FwclassError, match="other columns than its record"):
+        work(None, tmp_path)
