@@ -19,7 +19,7 @@ from fwclass.schema import Table
 from fwclass.store.atomic import file_digest
 from fwclass.store.run_location import RunLocation, locked
 from fwclass.store.tables import read_table, write_table
-from workflows import WORKFLOWS
+from workflows import WORKFLOWS, workflow_of
 
 SETTINGS = (
     "simulate.size=120",
@@ -36,8 +36,10 @@ SETTINGS = (
 )
 
 
-def walk(survey: Path | str, location: RunLocation, *settings: str, executor=None, tiles=None):
-    """Run the classification of `survey` into `location`; return the runner and the report."""
+def walk(
+    survey: Path | str, location: RunLocation, *settings: str, executor=None, tiles=None, workflow="classification"
+):
+    """Run the classification of `survey`, or another `workflow`, into `location`; return the runner and the report."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
     with (
         Display() as display,
@@ -45,7 +47,7 @@ def walk(survey: Path | str, location: RunLocation, *settings: str, executor=Non
         executor or contextlib.nullcontext(Loop()) as running,
     ):
         runner = Runner(own, running, display, held=held)
-        report = WORKFLOWS["classification"](config, runner, tiles)
+        report = workflow_of(workflow)(config, runner, tiles)
         runner.publish(config.run.keep_generations)
         return runner, report
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from fwclass.errors import ConfigError, nearest
 
 if TYPE_CHECKING:
     from fwclass.graph.workflow import Workflow
@@ -33,3 +36,14 @@ class _Named(Mapping[str, "Workflow"]):
 
 WORKFLOWS: Mapping[str, Workflow] = _Named()
 """Workflows by the name that `fwclass run --workflow` takes."""
+
+
+def workflow_of(name: str) -> Workflow:
+    """The workflow of a name, or of the user's own file where the name ends in ``.py``; `ConfigError` for none."""
+    if name.endswith(".py"):
+        from fwclass.graph.own_stage import own_workflow
+
+        return own_workflow(Path(name))
+    if name not in WORKFLOWS:
+        raise ConfigError("no such workflow", where="--workflow", got=name, do=nearest(name, WORKFLOWS))
+    return WORKFLOWS[name]

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, OVERWRITE, PATH, RUN, SET, cli
-from fwclass.cli.status import run_at
+from fwclass.cli.status import own_file, run_at
 from fwclass.errors import ConfigError
 
 
@@ -22,9 +22,11 @@ from fwclass.errors import ConfigError
 @click.option("--gpkg", type=PATH, help="Write what was computed, and what differs, as polygons and points.")
 @SET
 @OVERWRITE
+@click.option("--workflow", metavar="FILE.py", help="The workflow's file, where the run is of one.")
 @JSON
 def seams(
     run: Any,
+    workflow: str | None,
     share: float | None,
     length: float | None,
     shift: str | None,
@@ -52,7 +54,7 @@ def seams(
     if gpkg is not None:
         check_free(gpkg, overwrite)
     location = run_at(run)
-    request = Request.kept(open_store(location, read_only=True))
+    request = Request.kept(open_store(location, read_only=True), own_file(workflow))
     config = configuration.load(request.conf, (*request.settings, *settings))
     asked = Asked(
         shift_of(shift, config.tile.size),

@@ -15,7 +15,12 @@ from fwclass.errors import PARTIAL, ConfigError, nearest, visible
 
 TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
 AOI = click.option("--aoi", type=PATH, metavar="FILE", help="Only tiles that the polygons of FILE share area with.")
-WORKFLOW = click.option("--workflow", default="classification", show_default=True, help="Which workflow.")
+WORKFLOW = click.option(
+    "--workflow",
+    default="classification",
+    show_default=True,
+    help="Which workflow: a name (classification, fan2013, xiong2018), or a Python file of your own.",
+)
 
 
 def chosen(tiles: str | None, aoi: Path | None) -> frozenset[str] | Path | None:
@@ -51,12 +56,20 @@ def requested(
     """The configuration, and the `Request` that the words of the command make."""
     from fwclass import conf as configuration
     from fwclass.operate.request import Request
-    from workflows import WORKFLOWS
+    from workflows import WORKFLOWS, workflow_of
 
-    if workflow not in WORKFLOWS:
+    if workflow.endswith(".py"):
+        workflow_of(workflow)
+        workflow = str(Path(workflow).resolve())
+    elif workflow not in WORKFLOWS:
         raise ConfigError("no such workflow", where="--workflow", got=workflow, do=nearest(workflow, WORKFLOWS))
     config = configuration.load(conf, settings)
     return config, Request.of(conf, out_directory(out, config), settings, workflow, tiles)
+
+
+def own_file(workflow: str | None) -> str | None:
+    """The workflow's file that the user named, None for a workflow of the program."""
+    return workflow if workflow is not None and workflow.endswith(".py") else None
 
 
 def location_of_run(request: Any, config: Any) -> Any:
@@ -94,11 +107,11 @@ def _remote(place: Any) -> Any:
 def _looked(config: Any, request: Any) -> Any:
     """The parts of the run, looked at."""
     from fwclass.operate.status.walk import look_at
-    from workflows import WORKFLOWS
+    from workflows import workflow_of
 
     return look_at(
         location_of_run(request, config),
-        lambda runner: WORKFLOWS[request.workflow](config, runner, request.wanted),
+        lambda runner: workflow_of(request.workflow)(config, runner, request.wanted),
         config.run.accept_libraries,
     )
 
@@ -156,14 +169,14 @@ def status(
     from fwclass.store.url import is_url
 
     if is_url(conf_or_run) or conf_or_run.is_dir():
-        if out is not None or settings or tiles or aoi or workflow != "classification":
+        if out is not None or settings or tiles or aoi or (workflow != "classification" and not own_file(workflow)):
             raise ConfigError(
                 "a run directory is looked at as its run was asked for",
                 where=conf_or_run,
                 do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
             )
         location = run_at(conf_or_run)
-        request = Request.kept(open_store(location, read_only=True))
+        request = Request.kept(open_store(location, read_only=True), own_file(workflow))
         config = configuration.load(request.conf, request.settings)
     else:
         if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():

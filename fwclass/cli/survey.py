@@ -85,7 +85,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.assess.stage import judge
     from fwclass.graph import plausibility
     from fwclass.graph.report import REPORT, summary
-    from workflows import WORKFLOWS
+    from workflows import workflow_of
 
     with open_runner(entry.location, how.workers or 0, how.scheduler, config.run, performance) as runner:
         runner.store.generations.check_links()
@@ -96,7 +96,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
             _verify(runner)
         report: Any = None
         try:
-            report = WORKFLOWS[request.workflow](config, runner, request.wanted)
+            report = workflow_of(request.workflow)(config, runner, request.wanted)
             made = runner.publish(config.run.keep_generations)
         except (FwclassError, OSError) as fault:
             after = report is None and isinstance(fault, FwclassError)

@@ -135,6 +135,7 @@ ASSESS = Stage(
     assessed,
     when=labelled,
     arguments=lambda plan: {**_judging(plan), "quantiles": plan.config.assess.quantiles},
+    after=("confusion",),
     needs=lambda plan, part: [("confusion", t.key) for t in plan.layout.tiles],
     check=True,
 )

@@ -121,6 +121,7 @@ CLASSIFY_ECHOES = Stage(
     arguments=_asked,
     own=lambda plan: plan.names,
     writes=classes_written,
+    after=("train",),
     needs=_own_model,
     source=_given_model,
 )
@@ -135,6 +136,7 @@ CLASSIFY_THINNED = Stage(
     reads=lambda plan: (*_PLACE, *plan.names, *THIN.writes),
     writes=classes_written,
     halo=lambda plan: plan.config.thin.reach,
+    after=("train",),
     needs=_own_model,
     source=_given_model,
 )

@@ -16,6 +16,7 @@ from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
+from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filtered
 from fwclass.ground.terrain.params import TerrainParams
@@ -80,7 +81,11 @@ def around_block(here: StageInputs) -> Surroundings:
 def filtered_block(here: StageInputs, params: GroundParams) -> Made:
     """Ground and noise flags of a block's echoes, tile after tile."""
     around = around_block(here)
-    flags = filtered(around.table, params)
+    return of_flags(around, filtered(around.table, params))
+
+
+def of_flags(around: Surroundings, flags: Flags) -> Made:
+    """What a filter says of all echoes around a block, as the block's part: of its own ones alone."""
     table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
     return table, {
         **around.facts(table),
@@ -220,6 +225,7 @@ def _gathers(name: str, source: Stage, columns: Names, block: Any) -> Stage:
         arguments=lambda plan: {"source": source.name, "columns": columns, "block": block(plan)},
         own=("x", "y"),
         writes=columns,
+        after=(source.name,),
         needs=blocks,
         named=True,
         cells=True,
@@ -268,6 +274,7 @@ CHECK_SEAMS = Stage(
         "bounds": plan.layout.box.bounds,
     },
     reads=tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))),
+    after=("terrain",),
     needs=lambda plan, part: [(TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)],
     check=True,
 )

@@ -176,6 +176,7 @@ LABEL_BY_CLOUD = Stage(
     own=("x", "y", "z", "gps_time"),
     writes=_CLASSES,
     halo=lambda plan: LABEL.halo(plan.config.label),
+    after=("reference",),
     needs=_clouds,
     check=_only_judges,
 )
@@ -189,6 +190,7 @@ LABEL_BY_POLYGONS = Stage(
     own=("x", "y", "fit_flags"),
     writes=_CLASSES,
     halo=0.0,
+    after=("polygons",),
     needs=lambda plan, tile: [("polygons", p) for p in plan.layout.polygons],
     check=_only_judges,
 )

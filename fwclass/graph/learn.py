@@ -207,6 +207,7 @@ MERGE_SAMPLE = Stage(
     when=trains,
     arguments=_growing,
     silent=_NOT_OF_THE_SAMPLE,
+    after=("sample",),
     needs=lambda plan, part: [(TRAIN_SAMPLE.name, t.key) for t in training_tiles(plan)],
 )
 GROW_TREES = Stage(
@@ -220,6 +221,7 @@ GROW_TREES = Stage(
     arguments=_growing,
     silent=_NOT_OF_A_TREE,
     each=lambda plan, batch: {"count": batch.count},
+    after=("training",),
     needs=lambda plan, batch: (("training", "all"),),
 )
 WEIGH_FEATURES = Stage(
@@ -237,6 +239,7 @@ WEIGH_FEATURES = Stage(
     },
     silent=_NOT_OF_A_TREE,
     each=lambda plan, batch: {"count": batch.count},
+    after=("training", "trees"),
     needs=lambda plan, batch: (("training", "all"), ("trees", batch.key)),
 )
 TRAIN_FOREST = Stage(
@@ -248,6 +251,7 @@ TRAIN_FOREST = Stage(
     when=_forest,
     parts=lambda plan: ("model",),
     arguments=lambda plan: {**_growing(plan), "computed": _computed(plan)},
+    after=("training", "trees", "importance"),
     needs=lambda plan, part: [
         ("training", "all"),
         *(("trees", b.key) for b in _batches(plan)),
@@ -264,6 +268,7 @@ TRAIN_BASELINE = Stage(
     when=lambda plan: trains(plan) and plan.config.train.method != "forest",
     parts=lambda plan: ("model",),
     arguments=lambda plan: {**_growing(plan), "compare": plan.config.compare, "computed": _computed(plan)},
+    after=("training",),
     needs=lambda plan, part: (("training", "all"),),
     where="deliver",
 )

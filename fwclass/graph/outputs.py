@@ -312,6 +312,7 @@ DELIVER_STRIP = Stage(
     arguments=lambda plan: {"params": plan.config.publish},
     each=_legacy_codes,
     silent=NO_BYTE,
+    after=("decompose", "classify", "tile"),
     needs=lambda plan, part: [
         *(("decompose", c) for c in part.chunks),
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
@@ -350,6 +351,7 @@ DELIVER_RASTERS = Stage(
     },
     each=lambda plan, site: {"bounds": site.box.bounds},
     silent=NO_BYTE,
+    after=("terrain", "class-block"),
     needs=_terrain_and_classes,
     where="deliver",
 )

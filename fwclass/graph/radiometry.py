@@ -219,6 +219,7 @@ CHECK_POINTING = Stage(
     pointing,
     when=_points,
     arguments=_params,
+    after=("tile", "trajectory"),
     needs=lambda plan, part: [*(("tile", key) for key in _probes(plan)), *_over(plan, _probes(plan))],
 )
 COMPARE_STRIPS = Stage(
@@ -231,6 +232,7 @@ COMPARE_STRIPS = Stage(
     arguments=_params,
     reads=OVERLAP.reads,
     halo=lambda plan: OVERLAP.halo(plan.config.radiometry),
+    after=("trajectory", "pointing"),
     needs=_overlap_needs,
 )
 CALIBRATE_STRIPS = Stage(
@@ -241,6 +243,7 @@ CALIBRATE_STRIPS = Stage(
     calibrated,
     when=_ranged,
     arguments=_params,
+    after=("overlap",),
     needs=lambda plan, part: [("overlap", t.key) for t in COMPARE_STRIPS.all_parts(plan)],
 )
 MEASURE_RADIOMETRY = Stage(
@@ -253,5 +256,6 @@ MEASURE_RADIOMETRY = Stage(
     arguments=_params,
     own=RADIOMETRY.reads,
     writes=RADIOMETRY.writes,
+    after=("calibrate", "trajectory", "pointing"),
     needs=lambda plan, tile: [(CALIBRATE.name, "all"), *_over(plan, (tile.key,)), *_checked(plan)],
 )

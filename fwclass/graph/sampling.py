@@ -52,5 +52,6 @@ COUNT_SAMPLES = Stage(
     parts=training_tiles,
     arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},
     own=(*IDENTITY_AND_PLACE, "reference"),
+    after=("training",),
     needs=lambda plan, tile: (("training", "all"),),
 )

@@ -249,6 +249,7 @@ READ_SPAN = Stage(
     source=_file,
     arguments=lambda plan: {"params": plan.config.read},
     each=lambda plan, part: {"span": part.span},
+    after=("index",),
 )
 MEASURE_PULSE = Stage(
     PULSE.name,
@@ -259,6 +260,7 @@ MEASURE_PULSE = Stage(
     parts=_strips_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.pulse, "cell": plan.config.decompose.envelope_cell},
+    after=("index", "read"),
     needs=lambda plan, strip: [index_name(strip), *(("read", s.key) for s in spans_of(plan, strip))],
 )
 DECOMPOSE_WAVES = Stage(
@@ -270,6 +272,7 @@ DECOMPOSE_WAVES = Stage(
     parts=_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.decompose},
+    after=("read", "pulse"),
     needs=lambda plan, part: (("read", part.key), ("pulse", part.strip.key)),
 )
 DECOMPOSE_RETURNS = Stage(
@@ -287,4 +290,5 @@ DECOMPOSE_RETURNS = Stage(
         "width": plan.config.pulse.width or plan.config.pulse.fallback_width,
     },
     each=lambda plan, part: {"span": part.span},
+    after=("index",),
 )

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.columns import declare
 from fwclass.conf import Config
 from fwclass.conf.model import Section
 from fwclass.errors import FwclassError
@@ -18,7 +19,7 @@ from fwclass.grid import Box, Tile
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Name, Task
 from fwclass.run.tasks import Tasks
-from fwclass.schema import Table
+from fwclass.schema import Column, Table
 from fwclass.stage import Chunk, Params
 from fwclass.store.cells import CELLS, Within, by_place
 from fwclass.store.receipts import Receipt
@@ -52,6 +53,7 @@ class Plan:
     splits : receipts of the chunks that are cut into tiles.
     tiled : the tiles that there are, once the echoes lie in them.
     flown : when each trajectory was.
+    declares : columns that the program does not know, of a user's own stages.
     """
 
     config: Config
@@ -63,6 +65,7 @@ class Plan:
     splits: Mapping[Name, Receipt] = field(default_factory=dict)
     tiled: Layout | None = None
     flown: Flown = field(default_factory=dict)
+    declares: tuple[Column, ...] = ()
 
     @property
     def survey(self) -> Survey:
@@ -166,8 +169,10 @@ class Work:
     source: Location | None
     writes: Names
     cells: bool
+    declares: tuple[Column, ...] = ()
 
     def __call__(self, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
+        declare(self.declares)
         here = StageInputs(
             inputs,
             directory,
@@ -265,10 +270,13 @@ class Stage:
     writes : columns of the table that it writes. Those of a stage over tiles can be read by others.
     halo : distance around the part's place that is read [m]; None where no neighbour is.
     area : what the halo is around; the part's own box unless given.
-    needs : further parts that are read.
+    after : stages that it comes after, besides those that write its columns: it reads parts of them, or is planned by
+        them.
+    needs : these parts, of stages in `after`.
     source : the file from outside that a part is made from, with its digests; the place may be None where the files
         are known to the arguments.
     named : of what it needs it reads the piece that bears its own name (`store.cells.by_name`).
+    declares : columns among those it writes that the program does not know.
     cells : its rows are digested by place, as others read them in a halo.
     check : it only judges: a delivery is whole though it failed.
     where : "store"; "deliver" for what the user gets; "run" for files of the run directory itself.
@@ -293,9 +301,11 @@ class Stage:
     writes: Columns = ()
     halo: float | Callable[[Plan], float] | None = None
     area: Callable[[Plan, Tile], Box] = _own_box
+    after: Names = ()
     needs: Callable[[Plan, Any], Iterable[Name]] = _no_needs
     source: Callable[[Plan, Any], tuple[Location | None, FileDigests] | None] = _no_source
     named: bool = False
+    declares: tuple[Column, ...] = ()
     cells: bool = False
     check: bool | Callable[[Plan], bool] = False
     where: Literal["store", "deliver", "run"] = "store"
@@ -326,6 +336,11 @@ class Stage:
     def box(self, plan: Plan, place: Tile) -> Box:
         """Where a part at `place` reads echoes."""
         return self.area(plan, place).grown(self.reach(plan))
+
+    def columns_read(self, plan: Plan) -> dict[str, str]:
+        """The columns that it reads under this plan, and the stage that writes each."""
+        names = (*_columns(self.reads, plan), *_columns(self.own, plan)) if self.when(plan) else ()
+        return plan.layout.columns(names) if names else {}
 
     def columns(self, plan: Plan) -> Names:
         """The columns that it writes under this plan."""
@@ -359,7 +374,16 @@ class _Maker:
         present, within = self._around(key, place)
         read = ((s, t) for t in present for s in sorted({*self.of_reads.values(), "tile"})) if self.reads else ()
         mine = ((s, key) for s in sorted({*self.of_own.values(), "tile"})) if self.own else ()
-        needs = tuple(dict.fromkeys((*read, *mine, *stage.needs(plan, part))))
+        more_needs = tuple(stage.needs(plan, part))
+        for other, _ in more_needs:
+            if other not in stage.after:
+                raise FwclassError(
+                    "a stage needs a part of a stage that its record does not name",
+                    where=stage.name,
+                    expected=f"a stage of `after`: {', '.join(stage.after) or 'none'}",
+                    got=other,
+                )
+        needs = tuple(dict.fromkeys((*read, *mine, *more_needs)))
         more = stage.each(plan, part)
         location, external = stage.source(plan, part) or (None, ())
         work = Work(
@@ -376,6 +400,7 @@ class _Maker:
             location,
             self.writes,
             stage.cells,
+            plan.declares,
         )
         return Task(
             stage.name,

@@ -175,6 +175,7 @@ SPLIT_ECHOES = Stage(
     scattered,
     parts=_spans,
     arguments=_sizes,
+    after=("decompose",),
     needs=lambda plan, part: ((DECOMPOSE.name, part.key),),
 )
 SPLIT_REFERENCE = Stage(
@@ -197,6 +198,7 @@ TILE_ECHOES = Stage(
     tiled,
     parts=_cut("split"),
     arguments=lambda plan: {"params": plan.config.tile, "blocks": _blocks(plan)},
+    after=("split",),
     needs=lambda plan, tile: [("split", part) for part in tile.chunks],
     writes=DECOMPOSE.writes,
     named=True,
@@ -211,6 +213,7 @@ TILE_REFERENCE = Stage(
     when=_has_cloud,
     parts=_cut("reference-split"),
     arguments=_sizes,
+    after=("reference-split",),
     needs=lambda plan, tile: [("reference-split", part) for part in tile.chunks],
     writes=CLOUD_COLUMNS,
     named=True,

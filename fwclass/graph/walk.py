@@ -20,7 +20,7 @@ from fwclass.graph.report import write_report
 from fwclass.graph.sites import describe_sites, sites
 from fwclass.graph.sources import INDEX, index_name
 from fwclass.graph.stage import Plan, Stage
-from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, check_features, providers
+from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, TO_TILES, check_features, providers
 from fwclass.graph.survey import check_widths, gather
 from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
@@ -115,6 +115,8 @@ def until_report(
     layout, config = plan.layout, plan.config
     check_altitude(layout)
     keys = tiles.tiles(layout, plan.survey.crs) if isinstance(tiles, Area) else tiles
+    stages = tuple(stages)
+    check_order(plan, stages)
     tasks = tasks_of(plan, stages)
     for words in (describe_sites(sites(layout), plan.survey.strips, tiles_of_strips(plan)), small_tiles(layout)):
         if words:
@@ -124,6 +126,22 @@ def until_report(
     runner.do(tasks)
     runner.finish(whole=keys is None)
     return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names))
+
+
+def check_order(plan: Plan, stages: Iterable[Stage]) -> None:
+    """`ConfigError` for a stage that comes before the one that writes what it reads."""
+    made = {stage.name for stage in TO_TILES}
+    for stage in stages:
+        for column, source in stage.columns_read(plan).items():
+            if source not in made and source != stage.name:
+                raise ConfigError(
+                    "a stage comes before the one that writes what it reads",
+                    where=f"workflow, stage {stage.name}",
+                    expected=f"behind {source}",
+                    got=f"it reads {column}, which {source} writes",
+                    do="put it further back",
+                )
+        made.add(stage.name)
 
 
 def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+from fwclass.columns import declare
 from fwclass.conf import Config
+from fwclass.errors import ConfigError, nearest
 from fwclass.graph.area_of_interest import Area
-from fwclass.graph.stage import Stage
-from fwclass.graph.stages import TO_TILES
+from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stages import LEARNING, TO_TILES
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.walk import deciding, until_report, until_tiles
 from fwclass.run.runner import Runner
@@ -36,8 +38,64 @@ class Workflow:
         """Make all parts and write the report; return it. `tiles`: only these, and what they need."""
         if self.walk is not None:
             return self.walk(config, runner, tiles)
-        plan = until_tiles(deciding(config, self.stages), runner, self.stages)
+        plan = until_tiles(self.begin(config), runner, self.stages)
         return until_report(plan, runner, after_tiles(self.stages), tiles)
+
+    def begin(self, config: Config) -> Plan:
+        """What is planned by before any file is read; `ConfigError` for features that no stage writes."""
+        columns = tuple(c for stage in self.stages for c in stage.declares)
+        declare(columns)
+        return replace(deciding(config, self.stages), declares=columns)
+
+    def with_stage(self, stage: Stage, after: str) -> Workflow:
+        """This workflow with one stage more, behind the last one of the name `after`."""
+        names = [s.name for s in self.stages]
+        if after not in names:
+            raise ConfigError(
+                "no stage of this name", where=f"workflow {self.name}", got=after, do=nearest(after, names)
+            )
+        place = len(names) - names[::-1].index(after)
+        return replace(self, stages=(*self.stages[:place], stage, *self.stages[place:]))
+
+    def with_stage_instead(self, stage: Stage, of: str = "") -> Workflow:
+        """This workflow with `stage` in the place of the stages of the name `of` (its own name, unless given)."""
+        name = of or stage.name
+        places = [k for k, s in enumerate(self.stages) if s.name == name]
+        if not places:
+            raise ConfigError(
+                "no stage of this name",
+                where=f"workflow {self.name}",
+                got=name,
+                do=nearest(name, [s.name for s in self.stages]),
+            )
+        kept = [s for s in self.stages if s.name != name]
+        return replace(self, stages=(*kept[: places[0]], stage, *kept[places[0] :]))
+
+    def without_training(self) -> Workflow:
+        """This workflow without the stages that learn: for a classifier that needs no model."""
+        learning = {id(stage) for stage in LEARNING}
+        return replace(self, stages=tuple(s for s in self.stages if id(s) not in learning))
+
+    def check(self, where: object) -> None:
+        """`ConfigError` for a list of stages that no run can go through: two with the same parts, or one that comes
+        before what it reads."""
+        seen: set[str] = set()
+        every = {s.name for s in self.stages}
+        for stage in self.stages:
+            late = [name for name in stage.after if name in every and name not in seen and name != stage.name]
+            if late:
+                raise ConfigError(
+                    "a stage comes before what it reads", where=where, got=f"{stage.name} before {late[0]}"
+                )
+            missing = [name for name in stage.after if name not in every]
+            if missing:
+                raise ConfigError(
+                    "a stage reads what no stage of the workflow makes",
+                    where=where,
+                    got=f"{stage.name} reads {missing[0]}",
+                    do=nearest(missing[0], every),
+                )
+            seen.add(stage.name)
 
 
 def after_tiles(stages: tuple[Stage, ...]) -> tuple[Stage, ...]:

@@ -84,8 +84,11 @@ class Request:
         store.keep(_KEPT, {n: v for n, v in asdict(self).items() if n != "root"})
 
     @classmethod
-    def kept(cls, store: Store) -> Request:
-        """What the last run in `store` was asked for; `StoreError` where nothing tells."""
+    def kept(cls, store: Store, own: str | None = None) -> Request:
+        """What the last run in `store` was asked for; `StoreError` where nothing tells.
+
+        A workflow's file is code, which a run directory cannot have started: it must be named as `own` by the user.
+        """
         where, found = store.where, store.recall(_KEPT)
         if found is None:
             raise StoreError(
@@ -98,6 +101,15 @@ class Request:
         try:
             tiles, aoi = found["tiles"], found["aoi"]
             root = str(where if isinstance(where, Url) else where.resolve())
+            workflow = str(found["workflow"])
+            if workflow.endswith(".py") and (own is None or str(Path(own).resolve()) != workflow):
+                raise StoreError(
+                    "this run is of a workflow's file, whose code a run directory cannot have started",
+                    where=where,
+                    expected=f"--workflow {shlex.quote(workflow)}",
+                    got="no --workflow" if own is None else f"--workflow {own}",
+                    do="name the file yourself, if you trust it",
+                )
             return cls(
                 str(found["conf"]),
                 root,

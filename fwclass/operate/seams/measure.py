@@ -17,7 +17,6 @@ from fwclass.errors import StoreError
 from fwclass.graph.ground import surroundings
 from fwclass.graph.rasters import RASTERS
 from fwclass.graph.stage import Plan, Stage
-from fwclass.graph.stages import CLASSIFYING, TO_LABELS
 from fwclass.grid import Tile
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs
@@ -29,12 +28,33 @@ from fwclass.schema import IDENTITY, Table
 from fwclass.store.arrays import read_arrays
 from fwclass.store.tables import read_table
 
-_OF_ECHOES = [s for s in (*TO_LABELS, *CLASSIFYING) if s.writes]
-TILE_STAGES = tuple(dict.fromkeys(s.name for s in _OF_ECHOES if s.over == "tile" and not s.named))
-"""Stages whose parts are tiles and that compute something of echoes."""
-BLOCK_STAGES = tuple(s for s in _OF_ECHOES if s.over == "block")
-GATHERING = tuple(s.name for s in _OF_ECHOES if s.over == "tile" and s.named)
-"""Stages of blocks that compute something of echoes, and those of tiles that hold their columns."""
+
+@dataclass(frozen=True)
+class Compared:
+    """The stages of a workflow that compute something of echoes, and can be compared.
+
+    Attributes
+    ----------
+    of_tiles : names of those whose parts are tiles.
+    of_blocks : those whose parts are blocks.
+    gathering : names of those that put what blocks computed into tiles.
+    """
+
+    of_tiles: tuple[str, ...]
+    of_blocks: tuple[Stage, ...]
+    gathering: tuple[str, ...]
+
+    @classmethod
+    def of(cls, stages: Iterable[Stage]) -> Compared:
+        some = [s for s in stages if s.writes]
+        tiles = [s for s in some if s.over == "tile"]
+        return cls(
+            tuple(dict.fromkeys(s.name for s in tiles if not s.named)),
+            tuple(s for s in some if s.over == "block"),
+            tuple(s.name for s in tiles if s.named),
+        )
+
+
 _PLACE = dict.fromkeys((*IDENTITY, "x", "y"), "tile")
 
 

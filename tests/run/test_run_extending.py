@@ -1,0 +1,179 @@
+"""docs/extending.md, followed to the letter: every file on the page runs as the page says."""
+
+import re
+import shutil
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from runmaker import SETTINGS, walk
+
+from fwclass import conf
+from fwclass.errors import ConfigError, StoreError
+from fwclass.operate.request import Request
+from fwclass.operate.seams.walk import Asked, seams
+from fwclass.operate.status.verify import verify
+from fwclass.operate.status.walk import Silent
+from fwclass.run.cluster import Cluster
+from fwclass.store.run_location import open_store
+from fwclass.store.tables import read_table
+from workflows import workflow_of
+
+PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+FEATURES = "survey.features=[zc, echo_number, amplitude, unevenness]"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """The Python files of the page, by name."""
+    root = tmp_path_factory.mktemp("page")
+    blocks = re.findall(r"```python\n# (\w+\.py)\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    for name, text in blocks:
+        (root / name).write_text(text)
+    assert {name for name, _ in blocks} == {"uneven.py", "lowest.py", "rules.py", "csv_tiles.py"}
+    return {name: str(root / name) for name, _ in blocks}
+
+
+def delivered(root, *columns):
+    """Columns of all delivered echoes, in the order of their identity."""
+    names = ("strip", "pulse", "echo_number", *columns)
+    tables = [read_table(p, names) for p in sorted((root / "parquet").glob("*.parquet"))]
+    found = {n: np.concatenate([t[n] for t in tables]) for n in names}
+    order = np.lexsort((found["echo_number"], found["pulse"], found["strip"]))
+    return {n: v[order] for n, v in found.items()}
+
+
+@pytest.fixture(scope="module")
+def uneven(survey, files, tmp_path_factory):
+    root = tmp_path_factory.mktemp("uneven")
+    runner, report = walk(survey, root, FEATURES, workflow=files["uneven.py"])
+    assert not runner.failures, runner.failures
+    return root, report
+
+
+def test_a_stage_of_one_s_own_is_a_feature_and_is_delivered(uneven):
+    root, report = uneven
+    assert "unevenness" in report["model"]["features"] and report["accuracy"]
+    assert "unevenness" in {s["name"] for s in report["stages"]}
+    tile = next((root / "laz" / "tiles").glob("*.laz"))
+    values = np.asarray(laspy.read(tile)["unevenness"])
+    assert np.isfinite(values).all() and values.max() > 0.5
+
+
+@pytest.mark.slow
+def test_it_does_not_depend_on_tiles_or_workers(uneven, survey, files, tmp_path):
+    cluster = Cluster(None, 2, 4.0, 1000)
+    runner, _ = walk(survey, tmp_path, FEATURES, "tile.size=35", executor=cluster, workflow=files["uneven.py"])
+    assert not runner.failures, runner.failures
+    one, other = (delivered(root, "unevenness", "classification") for root in (uneven[0], tmp_path))
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+def test_seams_compare_it(uneven, survey, files):
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", FEATURES))
+    found = seams(config, uneven[0], Asked((50.0, 50.0), 1.0, None, None, files["uneven.py"]), Silent())
+    assert found.equal and "unevenness" in {s.stage for s in found.bounded}
+
+
+def test_a_halo_too_small_is_found(survey, files, tmp_path):
+    text = Path(files["uneven.py"]).read_text()
+    near = tmp_path / "near.py"
+    near.write_text(text.replace("halo=1.0", "halo=0.2"))
+    runner, _ = walk(survey, tmp_path / "run", FEATURES, workflow=str(near))
+    assert not runner.failures
+    config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", FEATURES))
+    found = seams(config, tmp_path / "run", Asked((50.0, 50.0), 1.0, None, None, str(near)), Silent())
+    assert "unevenness" in {s.stage for s in found.bounded if s.differ}
+
+
+def test_an_edited_file_makes_its_parts_anew_and_no_others(uneven, survey, files, tmp_path):
+    shutil.copytree(uneven[0], tmp_path / "run", symlinks=True)
+    mine = tmp_path / "uneven.py"
+    mine.write_text(Path(files["uneven.py"]).read_text() + "\n# edited\n")
+    runner, _ = walk(survey, tmp_path / "run", FEATURES, workflow=str(mine))
+    made = {name[0] for name, outcome in runner.outcomes.items() if outcome.status == "computed"}
+    assert made == {"unevenness"}  # it gives the same values, so that nothing behind it is made
+
+
+def test_a_ground_filter(survey, files, tmp_path):
+    runner, report = walk(survey, tmp_path, "survey.features=[zc, amplitude]", workflow=files["lowest.py"])
+    assert not runner.failures, runner.failures
+    found = delivered(tmp_path, "x", "y", "z", "ground", "noise")
+    column, row = np.floor(found["x"] / 8.0), np.floor(found["y"] / 8.0)
+    _, square = np.unique(np.c_[column, row], axis=0, return_inverse=True)
+    low = np.full(square.max() + 1, np.inf)
+    np.minimum.at(low, square.ravel(), found["z"])
+    np.testing.assert_array_equal(found["ground"], found["z"] <= low[square.ravel()] + 0.5)
+    assert not found["noise"].any() and report["ground"]
+
+
+def test_a_classifier(survey, files, tmp_path):
+    runner, report = walk(survey, tmp_path, "survey.features=[zc]", workflow=files["rules.py"])
+    assert not runner.failures, runner.failures
+    assert not {"train", "trees", "sample"} & {s["name"] for s in report["stages"]}
+    found = delivered(tmp_path, "ground", "height_above_ground", "number_of_echoes", "classification")
+    low = found["ground"] | (found["height_above_ground"] < 2.0)
+    expected = np.where(low, 2, np.where(found["number_of_echoes"] > 1, 5, 6))
+    np.testing.assert_array_equal(found["classification"], expected)
+    assert report["accuracy"]["overall_accuracy"] > 0.5
+
+
+def test_an_output_format(survey, files, tmp_path):
+    runner, _ = walk(survey, tmp_path, "survey.features=[zc, amplitude]", workflow=files["csv_tiles.py"])
+    assert not runner.failures, runner.failures
+    rows = np.concatenate([np.loadtxt(p, delimiter=",", skiprows=1) for p in sorted((tmp_path / "csv").glob("*.csv"))])
+    assert len(rows) == len(delivered(tmp_path)["pulse"])
+    some = next((tmp_path / "csv").glob("*.csv")).resolve()
+    some.chmod(0o644)
+    some.write_text("x")
+    assert not verify(open_store(tmp_path, lists=True)).sound
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("import nothing_of_that_name", "cannot be imported"),
+        ("def f(:", "cannot be imported"),
+        ("x = 1", "has no workflow"),
+        ("workflow = 3", "has no workflow"),
+        (
+            "from workflows.classification import classification\n"
+            "workflow = classification.with_stage(classification.stages[0], after='nowhere')",
+            "no stage of this name",
+        ),
+        (
+            "from dataclasses import replace\nfrom workflows.classification import classification as c\n"
+            "workflow = replace(c, stages=c.stages[::-1])",
+            "comes before what it reads",
+        ),
+    ],
+)
+def test_a_bad_file_is_refused_in_words(tmp_path, text, words):
+    path = tmp_path / "bad.py"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=words):
+        workflow_of(str(path))
+
+
+def test_a_missing_file_and_an_unknown_name(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        workflow_of(str(tmp_path / "nothing.py"))
+    with pytest.raises(ConfigError, match="no such workflow"):
+        workflow_of("nonsense")
+
+
+def test_a_column_of_a_name_that_is_taken_is_refused(survey, files, tmp_path):
+    path = tmp_path / "taken.py"
+    path.write_text(Path(files["uneven.py"]).read_text().replace('"unevenness"', '"roughness"'))
+    with pytest.raises(ConfigError, match="means something else"):
+        walk(survey, tmp_path / "run", "survey.features=[zc]", workflow=str(path))
+
+
+def test_a_run_directory_starts_no_code(uneven, files, tmp_path):
+    store = open_store(uneven[0], lists=True)
+    Request("demo", str(uneven[0]), workflow=files["uneven.py"]).keep(store)
+    with pytest.raises(StoreError, match="cannot have started"):
+        Request.kept(store)
+    assert Request.kept(store, files["uneven.py"]).workflow == files["uneven.py"]
