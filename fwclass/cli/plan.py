@@ -10,6 +10,7 @@ import click
 
 from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, WORKERS, cli
 from fwclass.cli.runner import open_runner
+from fwclass.cli.status import WORKFLOW
 
 
 @cli.command()
@@ -22,6 +23,8 @@ from fwclass.cli.runner import open_runner
     metavar="N",
     help="Really run the N fullest tiles, in a scratch directory, and reckon with what they took.",
 )
+@click.option("--graph", is_flag=True, help="Only tell the stages that the run has, and what each reads.")
+@WORKFLOW
 @SET
 @WORKERS
 @OVERWRITE
@@ -30,6 +33,8 @@ def plan(
     conf: Path,
     out: Path | None,
     count: int | None,
+    graph: bool,
+    workflow: str,
     settings: tuple[str, ...],
     workers: int | None,
     overwrite: bool,
@@ -51,6 +56,9 @@ def plan(
     from fwclass.operate.estimate.whole import planned
 
     config = configuration.load(conf, settings)
+    if graph:
+        _tell_graph(config, workflow, as_json)
+        return
     root = out if out is not None else Path("runs") / config.survey.name
     check_free(root, overwrite)
     number = config.run.workers if workers is None else workers
@@ -90,3 +98,21 @@ def _dry_run(made: Any, count: int, root: Path) -> Any:
             )
         click.echo(f"dry run     tiles {', '.join(keys)} from {asked.files:,} files", err=True)
         return planned(made.config, made.facts, made.workers, made.room, store)
+
+
+def _tell_graph(config: Any, workflow: str, as_json: bool) -> None:
+    """The stages of a workflow in the order of the run: what a part of each is, and which others it reads."""
+    from fwclass.graph.stages import graph_of
+    from workflows import workflow_of
+
+    chosen = workflow_of(workflow)
+    stages = graph_of(chosen.begin(config), chosen.stages)
+    if as_json:
+        click.echo(json.dumps(stages, indent=1))
+        return
+    wide = max(len(s["name"]) for s in stages)
+    click.echo(f"{chosen.name}: {chosen.what}\n")
+    click.echo(f"{'stage':<{wide}}  a part is    reads")
+    for stage in stages:
+        part = "one" if stage["over"] == "survey" else f"a {stage['over']}"
+        click.echo(f"{stage['name']:<{wide}}  {part:<11}  {', '.join(stage['reads'])}".rstrip())

@@ -39,7 +39,7 @@ beside the paper's, used by the forest or not."""
 
 def described(plan: Plan) -> tuple[str, ...]:
     """The classifier's features, those that are computed besides, and what else Fan 2013 has."""
-    also = (n for n in FAN_2013 if n in plan.layout.providers)
+    also = (n for n in FAN_2013 if n in plan.providers)
     return tuple(dict.fromkeys((*plan.names, *plan.config.features.also, *also)))
 
 

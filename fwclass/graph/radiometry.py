@@ -204,6 +204,7 @@ READ_TRAJECTORY = Stage(
     flown,
     when=lambda plan: bool(plan.config.survey.trajectory.files),
     parts=_flights,
+    after=("tile",),
     arguments=lambda plan: {
         "crs": plan.survey.crs,
         "undulation": plan.config.survey.trajectory.undulation,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,9 +48,16 @@ MAP_CELLS = 4_000_000
 
 
 def write_report(
-    config: Config, runner: Runner, survey: Survey, layout: Layout, names: tuple[str, ...]
+    config: Config,
+    runner: Runner,
+    survey: Survey,
+    layout: Layout,
+    names: tuple[str, ...],
+    graph: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     """Gather the figures from receipts, write `report.json` and `report.html`, return the dict.
+
+    `graph`: name, kind of part and sources of every stage, as `stages.described` gives them.
 
     Both are written beside, to be published with the rest. Where this run made nothing new, the report of the run that
     did is left as it is.
@@ -66,6 +73,7 @@ def write_report(
         "input": _input(runner, survey),
         "counts": _counts(runner),
         "stages": [_stage(runner, name, tally) for name, tally in runner.tallies.items()],
+        "graph": list(graph),
         "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
         "accuracy": (accuracy := _accuracy(runner, config)),
         "model": {"path": config.survey.model, "features": list(names)},

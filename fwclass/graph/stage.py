@@ -54,6 +54,7 @@ class Plan:
     tiled : the tiles that there are, once the echoes lie in them.
     flown : when each trajectory was.
     declares : columns that the program does not know, of a user's own stages.
+    providers : the stage that writes each column, as far as records tell.
     """
 
     config: Config
@@ -66,6 +67,7 @@ class Plan:
     tiled: Layout | None = None
     flown: Flown = field(default_factory=dict)
     declares: tuple[Column, ...] = ()
+    providers: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def survey(self) -> Survey:
@@ -339,15 +341,16 @@ class Stage:
 
     def columns_read(self, plan: Plan) -> dict[str, str]:
         """The columns that it reads under this plan, and the stage that writes each."""
-        names = (*_columns(self.reads, plan), *_columns(self.own, plan)) if self.when(plan) else ()
+        names = (*named(self.reads, plan), *named(self.own, plan)) if self.when(plan) else ()
         return plan.layout.columns(names) if names else {}
 
     def columns(self, plan: Plan) -> Names:
         """The columns that it writes under this plan."""
-        return _columns(self.writes, plan) if self.when(plan) else ()
+        return named(self.writes, plan) if self.when(plan) else ()
 
 
-def _columns(columns: Columns, plan: Plan) -> Names:
+def named(columns: Columns, plan: Plan) -> Names:
+    """The columns that a record names, under this plan, each once."""
     return tuple(dict.fromkeys(columns(plan) if callable(columns) else columns))
 
 
@@ -356,7 +359,7 @@ class _Maker:
 
     def __init__(self, stage: Stage, plan: Plan) -> None:
         self.stage, self.plan = stage, plan
-        self.reads, self.own = _columns(stage.reads, plan), _columns(stage.own, plan)
+        self.reads, self.own = named(stage.reads, plan), named(stage.own, plan)
         self.of_reads, self.of_own = self._stages(self.reads), self._stages(self.own)
         self.arguments = stage.arguments(plan)
         self.params = plain_values(self.arguments, stage.silent)

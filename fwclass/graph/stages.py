@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 from fwclass.columns import FEATURES
 from fwclass.conf import Config
@@ -24,7 +25,7 @@ from fwclass.graph.radiometry import (
 )
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PULSE, READ_SPAN
-from fwclass.graph.stage import Plan, Stage
+from fwclass.graph.stage import Plan, Stage, named
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
@@ -79,6 +80,26 @@ def providers(plan: Plan, stages: Iterable[Stage] = STAGES) -> dict[str, str]:
             for column in stage.columns(plan):
                 known.setdefault(column, stage.name)
     return known
+
+
+def graph_of(plan: Plan, stages: Iterable[Stage] = STAGES) -> list[dict[str, Any]]:
+    """Every stage that a run has: ``name``, ``over`` (what a part of it is), ``unit`` of its cost, and ``reads``, the
+    stages whose parts it reads or is planned by; in the order of the run."""
+    stages = [s for s in stages if s.when(plan)]
+    known = providers(plan, stages)
+    made: dict[str, dict[str, Any]] = {}
+    names = {s.name for s in stages}
+    for stage in stages:
+        columns = (*named(stage.reads, plan), *named(stage.own, plan))
+        sources = {known.get(c, COMPUTE_FEATURES.name) for c in columns} | set(stage.after)
+        if columns:
+            sources.add(TILE_ECHOES.name)
+        one = made.setdefault(stage.name, {"name": stage.name, "over": stage.over, "unit": stage.unit, "reads": []})
+        one["reads"] = list({*one["reads"], *(sources & names - {stage.name})})
+    order = {name: k for k, name in enumerate(made)}
+    for one in made.values():
+        one["reads"] = sorted(one["reads"], key=lambda name: order.get(name, 0))
+    return list(made.values())
 
 
 def check_features(config: Config, names: Iterable[str], where: object, stages: Iterable[Stage] = STAGES) -> None:

@@ -20,8 +20,8 @@ from fwclass.graph.report import write_report
 from fwclass.graph.sites import describe_sites, sites
 from fwclass.graph.sources import INDEX, index_name
 from fwclass.graph.stage import Plan, Stage
-from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, TO_TILES, check_features, providers
-from fwclass.graph.survey import check_widths, gather
+from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, TO_TILES, check_features, graph_of, providers
+from fwclass.graph.survey import SIMULATE, check_widths, gather
 from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
@@ -51,12 +51,13 @@ def deciding(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
     names = load_model(local(model[0])).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features", stages)
     check_features(config, config.features.also, f"{config.path}: features.also", stages)
-    return Plan(config, names, tuple(dict.fromkeys((*names, *config.features.also))), model)
+    plan = Plan(config, names, tuple(dict.fromkeys((*names, *config.features.also))), model)
+    return replace(plan, providers=providers(plan, stages))
 
 
 def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) -> Plan:
     """Make all parts up to the tiles; the plan with what is known then."""
-    config = plan.config
+    config, plan = plan.config, replace(plan, providers=providers(plan, stages))
     survey = gather(config, runner)
     learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
     quantities = joint(survey.quantities, plan.names, f"{config.path}: survey.sources")
@@ -117,6 +118,7 @@ def until_report(
     keys = tiles.tiles(layout, plan.survey.crs) if isinstance(tiles, Area) else tiles
     stages = tuple(stages)
     check_order(plan, stages)
+    graph = graph_of(plan, (SIMULATE, *TO_TILES, *stages))
     tasks = tasks_of(plan, stages)
     for words in (describe_sites(sites(layout), plan.survey.strips, tiles_of_strips(plan)), small_tiles(layout)):
         if words:
@@ -125,7 +127,7 @@ def until_report(
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, keys)))
     runner.do(tasks)
     runner.finish(whole=keys is None)
-    return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names))
+    return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph))
 
 
 def check_order(plan: Plan, stages: Iterable[Stage]) -> None:

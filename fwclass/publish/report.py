@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
 from fwclass.publish.files import whole
 from fwclass.publish.ground_section import ground
@@ -27,6 +28,7 @@ from fwclass.publish.sections import (
     training,
     waveforms,
 )
+from fwclass.publish.stage_graph import stage_graph
 
 TEMPLATE = "report.html.j2"
 LISTED = 8
@@ -50,7 +52,7 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
 
     Parameters
     ----------
-    report : ``survey, fwclass, input {files, faults}, counts, stages, classes, accuracy, training, sampling,
+    report : ``survey, fwclass, input {files, faults}, counts, stages, graph, classes, accuracy, training, sampling,
         distribution, waveforms, plausibility, remarks, areas, outputs, config, seconds``; plain data, any key may be
         missing.
     figures : PNG by name; ``map`` and ``relief`` come first, others follow under their names; ``pulse`` stands with
@@ -125,6 +127,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "files": list(source.get("files") or ()),
         "faults": dict(source.get("faults") or {}),
         "stages": stages(report.get("stages") or ()),
+        "graph": Markup(stage_graph(report.get("graph") or ())),  # noqa: S704 - its texts are escaped
         "outputs": _outputs(report.get("outputs") or {}),
         "config": _yaml(config) if config else "",
     }

@@ -9,7 +9,8 @@ from fwclass.errors import FwclassError
 from fwclass.graph.assess import ASSESS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.stage import Plan, StageInputs, Work, plain_values
-from fwclass.graph.stages import STAGES, providers
+from fwclass.graph.stages import STAGES, graph_of, providers
+from fwclass.publish.stage_graph import reduced, stage_graph
 from fwclass.schema import Table
 from workflows import WORKFLOWS
 
@@ -70,3 +71,26 @@ def test_columns_that_the_record_does_not_name_are_refused(tmp_path):
     work = Work(function, {}, "0_0", (), None, 0.0, {}, {}, (), 100.0, None, ("x", "y"), False)
     with pytest.raises(FwclassError, match="other columns than its record"):
         work(None, tmp_path)
+
+
+def test_the_graph_names_what_every_stage_reads():
+    stages = graph_of(WORKFLOWS["classification"].begin(conf.load("demo", ())))
+    reads = {s["name"]: s["reads"] for s in stages}
+    assert reads["classify"] == ["tile", "height", "features", "train"]
+    assert reads["terrain"] == ["tile", "ground"] and reads["split"] == ["decompose"]
+    assert "thin" not in reads and "importance" not in reads  # this survey has neither
+    place = {name: k for k, name in enumerate(reads)}
+    assert all(place[s] < place[name] for name, some in reads.items() for s in some)
+
+
+def test_an_edge_that_follows_from_others_is_not_drawn():
+    assert reduced({"a": [], "b": ["a"], "c": ["a", "b"]}) == {"a": [], "b": ["a"], "c": ["b"]}
+    svg = stage_graph([{"name": "a<b", "over": "tile", "reads": []}, {"name": "c", "over": "survey", "reads": ["a<b"]}])
+    assert svg.count("<path") == 1 and "a&lt;b" in svg and "<b" not in svg
+    assert stage_graph([]) == ""
+
+
+def test_a_need_that_the_record_does_not_name_is_refused():
+    stage = replace(ASSESS, needs=lambda plan, part: (("classify", "0_0"),), arguments=lambda plan: {})
+    with pytest.raises(FwclassError, match="does not name"):
+        stage.task(Plan(conf.load("demo", ())), "all")
