@@ -122,7 +122,7 @@ def _facts(waves: Waveforms) -> dict[str, Any]:
     }
 
 
-def _waveforms(part: str, inputs: PartInputs, returns: bool = True) -> Waveforms:
+def waveforms_of(part: str, inputs: PartInputs, returns: bool = True) -> Waveforms:
     """A chunk as it was read; on request without its returns."""
     points = inputs.table("read", part, name="returns.parquet") if returns else Table.empty(RETURN_COLUMNS)
     if not inputs.meta("read", part)["waveforms"]:
@@ -143,7 +143,7 @@ def measured_pulse(here: StageInputs, params: PulseParams, cell: float) -> Made:
     """The system's pulse and the receiver of a strip, from a sample of its waveforms; the envelope of its returns."""
     parts, inputs, directory = here.parts("read"), here.inputs, here.directory
     strip, pulses = int(here.part), int(inputs.meta("index", here.part)["pulses"])
-    samples = [sample_pulses(_waveforms(part, inputs, returns=False), strip, pulses, params) for part in parts]
+    samples = [sample_pulses(waveforms_of(part, inputs, returns=False), strip, pulses, params) for part in parts]
     sampled, noise, pulse = (
         sum(s.pulses.rows for s in samples),
         UNKNOWN.noise,
@@ -192,7 +192,7 @@ def strip_of(chunk: str) -> int:
 def decomposed(here: StageInputs, params: DecomposeParams) -> Made:
     """Echoes of a chunk, and the echo of every return."""
     strip = strip_of(here.part)
-    waves = _waveforms(here.part, here.inputs)
+    waves = waveforms_of(here.part, here.inputs)
     pulse, around = pulse_of(strip, here.inputs), surroundings_of(strip, here.inputs)
     return _write_echoes(here, decompose(waves, strip, params, pulse, around))
 

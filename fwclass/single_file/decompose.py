@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fwclass import conf
-from fwclass.decompose.envelope import Envelope
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.plausible import UNKNOWN, Surroundings, added
-from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
-from fwclass.decompose.quiet import quiet_noise
-from fwclass.decompose.stage import VENDOR_KEPT, decompose
+from fwclass.decompose.pulse_estimate import describe
+from fwclass.decompose.stage import VENDOR_KEPT
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
 from fwclass.features.params import NORMAL, FeaturesParams
@@ -25,11 +21,11 @@ from fwclass.graph.survey import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import write_tile_laz
 from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
-from fwclass.read.source import Source, open_source
-from fwclass.read.spans import Span
-from fwclass.read.stage import ReadParams, check_source, index_source, read_span
+from fwclass.read.source import open_source
+from fwclass.read.stage import check_source
 from fwclass.read.trajectory import in_survey_time, read_trajectory
 from fwclass.schema import Table
+from fwclass.single_file.strip import strip_of
 from fwclass.stage import Chunk
 from fwclass.waveforms import IMPLAUSIBLE
 
@@ -82,17 +78,11 @@ def decompose_file(
     system = given_crs(crs, "--crs") if crs is not None else opened.crs
     refuse_source(opened, system)
     check_source(opened, params["read"])
-    spans = index_source(opened, params["read"])
-    fit = params["decompose"]
-    pulse, around = strip_of_file(opened, spans, params["read"], params["pulse"], fit)
-    tables, faults, counts = [], dict[str, int](), []
-    for span in spans:
-        waves = read_span(opened, span, params["read"])
-        echoes, _, counted = decompose(waves, 0, fit, pulse, around)
-        tables.append(echoes)
-        counts.append(counted)
-        for name, count in waves.faults.items():
-            faults[name] = faults.get(name, 0) + int(count)
+    fit: DecomposeParams = params["decompose"]
+    with strip_of(opened, settings) as strip:
+        tables = list(strip.echoes())
+        pulse, pulses, noise = strip.pulse(), strip.pulses, strip.noise()
+        faults, counts = strip.faults(), strip.counts()
     if not tables:
         raise InputError(
             "the file has no points and no pulses", where=source, do="check the delivery; there is nothing to decompose"
@@ -106,9 +96,8 @@ def decompose_file(
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
     write_tile_laz(delivered, output, system, params["publish"], standard_time=opened.standard_gps_time)
-    near, judged = fit.vendor_tolerance, of_strip(source.stem, opened.n_points, added(counts), around.noise.told)
+    near, judged = fit.vendor_tolerance, of_strip(source.stem, opened.n_points, counts, noise)
     lone = judged["returns_without_echo"]
-    pulses = sum(s.n_pulses for s in spans)
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
     rows = [
         *_summary(table, read_from),
@@ -199,23 +188,3 @@ def flown_over(table: Table, path: Path, crs: Any, undulation: float) -> Table:
     times = table["gps_time"][np.isfinite(table["gps_time"])]
     ends = (float(times.min()), float(times.max())) if len(times) else (np.nan, np.nan)
     return in_survey_time(read_trajectory(path, crs, undulation), *ends, where=path)
-
-
-def strip_of_file(
-    source: Source, spans: Sequence[Span], read: ReadParams, pulse: PulseParams, params: DecomposeParams
-) -> tuple[SystemPulse, Surroundings]:
-    """The system's pulse as a file's own waveforms show it, and what its echoes are held against; a first pass."""
-    total, samples = sum(s.n_pulses for s in spans), []
-
-    def returns() -> Iterator[Table]:
-        for span in spans:
-            waves = read_span(source, span, read)
-            samples.append(sample_pulses(waves, 0, total, pulse))
-            yield waves.returns.select("xyz")
-
-    envelope = Envelope.of(returns(), params.envelope_cell)
-    if not samples:
-        return SystemPulse.gaussian(pulse.fallback_width), UNKNOWN
-    sample = join_samples(samples)
-    found = estimate_pulse(sample, pulse)
-    return found, Surroundings(envelope, quiet_noise(sample, found, pulse.tail))

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
-from fwclass.decompose.plausible import UNKNOWN, added
-from fwclass.decompose.stage import decompose
-from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.params import DecomposeParams
 from fwclass.errors import InputError
 from fwclass.formats.flat import refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
@@ -23,13 +21,14 @@ from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.cloud import read_point_cloud
 from fwclass.read.source import Source, open_source
-from fwclass.read.stage import check_source, index_source, read_span
+from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
 from fwclass.schema import IDENTITY, Table
-from fwclass.single_file.decompose import flown_over, ranged, strip_of_file
+from fwclass.single_file.decompose import flown_over, ranged
 from fwclass.single_file.ground.file import GROUND, HIGH_NOISE, LOW_NOISE
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.steps import Tell
+from fwclass.single_file.strip import strip_of
 from fwclass.waveforms import IMPLAUSIBLE
 
 PLACE = (*IDENTITY, "number_of_echoes", "x", "y", "z", "gps_time", "source_class")
@@ -108,32 +107,21 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     _check_metres(linear_units(crs, getattr(source, "header", None), source.path), crs, source.path)
     read = conf.section("read", settings)
     check_source(source, read)
-    spans = index_source(source, read)
-    params = conf.section("pulse", settings)
-    pulse, around = SystemPulse.gaussian(params.fallback_width), UNKNOWN
-    fit, faults, tables, links, counts = conf.section("decompose", settings), dict[str, int](), [], [], []
-    if source.has_waves:
-        tell("system pulse")
-        pulse, around = strip_of_file(source, spans, read, params, fit)
-    for k, span in enumerate(spans, 1):
-        tell(f"echoes: part {k} of {len(spans)}")
-        waves = read_span(source, span, read)
-        echoes, tied, counted = decompose(waves, 0, fit, pulse, around)
-        counts.append(counted)
-        links.append(tied.select(("pulse", "echo_number")))
-        tables.append(echoes.select(dict.fromkeys(n for n in columns if n in echoes)))
-        for name, count in waves.faults.items():
-            faults[name] = faults.get(name, 0) + int(count)
+    fit: DecomposeParams = conf.section("decompose", settings)
+    with strip_of(source, settings, tell) as strip:
+        tables = list(strip.echoes(columns))
+        links = strip.links() if tables else None
+        counts, noise, faults = strip.counts(), strip.noise(), strip.faults()
     if not tables or not sum(t.rows for t in tables):
         raise InputError("the file has no points and no pulses", where=source.path, do="check the delivery")
     table = Table.concat(tables)
     told = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
-    told += remarks([of_strip(source.path.stem, source.n_points, added(counts), around.noise.told)], fit)
+    told += remarks([of_strip(source.path.stem, source.n_points, counts, noise)], fit)
     told += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
     if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():
         told.append("every intensity is 0: features of amplitude and intensity say nothing")
     empty = [n for n in table if n not in PLACE and table[n].dtype.kind == "f" and np.isnan(table[n]).all()]
-    return FileEchoes(table.select(n for n in table if n not in empty), crs, tuple(told), Table.concat(links))
+    return FileEchoes(table.select(n for n in table if n not in empty), crs, tuple(told), links)
 
 
 def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:

@@ -17,12 +17,12 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.pulse_picture import pulse_picture
+from fwclass.graph.sources import StripSpan
 from fwclass.publish.files import whole
 from fwclass.publish.waveplot import WavePicture, draw_waveforms
 from fwclass.read.source import open_source
-from fwclass.read.spans import Span
-from fwclass.read.stage import ReadParams, check_source, index_source, read_span
-from fwclass.single_file.decompose import strip_of_file
+from fwclass.read.stage import ReadParams, check_source
+from fwclass.single_file.strip import strip_of
 from fwclass.single_file.waveforms.shown import Seen, see
 
 STRONGEST = 20
@@ -79,11 +79,11 @@ def look(
     if not source.has_waves:
         raise InputError("the file has no waveforms", where=path, do="name a file with waveform packets (fwclass info)")
     check_source(source, read)
-    spans = index_source(source, read)
-    pulse, around = strip_of_file(source, spans, read, conf.section("pulse", settings), params)
-    wanted = spans if not pulses else _with(spans, pulses, path)
-    views = (see(read_span(source, span, read), params, pulse, pulses) for span in wanted)
-    chosen, counts = _named(views, pulses, pulse, path) if pulses else _telling(views, pulse)
+    with strip_of(source, settings) as strip:
+        pulse, noise = strip.pulse(), strip.noise()
+        wanted = strip.spans if not pulses else _with(strip.spans, pulses, path)
+        views = (see(strip.waves(span), params, pulse, pulses) for span in wanted)
+        chosen, counts = _named(views, pulses, pulse, path) if pulses else _telling(views, pulse)
     if not chosen:
         raise InputError("no waveform of the file can be drawn", where=path, do="see `fwclass info` for what is wrong")
     heading = f"{path.name}: {'chosen' if pulses else 'telling'} pulses, {_pulse_words(pulse)}"
@@ -98,7 +98,7 @@ def look(
             "png": target,
             "pulse_png": beside_it,
             "system_pulse": shape,
-            "noise": around.noise.told,
+            "noise": dict(noise),
             **counts,
             "pulses": [f for _, f in chosen],
         }
@@ -116,13 +116,13 @@ def _refuse(target: Path, pulses: tuple[int, ...], overwrite: bool) -> None:
         raise ConfigError("too many pulses", where="--pulse", expected=f"at most {MOST_PULSES}", got=len(pulses))
 
 
-def _with(spans: Sequence[Span], pulses: tuple[int, ...], path: Path) -> list[Span]:
+def _with(spans: Sequence[StripSpan], pulses: tuple[int, ...], path: Path) -> list[StripSpan]:
     """The spans that hold some of `pulses`."""
-    last = max((s.first_pulse + s.n_pulses for s in spans), default=0) - 1
+    last = max((s.span.first_pulse + s.span.n_pulses for s in spans), default=0) - 1
     for number in pulses:
         if not 0 <= number <= last:
             raise InputError("no such pulse", where=path, expected=f"0 to {last}", got=number)
-    return [s for s in spans if any(s.first_pulse <= p < s.first_pulse + s.n_pulses for p in pulses)]
+    return [s for s in spans if any(0 <= p - s.span.first_pulse < s.span.n_pulses for p in pulses)]
 
 
 def _named(

@@ -1,0 +1,175 @@
+"""One file as the strip that it is in a run: the run's own stages, on a store of its own in a scratch directory."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from fwclass import conf
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.plausible import UNKNOWN, added
+from fwclass.decompose.pulse_estimate import PulseParams
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.graph.layout import Strip, Survey
+from fwclass.graph.numbering import numbers
+from fwclass.graph.sources import (
+    DECOMPOSE_RETURNS,
+    DECOMPOSE_WAVES,
+    INDEX,
+    MEASURE_PULSE,
+    READ_SPAN,
+    StripSpan,
+    pulse_of,
+    spans_of,
+    waveforms_of,
+)
+from fwclass.graph.stage import Plan, Stage
+from fwclass.read.params import ReadParams
+from fwclass.read.source import Source
+from fwclass.run.inputs import Declared, PartInputs
+from fwclass.run.part import Task
+from fwclass.schema import Table
+from fwclass.store.receipts import Receipt, key_of
+from fwclass.store.run_store import Store
+from fwclass.tile.params import TileParams
+from fwclass.waveforms import Waveforms
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class StripSections:
+    """The sections of the configuration that the stages of a strip are planned by."""
+
+    read: ReadParams
+    pulse: PulseParams
+    decompose: DecomposeParams
+    tile: TileParams
+
+    @classmethod
+    def of(cls, settings: tuple[str, ...]) -> StripSections:
+        return cls(*(conf.section(name, settings) for name in ("read", "pulse", "decompose", "tile")))
+
+
+def silent(text: str) -> None:
+    pass
+
+
+@dataclass
+class FileStrip:
+    """A file whose parts are made when they are asked for; all of them as a run makes them, number and bytes alike."""
+
+    source: Source
+    sections: StripSections
+    store: Store
+    tell: Tell
+    _plan: Plan = field(init=False)
+    _strip: Strip = field(init=False)
+
+    def __post_init__(self) -> None:
+        path = self.source.path
+        self._strip = Strip(numbers([path.stem])[path.stem], path, (), self.source.point_format)
+        files = Survey((self._strip,), (), None, False)
+        sections: Any = self.sections  # the sections of a configuration that these stages ask for
+        self._plan = Plan(sections, files=files)
+        index = self._made(INDEX, self._strip)
+        self._plan = replace(self._plan, indexed={(INDEX.name, self._strip.key): index})
+
+    @property
+    def number(self) -> int:
+        """The strip's number, which follows from the file's name."""
+        return self._strip.number
+
+    @property
+    def spans(self) -> list[StripSpan]:
+        return spans_of(self._plan, self._strip)
+
+    @property
+    def pulses(self) -> int:
+        """Pulses, those without a waveform too."""
+        return sum(s.span.n_pulses for s in self.spans)
+
+    def pulse(self) -> SystemPulse:
+        """The system's pulse as the file's own waveforms show it; the fallback where it has none."""
+        if not self.source.has_waves:
+            return SystemPulse.gaussian(self.sections.pulse.fallback_width)
+        self._measure()
+        return pulse_of(self.number, self._inputs())
+
+    def noise(self) -> Mapping[str, Any]:
+        """What its noise is like: ``lag1, inflation, quiet_samples``."""
+        if not self.source.has_waves:
+            return UNKNOWN.noise.told
+        meta = self._measure().meta
+        return {name: meta[name] for name in UNKNOWN.noise.told}
+
+    def waves(self, span: StripSpan) -> Waveforms:
+        """The waveforms and returns of a span."""
+        self._made(READ_SPAN, span)
+        return waveforms_of(span.key, self._inputs())
+
+    def echoes(self, columns: Iterable[str] | None = None) -> Iterator[Table]:
+        """The echoes of every span, in order; `columns` of them that there are, None for all."""
+        spans = self.spans
+        if self.source.has_waves:
+            self.tell("system pulse")
+            self._measure()
+        for k, span in enumerate(spans, 1):
+            self.tell(f"echoes: part {k} of {len(spans)}")
+            self._decomposed(span)
+            table = self._inputs().table("decompose", span.key)
+            yield table if columns is None else table.select(dict.fromkeys(n for n in columns if n in table))
+
+    def links(self) -> Table:
+        """Pulse and echo number of the echo of every return, in the file's order."""
+        inputs = self._inputs()
+        columns = ("pulse", "echo_number")
+        return Table.concat([inputs.table("decompose", s.key, columns, "links.parquet") for s in self.spans])
+
+    def counts(self) -> dict[str, int]:
+        """What the plausibility of all echoes was found to be."""
+        return added([self._decomposed(span).meta["plausibility"] for span in self.spans])
+
+    def faults(self) -> dict[str, int]:
+        """Faults of packets, by name."""
+        found: dict[str, int] = {}
+        for span in self.spans:
+            receipt = self._made(READ_SPAN, span) if span.waves else self._decomposed(span)
+            for name, count in receipt.meta["faults"].items():
+                found[name] = found.get(name, 0) + int(count)
+        return found
+
+    def _decomposed(self, span: StripSpan) -> Receipt:
+        if not span.waves:
+            return self._made(DECOMPOSE_RETURNS, span)
+        self._measure()
+        return self._made(DECOMPOSE_WAVES, span)
+
+    def _measure(self) -> Receipt:
+        for span in self.spans:
+            self._made(READ_SPAN, span)
+        return self._made(MEASURE_PULSE, self._strip)
+
+    def _inputs(self) -> PartInputs:
+        return PartInputs(self.store)
+
+    def _made(self, stage: Stage, part: Any) -> Receipt:
+        """The receipt of a part, which is made if it is not there; its faults are raised as they are."""
+        task = stage.task(self._plan, part)
+        return self.store.receipt(*task.name) or self._commit(task)
+
+    def _commit(self, task: Task) -> Receipt:
+        inputs = PartInputs(self.store, declared=Declared(task.name, frozenset(task.needs), task.within))
+        key = key_of(task.stage, task.version, task.params, {})
+        return self.store.commit(*task.name, key, {}, task.place, lambda directory: task.work(inputs, directory))
+
+
+@contextmanager
+def strip_of(source: Source, settings: tuple[str, ...], tell: Tell = silent) -> Iterator[FileStrip]:
+    """The strip that a file is; its parts lie in a scratch directory (``TMPDIR``) for as long as the block lasts."""
+    with tempfile.TemporaryDirectory(prefix="fwclass-") as directory:
+        yield FileStrip(source, StripSections.of(settings), Store(Path(directory)), tell)
