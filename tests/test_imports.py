@@ -1,5 +1,6 @@
 """The import contracts of pyproject.toml, attacked: each breach below is planted on a copy, and each must be named."""
 
+import ast
 import os
 import re
 import shutil
@@ -42,3 +43,49 @@ def test_every_planted_breach_is_caught(tmp_path: Path) -> None:
         module = name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
         assert f"{module} -> {imported} " in said, f"{module} -> {imported} passes\n{done.stdout}"
     assert re.search(r"not listed as layers:.{0,80}fwclass[.]novelty", said), "a room that no contract lists passes"
+
+
+FLOOR = ("classes", "columns", "errors", "grid", "hashing", "kernel", "model", "neighbours", "schema", "stage", "units")
+"""Modules of the ground floor, below `fwclass`."""
+
+
+def imports(tree: ast.Module) -> set[str]:
+    """Everything that a file imports, wherever in it, but for types alone."""
+    found = set[str]()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return found
+
+
+def test_files_with_kernels_import_arithmetic_alone() -> None:
+    """A file with compiled functions imports numpy, scipy, the ground floor and its own room: no format, no file system,
+    no store, nothing of another room."""
+    checked, wrong = 0, []
+    standard = {
+        "__future__",
+        "collections",
+        "dataclasses",
+        "functools",
+        "itertools",
+        "math",
+        "numpy",
+        "scipy",
+        "typing",
+    }
+    for path in sorted((ROOT / "fwclass").rglob("*.py")):
+        tree = ast.parse(path.read_text())
+        decorators = [ast.unparse(d) for f in tree.body if isinstance(f, ast.FunctionDef) for d in f.decorator_list]
+        if not any("kernel" in d for d in decorators):
+            continue
+        checked += 1
+        room = path.relative_to(ROOT / "fwclass").parts[0]
+        for name in imports(tree):
+            top, *rest = name.split(".")
+            allowed = rest and rest[0] in (*FLOOR, room) if top == "fwclass" else top in standard
+            if not allowed:
+                wrong.append(f"{path.relative_to(ROOT)} imports {name}")
+    assert checked > 60
+    assert not wrong, "\n".join(wrong)

@@ -25,7 +25,8 @@ from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
 from fwclass.graph.tiling import tiles_of_strips
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
-from fwclass.publish.cog import STRIPE, class_raster, cog
+from fwclass.publish.class_raster import class_raster
+from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.geoparquet import write_geoparquet
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.palette import colours

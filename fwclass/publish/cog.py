@@ -16,9 +16,8 @@ import pyproj
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError, full_or
-from fwclass.grid import Window, millimetres, whole_millimetres
+from fwclass.grid import Window
 from fwclass.isolation import away_from
-from fwclass.kernel import kernel
 from fwclass.publish.files import whole
 from fwclass.publish.palette import RGB, colours
 from fwclass.publish.params import PublishParams
@@ -193,35 +192,3 @@ def _write_names(path: Path, names: Mapping[int, str]) -> None:
     )
     with whole(path.with_name(path.name + ".aux.xml")) as beside:
         beside.write_text(text, encoding="utf-8")
-
-
-def class_raster(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    z: NDArray[np.float64],
-    classification: NDArray[np.uint8],
-    window: Window,
-) -> NDArray[np.uint8]:
-    """Class of the highest echo in every cell, `window.shape`, row 0 in the south; 0 where there is none.
-
-    Among echoes of one height (to the millimetre) the smallest code wins, so the rows' order does not count;
-    echoes outside the window and those without a class (0) are left out.
-    """
-    mm = whole_millimetres(window.cell, "class_cell")
-    col, row = millimetres(x) // mm - window.col, millimetres(y) // mm - window.row
-    out = np.zeros(window.shape, np.uint8)
-    top = np.full(window.shape, np.iinfo(np.int64).min)
-    _highest(col, row, millimetres(z), np.ascontiguousarray(classification, np.uint8), out, top)
-    return out
-
-
-@kernel
-def _highest(col, row, z, code, out, top):  # type: ignore[no-untyped-def]
-    nrows, ncols = out.shape
-    for i in range(len(z)):
-        r, c = row[i], col[i]
-        if code[i] == 0 or r < 0 or c < 0 or r >= nrows or c >= ncols:
-            continue
-        if z[i] > top[r, c] or (z[i] == top[r, c] and code[i] < out[r, c]):
-            top[r, c] = z[i]
-            out[r, c] = code[i]

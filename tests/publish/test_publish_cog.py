@@ -20,7 +20,8 @@ from hypothesis import strategies as st
 from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.grid import Window
-from fwclass.publish.cog import STRIPE, class_raster, cog, write_cog
+from fwclass.publish.class_raster import class_raster
+from fwclass.publish.cog import STRIPE, cog, write_cog
 from fwclass.publish.params import PublishParams
 
 CRS = pyproj.CRS(2154)
