@@ -61,7 +61,7 @@ def imports(tree: ast.Module) -> set[str]:
 
 
 def test_files_with_kernels_import_arithmetic_alone() -> None:
-    """A file with compiled functions imports numpy, scipy, the ground floor and its own room: no format, no file system,
+    """A file with compiled functions imports numpy, scipy, the ground floor and its own room: no format, no file,
     no store, nothing of another room."""
     checked, wrong = 0, []
     standard = {
