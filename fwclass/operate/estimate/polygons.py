@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.formats.gdal import offline
+from fwclass.formats.geopackage import rectangles, write_layer
 from fwclass.ground.stage import GROUND_FILTER
 from fwclass.operate.estimate.estimate import MIB
 from fwclass.operate.estimate.spread import Spread, spread_of
 from fwclass.operate.estimate.whole import Plan
-
-_SQUARE = np.dtype([("order", "u1"), ("kind", "<u4"), ("rings", "<u4"), ("corners", "<u4"), ("xy", "<f8", (5, 2))])
-"""A polygon of one ring as well-known binary."""
 
 
 def write_gpkg(plan: Plan, path: Path) -> None:
@@ -34,9 +30,9 @@ def write_gpkg(plan: Plan, path: Path) -> None:
         "echoes_with_halo": np.rint(around).astype(np.int64),
         "memory_mib": np.round(config.plan.base_mib + around * plan.crowding * held / MIB, 1),
     }
-    _layer(path, "tiles", squares(tiles, at, 0.0), fields, plan.facts.crs)
+    write_layer(path, "tiles", "Polygon", squares(tiles, at, 0.0), fields, plan.facts.crs)
     halo = {"tile": fields["tile"], "halo_m": np.full(len(around), plan.halo)}
-    _layer(path, "halos", squares(tiles, at, plan.halo), halo, plan.facts.crs)
+    write_layer(path, "halos", "Polygon", squares(tiles, at, plan.halo), halo, plan.facts.crs)
     blocks = spread_of(plan.counts.pieces(plan.facts), config.ground.block)
     at, reach = np.nonzero(blocks.occupied), GROUND_FILTER.halo(config.ground)
     fields = {
@@ -45,7 +41,7 @@ def write_gpkg(plan: Plan, path: Path) -> None:
         "echoes_with_halo": np.rint(blocks.grown(reach)[at]).astype(np.int64),
         "halo_m": np.full(len(at[0]), reach),
     }
-    _layer(path, "blocks", squares(blocks, at, 0.0), fields, plan.facts.crs)
+    write_layer(path, "blocks", "Polygon", squares(blocks, at, 0.0), fields, plan.facts.crs)
 
 
 def keys(spread: Spread, at: tuple[NDArray, ...]) -> NDArray:
@@ -56,28 +52,7 @@ def keys(spread: Spread, at: tuple[NDArray, ...]) -> NDArray:
 
 def squares(spread: Spread, at: tuple[NDArray, ...], by: float) -> NDArray:
     """Polygons of squares, grown by `by` [m], as well-known binary (n,)."""
-    made = np.zeros(len(at[0]), _SQUARE)
-    made["order"], made["kind"], made["rings"], made["corners"] = 1, 3, 1, 5
-    for axis, numbers in enumerate((spread.cols, spread.rows)):
-        low = numbers[at[axis]] * spread.size - by
-        high = (numbers[at[axis]] + 1) * spread.size + by
-        turns = (low, high, high, low, low) if axis == 0 else (low, low, high, high, low)
-        for corner, values in enumerate(turns):
-            made["xy"][:, corner, axis] = values
-    text, width = made.tobytes(), _SQUARE.itemsize
-    return np.array([text[k : k + width] for k in range(0, len(text), width)], object)
-
-
-def _layer(path: Path, name: str, shapes: NDArray, fields: Mapping[str, NDArray], crs: str | None) -> None:
-    place = str(path.absolute())
-    with offline() as gdal:
-        gdal.raw.write(
-            place,
-            shapes,
-            list(fields.values()),
-            np.array(list(fields), object),
-            layer=name,
-            driver="GPKG",
-            geometry_type="Polygon",
-            crs=crs,
-        )
+    cols, rows = spread.cols[at[0]], spread.rows[at[1]]
+    low = (cols * spread.size - by, rows * spread.size - by)
+    high = ((cols + 1) * spread.size + by, (rows + 1) * spread.size + by)
+    return rectangles(np.stack([*low, *high], axis=1))
