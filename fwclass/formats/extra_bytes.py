@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.formats.las_bytes import EXTRA_BYTES, POINT_SIZE, VLR_HEADER, LasHead, text
+from fwclass.formats.las_bytes import EXTRA_BYTES, POINT_SIZE, LasHead
+from fwclass.formats.las_header import VLR_HEADER, text
 from fwclass.formats.laz_writer import record
 from fwclass.schema import Column, column
 
@@ -205,7 +206,7 @@ def _record(head: LasHead) -> Any:
 def _old(head: LasHead) -> bytes:
     """The source's descriptors, and as many more as describe the bytes of a point that they leave out."""
     have = _record(head)
-    old: bytes = have.data if have else b""
+    old: bytes = have.body if have else b""
     rest = head.point_size - POINT_SIZE[head.point_format] - described_length(old)
     names = [text(old[at + 4 : at + 36]) for at in range(0, len(old) - ITEM + 1, ITEM)]
     while rest > 0:

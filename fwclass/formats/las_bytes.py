@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError, StoreError
+from fwclass.formats.las_header import EVLR_HEADER, RECORD_LENGTH, Record, read_header, text
 
-POINT_SIZE = {0: 20, 1: 28, 2: 26, 3: 34, 4: 57, 5: 63, 6: 30, 7: 36, 8: 38, 9: 59, 10: 67}
-"""Bytes of a point record without extra bytes, by point format (LAS 1.4 R15, tables 7 to 17)."""
+POINT_SIZE = dict(enumerate(RECORD_LENGTH))
+"""Bytes of a point record without extra bytes, by point format."""
 
 HEADER_SIZE = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 """Bytes of the public header block, by minor version."""
 
-VLR_HEADER, EVLR_HEADER = 54, 60
 EXTRA_BYTES = ("LASF_Spec", 4)
 LASZIP = ("laszip encoded", 22204)
 WAVEFORM_PACKETS = 65535
@@ -39,20 +39,6 @@ MAX_CHUNK = 1 << 28
 
 MAX_HEAD = 1 << 28
 """Header and records above this size [bytes] are refused before they are read."""
-
-
-@dataclass(frozen=True)
-class Record:
-    """One variable length record, with its own header in `raw`; `start` is its place in the file."""
-
-    user: str
-    number: int
-    raw: bytes
-    start: int = 0
-
-    @property
-    def data(self) -> bytes:
-        return self.raw[VLR_HEADER:]
 
 
 @dataclass(frozen=True)
@@ -160,78 +146,28 @@ def differs(copy: Path, what: str, wanted: object, got: object) -> StoreError:
 
 def read_head(path: Path) -> LasHead:
     """Header and records of a LAS or LAZ file; `InputError` where sizes contradict each other."""
+    header = read_header(path)
+    minor, start = header.version[1], header.points_start
+    if header.version[0] != 1 or not HEADER_SIZE[minor] <= header.header_size <= start <= MAX_HEAD:
+        raise broken(path, "the header's sizes do not fit", f"at most {MAX_HEAD} bytes", (header.header_size, start))
     with path.open("rb") as file:
-        size = file.seek(0, 2)
-        file.seek(0)
-        first = file.read(227)
-        if len(first) < 227 or first[:4] != b"LASF":
-            raise broken(path, "not a LAS file", "a header of 227 bytes that starts with LASF", first[:4])
-        minor, (header_size, offset, count) = first[25], struct.unpack_from("<HII", first, 94)
-        if first[24] != 1 or minor not in HEADER_SIZE:
-            raise broken(path, "a LAS version that is not known here", "1.0 to 1.4", f"{first[24]}.{minor}")
-        if not HEADER_SIZE[minor] <= header_size <= offset <= min(size, MAX_HEAD):
-            raise broken(path, "the header's sizes do not fit", f"at most {size} bytes", (header_size, offset))
-        file.seek(0)
-        head = file.read(offset)
-    records, at = _records(path, head, header_size, count)
-    made = LasHead(path, head[:header_size], records, head[at:], size)
-    least = POINT_SIZE.get(made.point_format)
-    if least is None or made.point_size < least:
-        raise broken(
-            path,
-            "point format and record length do not fit",
-            f"format 0 to 10, {least} bytes or more",
-            f"format {made.point_format}, {made.point_size} bytes",
-        )
-    if not made.compressed and made.point_offset + made.points * made.point_size > size:
-        raise broken(path, "the file ends before its last point", f"{made.points} points", f"{size} bytes")
-    return made
+        head = file.read(start)
+    at = header.vlrs[-1].start + len(header.vlrs[-1].raw) if header.vlrs else header.header_size
+    return LasHead(path, head[: header.header_size], header.vlrs, head[at:], header.size)
 
 
-def _records(path: Path, head: bytes, at: int, count: int) -> tuple[tuple[Record, ...], int]:
-    records = []
-    for _ in range(count):
-        if at + VLR_HEADER > len(head):
-            raise broken(path, "a variable length record passes the first point", len(head), at)
-        _, user, number, length, _ = struct.unpack_from("<H16sHH32s", head, at)
-        end = at + VLR_HEADER + length
-        if end > len(head):
-            raise broken(path, "a variable length record passes the first point", len(head), end)
-        records.append(Record(text(user), number, head[at:end], at))
-        at = end
-    return tuple(records), at
-
-
-def text(field: bytes) -> str:
-    return field.split(b"\0", 1)[0].decode("latin-1")
-
-
-@dataclass(frozen=True)
-class ExtendedRecord:
-    """Place of an extended record: `start` of its 60-byte header, `length` of the data that follows it."""
-
-    user: str
-    number: int
-    start: int
-    length: int
-
-    @property
-    def end(self) -> int:
-        return self.start + EVLR_HEADER + self.length
-
-
-def read_extended(file: BinaryIO, head: LasHead, start: int) -> ExtendedRecord:
+def read_extended(file: BinaryIO, head: LasHead, start: int) -> Record:
     """The extended record at `start`; `InputError` if its header does not lie in the file."""
     if not head.point_offset <= start <= head.file_size - EVLR_HEADER:
         raise broken(head.path, "an extended record lies outside the file", f"below {head.file_size}", start)
     file.seek(start)
     _, user, number, length, _ = struct.unpack("<H16sHQ32s", file.read(EVLR_HEADER))
-    return ExtendedRecord(text(user), number, start, length)
+    return Record(text(user), number, start, length, b"")
 
 
-def extended_records(file: BinaryIO, head: LasHead) -> list[ExtendedRecord]:
+def extended_records(file: BinaryIO, head: LasHead) -> list[Record]:
     """Every extended record that the header lists, in order."""
-    found: list[ExtendedRecord] = []
+    found: list[Record] = []
     at = head.evlrs_start
     for _ in range(head.evlrs):
         record = read_extended(file, head, at)

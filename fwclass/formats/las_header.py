@@ -31,13 +31,24 @@ MAX_EVLR_BODY = 1 << 22
 
 @dataclass(frozen=True)
 class Record:
-    """A variable length record: who wrote it, where it starts in the file, its length and its bytes."""
+    """A variable length record: who wrote it, where it starts in the file, its length and its bytes; `head` are those
+    of its own header, kept of records in front of the points."""
 
     user: str
     number: int
     start: int
     length: int
     body: bytes
+    head: bytes = b""
+
+    @property
+    def raw(self) -> bytes:
+        return self.head + self.body
+
+    @property
+    def end(self) -> int:
+        """Byte behind an extended record."""
+        return self.start + EVLR_HEADER + self.length
 
 
 @dataclass(frozen=True)
@@ -135,8 +146,8 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> Header:
         size,
         version,
         struct.unpack_from("<H", head, 6)[0],
-        _text(head[26:58]),
-        _text(head[58:90]),
+        text(head[26:58]),
+        text(head[58:90]),
         header_size,
         points_start,
         point_format,
@@ -225,7 +236,7 @@ def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tup
                 got=f"{i} whole ones",
                 do="the header is damaged; copy or export the file again",
             )
-        found.append(Record(_text(user), number, at, length, stream.read(length)))
+        found.append(Record(text(user), number, at, length, stream.read(length), head))
         at += VLR_HEADER + length
     return tuple(found)
 
@@ -250,8 +261,9 @@ def evlr_at(stream: BinaryIO, at: int, size: int) -> Record | None:
     stream.seek(at)
     user, number, length = struct.unpack_from("<16sHQ", stream.read(EVLR_HEADER), 2)
     whole = length <= min(MAX_EVLR_BODY, size - at - EVLR_HEADER)
-    return Record(_text(user), number, at, length, stream.read(length) if whole else b"")
+    return Record(text(user), number, at, length, stream.read(length) if whole else b"")
 
 
-def _text(raw: bytes) -> str:
+def text(raw: bytes) -> str:
+    """A field of the header up to its first zero byte."""
     return raw.split(b"\0")[0].decode("latin1").strip()

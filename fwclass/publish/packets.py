@@ -8,17 +8,16 @@ from pathlib import Path
 
 from fwclass.formats.las_bytes import (
     BLOCK,
-    EVLR_HEADER,
     EXTERNAL,
     INTERNAL,
     WAVEFORM_PACKETS,
-    ExtendedRecord,
     LasHead,
     copy_bytes,
     differs,
     extended_records,
     read_extended,
 )
+from fwclass.formats.las_header import EVLR_HEADER, Record
 from fwclass.publish.files import whole
 
 WAVE_FORMATS = (4, 5, 9, 10)
@@ -83,7 +82,7 @@ def _internal(head: LasHead) -> Packets | None:
     return Packets(True, record.start, min(end, head.file_size) - record.start, None, truncated, notes)
 
 
-def carried(record: ExtendedRecord, packets: Packets) -> bool:
+def carried(record: Record, packets: Packets) -> bool:
     """Whether an extended record goes into the copy: neither packets nor an octree."""
     return record.user != "copc" and not (packets.internal and record.start == packets.start)
 
