@@ -33,8 +33,8 @@ class Area:
         opened = open_polygons(self.path)
         self._some(opened, read_polygons(opened, None)[1])
 
-    def _some(self, opened: PolygonLayer, made: Shapes) -> None:
-        if not made.parts:
+    def _some(self, opened: PolygonLayer, shapes: Shapes) -> None:
+        if not shapes.parts:
             raise InputError(
                 "the area of interest has no polygon",
                 where=self.path,
@@ -53,17 +53,17 @@ class Area:
         from fwclass.read.polygons import open_polygons, read_polygons, reprojected, source_crs
 
         opened = open_polygons(self.path)
-        _, made = read_polygons(opened, None)
-        self._some(opened, made)
+        _, shapes = read_polygons(opened, None)
+        self._some(opened, shapes)
         survey = CRS.from_wkt(crs) if crs is not None else None
         own = source_crs(opened, None, survey, "export them with their system: GeoPackage and GeoParquet keep it")
         if own is not None and survey is not None:
-            made, _ = reprojected(made, own, survey, self.path)
-        a, b = edges(made.x, made.y, made.ring_start)
-        found = frozenset(t.key for t in layout.tiles if shares_area(t.box, a, b))
-        if not found:
+            shapes, _ = reprojected(shapes, own, survey, self.path)
+        a, b = edges(shapes.x, shapes.y, shapes.ring_start)
+        chosen = frozenset(t.key for t in layout.tiles if shares_area(t.box, a, b))
+        if not chosen:
             system = f" ({survey.name})" if survey is not None else ""
-            reach = Box(*(float(f(v)) for f in (np.min, np.max) for v in (made.x, made.y)))
+            reach = Box(*(float(f(v)) for f in (np.min, np.max) for v in (shapes.x, shapes.y)))
             raise InputError(
                 "no tile of the survey lies in the area of interest",
                 where=self.path,
@@ -72,7 +72,7 @@ class Area:
                 do="check the polygons, and the coordinate system that their file names"
                 + (f" ({own.name})" if own is not None else ""),
             )
-        return found
+        return chosen
 
 
 def edges(

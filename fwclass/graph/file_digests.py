@@ -34,7 +34,7 @@ class Digests:
 
         `place`, if it is on object storage, is where the paths are copies from: who fetches them looks at their e-tags.
         """
-        found = []
+        files = []
         for path in paths:
             name, now = seen_as(path, place)
             seen = self._known.get(name)
@@ -42,13 +42,13 @@ class Digests:
                 seen = [*now, self._digest(path, int(now[0]))]
                 self._known[name], self._changed = seen, True
             if isinstance(place, RemoteFile):
-                found.append(ExternalFile(path.name, str(seen[-1])))
+                files.append(ExternalFile(path.name, str(seen[-1])))
             else:
                 size, changed, entered = (int(n) for n in now)
-                found.append(ExternalFile(path.name, str(seen[-1]), path, (size, changed, entered)))
+                files.append(ExternalFile(path.name, str(seen[-1]), path, (size, changed, entered)))
         if time.monotonic() - self._saved > _SAVED_EVERY:
             self.save()
-        return tuple(found)
+        return tuple(files)
 
     def save(self) -> None:
         """Remember what is new; called when all files are known, and now and then before."""

@@ -22,7 +22,7 @@ def found_files(
 
     A `directory` on object storage is talked to by `params`.
     """
-    found: dict[Location, None] = {}
+    matching: dict[Location, None] = {}
     for pattern in patterns:
         matches = _matches(pattern, directory, params)
         if not matches:
@@ -33,8 +33,8 @@ def found_files(
                 got=f"none in {directory}",
                 do=f"check {setting} and survey.directory (left out: the directory of the survey's file)",
             )
-        found |= dict.fromkeys(matches)
-    return sorted(found, key=lambda p: (p.name, str(p)))
+        matching |= dict.fromkeys(matches)
+    return sorted(matching, key=lambda p: (p.name, str(p)))
 
 
 def _matches(pattern: str, directory: Path | Url, params: StoreParams) -> list[Location]:

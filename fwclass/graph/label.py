@@ -47,20 +47,20 @@ def polygons_read(
     moved = ""
     if own_crs is not None and crs is not None:
         shapes, moved = reprojected(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
-    made = Polygons.of(shapes, codes, groups_of(codes, classes), path)
-    write_arrays(here.directory / POLYGONS, made.arrays())
-    least_x, least_y, most_x, most_y = made.bounds
+    polygons = Polygons.of(shapes, codes, groups_of(codes, classes), path)
+    write_arrays(here.directory / POLYGONS, polygons.arrays())
+    least_x, least_y, most_x, most_y = polygons.bounds
     return {
         "file": path.name,
         "features": opened.features,
-        "polygons": made.parts,
+        "polygons": polygons.parts,
         "values": counts,
         "without_code": int((codes < 0).sum()),
         "without_polygon": shapes.empty,
         "invalid": shapes.invalid,
         "reprojected": moved,
         "bounds": [int(v) / 1000 for v in (least_x.min(), least_y.min(), most_x.max(), most_y.max())]
-        if made.parts
+        if polygons.parts
         else None,
     }
 

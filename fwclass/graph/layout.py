@@ -137,12 +137,12 @@ class Layout:
     def blocks(self, size: float, margin: int = 0) -> tuple[Tile, ...]:
         """Blocks of edge `size` [m] that own an echo, and `margin` blocks around them: the same set whatever the
         tiles."""
-        grid, found = TileGrid(size), set()
+        grid, blocks = TileGrid(size), set()
         for key in self.occupied[size]:
             tile = grid.tile(key)
             span = range(-margin, margin + 1)
-            found |= {Tile(tile.ix + a, tile.iy + b, size) for a in span for b in span}
-        return tuple(sorted(found))
+            blocks |= {Tile(tile.ix + a, tile.iy + b, size) for a in span for b in span}
+        return tuple(sorted(blocks))
 
     def columns(self, names: Iterable[str]) -> dict[str, str]:
         """The stage whose tables hold each of `names`."""

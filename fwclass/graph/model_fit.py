@@ -34,10 +34,10 @@ def computed(
         "normal_radius": any(n in RADIOMETRY.writes for n in names),
     }
     plain = params.model_dump(mode="json")
-    made = {name: plain[name] for name, yes in needed.items() if yes}
-    made |= {"ground": ground} if ground and "height_above_ground" in names else {}
+    parameters = {name: plain[name] for name, yes in needed.items() if yes}
+    parameters |= {"ground": ground} if ground and "height_above_ground" in names else {}
     by_feature = quantities_by_feature(names, quantities) if quantities else {}
-    return {**made, "quantities": by_feature} if by_feature else made
+    return {**parameters, "quantities": by_feature} if by_feature else parameters
 
 
 def check_computed(model: Model, params: FeaturesParams, where: object) -> None:

@@ -36,16 +36,16 @@ def numbers(names: Iterable[str]) -> dict[str, int]:
             got=f"{len(waiting):,}",
             do="classify it in several pieces",
         )
-    found: dict[str, int] = {}
+    numbered: dict[str, int] = {}
     taken: set[int] = set()
     for name in waiting:
         choice, tries = _first_choice(name), 0
         while choice in taken:
             tries += 1
             choice = (_hash(f"{name}/{tries}") if tries < NUMBERS else choice + 1) % NUMBERS
-        found[name] = choice
+        numbered[name] = choice
         taken.add(choice)
-    return found
+    return numbered
 
 
 def _first_choice(name: str) -> int:

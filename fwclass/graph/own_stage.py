@@ -189,10 +189,10 @@ class FunctionOfFile:
     name: str
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
-        found: Any = _module(Path(self.path), self.digest)
+        target: Any = _module(Path(self.path), self.digest)
         for part in self.name.split("."):
-            found = getattr(found, part)
-        return found(*arguments, **named)
+            target = getattr(target, part)
+        return target(*arguments, **named)
 
 
 def own_workflow(path: Path) -> Workflow:

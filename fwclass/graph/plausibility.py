@@ -37,12 +37,12 @@ def of_strip(name: str, returns: int, counts: Mapping[str, int], noise: Mapping[
 
 def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
     """What is worth telling of `of_strip`s, in words; one line for each kind, whatever the number of strips."""
-    told = []
+    lines = []
     some = [s for s in strips if s["implausible"] > RARE * s["fitted"]]
     if some:
         n = {key: sum(s[key] for s in some) for key in ("implausible", "fitted", "below", "weak")}
         share = _percent(n["implausible"] / n["fitted"])
-        told.append(
+        lines.append(
             f"{n['implausible']:,} of {n['fitted']:,} echoes ({share}) are implausible, and neither ground filter nor "
             f"terrain sees them: {n['below']:,} more than {params.envelope_margin:g} m below all returns around, "
             f"{n['weak']:,} after all else of their pulse, or above all returns, and no stronger than the noise "
@@ -51,7 +51,7 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
     some = [s for s in strips if (s["unexplained_share"] or 0.0) >= TOLD_FROM]
     if some:
         lone, checked = (sum(s[key] for s in some) for key in ("unexplained", "checked"))
-        told.append(
+        lines.append(
             f"{lone:,} of {checked:,} echoes ({_percent(lone / checked)}) have no return within "
             f"{params.vendor_tolerance:g} ns, {sum(s['outside'] for s in some):,} of them lie outside of the returns' "
             f"heights ({_names(some)})"
@@ -59,19 +59,19 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
     some = [s for s in strips if (s["unmatched_returns_share"] or 0.0) >= TOLD_FROM]
     if some:
         lone, returns = (sum(s[key] for s in some) for key in ("returns_without_echo", "returns"))
-        told.append(
+        lines.append(
             f"{lone:,} of {returns:,} returns ({_percent(lone / returns)}) have no echo within "
             f"{params.vendor_tolerance:g} ns ({_names(some)})"
         )
     some = [s for s in strips if (s["lag1"] or 0.0) > params.white_noise and s["inflation"] >= INFLATED]
     if some:
         worst = max(some, key=lambda s: s["lag1"])
-        told.append(
+        lines.append(
             f"the noise is correlated (neighbouring samples by {worst['lag1']:.2f}): decompose.detection of "
             f"{params.detection:g} standard deviations is in truth {params.detection / worst['inflation']:.1f} "
             f"({_names(some)})"
         )
-    return told
+    return lines
 
 
 def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> None:

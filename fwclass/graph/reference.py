@@ -49,7 +49,7 @@ def reference_polygons(
     if asked.kind != "polygons":
         return ()
     survey = CRS.from_wkt(crs) if crs is not None else None
-    found = []
+    files = []
     for place in found_files(asked.files, directory, "survey.reference.files", config.path, config.store):
         path = local(place)
         opened = open_polygons(path, asked.layer)
@@ -57,12 +57,12 @@ def reference_polygons(
         check_field(opened, field)
         codes_of(values_of(opened, field), asked.values, config.classes, f"{path}: field {field}")
         system = source_crs(opened, given, survey)
-        found.append(
+        files.append(
             PolygonFile(
                 place, digests.of(opened.files, place), opened.layer, system.to_wkt() if system is not None else None
             )
         )
-    return tuple(found)
+    return tuple(files)
 
 
 def check_polygons(config: Config, polygons: Iterable[Receipt], box: Box) -> None:

@@ -71,20 +71,22 @@ def _tile(config: Config, counted: Receipt, drawn: Any) -> dict[str, Any]:
 
 
 def _of_polygons(polygons: Sequence[Receipt], ambiguous: int) -> list[str]:
-    told = []
+    lines = []
     for meta in (r.meta for r in polygons):
         name = meta["file"]
         if meta["reprojected"]:
-            told.append(f"{name}: reprojected {meta['reprojected']}.")
+            lines.append(f"{name}: reprojected {meta['reprojected']}.")
         if meta["invalid"]:
-            told.append(f"{name}: {meta['invalid']} polygons left out: rings not closed, too short or without numbers.")
+            lines.append(
+                f"{name}: {meta['invalid']} polygons left out: rings not closed, too short or without numbers."
+            )
         if meta["without_polygon"]:
-            told.append(f"{name}: {meta['without_polygon']} features without a geometry.")
+            lines.append(f"{name}: {meta['without_polygon']} features without a geometry.")
         if meta["without_code"]:
-            told.append(f"{name}: {meta['without_code']} features label nothing: no value, or mapped to null.")
+            lines.append(f"{name}: {meta['without_code']} features label nothing: no value, or mapped to null.")
     if ambiguous:
-        told.append(f"{ambiguous_text(ambiguous)}.")
-    return told
+        lines.append(f"{ambiguous_text(ambiguous)}.")
+    return lines
 
 
 def ambiguous_text(n: int) -> str:

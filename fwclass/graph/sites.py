@@ -68,16 +68,16 @@ def sites(layout: Layout) -> tuple[Site, ...]:
     return tuple(made)
 
 
-def describe_sites(found: Sequence[Site], strips: Sequence[Strip], in_strip: Mapping[int, tuple[str, ...]]) -> str:
+def describe_sites(several: Sequence[Site], strips: Sequence[Strip], in_strip: Mapping[int, tuple[str, ...]]) -> str:
     """What a user should know of a survey of several sites; nothing of one. The smallest sites, which stray points
     make, are named with their files."""
-    if len(found) == 1:
+    if len(several) == 1:
         return ""
     lines = [
-        f"note: the echoes lie in {len(found)} places far apart; each gets rasters of its own, rasters/TILE/dtm.tif "
+        f"note: the echoes lie in {len(several)} places far apart; each gets rasters of its own, rasters/TILE/dtm.tif "
         "and so on, TILE being its first tile. Stray points make such places: `fwclass info` tells a file's extent"
     ]
-    for site in sorted(found, key=lambda s: (len(s.tiles), s.name))[:NAMED]:
+    for site in sorted(several, key=lambda s: (len(s.tiles), s.name))[:NAMED]:
         keys = {t.key for t in site.tiles}
         files = [s.path.name for s in strips if not keys.isdisjoint(in_strip.get(s.number, ()))]
         more = f" and {len(files) - NAMED} more" if len(files) > NAMED else ""

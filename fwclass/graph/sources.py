@@ -203,12 +203,12 @@ def returned(here: StageInputs, params: DecomposeParams, reading: ReadParams, wi
     `width`: of a pulse [ns] that nothing is fitted with.
     """
     waves = read_span(open_source(here.file()), span, reading)
-    made = decompose(waves, strip_of(here.part), params, SystemPulse.gaussian(width), UNKNOWN)
-    return {**_facts(waves), **_write_echoes(here, made)}
+    result = decompose(waves, strip_of(here.part), params, SystemPulse.gaussian(width), UNKNOWN)
+    return {**_facts(waves), **_write_echoes(here, result)}
 
 
-def _write_echoes(here: StageInputs, made: tuple[Table, Table, Mapping[str, int]]) -> dict[str, Any]:
-    echoes, links, counts = made
+def _write_echoes(here: StageInputs, result: tuple[Table, Table, Mapping[str, int]]) -> dict[str, Any]:
+    echoes, links, counts = result
     write_table(here.directory / TABLE, echoes)
     write_table(here.directory / "links.parquet", links)
     origin = echoes["origin"]

@@ -188,13 +188,13 @@ class Work:
             self.tile_size,
             self.source,
         )
-        made = self.function(here, **self.arguments)
-        if isinstance(made, tuple):
-            table, facts = made
-        elif isinstance(made, Table):
-            table, facts = made, {}
+        result = self.function(here, **self.arguments)
+        if isinstance(result, tuple):
+            table, facts = result
+        elif isinstance(result, Table):
+            table, facts = result, {}
         else:
-            return made
+            return result
         self._check(table)
         write_table(directory / TABLE, table)
         return {**facts, **(self._digests(table, inputs) if self.cells else {})}
@@ -435,13 +435,13 @@ def plain_values(values: Mapping[str, Any], silent: frozenset[str] = frozenset()
 
     `TypeError` for one that has no plain form: what is used is in the key.
     """
-    made: dict[str, Any] = {}
+    result: dict[str, Any] = {}
     for name, value in values.items():
         if name in silent:
             continue
         plain = _plain(value, silent)
-        made |= plain if name == "params" else {name: plain}
-    return made
+        result |= plain if name == "params" else {name: plain}
+    return result
 
 
 def _plain(value: Any, silent: frozenset[str] = frozenset()) -> Any:

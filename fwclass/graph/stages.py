@@ -87,19 +87,19 @@ def graph_of(plan: Plan, stages: Iterable[Stage] = STAGES) -> list[dict[str, Any
     stages whose parts it reads or is planned by; in the order of the run."""
     stages = [s for s in stages if s.when(plan)]
     known = providers(plan, stages)
-    made: dict[str, dict[str, Any]] = {}
+    nodes: dict[str, dict[str, Any]] = {}
     names = {s.name for s in stages}
     for stage in stages:
         columns = (*named(stage.reads, plan), *named(stage.own, plan))
         sources = {known.get(c, COMPUTE_FEATURES.name) for c in columns} | set(stage.after)
         if columns:
             sources.add(TILE_ECHOES.name)
-        one = made.setdefault(stage.name, {"name": stage.name, "over": stage.over, "unit": stage.unit, "reads": []})
+        one = nodes.setdefault(stage.name, {"name": stage.name, "over": stage.over, "unit": stage.unit, "reads": []})
         one["reads"] = list({*one["reads"], *(sources & names - {stage.name})})
-    order = {name: k for k, name in enumerate(made)}
-    for one in made.values():
+    order = {name: k for k, name in enumerate(nodes)}
+    for one in nodes.values():
         one["reads"] = sorted(one["reads"], key=lambda name: order.get(name, 0))
-    return list(made.values())
+    return list(nodes.values())
 
 
 def check_features(config: Config, names: Iterable[str], where: object, stages: Iterable[Stage] = STAGES) -> None:

@@ -162,12 +162,12 @@ def opened_all(places: Sequence[Location], config: Config) -> list[Source]:
     if len(faults) == 1:
         raise faults[0]
     if faults:
-        told = [f"{Path(f.where).name}: {f.what}{f', {f.got}' if f.got else ''}" for f in faults[:BAD_FILES]]
-        told += [f"and {len(faults) - BAD_FILES} more"] if len(faults) > BAD_FILES else []
+        lines = [f"{Path(f.where).name}: {f.what}{f', {f.got}' if f.got else ''}" for f in faults[:BAD_FILES]]
+        lines += [f"and {len(faults) - BAD_FILES} more"] if len(faults) > BAD_FILES else []
         raise InputError(
             f"{len(faults)} of {len(places)} source files cannot be used",
             where=f"{config.path}: survey.sources",
-            got="\n    ".join(["", *told]),
+            got="\n    ".join(["", *lines]),
             do="get them again, or take them out of the survey's directory (`fwclass info` tells all of each)",
         )
     return opened

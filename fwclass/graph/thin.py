@@ -36,12 +36,12 @@ def features_of_some(chunk: Chunk, sampled: NDArray[np.bool_], names: tuple[str,
     which radiometry takes."""
     normals = features(chunk, (), params)
     some = features(Chunk(chunk.table, chunk.core[sampled], chunk.tile), names, params)
-    made = {}
+    columns = {}
     for name in names:
         values = np.full(len(chunk.core), np.nan, column(name).dtype)
         values[sampled] = some[name]
-        made[name] = values
-    return Table({**made, **normals})
+        columns[name] = values
+    return Table({**columns, **normals})
 
 
 THIN_ECHOES = Stage(

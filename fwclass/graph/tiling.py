@@ -134,11 +134,11 @@ def _passes(table: Table) -> list[list[float]]:
     """(strip, first, last) of the known times of every strip that has some."""
     times, strips = table["gps_time"], table["strip"]
     known = np.isfinite(times)
-    found = []
+    passes = []
     for strip in np.unique(strips[known]).tolist():
         own = times[known & (strips == strip)]
-        found.append([int(strip), float(own.min()), float(own.max())])
-    return found
+        passes.append([int(strip), float(own.min()), float(own.max())])
+    return passes
 
 
 def min_of(values: Any) -> float:

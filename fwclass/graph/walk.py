@@ -132,10 +132,10 @@ def until_report(
 
 def check_order(plan: Plan, stages: Iterable[Stage]) -> None:
     """`ConfigError` for a stage that comes before the one that writes what it reads."""
-    made = {stage.name for stage in TO_TILES}
+    earlier = {stage.name for stage in TO_TILES}
     for stage in stages:
         for column, source in stage.columns_read(plan).items():
-            if source not in made and source != stage.name:
+            if source not in earlier and source != stage.name:
                 raise ConfigError(
                     "a stage comes before the one that writes what it reads",
                     where=f"workflow, stage {stage.name}",
@@ -143,7 +143,7 @@ def check_order(plan: Plan, stages: Iterable[Stage]) -> None:
                     got=f"it reads {column}, which {source} writes",
                     do="put it further back",
                 )
-        made.add(stage.name)
+        earlier.add(stage.name)
 
 
 def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:

@@ -146,10 +146,10 @@ class PartInputs:
         if box is not None:
             mine = by_stage.setdefault(base, [])
             mine += [n for n in ("x", "y") if n not in mine]
-        found: dict[str, NDArray] = {}
+        arrays: dict[str, NDArray] = {}
         for stage, names in by_stage.items():
-            found |= dict(read_table(self._store.path(stage, part, TABLE), names, groups))
-        table = Table({n: found[n] for n in found})
+            arrays |= dict(read_table(self._store.path(stage, part, TABLE), names, groups))
+        table = Table({n: arrays[n] for n in arrays})
         return table if box is None else table.take(box.contains(table["x"], table["y"]))
 
     def chunk(self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]) -> Chunk:
@@ -210,11 +210,11 @@ class PartInputs:
             self._check(stage, part, [n for n, s in columns.items() if s == stage])
         self._check_rows(part, "tile", None)
         for group in row_groups(self._store.path("tile", part, TABLE), None):
-            made: dict[str, NDArray] = {}
+            arrays: dict[str, NDArray] = {}
             for stage in stages:
                 names = [n for n, s in columns.items() if s == stage]
-                made |= dict(read_table(self._store.path(stage, part, TABLE), names, [group]))
-            table = Table({n: made[n] for n in columns})
+                arrays |= dict(read_table(self._store.path(stage, part, TABLE), names, [group]))
+            table = Table({n: arrays[n] for n in columns})
             for rows in np.array_split(np.arange(table.rows), self.split**2):
                 if len(rows):
                     yield table.take(rows)
