@@ -24,6 +24,9 @@ and faster, and 500 echoes lie within 4 to 11 m at 1 to 10 echoes per square met
 ORIENTED = "oriented_inclination"
 """The feature whose sides spread beyond its sphere."""
 
+MAX_REACH = 100.0
+"""m, no feature reaches further: the neighbourhoods of a point, not of a quarter."""
+
 NO_FEATURE = ("strip", "pulse", "source_class", "origin", "gps_time", "x", "y", "z")
 """Columns that no forest may decide by: they name an echo, its place, or the class that it came with."""
 

@@ -8,7 +8,7 @@ from typing import Any
 from fwclass.columns import FEATURES
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
-from fwclass.features.params import NO_FEATURE, Asked, check_scale, is_feature, meant
+from fwclass.features.params import MAX_REACH, NO_FEATURE, Asked, check_scale, is_feature, meant
 from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
@@ -30,9 +30,6 @@ from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
 from fwclass.radiometry.stage import RADIOMETRY
-
-MAX_REACH = 100.0
-"""m, no feature reaches further: the neighbourhoods of a point, not of a quarter."""
 
 OF_STRIPS = (READ_SPAN, MEASURE_PULSE, DECOMPOSE_WAVES, DECOMPOSE_RETURNS, SPLIT_ECHOES)
 """What every strip goes through by itself."""

@@ -12,6 +12,7 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
+from fwclass.formats.arrow import arrow_array
 from fwclass.lazy_module import LazyModule
 from fwclass.publish.files import whole
 from fwclass.publish.params import PublishParams
@@ -76,7 +77,7 @@ def write_geoparquet_parts(
     with whole(path) as beside:
         with pq.ParquetWriter(beside, schema, **_options(first, params)) as writer:
             for table in chain([first], rest):
-                arrays = [pa.array(table[name]) for name in first]
+                arrays = [arrow_array(table[name]) for name in first]
                 arrays += [wkb_points(table["x"], table["y"], table["z"]), _boxes(table["x"], table["y"])]
                 writer.write_table(pa.Table.from_arrays(arrays, schema=schema), row_group_size=params.row_group)
                 rows += table.rows
@@ -104,7 +105,7 @@ def _box_type() -> pa.DataType:
 
 
 def _boxes(x: NDArray[np.float64], y: NDArray[np.float64]) -> pa.Array:
-    east, north = pa.array(x), pa.array(y)
+    east, north = arrow_array(x), arrow_array(y)
     return pa.StructArray.from_arrays([east, north, east, north], fields=list(_box_type()))
 
 

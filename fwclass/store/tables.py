@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fwclass.errors import StoreError
+from fwclass.formats.arrow import arrow_array, numpy_values
 from fwclass.grid import Box
 from fwclass.lazy_module import LazyModule
 from fwclass.schema import Table, column
@@ -29,7 +30,7 @@ def to_arrow(table: Table) -> pa.Table:
         c = column(name)
         about = {"unit": c.unit, "meaning": c.meaning, "source": c.source}
         fields.append(pa.field(name, pa.from_numpy_dtype(np.dtype(c.dtype)), nullable=False, metadata=about))
-    return pa.Table.from_arrays([pa.array(v) for v in table.values()], schema=pa.schema(fields))
+    return pa.Table.from_arrays([arrow_array(v) for v in table.values()], schema=pa.schema(fields))
 
 
 def write_table(path: Path, table: Table, row_group: int = ROW_GROUP) -> None:
@@ -99,7 +100,7 @@ def read_table(path: Path, columns: Iterable[str] | None = None, groups: list[in
         if not wanted:
             return Table.empty(names)
         arrow = file.read_row_groups(wanted, columns=names, use_threads=False)
-    return Table({n: arrow.column(n).to_numpy() for n in names})
+    return Table({n: numpy_values(arrow.column(n)) for n in names})
 
 
 def write_groups(path: Path, table: Table, offsets: Iterable[int]) -> None:

@@ -1,9 +1,14 @@
 """Tables and arrays: what is read is what was written, part by part, and the same rows give the same bytes."""
 
+import subprocess
+import sys
+
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from fwclass.errors import InputError, StoreError
+from fwclass.formats.arrow import arrow_array, numpy_values
 from fwclass.grid import Box
 from fwclass.model import FORMAT, LEAF, Forest
 from fwclass.schema import Table
@@ -137,3 +142,32 @@ def test_a_pickled_array_is_not_loaded(tmp_path):
     np.save(tmp_path / "m" / "child.npy", np.array([{"a": 1}], object), allow_pickle=True)
     with pytest.raises(InputError, match="not a model"):
         load_forest(tmp_path / "m")
+
+
+def test_no_table_loads_pandas(tmp_path):
+    """Arrow's own conversions do where it is installed: half a second of every process."""
+    code = (
+        "import sys, numpy as np\n"
+        "from pathlib import Path\n"
+        "from fwclass.schema import Table\n"
+        "from fwclass.store.tables import read_table, write_table\n"
+        "table = Table({'x': np.arange(9.0), 'ground': np.arange(9) % 2 == 0, 'echo_number': np.arange(9)})\n"
+        "path = Path(sys.argv[1])\n"
+        "write_table(path, table, 4)\n"
+        "back = read_table(path)\n"
+        "assert all((back[n] == table[n]).all() and back[n].dtype == table[n].dtype for n in table)\n"
+        "assert 'pandas' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "t.parquet")], check=True)
+
+
+@pytest.mark.parametrize("dtype", ["bool", "u1", "u2", "u4", "u8", "f4", "f8"])
+def test_arrow_and_back_by_buffers_is_what_arrow_itself_gives(dtype):
+    values = (np.arange(37) * 3 % 7).astype(dtype)
+    ours, theirs = arrow_array(values), pa.array(values)
+    assert ours.equals(theirs)
+    for parts in ([ours], [ours[:5], ours[5:20], ours[20:20], ours[20:]], [ours[3:11]], []):
+        column = pa.chunked_array(parts, type=ours.type)
+        got = numpy_values(column)
+        assert got.dtype == values.dtype
+        np.testing.assert_array_equal(got, column.to_numpy().astype(dtype))

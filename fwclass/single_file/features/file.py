@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.errors import ConfigError
 from fwclass.features.dense import Crowd, crowd_facts
-from fwclass.features.params import FeaturesParams
+from fwclass.features.params import MAX_REACH, FeaturesParams
 from fwclass.features.stage import features
-from fwclass.graph.stages import MAX_REACH
 from fwclass.graph.survey import given_crs
 from fwclass.ground.blocks import blocks_of
 from fwclass.ground.stage import TERRAIN

@@ -1,0 +1,47 @@
+"""numpy arrays as Arrow arrays and back, by their buffers: Arrow's own way loads pandas where that is installed, half a
+second of every process."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.lazy_module import LazyModule
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+else:
+    pa = LazyModule("pyarrow")
+
+
+def arrow_array(values: NDArray) -> pa.Array:
+    """An Arrow array (n,) of numbers or truth values (n,), without missing values; numbers are not copied."""
+    kind = pa.from_numpy_dtype(values.dtype)
+    if values.dtype == bool:
+        held = np.packbits(values, bitorder="little")
+    else:
+        held = np.ascontiguousarray(values)
+    return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(held)])
+
+
+def numpy_values(column: pa.ChunkedArray) -> NDArray:
+    """The values (n,) of an Arrow column of numbers or truth values; missing ones as Arrow gives them to numpy."""
+    if column.null_count or not (pa.types.is_boolean(column.type) or pa.types.is_primitive(column.type)):
+        return np.asarray(column.to_numpy())
+    truth = pa.types.is_boolean(column.type)
+    dtype = np.dtype(np.uint8 if truth else column.type.to_pandas_dtype())
+    pieces = []
+    for chunk in column.chunks:
+        held, first, rows = chunk.buffers()[1], chunk.offset, len(chunk)
+        if held is None or not rows:
+            continue
+        if truth:
+            bits = np.unpackbits(np.frombuffer(held, np.uint8), count=first + rows, bitorder="little")
+            pieces.append(bits[first:].astype(bool))
+        else:
+            pieces.append(np.frombuffer(held, dtype, first + rows)[first:])
+    if not pieces:
+        return np.empty(0, bool if truth else dtype)
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
