@@ -4,7 +4,7 @@ PYTHON ?= python3
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test check faults format bench fuzz clean
+.PHONY: demo test check unit uncompiled faults format bench fuzz clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || \
@@ -23,6 +23,12 @@ check: $(READY)
 	$(VENV)/bin/mypy
 	$(VENV)/bin/lint-imports
 	$(PY) -m pytest -n auto -m "not slow and not bench"
+
+unit: $(READY)
+	$(PY) -m pytest -n 2 --unit
+
+uncompiled: $(READY)
+	$(PY) -m pytest -s tests/uncompiled
 
 test: $(READY)
 	$(PY) -m pytest -n auto -m "not bench and not (faults and slow)"

@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 import order  # noqa: E402 - found by the path above
+import tiers  # noqa: E402
 
 from fwclass.isolation import kernel_cache  # noqa: E402
 
@@ -24,7 +25,27 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> order.Files:
     return order.Files(config, log)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--unit", action="store_true", help="the first tier: tests that start no process and no server")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    shares = config.getoption("dist", "no") != "no"  # pytest-xdist's own processes, whose workers watch
+    if config.getoption("--unit") and not shares:
+        config.pluginmanager.register(tiers.Watch(), "watch")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    return True if config.getoption("--unit") and tiers.is_elsewhere(collection_path) else None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    for item in items:
+        if tiers.is_unit(item):
+            item.add_marker(pytest.mark.unit)
+    if config.getoption("--unit"):
+        config.hook.pytest_deselected(items=[item for item in items if not item.get_closest_marker("unit")])
+        items[:] = [item for item in items if item.get_closest_marker("unit")]
     items.sort(key=lambda item: order.place(item.nodeid))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from pyproj import CRS
+from tolerances import FLOAT32_UNIT
 
 from fwclass.cli import cli
 from fwclass.errors import ConfigError, InputError
@@ -63,7 +64,7 @@ def test_points_keep_their_order_and_get_class_confidence_and_entropy(tmp_path, 
     np.testing.assert_array_equal(new.classification, np.where(bright, 64, 2))
     score = 0.2 * (np.asarray(old.intensity, float) * 0.5 - 250)
     share = 1 / (1 + np.exp(-np.abs(score)))
-    np.testing.assert_allclose(new["confidence"], share, atol=1e-6)
+    np.testing.assert_allclose(new["confidence"], share, atol=FLOAT32_UNIT)
     np.testing.assert_allclose(
         new["entropy"], -(share * np.log2(share) + (1 - share) * np.log2(np.maximum(1 - share, 1e-300))), atol=1e-5
     )
@@ -76,7 +77,7 @@ def test_every_class_has_its_share_where_asked(tmp_path, model):
     asked = ("--set", "classify.probabilities=true")
     assert call("classify", source, tmp_path / "out.laz", "--model", model, *asked).exit_code == 0
     new = laspy.read(tmp_path / "out.laz")
-    np.testing.assert_allclose(new["probability 2"] + new["probability 64"], 1, atol=1e-6)
+    np.testing.assert_allclose(new["probability 2"] + new["probability 64"], 1, atol=FLOAT32_UNIT)
 
 
 def test_old_point_formats_cannot_hold_every_class(tmp_path, model):

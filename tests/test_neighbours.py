@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+from tolerances import COORDINATE
 
 from fwclass import neighbours
 from fwclass.errors import InputError
@@ -103,7 +104,7 @@ def test_nearest_is_that_of_a_kd_tree(limit):
     np.testing.assert_allclose(distance[hit], expected[hit] / 1000.0)
     assert np.isnan(distance[~hit]).all()
     chosen = np.stack([v[found[hit]] for v in among]) - np.stack([v[hit] for v in queries])
-    np.testing.assert_allclose(np.sqrt((chosen**2).sum(0)), distance[hit], atol=1e-6)
+    np.testing.assert_allclose(np.sqrt((chosen**2).sum(0)), distance[hit], atol=COORDINATE)
 
 
 def test_nearest_of_nothing_and_among_nothing():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tolerances import FLOAT64_UNIT
 
 from fwclass.assess.confusion import figures
 from fwclass.assess.intervals import FEW, FIGURES, LEAST, caution, difference, intervals, scores
@@ -24,7 +25,7 @@ def test_scores_are_those_of_the_report():
     matrices[3, 2], matrices[3, :, 2] = 0, 0  # a class that does not occur
     for m, got in zip(matrices, scores(matrices), strict=True):
         told = figures(m[:, :3], "abc", m[:, 3])
-        assert got == pytest.approx([told[name] for name in FIGURES], abs=1e-12)
+        assert got == pytest.approx([told[name] for name in FIGURES], abs=FLOAT64_UNIT)
 
 
 def test_a_figure_that_is_nothing_over_nothing_is_nan():

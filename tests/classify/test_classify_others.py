@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tolerances import FLOAT64_UNIT
 
 from fwclass.classify.boosted import probabilities, raw_scores
 from fwclass.classify.machines import pair_decisions, votes_and_shares
@@ -91,7 +92,7 @@ def test_pair_decisions_are_the_sums_of_libsvm(n):
             mine, yours = slice(ends[i], ends[i + 1]), slice(ends[j], ends[j + 1])
             d = k[:, mine] @ model.dual[j - 1, mine] + k[:, yours] @ model.dual[i, yours]
             expected.append(d + model.bias[len(expected)])
-    np.testing.assert_allclose(pair_decisions(X, model), np.stack(expected, axis=1), atol=1e-12)
+    np.testing.assert_allclose(pair_decisions(X, model), np.stack(expected, axis=1), atol=FLOAT64_UNIT)
 
 
 def test_two_classes_share_by_the_logistic():
@@ -104,14 +105,14 @@ def test_two_classes_share_by_the_logistic():
 def test_pairs_that_agree_make_one_class_sure_and_sign_alone_decides_the_vote():
     votes, shares = votes_and_shares(np.array([[40.0, 40.0, 0.1], [1e-9, 1e-9, -50.0]]), 3)
     np.testing.assert_array_equal(votes, [[2, 1, 0], [2, 0, 1]])
-    np.testing.assert_allclose(shares[0], [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(shares[0], [1, 0, 0], atol=FLOAT64_UNIT)
     assert np.isfinite(shares).all()
 
 
 def test_entropy_is_zero_when_sure_one_when_undecided():
     shares = np.array([[1.0, 0, 0, 0], [0.25] * 4, [0.5, 0.5, 0, 0], [0.7, 0.1, 0.1, 0.1]])
     expected = [0, 1, 0.5, -(0.7 * np.log(0.7) + 0.3 * np.log(0.1)) / np.log(4)]
-    np.testing.assert_allclose(entropy(shares), expected, atol=1e-12)
+    np.testing.assert_allclose(entropy(shares), expected, atol=FLOAT64_UNIT)
     np.testing.assert_array_equal(entropy(np.ones((3, 1))), 0)
 
 

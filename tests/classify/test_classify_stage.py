@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tolerances import FLOAT32_RTOL, FLOAT32_UNIT
 
 from fwclass.classify.stage import CLASSIFY, classify, filled, probability_columns
 from fwclass.errors import InputError
@@ -33,7 +34,7 @@ def test_shares_of_a_forest_are_its_votes():
     np.testing.assert_array_equal(made["classification"], [64, 64])
     np.testing.assert_array_equal(made["confidence"], [0.5, 0.5])
     np.testing.assert_allclose([made[f"probability_{c}"][0] for c in (2, 5, 64)], [0.25, 0.25, 0.5])
-    np.testing.assert_allclose(made["entropy"], 1.5 * np.log(2) / np.log(3), rtol=1e-6)
+    np.testing.assert_allclose(made["entropy"], 1.5 * np.log(2) / np.log(3), rtol=FLOAT32_RTOL)
 
 
 def test_without_probabilities_only_the_stage_s_columns_come():
@@ -44,7 +45,7 @@ def test_confidence_is_the_share_of_the_class_and_shares_add_up():
     X = np.random.default_rng(1).normal(size=(200, 2)).astype(np.float32)
     made = classify(X, machine(), probabilities=True)
     shares = np.stack([made[n] for n in probability_columns((2, 5, 64))], axis=1)
-    np.testing.assert_allclose(shares.sum(axis=1), 1, atol=1e-6)
+    np.testing.assert_allclose(shares.sum(axis=1), 1, atol=FLOAT32_UNIT)
     np.testing.assert_array_equal(made["confidence"], shares.max(axis=1))
     np.testing.assert_array_equal(made["classification"], np.array([2, 5, 64])[shares.argmax(axis=1)])
     assert (made["entropy"] >= 0).all() and (made["entropy"] <= 1).all()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from lasmaker import digitise, gaussian, survey, write_las
 from scipy.stats import spearmanr
+from tolerances import FLOAT32_RTOL, FLOAT32_UNIT, MILLIMETRE
 
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse
@@ -61,7 +62,7 @@ def test_echoes_lie_where_they_were_put(tmp_path, base, point_format, spacing_ps
     assert (echoes["intensity"][at] == np.rint(truth.amplitude)).mean() > 0.999
     np.testing.assert_allclose(echoes["gps_time"][at], 1000 + 1e-5 * truth.pulse)
     beam = np.c_[echoes["beam_x"], echoes["beam_y"], echoes["beam_z"]]
-    np.testing.assert_allclose(np.linalg.norm(beam, axis=1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(beam, axis=1), 1.0, atol=FLOAT32_UNIT)
     assert (beam[:, 2] < -0.9).all()
 
 
@@ -113,7 +114,7 @@ def test_returns_without_packet_stay(tmp_path, base):
     assert echoes["number_of_echoes"].tolist() == [1, 2, 2, 1]
     assert echoes["z"].tolist() == [5, 4, 6, 7]  # in the order of the return numbers
     assert echoes["amplitude"].tolist()[1:] == [7, 8, 6]
-    np.testing.assert_allclose(echoes["width"][1:], [4.2, 4.1, 4.3], rtol=1e-6)
+    np.testing.assert_allclose(echoes["width"][1:], [4.2, 4.1, 4.3], rtol=FLOAT32_RTOL)
     assert np.isnan(echoes["beam_x"][1:]).all() and not np.isnan(echoes["beam_x"][0])
     assert echoes["source_class"].tolist() == [1, 3, 2, 4]
     assert links["pulse"].tolist() == [0, 1, 1, 2] and links["echo_number"].tolist() == [1, 2, 1, 1]
@@ -157,7 +158,7 @@ def test_files_without_waveforms_enter_as_echoes(tmp_path, base, point_format):
         assert echoes["echo_number"].tolist() == [1, 2, 1]
         assert echoes["number_of_echoes"].tolist() == [2, 2, 1]
         np.testing.assert_allclose(echoes["amplitude"], amplitude)
-        np.testing.assert_allclose(echoes["width"], width, rtol=1e-6)
+        np.testing.assert_allclose(echoes["width"], width, rtol=FLOAT32_RTOL)
         assert links["pulse"].tolist() == [0, 1, 2]
 
 
@@ -168,7 +169,7 @@ def test_missing_wdp_keeps_pulses_together(tmp_path, base):
     check_sound(echoes, links)
     assert (echoes["origin"] == 1).all()
     np.testing.assert_array_equal(echoes["pulse"], truth.pulse)
-    np.testing.assert_allclose(np.c_[echoes["x"], echoes["y"], echoes["z"]], truth.xyz, atol=0.00051)
+    np.testing.assert_allclose(np.c_[echoes["x"], echoes["y"], echoes["z"]], truth.xyz, atol=MILLIMETRE)
 
 
 def test_real_riegl_file(shared_data, base):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import kurtosis, skew
+from tolerances import ATTRIBUTE_STEP, FLOAT32_CHAIN_RTOL
 
 from fwclass import conf
 from fwclass.columns import FEATURES
@@ -83,8 +84,9 @@ def test_features_are_numpys(edge, height):
     assert set(got) == set(expected)
     for base in BASES:
         # steps of 1/1024 DN and ns; skewness and kurtosis of two or three heights lose digits to cancellation
-        loose = 1e-3 if base.startswith(("amplitude", "width")) else 1e-4 if "osis" in base or "skew" in base else 2e-5
-        np.testing.assert_allclose(got[base], expected[base], atol=loose, rtol=1e-5, err_msg=base)
+        loose = 1e-4 if "osis" in base or "skew" in base else 2e-5
+        loose = ATTRIBUTE_STEP if base.startswith(("amplitude", "width")) else loose
+        np.testing.assert_allclose(got[base], expected[base], atol=loose, rtol=FLOAT32_CHAIN_RTOL, err_msg=base)
 
 
 def test_cells_are_half_open_and_hang_on_the_origin():

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial import cKDTree
+from tolerances import ATTRIBUTE_STEP, FEATURE_RTOL, FLOAT32_RTOL
 
 from fwclass.columns.features import FEATURES
 from fwclass.features.eigen import LINE, TIE, shapes
@@ -157,8 +158,8 @@ def check(table, got, scale, sets, suffix):
                 continue
             want = expected.get(base, np.nan)
             # amplitude and width are taken in steps of 1/1024
-            loose = 1e-3 if base[:5] in ("ampli", "width") else TOLERANCE.get(base, 2e-6)
-            np.testing.assert_allclose(value, want, rtol=2e-5, atol=loose, err_msg=f"{base}{suffix} of {i}")
+            loose = ATTRIBUTE_STEP if base[:5] in ("ampli", "width") else TOLERANCE.get(base, 2e-6)
+            np.testing.assert_allclose(value, want, rtol=FEATURE_RTOL, atol=loose, err_msg=f"{base}{suffix} of {i}")
 
 
 def random_cloud(rng, n):
@@ -220,7 +221,7 @@ def test_every_measure_agrees_with_numpy_and_scipy(cloud):
         if scale.kind == "r":
             flat = neighbours(table, Scale("c", scale.size))
             ratio = [len(s) / len(c) for s, c in zip(sets, flat, strict=True)]
-            np.testing.assert_allclose(got[f"echo_ratio_{scale.suffix}"], ratio, rtol=1e-6)
+            np.testing.assert_allclose(got[f"echo_ratio_{scale.suffix}"], ratio, rtol=FLOAT32_RTOL)
     normals = np.stack([got[name] for name in NORMAL], axis=1)
     for i, near in enumerate(neighbours(table, Scale("r", round(PARAMS.normal_radius * 100)))):
         want = reference(table, np.array(near), i, Scale("r", 100))
@@ -253,7 +254,9 @@ def test_the_optimal_sphere_is_that_of_lowest_eigenentropy(cloud):
         for i in seen:
             want = reference(part, np.array(every[q[i]][i]), i, Scale("r", 1))
             for base in ("count", "linearity", "height_std", "plane_range", "egi", "width_mean"):
-                np.testing.assert_allclose(got[f"{base}_opt"][i], want[base], rtol=2e-5, atol=1e-3, err_msg=base)
+                np.testing.assert_allclose(
+                    got[f"{base}_opt"][i], want[base], rtol=FEATURE_RTOL, atol=1e-3, err_msg=base
+                )
 
 
 PLACES = st.lists(st.tuples(*[st.integers(0, 24)] * 3), min_size=1, max_size=60)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from scipy.stats import kurtosis, skew
+from tolerances import ATTRIBUTE_STEP, FEATURE_RTOL
 
 from fwclass import conf
 from fwclass.columns import FEATURES
@@ -217,8 +218,8 @@ def test_features_are_numpys(k, reach):
     for base in BASES:
         # square roots of an eigenvalue that float64 knows to 1e-8 of the largest; steps of 1/1024 DN and ns
         loose = {"plane_std": 2e-4, "inclination": 2e-3, "omnivariance": 1e-4}.get(base, 2e-5)
-        loose = 1e-3 if base.startswith(("amplitude", "width", "intensity")) else loose
-        np.testing.assert_allclose(got[base], expected[base], atol=loose, rtol=2e-5, err_msg=base)
+        loose = ATTRIBUTE_STEP if base.startswith(("amplitude", "width", "intensity")) else loose
+        np.testing.assert_allclose(got[base], expected[base], atol=loose, rtol=FEATURE_RTOL, err_msg=base)
 
 
 def test_tiles_of_any_size_give_the_same_bits():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from tolerances import FLOAT32_RTOL
 
 from fwclass import conf
 from fwclass.features.pulses import pulse_variances
@@ -43,7 +44,7 @@ def test_variance_of_the_echoes_of_one_strip_and_pulse():
     got = variances(table_of(strip=strip, pulse=pulse, intensity=intensity, amplitude=amplitude))
     for name, values in zip(BOTH, (intensity, amplitude), strict=True):
         expected = [values[(strip == s) & (pulse == p)].astype(float).var() for s, p in zip(strip, pulse, strict=True)]
-        np.testing.assert_allclose(got[name], expected, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(got[name], expected, rtol=FLOAT32_RTOL, atol=1e-6)
 
 
 def test_rows_in_any_order_and_a_core():
@@ -90,7 +91,7 @@ def test_without_waveforms_returns_of_one_time_are_a_pulse():
         intensity=intensity[mixed],
     )
     expected = [intensity[time == t].astype(float).var() for t in time[mixed]]
-    np.testing.assert_allclose(variances(table)[BOTH[0]], expected, rtol=1e-6)
+    np.testing.assert_allclose(variances(table)[BOTH[0]], expected, rtol=FLOAT32_RTOL)
 
 
 def test_a_time_that_tells_no_pulse_gives_no_value():

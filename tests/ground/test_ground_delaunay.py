@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
+from tolerances import COORDINATE, SMALL_COORDINATE
 
 from fwclass.errors import InputError
 from fwclass.grid import Window
@@ -204,7 +205,7 @@ def test_a_plane_is_met_exactly_everywhere():
     heights = tin_heights(tin_of(x, y, plane(x, y)), qx, qy)
     inside = ~np.isnan(heights)
     assert inside.mean() > 0.9
-    np.testing.assert_allclose(heights[inside], plane(qx, qy)[inside], atol=1e-9)
+    np.testing.assert_allclose(heights[inside], plane(qx, qy)[inside], atol=SMALL_COORDINATE)
 
 
 def test_heights_are_scipys_linear_interpolation():
@@ -215,7 +216,7 @@ def test_heights_are_scipys_linear_interpolation():
     qx, qy = survey_like(1000)
     theirs = LinearNDInterpolator(np.c_[x - 512_000, y - 5_403_000], z)(qx - 512_000, qy - 5_403_000)
     ours = tin_heights(tin_of(x, y, z), qx, qy)
-    np.testing.assert_allclose(ours, theirs, atol=1e-6)
+    np.testing.assert_allclose(ours, theirs, atol=COORDINATE)
 
 
 def test_a_point_has_its_own_height_and_of_two_the_lower():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
+from tolerances import SMALL_COORDINATE
 
 from fwclass.grid import Window
 from fwclass.ground.methods.smrf import objects
@@ -97,7 +98,7 @@ def test_filling_of_nothing_everything_and_one_cell():
     np.testing.assert_array_equal(filled(everything), everything)
     one = nothing.copy()
     one[4, 0] = 12.5
-    np.testing.assert_allclose(filled(one), 12.5, atol=1e-9)
+    np.testing.assert_allclose(filled(one), 12.5, atol=SMALL_COORDINATE)
 
 
 def test_filling_stays_between_the_known_values():
@@ -118,7 +119,7 @@ def test_bilinear_of_a_plane_is_the_plane_between_the_outermost_centres():
     rng = np.random.default_rng(13)
     px, py = rng.uniform(2001, 2023, 200).round(3), rng.uniform(-59, -43, 200).round(3)
     got = bilinear(5.0 + 0.3 * x - 0.2 * y, WINDOW, px, py)
-    np.testing.assert_allclose(got, 5.0 + 0.3 * px - 0.2 * py, atol=1e-9)
+    np.testing.assert_allclose(got, 5.0 + 0.3 * px - 0.2 * py, atol=SMALL_COORDINATE)
 
 
 def test_bilinear_without_value_only_where_the_own_cell_has_none():

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 from scipy import ndimage
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
+from tolerances import COORDINATE, FLOAT32_HEIGHT, MILLIMETRE, SMALL_COORDINATE
 
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Window
@@ -26,9 +27,6 @@ from fwclass.ground.tin.tin import tin_of
 PARAMS = TerrainParams(cell=1.0, thin=0.5, max_gap=40.0, dsm_gap=2.0, height="tin", block=256.0, block_halo=64.0)
 X0, Y0 = 512000.0, 5403200.0
 """A corner of the blocks' grid: 512000 = 2000 x 256; the northing lies inside a block."""
-
-FLOAT32 = 1e-4
-"""[m] What float32 leaves of heights up to some 300 m, with the rounding of thinned places to a millimetre."""
 
 
 def params(**changes):
@@ -89,7 +87,7 @@ def test_thinned_points_are_means_by_cell():
     cells, number = np.unique(cell, return_counts=True)
     for got, given in ((mx, x), (my, y), (mz, z)):
         mean = np.array([given[cell == k].mean() for k in cells])
-        np.testing.assert_allclose(got, mean, atol=0.00051 if given is not z else 1e-6)
+        np.testing.assert_allclose(got, mean, atol=MILLIMETRE if given is not z else 1e-6)
     assert len(mx) == len(cells)
     assert number.max() > 3
 
@@ -97,7 +95,7 @@ def test_thinned_points_are_means_by_cell():
 def test_thinning_keeps_a_point_that_is_alone():
     window = Window(1.0, 512000, 5403200, 20, 20)
     mx, my, mz = thinned(np.array([X0 + 3.217]), np.array([Y0 + 8.001]), np.array([-4.75]), window, 0.3)
-    np.testing.assert_allclose([mx[0], my[0], mz[0]], [X0 + 3.217, Y0 + 8.001, -4.75], atol=1e-6)
+    np.testing.assert_allclose([mx[0], my[0], mz[0]], [X0 + 3.217, Y0 + 8.001, -4.75], atol=COORDINATE)
 
 
 def test_absurdly_fine_thinning_is_refused_with_its_setting():
@@ -113,11 +111,11 @@ def test_facets_agree_with_scipy_s_interpolation(n):
     peer = LinearNDInterpolator(np.c_[x - X0, y - Y0], z)
     facets = facets_of(tin_of(x, y, z), np.inf)
     cx, cy = centres(window)
-    np.testing.assert_allclose(facet_raster(facets, window), peer(cx - X0, cy - Y0), atol=1e-6)
+    np.testing.assert_allclose(facet_raster(facets, window), peer(cx - X0, cy - Y0), atol=COORDINATE)
     qx, qy = scattered(5000, 50, 5)
     kept = window.box.contains(qx, qy)
     got = facet_heights(facets, window, qx[kept], qy[kept])
-    np.testing.assert_allclose(got, peer(qx[kept] - X0, qy[kept] - Y0), atol=1e-6)
+    np.testing.assert_allclose(got, peer(qx[kept] - X0, qy[kept] - Y0), atol=COORDINATE)
     assert kept.sum() > 1000
 
 
@@ -127,7 +125,7 @@ def test_facets_meet_without_a_gap_on_their_edges():
     facets = facets_of(tin_of(gx, gy, 0.5 * (gx - X0)), 10.0)
     window = Window(1.0, 512000, 5403200, 36, 36)
     px, py = (v.ravel() for v in np.meshgrid(X0 + np.arange(0, 36, 0.5), Y0 + np.arange(0, 36, 0.5)))
-    np.testing.assert_allclose(facet_heights(facets, window, px, py), 0.5 * (px - X0), atol=1e-9)
+    np.testing.assert_allclose(facet_heights(facets, window, px, py), 0.5 * (px - X0), atol=SMALL_COORDINATE)
 
 
 def test_only_facets_with_a_small_circle_count():
@@ -176,7 +174,7 @@ def test_the_border_of_a_survey_has_terrain():
     x, y = scattered(4000, 25)
     out = made(x, y, np.full(4000, 31.25))
     assert out.support[:25, :25].max() <= INTERPOLATED
-    np.testing.assert_allclose(out.dtm[out.support != BEYOND], 31.25, atol=1e-4)
+    np.testing.assert_allclose(out.dtm[out.support != BEYOND], 31.25, atol=FLOAT32_HEIGHT)
     assert np.isnan(out.dtm[:, 25 + 41 :]).all()
 
 
@@ -187,10 +185,10 @@ def test_what_is_no_surface_is_in_no_raster_but_has_a_height():
     z[:25], z[25:50] = -300.0, 900.0
     ground = np.ones(6000, bool)
     out = made(x, y, z, ground, noise)
-    np.testing.assert_allclose(out.dtm, 10.0, atol=FLOAT32)
+    np.testing.assert_allclose(out.dtm, 10.0, atol=FLOAT32_HEIGHT)
     assert np.nanmax(out.dsm) == 10.0 == np.nanmin(out.dsm)
     inside = y < Y0 + 50
-    np.testing.assert_allclose(out.height, (z - 10.0)[inside], atol=FLOAT32)
+    np.testing.assert_allclose(out.height, (z - 10.0)[inside], atol=FLOAT32_HEIGHT)
 
 
 def test_dsm_is_the_highest_echo():
@@ -251,7 +249,7 @@ def test_height_by_raster_is_the_bilinear_terrain():
     out = made(x, y, z, ground, with_params=params(height="raster"), core=Window(1.0, 512000, 5403200, 60, 60))
     expected = z - bilinear(out.dtm, Window(1.0, 512000, 5403200, 60, 60), x, y)
     inner = (np.abs(x - X0 - 30) < 29) & (np.abs(y - Y0 - 30) < 29)
-    np.testing.assert_allclose(out.height[inner], expected[inner], atol=FLOAT32)
+    np.testing.assert_allclose(out.height[inner], expected[inner], atol=FLOAT32_HEIGHT)
 
 
 def test_tin_and_raster_see_one_ground():
@@ -344,7 +342,7 @@ def test_triangles_are_the_same_in_blocks_as_in_one():
     np.testing.assert_array_equal(np.isnan(blocks.dtm), np.isnan(whole.dtm))
     facets = facets_of(tin_of(*thinned(x, y, z, window, small.thin)), small.largest_circle)
     on = np.isfinite(facet_raster(facets, window))
-    np.testing.assert_allclose(blocks.dtm[on], whole.dtm[on], atol=FLOAT32)
+    np.testing.assert_allclose(blocks.dtm[on], whole.dtm[on], atol=FLOAT32_HEIGHT)
     assert 0 < (~on & np.isfinite(whole.dtm)).sum() < on.sum()
 
 
@@ -368,8 +366,8 @@ def test_a_halo_that_is_cut_to_what_is_needed_changes_nothing(monkeypatch, kind)
     monkeypatch.setattr(terrain_module, "_needed", uncut)
     whole = made(x, y, z, ground, core=core, with_params=params(height=kind))
     assert seen[0].ncols < 60 + 2 * 40
-    np.testing.assert_allclose(cut.dtm, whole.dtm, atol=FLOAT32)
-    np.testing.assert_allclose(cut.height, whole.height, atol=FLOAT32)
+    np.testing.assert_allclose(cut.dtm, whole.dtm, atol=FLOAT32_HEIGHT)
+    np.testing.assert_allclose(cut.height, whole.height, atol=FLOAT32_HEIGHT)
 
 
 def test_a_cloud_by_blocks_gets_heights_in_its_own_order():
@@ -391,7 +389,7 @@ def test_a_block_without_points_gets_terrain_from_its_neighbours():
     x, y = x + X0, y + 5403136.0
     none = np.zeros(len(x), bool)
     out, _ = terrain_by_blocks(x, y, np.full(len(x), 3.0), ~none, none, params(block=64.0))
-    np.testing.assert_allclose(out.dtm, 3.0, atol=1e-4)
+    np.testing.assert_allclose(out.dtm, 3.0, atol=FLOAT32_HEIGHT)
 
 
 # little to go by
@@ -418,11 +416,11 @@ def test_little_ground_is_an_ordinary_case(name, kind):
     z = np.where(ground, 7.5, 11.0)
     out = made(x, y, z, ground, with_params=params(height=kind))
     there = out.support != BEYOND
-    np.testing.assert_allclose(out.dtm[there], 7.5, atol=1e-4)
+    np.testing.assert_allclose(out.dtm[there], 7.5, atol=FLOAT32_HEIGHT)
     assert np.isnan(out.dtm[~there]).all()
     assert there.any() == (len(gx) > 0)
     known = out.support[(y - Y0).astype(int), (x - X0).astype(int)] != BEYOND
-    np.testing.assert_allclose(out.height[known], np.where(ground, 0.0, 3.5)[known], atol=1e-4)
+    np.testing.assert_allclose(out.height[known], np.where(ground, 0.0, 3.5)[known], atol=FLOAT32_HEIGHT)
     assert np.isnan(out.height[~known]).all()
 
 

@@ -95,6 +95,7 @@ def test_same_array_gives_same_bytes(compression: str, params: PublishParams, tm
 
 @settings(max_examples=20, deadline=None)
 @given(st.lists(st.integers(1, 9), max_size=4), st.randoms())
+@pytest.mark.slow
 def test_stripes_in_any_order_give_the_bytes_of_the_whole(cuts: list[int], order: random.Random) -> None:
     array, top = codes(), WINDOW.row + WINDOW.nrows
     edges = [0, *sorted(STRIPE * c for c in set(cuts)), WINDOW.nrows]  # from the north

@@ -10,6 +10,7 @@ import laspy
 import numpy as np
 import pyproj
 import pytest
+from tolerances import COORDINATE
 
 from fwclass.errors import InputError
 from fwclass.formats.extra_bytes import description
@@ -60,8 +61,8 @@ def test_header_says_what_the_points_say(echoes: Callable[..., Table], params: P
     assert head.point_count == table.rows
     assert np.array_equal(head.number_of_points_by_return, np.bincount(table["echo_number"], minlength=16)[1:])
     for k, name in enumerate("xyz"):
-        assert head.mins[k] == pytest.approx(table[name].min(), abs=1e-6)
-        assert head.maxs[k] == pytest.approx(table[name].max(), abs=1e-6)
+        assert head.mins[k] == pytest.approx(table[name].min(), abs=COORDINATE)
+        assert head.maxs[k] == pytest.approx(table[name].max(), abs=COORDINATE)
     extra = {d.name: d.description for d in head.point_format.extra_dimensions}
     assert extra["amplitude DN"].startswith("[DN] ")
 

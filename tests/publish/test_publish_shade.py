@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tolerances import FLOAT32_UNIT
 
 from fwclass.publish.params import PublishParams
 from fwclass.publish.shade import flat_light, hillshade, slope_along
@@ -17,7 +18,7 @@ def test_the_border_of_a_slope_is_lit_as_the_slope(params: PublishParams) -> Non
     holed[5:9, 5:9], holed[:, 25:] = np.nan, np.nan
     light = hillshade(holed, 1.0, params)
     known = np.isfinite(holed)
-    assert light[known] == pytest.approx(whole[known], abs=1e-6)
+    assert light[known] == pytest.approx(whole[known], abs=FLOAT32_UNIT)
     assert light[~known] == pytest.approx(flat_light(params))
     assert abs(whole[3, 3] - flat_light(params)) > 0.05
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from tolerances import FLOAT32_CHAIN_RTOL, FLOAT32_RTOL
 
 from fwclass.errors import InputError
 from fwclass.grid import Tile
@@ -68,8 +69,8 @@ def test_numbers_by_hand() -> None:
     sigma = 1e-15 * 600.0**4 * 40.0
     assert got["range"][0] == 600.0
     assert got["incidence"][0] == 0.0
-    assert got["cross_section"][0] == pytest.approx(sigma, rel=1e-6)
-    assert got["backscatter"][0] == pytest.approx(sigma / area, rel=1e-6)
+    assert got["cross_section"][0] == pytest.approx(sigma, rel=FLOAT32_RTOL)
+    assert got["backscatter"][0] == pytest.approx(sigma / area, rel=FLOAT32_RTOL)
     assert got["reflectance"][0] == pytest.approx(10.0 * math.log10(sigma / (4.0 * area)), abs=1e-5)
     assert got["radiometry_flags"][0] == 0
     assert tuple(got) == RADIOMETRY.writes
@@ -90,8 +91,8 @@ def test_matt_surface_has_the_cross_section_of_the_light_it_sends_back() -> None
     energy = sigma / (GIVEN.constant * distance**4)
     tilted = {"normal_x": math.sin(theta), "normal_z": math.cos(theta)}
     got = run(echoes(energy=energy, beam_range=distance, **tilted), divergence=divergence)
-    assert got["cross_section"][0] == pytest.approx(sigma, rel=1e-5)
-    assert got["backscatter"][0] == pytest.approx(4.0 * rho, rel=1e-5)
+    assert got["cross_section"][0] == pytest.approx(sigma, rel=FLOAT32_CHAIN_RTOL)
+    assert got["backscatter"][0] == pytest.approx(4.0 * rho, rel=FLOAT32_CHAIN_RTOL)
     assert got["incidence"][0] == pytest.approx(50.0, abs=1e-3)
     assert got["reflectance"][0] == pytest.approx(10.0 * math.log10(rho * math.cos(theta)), abs=1e-4)
 
@@ -123,7 +124,7 @@ def test_old_factor_of_the_simulated_city_is_reproduced() -> None:
     tilted = {"normal_x": math.sin(theta), "normal_z": math.cos(theta)}
     constant = factor * np.pi / 4.0 * 0.5e-3**2 / AREA_PER_FWHM
     got = run(echoes(energy=energy, beam_range=369.0, **tilted), Calibration(constant, source="given", others=True))
-    assert got["backscatter"][0] == pytest.approx(factor * 369.0**2 * peak * fwhm / math.cos(theta), rel=1e-6)
+    assert got["backscatter"][0] == pytest.approx(factor * 369.0**2 * peak * fwhm / math.cos(theta), rel=FLOAT32_RTOL)
     white = 240.0 * 3.5 * math.sqrt(math.pi) / (2.0 * math.sqrt(math.log(2.0)))
     true = run(echoes(energy=white, beam_range=369.0), Calibration(4.0 * constant, source="given", others=True))
     assert true["backscatter"][0] == pytest.approx(4.0, rel=1e-4)
@@ -134,7 +135,7 @@ def test_old_factor_of_the_simulated_city_is_reproduced() -> None:
 def test_divergence_cancels_out_of_gamma_and_reflectance_once_calibrated() -> None:
     narrow = run(echoes(), Calibration(1e-15, source="given", others=True), divergence=0.3)
     wide = run(echoes(), Calibration(9e-15, source="given", others=True), divergence=0.9)
-    np.testing.assert_allclose(wide["backscatter"], narrow["backscatter"], rtol=1e-6)
+    np.testing.assert_allclose(wide["backscatter"], narrow["backscatter"], rtol=FLOAT32_RTOL)
     np.testing.assert_allclose(wide["reflectance"], narrow["reflectance"], atol=1e-5)
 
 
@@ -170,14 +171,16 @@ def test_uncalibrated_is_relative_and_has_no_reflectance() -> None:
     got = run(echoes(), Calibration())
     assert got["radiometry_flags"][0] == 32
     assert np.isnan(got["reflectance"][0])
-    assert got["cross_section"][0] == pytest.approx(600.0**4 * 40.0, rel=1e-6)
+    assert got["cross_section"][0] == pytest.approx(600.0**4 * 40.0, rel=FLOAT32_RTOL)
 
 
 def test_grazing_incidence_stays_finite_and_tells_its_angle() -> None:
     wall = {"normal_x": math.cos(math.radians(2.0)), "normal_z": math.sin(math.radians(2.0))}
     got, facing = run(echoes(**wall)), run(echoes())
     assert got["incidence"][0] == pytest.approx(88.0, abs=1e-3)
-    assert got["backscatter"][0] == pytest.approx(facing["backscatter"][0] / math.cos(math.radians(80.0)), rel=1e-6)
+    assert got["backscatter"][0] == pytest.approx(
+        facing["backscatter"][0] / math.cos(math.radians(80.0)), rel=FLOAT32_RTOL
+    )
     assert got["cross_section"][0] == facing["cross_section"][0]
 
 

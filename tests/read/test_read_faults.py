@@ -7,6 +7,7 @@ import struct
 import numpy as np
 import pytest
 from lasmaker import METRES_PER_NS, Descriptor, survey, to_laz, write_las
+from tolerances import FLOAT32_RTOL
 
 from fwclass.errors import InputError
 from fwclass.read.info import describe, info
@@ -266,4 +267,4 @@ def test_yellowscan_without_wdp(shared_data, params):
 
 def test_step_is_metres_per_nanosecond(tmp_path, params):
     waves = read(six(tmp_path / "a.las"), params)
-    np.testing.assert_allclose(waves.pulses["step_z"], METRES_PER_NS, rtol=1e-6)
+    np.testing.assert_allclose(waves.pulses["step_z"], METRES_PER_NS, rtol=FLOAT32_RTOL)

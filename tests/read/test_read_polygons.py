@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 import shapely
 from pyproj import CRS
+from tolerances import COORDINATE
 
 from fwclass.errors import ConfigError, InputError
 from fwclass.read.info import describe, info
@@ -169,7 +170,7 @@ def test_corners_are_reprojected_as_geopandas_does(crs, tmp_path):
     target = CRS.from_user_input("EPSG:25832+5783")  # with heights, as surveys name it
     moved, told = reprojected(shapes, source_crs(opened, None, target), target, opened.path)
     expected = made.to_crs(25832).get_coordinates().to_numpy()
-    np.testing.assert_allclose(np.column_stack([moved.x, moved.y]), expected, atol=1e-6)
+    np.testing.assert_allclose(np.column_stack([moved.x, moved.y]), expected, atol=COORDINATE)
     assert "from" in told and "25832" not in told
     same, nothing = reprojected(shapes, opened.crs, opened.crs, opened.path)
     assert same is shapes and nothing == ""

@@ -10,6 +10,7 @@ import plsmaker
 import pytest
 from lasmaker import METRES_PER_NS
 from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, survey, write_pls
+from tolerances import FLOAT32_CHAIN_RTOL
 
 from fwclass.errors import InputError
 from fwclass.read.info import describe, info
@@ -149,7 +150,7 @@ def test_units_of_durations_and_of_samples(tmp_path, params, unit, spacing):
     waves = read(one(tmp_path / "a.pls", [[(begin, np.arange(50))]], samplings=samplings, unit=unit), params)
     assert waves.pulses["sample_spacing"].tolist() == [np.float32(spacing)]
     step = np.array([waves.pulses[f"step_{a}"][0] for a in "xyz"])
-    np.testing.assert_allclose(np.linalg.norm(step), METRES_PER_NS, rtol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(step), METRES_PER_NS, rtol=FLOAT32_CHAIN_RTOL)
     assert step[2] > 0, "the step points up the beam"
     np.testing.assert_allclose(places(waves, 0, [0.0, 10.0]), [beam(begin), beam(begin + 10)], atol=0.03)
 
@@ -178,7 +179,7 @@ def test_overlapping_segments_and_second_channels_are_left_out_and_counted(tmp_p
 @pytest.mark.parametrize(("centre", "expected"), [(0, 0.0), (1000, 1000 * METRES_PER_NS), (0x8FFFFFFF, np.nan)])
 def test_the_distance_to_the_optical_centre(tmp_path, params, centre, expected):
     waves = read(one(tmp_path / "a.pls", [(50.0, np.arange(9))], centre=centre), params)
-    np.testing.assert_allclose(waves.pulses["anchor_range"], [expected], rtol=1e-5)
+    np.testing.assert_allclose(waves.pulses["anchor_range"], [expected], rtol=FLOAT32_CHAIN_RTOL)
 
 
 def test_pulses_without_echo_or_outgoing_pulse(tmp_path, params):

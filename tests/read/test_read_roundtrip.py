@@ -10,6 +10,7 @@ import lazrs
 import numpy as np
 import pytest
 from lasmaker import METRES_PER_NS, Descriptor, digitise, survey, to_laz, vlr, write_las
+from tolerances import FLOAT32_CHAIN_RTOL, FLOAT32_RTOL, MILLIMETRE
 
 from fwclass.read.info import describe, info
 from fwclass.read.points import PointReader
@@ -40,7 +41,7 @@ def test_samples_and_fields_of_waveform_formats(tmp_path, params, point_format, 
     np.testing.assert_array_equal(waves.returns["pulse"], truth.pulse)
     np.testing.assert_allclose(waves.returns["location"], truth.time, atol=1e-4)
     xyz = np.c_[waves.returns["x"], waves.returns["y"], waves.returns["z"]]
-    np.testing.assert_allclose(xyz, truth.xyz, atol=0.00051)
+    np.testing.assert_allclose(xyz, truth.xyz, atol=MILLIMETRE)
     assert waves.returns["has_packet"].all()
     assert (waves.pulses["saturation"] == 2**bits - 1).all()
     assert waves.faults == {}
@@ -57,7 +58,7 @@ def test_position_law_of_the_anchor(tmp_path, params):
         expected = waves.pulses[f"anchor_{axis}"][row] + behind * waves.pulses[f"step_{axis}"][row]
         np.testing.assert_allclose(waves.returns[axis], expected, atol=0.0015)
     length = np.sqrt(sum(waves.pulses[f"step_{axis}"] ** 2 for axis in "xyz"))
-    np.testing.assert_allclose(length, METRES_PER_NS, rtol=1e-6)
+    np.testing.assert_allclose(length, METRES_PER_NS, rtol=FLOAT32_RTOL)
 
 
 @pytest.mark.parametrize("point_format", [4, 5, 9, 10])
@@ -138,10 +139,10 @@ def test_files_without_waveforms(tmp_path, params, point_format, compress):
     assert not any(t.pulses.rows for t in tables)
     joined = {k: np.concatenate([t.returns[k] for t in tables]) for k in RETURN_COLUMNS}
     np.testing.assert_array_equal(joined["pulse"], np.arange(n))
-    np.testing.assert_allclose(np.c_[joined["x"], joined["y"], joined["z"]], xyz, atol=0.00051)
+    np.testing.assert_allclose(np.c_[joined["x"], joined["y"], joined["z"]], xyz, atol=MILLIMETRE)
     np.testing.assert_array_equal(joined["source_class"], np.arange(n) % 6)
-    np.testing.assert_allclose(joined["vendor_amplitude"], np.arange(n) * 0.1, rtol=1e-5)
-    np.testing.assert_allclose(joined["vendor_width"], np.arange(n) * 0.1, rtol=1e-5)
+    np.testing.assert_allclose(joined["vendor_amplitude"], np.arange(n) * 0.1, rtol=FLOAT32_CHAIN_RTOL)
+    np.testing.assert_allclose(joined["vendor_width"], np.arange(n) * 0.1, rtol=FLOAT32_CHAIN_RTOL)
     assert np.isnan(joined["location"]).all()
     timed = point_format not in (0, 2)
     np.testing.assert_array_equal(joined["gps_time"], np.arange(n) * 0.5 if timed else np.full(n, np.nan))
@@ -158,7 +159,7 @@ def test_any_run_of_points_of_a_laz(tmp_path, point_format):
     laz = to_laz(write_las(tmp_path / "a.las", xyz, point_format=point_format), tmp_path / "b.laz")
     for first, last in ((0, n), (49_990, 50_010), (50_000, 50_001), (99_999, n), (n, n), (n - 5, n + 5)):
         found = read_cloud(laz, first, last)
-        np.testing.assert_allclose(found["x"], xyz[first:last, 0], atol=0.00051)
+        np.testing.assert_allclose(found["x"], xyz[first:last, 0], atol=MILLIMETRE)
 
 
 def test_chunks_of_varying_size_as_in_copc(tmp_path):
@@ -184,7 +185,7 @@ def test_chunks_of_varying_size_as_in_copc(tmp_path):
         packer.done()
     for first, last in ((0, n), (69, 76), (71, 90), (75, 76), (99, n)):
         found = read_cloud(tmp_path / "b.laz", first, last)
-        np.testing.assert_allclose(found["x"], xyz[first:last, 0], atol=0.00051)
+        np.testing.assert_allclose(found["x"], xyz[first:last, 0], atol=MILLIMETRE)
 
 
 def test_any_reader_agrees(tmp_path, params):
@@ -195,7 +196,7 @@ def test_any_reader_agrees(tmp_path, params):
     waves = read_span(source, index_source(source, params)[0], params)
     np.testing.assert_allclose(waves.returns["x"], np.asarray(las.x))
     np.testing.assert_array_equal(waves.returns["intensity"], las.intensity)
-    np.testing.assert_allclose(waves.returns["location"], las["return_point_wave_location"] * 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(waves.returns["location"], las["return_point_wave_location"] * 1e-3, rtol=FLOAT32_RTOL)
 
 
 def test_info_is_plain_data_and_counts_right(tmp_path):
@@ -245,6 +246,8 @@ def test_a_declared_no_data_value_is_no_value(tmp_path):
     las.write(tmp_path / "a.laz")
     with PointReader(open_source(tmp_path / "a.laz")) as reader:
         points = reader.read(0, 3)
-        np.testing.assert_allclose(reader.extra_byte(points, "amplitude"), [12.34, np.nan, -1.5], rtol=1e-6)
-        np.testing.assert_allclose(reader.extra_byte(points, "nothing", "Deviation"), [12.34, -327.68, -1.5], rtol=1e-6)
+        np.testing.assert_allclose(reader.extra_byte(points, "amplitude"), [12.34, np.nan, -1.5], rtol=FLOAT32_RTOL)
+        np.testing.assert_allclose(
+            reader.extra_byte(points, "nothing", "Deviation"), [12.34, -327.68, -1.5], rtol=FLOAT32_RTOL
+        )
         assert np.isnan(reader.extra_byte(points, "Reflectance")).all()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from lasmaker import METRES_PER_NS, Descriptor, to_laz, write_las
+from tolerances import FLOAT32_RTOL
 
 from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
 
@@ -106,7 +107,7 @@ def test_segments_that_continue_each_other_are_one_row(tmp_path, params, jitter)
     assert np.diff(waves.offsets).tolist() == [3 * N] * 5
     np.testing.assert_array_equal(waves.samples, np.concatenate(waveforms))
     expected = np.tile(np.array([5.0, N + 5.0, 2 * N + 5.0]) + shift, 5)
-    np.testing.assert_allclose(waves.returns["location"], expected, rtol=1e-6)
+    np.testing.assert_allclose(waves.returns["location"], expected, rtol=FLOAT32_RTOL)
     np.testing.assert_allclose(places(waves, 0, [5.0, N + 5.0])[0], [waves.returns[a][0] for a in "xyz"], atol=1e-3)
 
 

@@ -8,6 +8,7 @@ import shutil
 import numpy as np
 import pytest
 from runmaker import walk
+from tolerances import FLOAT64_UNIT
 
 from fwclass.assess.intervals import FEW, FIGURES, caution
 from fwclass.errors import InputError
@@ -41,7 +42,7 @@ def test_the_gain_is_that_of_the_reports(survey, finished, tmp_path):
         reports.append(json.loads((root / "report.json").read_text())["accuracy"])
     made = assess_runs(*roots)
     for name in ("overall_accuracy", "kappa", "mean_iou"):
-        assert made[name]["difference"] == pytest.approx(reports[1][name] - reports[0][name], abs=1e-12)
+        assert made[name]["difference"] == pytest.approx(reports[1][name] - reports[0][name], abs=FLOAT64_UNIT)
         low, high = made[name]["interval"]
         assert low <= made[name]["difference"] <= high
     assert ("CAUTION" in describe(made)) == (made["blocks"] < FEW)

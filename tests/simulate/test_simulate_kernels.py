@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from tolerances import FLOAT64_UNIT, SMALL_COORDINATE
 
 from fwclass.simulate.noise import normal_table, pulse_key, uniform
 from fwclass.simulate.receiver import SHAPE_STEP, add_pulse, add_shape, cluster, detect, digitise, pulse_shape
@@ -35,7 +36,7 @@ def test_streams_of_all_pulses_differ() -> None:
 def test_normal_table_is_standard_normal() -> None:
     table = normal_table()
     assert abs(table.mean()) < 1e-12
-    assert table.std() == pytest.approx(1.0, abs=1e-12)
+    assert table.std() == pytest.approx(1.0, abs=FLOAT64_UNIT)
     # kurtosis of a normal variate; the 4096 quantiles cut the far tails
     assert (table**4).mean() == pytest.approx(3.0, abs=0.05)
 
@@ -45,7 +46,7 @@ def test_footprint_is_centred_and_weighs_one(rings: tuple[int, ...]) -> None:
     rays = footprint(rings)
     assert len(rays) == sum(rings)
     assert rays[:, 2].sum() == pytest.approx(1.0)
-    assert rays[:, :2].T @ rays[:, 2] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert rays[:, :2].T @ rays[:, 2] == pytest.approx([0.0, 0.0], abs=FLOAT64_UNIT)
     # second moment of exp(−2 r²) per axis is 1/4; a handful of rings comes near
     if len(rings) > 2:
         assert (rays[:, 2] * rays[:, 0] ** 2).sum() == pytest.approx(0.25, rel=0.15)
@@ -75,7 +76,7 @@ def test_gabled_roof_has_its_pitch_and_its_eave() -> None:
     for v in (-4.0, -1.0, 2.5):
         at = Place(50.0, 40.0, 0.4).at(3.0, v)
         t, cosine = _solid(solid["plane_start"], solid["planes"], 0, at.x, at.y, 100.0, 0.0, 0.0, -1.0, 200.0)
-        assert 100.0 - t == pytest.approx(ridge - abs(v) * math.tan(pitch), abs=1e-9)
+        assert 100.0 - t == pytest.approx(ridge - abs(v) * math.tan(pitch), abs=SMALL_COORDINATE)
         assert cosine == pytest.approx(math.cos(pitch))
     beside = Place(50.0, 40.0, 0.4).at(3.0, 5.1)
     t, cosine = _solid(solid["plane_start"], solid["planes"], 0, beside.x, beside.y, 100.0, 0.0, 0.0, -1.0, 200.0)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from scipy.spatial import cKDTree
+from tolerances import FLOAT64_UNIT
 
 from fwclass.simulate.city import build_scene
 from fwclass.simulate.flight import fire
@@ -57,7 +58,7 @@ def test_things_of_every_kind_stand_in_the_demo() -> None:
     tops = scene.crown[:, 4] - scene.crown[:, 3]
     assert tops.max() < 28 and tops.min() < 1.0
     # normals of the solids are unit vectors
-    np.testing.assert_allclose(np.linalg.norm(scene.planes[:, :3], axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(scene.planes[:, :3], axis=1), 1.0, atol=FLOAT64_UNIT)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from pydantic import ValidationError
+from tolerances import FLOAT32_RTOL, FLOAT64_UNIT
 
 from fwclass.errors import ConfigError
 from fwclass.simulate.city import build_scene
@@ -161,7 +162,7 @@ def test_position_follows_from_any_other_return_of_the_pulse(strip: tuple[StripP
     # half a millimetre of rounding at both ends, and float32 locations of up to 208 000 ps
     assert error.max() < 0.0012
     speed = np.linalg.norm(packet["v"].astype(np.float64), axis=1)
-    np.testing.assert_allclose(speed, METRES_PER_NS / 1000, rtol=1e-6)
+    np.testing.assert_allclose(speed, METRES_PER_NS / 1000, rtol=FLOAT32_RTOL)
     assert np.all(packet["v"][:, 2] > 0)  # up the beam
 
 
@@ -281,7 +282,7 @@ def test_pulse_does_not_depend_on_those_before_it(params: SimulateParams) -> Non
     whole, part = fire(params, plan, 0, 3000), fire(params, plan, 1234, 57)
     np.testing.assert_array_equal(whole.direction[1234:1291], part.direction)
     np.testing.assert_array_equal(whole.measured_origin[1234:1291], part.measured_origin)
-    np.testing.assert_allclose(np.linalg.norm(whole.direction, axis=1), 1.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(whole.direction, axis=1), 1.0, atol=FLOAT64_UNIT)
     assert np.all(np.diff(whole.time) > 0)
 
 

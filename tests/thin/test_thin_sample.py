@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from tolerances import SMALL_COORDINATE
 
 from fwclass import conf
 from fwclass.grid import Tile
@@ -95,7 +96,7 @@ def test_follow_is_the_nearest_of_a_kd_tree(params, rate):
     assert ((found >= 0) == (away <= 10.0)).all()
     hit = found >= 0
     mine = np.linalg.norm(np.c_[x, y, z][hit] - np.c_[some][found[hit]], axis=1)
-    np.testing.assert_allclose(mine, away[hit], atol=1e-9)
+    np.testing.assert_allclose(mine, away[hit], atol=SMALL_COORDINATE)
 
 
 def test_follow_without_any_sampled_echo():

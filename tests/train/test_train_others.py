@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from tolerances import FLOAT32_UNIT, FLOAT64_UNIT
 
 from fwclass.classify.boosted import probabilities, raw_scores
 from fwclass.classify.machines import linear_scores, pair_decisions
@@ -86,7 +87,7 @@ def test_the_linear_machine_is_scikit_learns(n, scaling):
     np.testing.assert_array_equal(winner, peer.predict(ready(X)))
     scores = linear_scores(X, model)
     np.testing.assert_allclose(scores[:, 0] if n == 2 else scores, peer.decision_function(ready(X)), atol=1e-9)
-    np.testing.assert_allclose(shares.sum(axis=1), 1, atol=1e-12)
+    np.testing.assert_allclose(shares.sum(axis=1), 1, atol=FLOAT64_UNIT)
     np.testing.assert_array_equal(shares.argmax(axis=1), winner)
 
 
@@ -100,7 +101,7 @@ def test_the_kernel_machine_is_scikit_learns(n):
     decisions = pair_decisions(X, model)
     theirs = peer.decision_function(ready(X))
     np.testing.assert_allclose(-decisions[:, 0] if n == 2 else decisions, theirs, atol=1e-6)
-    np.testing.assert_allclose(shares.sum(axis=1), 1, atol=1e-12)
+    np.testing.assert_allclose(shares.sum(axis=1), 1, atol=FLOAT64_UNIT)
     assert (
         shares.argmax(axis=1) == winner
     ).mean() > 0.9  # a class with fewer, but surer, votes may have the larger share
@@ -146,7 +147,7 @@ def test_boosting_sums_as_scikit_learn_does_to_the_last_digits():
         random_state=5,
     ).fit(made.X, made.y)
     same = type(model)(**arrays, card=model.card)
-    np.testing.assert_allclose(raw_scores(X, same), peer.decision_function(X), atol=1e-12)
+    np.testing.assert_allclose(raw_scores(X, same), peer.decision_function(X), atol=FLOAT64_UNIT)
 
 
 @pytest.mark.parametrize("n", [2, 4])
@@ -158,7 +159,7 @@ def test_the_converted_forest_is_scikit_learns(n):
     peer = ensemble.RandomForestClassifier(**settings).fit(filled[0], made.y)
     winner, shares = answer(X, model)
     np.testing.assert_array_equal(winner, peer.predict(filled[1]))
-    np.testing.assert_allclose(shares, peer.predict_proba(filled[1]), atol=1e-12)
+    np.testing.assert_allclose(shares, peer.predict_proba(filled[1]), atol=FLOAT64_UNIT)
     assert not any("pure" in note for note in model.card["notes"])
 
 
@@ -202,7 +203,7 @@ def test_missing_values_are_medians_and_counted():
     assert any("median" in note for note in model.card["notes"])
     X = np.full((1, len(NAMES)), np.nan, np.float32)
     middle = np.nanmedian(made.X, axis=0, keepdims=True).astype(np.float32)
-    np.testing.assert_allclose(answer(X, model)[1], answer(middle, model)[1], atol=1e-6)
+    np.testing.assert_allclose(answer(X, model)[1], answer(middle, model)[1], atol=FLOAT32_UNIT)
 
 
 def test_too_many_rows_are_cut_and_told():
