@@ -41,7 +41,7 @@ WORKFLOWS: Mapping[str, Workflow] = _Named()
 def workflow_of(name: str) -> Workflow:
     """The workflow of a name, or of the user's own file where the name ends in ``.py``; `ConfigError` for none."""
     if name.endswith(".py"):
-        from fwclass.graph.own_stage import own_workflow
+        from fwclass.graph.own_workflow import own_workflow
 
         return own_workflow(Path(name))
     if name not in WORKFLOWS:

@@ -47,7 +47,6 @@ def plan(
     """
     from fwclass import conf as configuration
     from fwclass.graph.survey import check_areas
-    from fwclass.graph.walk import deciding
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
     from fwclass.operate.estimate.output import check_free, deliver
@@ -62,7 +61,7 @@ def plan(
     root = out if out is not None else Path("runs") / config.survey.name
     check_free(root, overwrite)
     number = config.run.workers if workers is None else workers
-    deciding(config)
+    _check(config, workflow)
     facts = survey_facts(config, root)
     check_areas(config, facts.box)
     made = planned(config, facts, number, room_at(root))
@@ -98,6 +97,17 @@ def _dry_run(made: Any, count: int, root: Path) -> Any:
             )
         click.echo(f"dry run     tiles {', '.join(keys)} from {asked.files:,} files", err=True)
         return planned(made.config, made.facts, made.workers, made.room, store)
+
+
+def _check(config: Any, workflow: str) -> None:
+    """`ConfigError` for features that no stage writes; what is said of stages whose cost is not known."""
+    from workflows import workflow_of
+
+    chosen = workflow_of(workflow)
+    chosen.begin(config)
+    own = [s.name for s in chosen.stages if s.name not in config.plan.stages]
+    if own:
+        click.echo(f"note: what {', '.join(own)} of {workflow} take is not known and not reckoned with", err=True)
 
 
 def _tell_graph(config: Any, workflow: str, as_json: bool) -> None:

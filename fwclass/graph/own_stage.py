@@ -1,40 +1,39 @@
-"""Workflows and stages of a user's own file: Python that the command line names, loaded in every worker."""
+"""Stages of a user's own: one function over a chunk, a block or a tile, with what goes in and comes out checked."""
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
-import sys
+import math
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from fwclass.classes import ClassDef
 from fwclass.classify.stage import CLASSIFY
-from fwclass.errors import ConfigError, StoreError
+from fwclass.errors import ConfigError, InputError
+from fwclass.features.params import MAX_REACH
 from fwclass.graph.classify import CLASSIFY_ECHOES
 from fwclass.graph.ground import FILTER_GROUND, around_block, of_flags
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs, always
-from fwclass.graph.workflow import Workflow
+from fwclass.graph.stage import Made, Stage, StageInputs, always, plain_values
 from fwclass.ground.filters import Flags
-from fwclass.schema import Column, Table
+from fwclass.schema import Column, Table, column
 
-CLASSIFY_COLUMNS = CLASSIFY.writes
-_PREFIX = "fwclass_own_"
-"""Of the names under which such files are modules."""
+Function = Callable[..., Any]
+Settings = Mapping[str, Any] | None
+
+_NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 
 def chunk_stage(
     name: str,
     function: Callable[..., Mapping[str, ArrayLike]],
-    reads: tuple[str, ...],
+    reads: Iterable[str],
     writes: Iterable[Column],
     halo: float = 0.0,
-    settings: Mapping[str, Any] | None = None,
+    settings: Settings = None,
     version: int = 1,
 ) -> Stage:
     """A stage of one function over an overlapping chunk.
@@ -45,65 +44,74 @@ def chunk_stage(
     function : ``function(chunk, **settings)`` gives for every column one value per core row, in the order of
         ``chunk.core``; `chunk` has the columns `reads`, the identity, x and y, of the tile and of its neighbours within
         `halo` [m], in canonical order. What it computes of an echo must follow from the echoes within `halo` of it.
-    writes : the columns; those of the program's own names are not given again.
+    reads : columns of the program, its features among them, or of stages before.
+    writes : the columns that it gives.
     settings : plain data; they enter the key of every part, as the bytes of the file do.
     version : raised where another library or file that the function uses makes it give something else.
+
+    Raises
+    ------
+    ConfigError : a name, a column, a halo or a setting that cannot be.
     """
-    columns = tuple(writes)
+    columns = tuple(writes) if not isinstance(writes, Column) else (writes,)
+    wrong = [c for c in columns if not isinstance(c, Column)]
+    if wrong or not columns:
+        raise ConfigError(
+            "a stage writes columns",
+            where=f"stage {name}, writes",
+            expected='[Column("name", "f4", "m", "what it means")]',
+            got=wrong[0] if wrong else "none",
+        )
     return Stage(
-        name,
+        _named(name),
         version,
         "tile",
         "echo",
-        OfChunk(function),
-        arguments=lambda plan: dict(settings or {}),
-        reads=reads,
+        OfChunk(name, function),
+        arguments=_constant(name, settings),
+        reads=_read(name, reads),
         writes=tuple(c.name for c in columns),
         declares=columns,
-        halo=halo,
+        halo=_halo(name, halo),
         cells=True,
     )
 
 
 def ground_filter_stage(
-    function: Callable[..., tuple[ArrayLike, ArrayLike]],
-    halo: float,
-    settings: Mapping[str, Any] | None = None,
-    version: int = 1,
+    function: Callable[..., tuple[ArrayLike, ArrayLike]], halo: float, settings: Settings = None, version: int = 1
 ) -> Stage:
     """A ground filter in the place of the program's (`Workflow.with_stage_instead`).
 
     ``function(table, **settings)`` gives two flags for every row, ground and noise; `table` has x, y, z, echo number,
     number of echoes and fit flags of a block of ``ground.block`` and what lies within `halo` [m] around it.
     """
+    given = _constant(FILTER_GROUND.name, settings)
     return replace(
         FILTER_GROUND,
         version=version,
-        function=OfBlock(function),
-        arguments=lambda plan: {**(settings or {}), "block": plan.config.ground.block},
-        halo=halo,
+        function=OfBlock(FILTER_GROUND.name, function),
+        arguments=lambda plan: {**given(plan), "block": plan.config.ground.block},
+        halo=_halo(FILTER_GROUND.name, halo),
     )
 
 
 def classifier_stage(
-    function: Callable[..., Mapping[str, ArrayLike]],
-    reads: tuple[str, ...],
-    settings: Mapping[str, Any] | None = None,
-    version: int = 1,
+    function: Callable[..., Mapping[str, ArrayLike]], reads: Iterable[str], settings: Settings = None, version: int = 1
 ) -> Stage:
     """A classifier in the place of the program's; what trains may be left out (`Workflow.without_training`).
 
-    ``function(table, **settings)`` gives ``classification`` (codes), ``confidence`` and ``entropy`` for every row of a
-    tile; `table` has the columns `reads`.
+    ``function(table, **settings)`` gives ``classification`` (codes of ``survey.classes``), ``confidence`` (0 to 1) and
+    ``entropy`` for every row of a tile; `table` has the columns `reads`.
     """
+    given = _constant(CLASSIFY.name, settings)
     return replace(
         CLASSIFY_ECHOES,
         version=version,
-        function=OfRows(function),
+        function=OfRows(CLASSIFY.name, function),
         when=always,
-        arguments=lambda plan: dict(settings or {}),
-        own=reads,
-        writes=CLASSIFY_COLUMNS,
+        arguments=lambda plan: {**given(plan), "classes": plan.config.classes},
+        own=_read(CLASSIFY.name, reads),
+        writes=CLASSIFY.writes,
         after=(),
         needs=lambda plan, tile: (),
         source=lambda plan, tile: None,
@@ -111,169 +119,203 @@ def classifier_stage(
 
 
 def delivery_stage(
-    name: str,
-    function: Callable[..., object],
-    reads: tuple[str, ...],
-    settings: Mapping[str, Any] | None = None,
-    version: int = 1,
+    name: str, function: Callable[..., object], reads: Iterable[str], settings: Settings = None, version: int = 1
 ) -> Stage:
     """An output format more: ``function(table, directory, tile, **settings)`` writes files of a tile below `directory`,
-    at the paths that they have in the delivery; `table` has the columns `reads`, `tile` is the tile's key."""
+    at the paths that they have in the delivery; `table` has the columns `reads`, `tile` is the tile's key, which the
+    files' names must have in them."""
     return Stage(
-        name,
+        _named(name),
         version,
         "tile",
         "echo",
-        OfDelivery(function),
-        arguments=lambda plan: dict(settings or {}),
-        own=reads,
+        OfDelivery(name, function),
+        arguments=_constant(name, settings),
+        own=_read(name, reads),
         where="deliver",
     )
 
 
 @dataclass(frozen=True)
-class OfBlock:
-    """The adapter of a ground filter."""
+class Adapter:
+    """What runs a user's function in a stage: `stage` names it in words."""
 
-    function: Callable[..., tuple[ArrayLike, ArrayLike]]
+    stage: str
+    function: Function
 
-    def __call__(self, here: StageInputs, block: float, **settings: Any) -> Made:
-        around = around_block(here)
-        ground, noise = (np.asarray(flags, bool) for flags in self.function(around.table, **settings))
-        return of_flags(around, Flags(ground, noise))
+    def fault(self, what: str, expected: object, got: object, do: str) -> InputError:
+        return InputError(what, where=f"stage {self.stage}", expected=expected, got=got, do=do)
+
+    def columns(self, values: Any, rows: int, names: tuple[str, ...]) -> Table:
+        """What a function gave as a table; `InputError` for anything but one sound value per row and column."""
+        if not isinstance(values, Mapping):
+            kind = type(values).__name__
+            raise self.fault("a stage's function gives columns", f"a dict of {', '.join(names)}", kind, "return a dict")
+        if set(values) != set(names):
+            got = ", ".join(map(str, values)) or "nothing"
+            raise self.fault("a function gives other columns than its stage writes", ", ".join(names), got, "name them")
+        return Table({n: self._checked(n, v, rows) for n, v in values.items()})
+
+    def _checked(self, name: str, given: Any, rows: int) -> NDArray:
+        values = np.asarray(given)
+        if values.shape != (rows,):
+            raise self.fault(
+                f"a function gives a wrong number of values of {name!r}",
+                f"{rows:,}, one for every echo of the tile (chunk.core), not of the halo",
+                f"shape {values.shape}",
+                "return one value per row",
+            )
+        target = np.dtype(column(name).dtype)
+        if values.dtype.kind not in "biuf":
+            raise self.fault(f"{name!r} is no number", str(target), values.dtype, "return numbers")
+        if target.kind in "ui":
+            limits = np.iinfo(target)
+            exact = np.isfinite(values) if values.dtype.kind == "f" else np.ones(rows, bool)
+            exact &= (values >= limits.min) & (values <= limits.max)
+            exact &= values == np.trunc(values) if values.dtype.kind == "f" else True
+            if not exact.all():
+                raise self.fault(
+                    f"a value of {name!r} does not fit its column",
+                    f"whole numbers, {limits.min} to {limits.max}",
+                    values[~exact][0],
+                    "give the column another dtype, or other values",
+                )
+        if target.kind == "b" and values.dtype.kind != "b":
+            raise self.fault(f"{name!r} is no truth value", "bool", values.dtype, "return a bool array")
+        return values.astype(target)
 
 
 @dataclass(frozen=True)
-class OfRows:
-    """The adapter of a function of a tile's rows."""
-
-    function: Callable[..., Mapping[str, ArrayLike]]
+class OfChunk(Adapter):
+    """The adapter of a function over a chunk."""
 
     def __call__(self, here: StageInputs, **settings: Any) -> Made:
-        table = Table(self.function(here.rows(), **settings))
+        chunk = here.chunk()
+        return self.columns(self.function(chunk, **settings), len(chunk.core), here.writes)
+
+
+@dataclass(frozen=True)
+class OfRows(Adapter):
+    """The adapter of a classifier of a tile's rows."""
+
+    def __call__(self, here: StageInputs, classes: tuple[ClassDef, ...], **settings: Any) -> Made:
+        rows = here.rows()
+        table = self.columns(self.function(rows, **settings), rows.rows, CLASSIFY.writes)
         codes, counts = np.unique(table["classification"], return_counts=True)
+        known = {c.code for c in classes}
+        strange = [int(c) for c in codes if int(c) not in known]
+        if strange:
+            raise self.fault(
+                "a class that the survey has not",
+                sorted(known),
+                strange,
+                "give codes of survey.classes, or add it there",
+            )
+        sure = table["confidence"]
+        if not ((sure >= 0.0) & (sure <= 1.0)).all():
+            raise self.fault("a confidence is no share", "0 to 1", f"{sure.min():g} to {sure.max():g}", "scale it")
         return table, {"codes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)}, "filled": 0}
 
 
 @dataclass(frozen=True)
-class OfDelivery:
-    """The adapter of a function that writes files of a tile."""
+class OfBlock(Adapter):
+    """The adapter of a ground filter."""
 
-    function: Callable[..., object]
+    def __call__(self, here: StageInputs, block: float, **settings: Any) -> Made:
+        around = around_block(here)
+        given = self.function(around.table, **settings)
+        flags = [np.asarray(f) for f in given] if isinstance(given, (tuple, list)) else []
+        if len(flags) != 2 or any(f.dtype != bool or f.shape != (around.table.rows,) for f in flags):
+            raise self.fault(
+                "a ground filter gives two flags for every row: ground, and noise",
+                f"two bool arrays of {around.table.rows:,}",
+                ", ".join(f"{f.dtype} {f.shape}" for f in flags) or type(given).__name__,
+                "return ground, noise",
+            )
+        return of_flags(around, Flags(*flags))
+
+
+@dataclass(frozen=True)
+class OfDelivery(Adapter):
+    """The adapter of a function that writes files of a tile."""
 
     def __call__(self, here: StageInputs, **settings: Any) -> Made:
         table = here.rows()
         self.function(table, here.directory, here.part, **settings)
+        names = [p.relative_to(here.directory).as_posix() for p in here.directory.rglob("*") if p.is_file()]
+        if not names:
+            raise self.fault("nothing was written", "files below `directory`", "none", "write them there")
+        for name in names:
+            if here.part not in name or name.startswith(_PROGRAM):
+                raise self.fault(
+                    "a file of a tile has a name that another may have",
+                    f"a path with the tile's key {here.part} in it, not in {', '.join(_PROGRAM)}",
+                    name,
+                    "choose a directory and names of its own",
+                )
         return {"rows": table.rows}
 
 
-@dataclass(frozen=True)
-class OfChunk:
-    """The adapter of a function over a chunk."""
-
-    function: Callable[..., Mapping[str, ArrayLike]]
-
-    def __call__(self, here: StageInputs, **settings: Any) -> Table:
-        return Table(self.function(here.chunk(), **settings))
+_PROGRAM = ("laz/", "parquet/", "rasters/", "model/", "report")
+"""Where the program's own deliveries lie."""
 
 
-_ADAPTERS = (OfChunk, OfBlock, OfRows, OfDelivery)
-
-
-@dataclass(frozen=True)
-class FunctionOfFile:
-    """A function of a user's file, by name: workers import the file, and refuse it if it is not the one of `digest`."""
-
-    path: str
-    digest: str
-    name: str
-
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
-        target: Any = _module(Path(self.path), self.digest)
-        for part in self.name.split("."):
-            target = getattr(target, part)
-        return target(*arguments, **named)
-
-
-def own_workflow(path: Path) -> Workflow:
-    """The `workflow` of a user's file, whose own functions travel by file and name.
-
-    Raises
-    ------
-    ConfigError : no such file, it cannot be imported, or it has no `workflow`.
-    """
-    where = path.resolve()
-    try:
-        digest = hashlib.sha256(where.read_bytes()).hexdigest()
-    except OSError as fault:
+def _named(name: str) -> str:
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ConfigError(
-            "the workflow's file cannot be read",
-            where="--workflow",
-            got=f"{path}: {fault.strerror}",
-            do="name a Python file, or one of the workflows that `fwclass run --help` lists",
-        ) from fault
-    try:
-        module = _module(where, digest)
-    except Exception as fault:
-        raise ConfigError(
-            "the workflow's file cannot be imported", where=path, got=f"{type(fault).__name__}: {fault}", do="mend it"
-        ) from fault
-    workflow = getattr(module, "workflow", None)
-    if not isinstance(workflow, Workflow):
-        raise ConfigError(
-            "the file has no workflow",
-            where=path,
-            expected="workflow = Workflow(...), as docs/extending.md shows",
-            got="nothing of that name" if workflow is None else type(workflow).__name__,
+            "this cannot be the name of a stage",
+            where="a stage's name",
+            expected="small letters, digits and hyphens",
+            got=repr(name),
         )
-    workflow.check(path)
-    stages = tuple(_by_file(stage, str(where), digest, module.__name__) for stage in workflow.stages)
-    return replace(workflow, stages=stages)
+    return name
 
 
-def _by_file(stage: Stage, path: str, digest: str, module: str) -> Stage:
-    """`stage` with its function named by file where it is the file's own; the file's digest enters the key."""
-    adapter = type(stage.function) if isinstance(stage.function, _ADAPTERS) else None
-    inner: Any = stage.function.function if isinstance(stage.function, _ADAPTERS) else stage.function
-    if getattr(inner, "__module__", None) != module:
-        return stage
-    named = FunctionOfFile(path, digest, inner.__qualname__)
-    given = stage.arguments
-
-    def arguments(plan: Plan) -> Mapping[str, Any]:
-        return {**given(plan), "code": digest[:16]}
-
-    work = adapter(named) if adapter is not None else named
-    return replace(stage, function=_WithoutCode(work), arguments=arguments)
-
-
-@dataclass(frozen=True)
-class _WithoutCode:
-    """Takes the file's digest, which is for the key alone, from the arguments."""
-
-    function: Callable[..., Any]
-
-    def __call__(self, here: StageInputs, code: str, **arguments: Any) -> Any:
-        return self.function(here, **arguments)
-
-
-def _module(path: Path, digest: str) -> ModuleType:
-    """The module of a file with these bytes, imported once in a process."""
-    name = _PREFIX + digest[:16]
-    if name in sys.modules:
-        return sys.modules[name]
-    if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-        raise StoreError(
-            "the workflow's file was changed while the run was under way", where=path, do="run the same again"
+def _read(name: str, reads: Iterable[str]) -> tuple[str, ...]:
+    if isinstance(reads, str):
+        raise ConfigError(
+            "the columns that a stage reads are a list",
+            where=f"stage {name}, reads",
+            expected=f'("{reads}",)',
+            got=repr(reads),
         )
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ConfigError("this is no Python file", where=path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
+    return tuple(reads)
+
+
+def _halo(name: str, halo: float) -> float:
+    known = isinstance(halo, (int, float)) and math.isfinite(halo) and 0.0 <= halo <= MAX_REACH
+    if not known:
+        raise ConfigError(
+            "this cannot be a halo",
+            where=f"stage {name}, halo",
+            expected=f"0 to {MAX_REACH:g} m: every tile reads its surroundings that far",
+            got=halo,
+        )
+    return float(halo)
+
+
+def _constant(name: str, settings: Settings) -> Callable[[Any], Mapping[str, Any]]:
+    """The settings as a stage's arguments; `ConfigError` for one that cannot enter a key."""
+    given = dict(settings or {})
+    for key, value in given.items():
+        try:
+            plain = plain_values({"value": value})["value"]
+            sound = isinstance(key, str) and key.isidentifier() and not _not_finite(plain)
+        except TypeError:
+            sound = False
+        if not sound:
+            raise ConfigError(
+                "this cannot be a setting: it enters the key of every part",
+                where=f"stage {name}, settings, {key!r}",
+                expected="a name, and a text, a truth value, a finite number, or lists and dicts of these",
+                got=f"{type(value).__name__} {value!r}"[:120],
+            )
+    return lambda plan: given
+
+
+def _not_finite(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return any(_not_finite(v) for v in value.values())
+    if isinstance(value, list):
+        return any(_not_finite(v) for v in value)
+    return isinstance(value, float) and not math.isfinite(value)

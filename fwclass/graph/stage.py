@@ -97,6 +97,7 @@ class StageInputs:
     present : tiles that echoes are read of.
     tile_size : edge of the tiles [m].
     source : the file from outside that the part is made from.
+    writes : the columns that its table is to have.
     """
 
     inputs: PartInputs
@@ -110,6 +111,7 @@ class StageInputs:
     present: tuple[str, ...] = ()
     tile_size: float = 0.0
     source: Location | None = None
+    writes: Names = ()
 
     @property
     def tile(self) -> Tile:
@@ -187,6 +189,7 @@ class Work:
             self.present,
             self.tile_size,
             self.source,
+            self.writes,
         )
         result = self.function(here, **self.arguments)
         if isinstance(result, tuple):

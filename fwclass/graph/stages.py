@@ -99,6 +99,25 @@ def graph_of(plan: Plan, stages: Iterable[Stage] = STAGES) -> list[dict[str, Any
     return list(nodes.values())
 
 
+def check_reads(plan: Plan, stages: Iterable[Stage]) -> list[str]:
+    """The features of a neighbourhood that a user's own `stages` read, which are to be computed; `ConfigError` for a
+    column that nobody writes."""
+    more = []
+    for stage in stages:
+        for column in (*named(stage.reads, plan), *named(stage.own, plan)):
+            if column in plan.providers:
+                continue
+            if not is_feature(column):
+                raise ConfigError(
+                    "a stage reads a column that no stage writes",
+                    where=f"stage {stage.name}, reads",
+                    got=column,
+                    do=nearest(column, {**plan.providers, **{c.name: "" for c in FEATURES}}),
+                )
+            more.append(column)
+    return more
+
+
 def check_features(config: Config, names: Iterable[str], where: object, stages: Iterable[Stage] = STAGES) -> None:
     """`ConfigError` for a feature that no stage writes, or that would tell the forest the answer or the place."""
     labels, classes = {LABEL_BY_CLOUD.name}, {CLASSIFY_ECHOES.name}

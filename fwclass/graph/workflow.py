@@ -11,7 +11,7 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
 from fwclass.graph.area_of_interest import Area
 from fwclass.graph.stage import Plan, Stage
-from fwclass.graph.stages import LEARNING, TO_TILES
+from fwclass.graph.stages import LEARNING, STAGES, TO_TILES, check_reads
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.walk import deciding, until_report, until_tiles
 from fwclass.run.runner import Runner
@@ -45,7 +45,10 @@ class Workflow:
         """What is planned by before any file is read; `ConfigError` for features that no stage writes."""
         columns = tuple(c for stage in self.stages for c in stage.declares)
         declare(columns)
-        return replace(deciding(config, self.stages), declares=columns)
+        plan = replace(deciding(config, self.stages), declares=columns)
+        ours = {id(stage) for stage in STAGES}
+        more = check_reads(plan, [stage for stage in self.stages if id(stage) not in ours])
+        return replace(plan, computed=tuple(dict.fromkeys((*plan.computed, *more))))
 
     def with_stage(self, stage: Stage, after: str) -> Workflow:
         """This workflow with one stage more, behind the last one of the name `after`."""
@@ -81,6 +84,24 @@ class Workflow:
         before what it reads."""
         seen: set[str] = set()
         every = {s.name for s in self.stages}
+        ours = {id(stage) for stage in STAGES}
+        written: dict[str, str] = {}
+        for stage in self.stages:
+            if id(stage) in ours:
+                continue
+            if sum(s.name == stage.name for s in self.stages) > 1:
+                raise ConfigError(
+                    "two stages have one name, and would write the same parts",
+                    where=where,
+                    got=stage.name,
+                    do="give it another, or put it in the other's place (Workflow.with_stage_instead)",
+                )
+            for column in (c.name for c in stage.declares):
+                if column in written:
+                    raise ConfigError(
+                        "two stages write one column", where=where, got=f"{column}: {written[column]} and {stage.name}"
+                    )
+                written[column] = stage.name
         for stage in self.stages:
             late = [name for name in stage.after if name in every and name not in seen and name != stage.name]
             if late:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fwclass.errors import StoreError
+from fwclass.errors import ConfigError, StoreError
 from fwclass.store.run_store import Store
 from fwclass.store.url import Url
 
@@ -103,7 +103,7 @@ class Request:
             root = str(where if isinstance(where, Url) else where.resolve())
             workflow = str(found["workflow"])
             if workflow.endswith(".py") and (own is None or str(Path(own).resolve()) != workflow):
-                raise StoreError(
+                raise ConfigError(
                     "this run is of a workflow's file, whose code a run directory cannot have started",
                     where=where,
                     expected=f"--workflow {shlex.quote(workflow)}",

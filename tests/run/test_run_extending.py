@@ -1,5 +1,6 @@
 """docs/extending.md, followed to the letter: every file on the page runs as the page says."""
 
+import contextlib
 import re
 import shutil
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from runmaker import SETTINGS, walk
 
 from fwclass import conf
-from fwclass.errors import ConfigError, StoreError
+from fwclass.errors import ConfigError, FwclassError
 from fwclass.operate.request import Request
 from fwclass.operate.seams.walk import Asked, seams
 from fwclass.operate.status.verify import verify
@@ -174,6 +175,125 @@ def test_a_column_of_a_name_that_is_taken_is_refused(survey, files, tmp_path):
 def test_a_run_directory_starts_no_code(uneven, files, tmp_path):
     store = open_store(uneven[0], lists=True)
     Request("demo", str(uneven[0]), workflow=files["uneven.py"]).keep(store)
-    with pytest.raises(StoreError, match="cannot have started"):
+    with pytest.raises(ConfigError, match="cannot have started"):
         Request.kept(store)
     assert Request.kept(store, files["uneven.py"]).workflow == files["uneven.py"]
+
+
+HEAD = """
+import numpy as np
+from functools import partial
+from fwclass.graph.own_stage import chunk_stage, classifier_stage, delivery_stage, ground_filter_stage
+from fwclass.schema import Column
+from workflows.classification import classification
+MY = Column("my", "f4", "m", "mine")
+def f(chunk, **settings):
+    return {"my": np.zeros(len(chunk.core))}
+def stage(function=f, name="my-stage", reads=("z",), writes=(MY,), **more):
+    return chunk_stage(name, function, reads, writes, **more)
+"""
+PUT = "workflow = classification.with_stage(stage({}), after='features')"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (PUT.format("lambda chunk: {}"), "a function of the file, by its name"),
+        (PUT.format("partial(f, b=1.0)"), "a function of the file, by its name"),
+        (PUT.format("name='My Stage/x'"), "cannot be the name of a stage"),
+        (PUT.format("reads='ground'"), "are a list"),
+        (PUT.format("halo=float('nan')"), "cannot be a halo"),
+        (PUT.format("halo=-1.0"), "cannot be a halo"),
+        (PUT.format("halo=10000.0"), "0 to 100 m"),
+        (PUT.format("settings={'a': np.zeros(3)}"), "cannot be a setting"),
+        (PUT.format("settings={'a': float('nan')}"), "cannot be a setting"),
+        (PUT.format("settings={1: 2}"), "cannot be a setting"),
+        (PUT.format("writes='my'"), "a stage writes columns"),
+        (PUT.format("name='features'"), "two stages have one name"),
+        (
+            "a, b = stage(), stage(name='other')\n"
+            "workflow = classification.with_stage(a, 'features').with_stage(b, 'features')",
+            "two stages write one column",
+        ),
+        ("raise SystemExit(0)", "cannot be imported"),
+        ("import nothing_beside", "no files beside it"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_runs(tmp_path, text, words):
+    path = tmp_path / "mine.py"
+    path.write_text(HEAD + text)
+    with pytest.raises(ConfigError, match=words):
+        workflow_of(str(path))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (PUT.format("reads=('hieght_above_ground',)"), "height_above_ground"),
+        ("MY = Column('My Col', 'f4', 'm', 'x')\n" + PUT.format("writes=(MY,)"), "name of a column"),
+        ("MY = Column('my', 'f4', 'm', 'x', las='intensity')\n" + PUT.format("writes=(MY,)"), "name of a column"),
+        ("MY = Column('my', 'f4', 'm', 'x', las='a' * 40)\n" + PUT.format("writes=(MY,)"), "at most 32 bytes"),
+    ],
+)
+def test_columns_that_cannot_be_are_refused_before_anything_runs(survey, tmp_path, text, words):
+    path = tmp_path / "mine.py"
+    path.write_text(HEAD + text)
+    with pytest.raises(ConfigError, match=words):
+        workflow_of(str(path)).begin(conf.load("demo", SETTINGS))
+
+
+GIVES = "def g(chunk):\n    return {}\n" + PUT.format("g")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (GIVES.format("{'my': np.zeros(chunk.table.rows + 1)}"), "wrong number of values of 'my'"),
+        (GIVES.format("{'my': 3.0}"), "one for every echo of the tile"),
+        (GIVES.format("None"), "gives columns"),
+        (GIVES.format("{'your': np.zeros(len(chunk.core))}"), "other columns than its stage writes"),
+        (GIVES.format("{'my': chunk.table['intensity'][chunk.core]}"), "named in the stage's `reads`"),
+        (GIVES.format("{'my': 1 / 0}"), r"mine.py:\d+, stage my-stage"),
+        (GIVES.format("exit(0)"), "SystemExit"),
+        (
+            "MY = Column('small', 'u1', '', 'x')\n"
+            "def g(chunk):\n    return {'small': np.full(len(chunk.core), 300.7)}\n" + PUT.format("g, writes=(MY,)"),
+            "does not fit its column",
+        ),
+        (
+            "def g(table, directory, tile):\n    (directory / 'a.txt').write_text('x')\n"
+            "workflow = classification.with_stage(delivery_stage('d', g, ('x',)), after='publish-tile')",
+            "a name that another may have",
+        ),
+        (
+            "def g(table):\n    n = table.rows\n"
+            "    return {'classification': np.full(n, 99), 'confidence': np.ones(n), 'entropy': np.zeros(n)}\n"
+            "workflow = classification.without_training().with_stage_instead(classifier_stage(g, ('z',)))",
+            "a class that the survey has not",
+        ),
+        (
+            "def g(table):\n    return np.full(table.rows, 7), np.zeros(table.rows, bool)\n"
+            "workflow = classification.with_stage_instead(ground_filter_stage(g, 2.0))",
+            "two flags for every row",
+        ),
+    ],
+)
+def test_a_function_that_gives_nonsense_fails_in_words(survey, finished, tmp_path, text, words):
+    path, root = tmp_path / "mine.py", tmp_path / "run"
+    path.write_text(HEAD + text)
+    shutil.copytree(finished[0], root, symlinks=True)
+    with contextlib.suppress(FwclassError):
+        walk(survey, root, workflow=str(path))
+    messages = [failure.message for failure, _ in open_store(root, lists=True).failures.all().values()]
+    assert any(re.search(words, m) for m in messages), messages
+
+
+def test_a_stage_may_read_a_feature_of_the_program(survey, tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(
+        HEAD
+        + "def g(chunk):\n    return {'my': chunk.table['height_std_c150'][chunk.core] * 2}\n"
+        + PUT.format("g, reads=('height_std_c150',)")
+    )
+    runner, _ = walk(survey, tmp_path / "run", "survey.features=[zc, my]", workflow=str(path))
+    assert not runner.failures, runner.failures
