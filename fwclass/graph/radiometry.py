@@ -181,14 +181,17 @@ def _probes(plan: Plan) -> tuple[str, ...]:
     return tuple(t.key for t in tiles[:: max(1, len(tiles) // PROBES)])
 
 
-def _points(plan: Plan) -> bool:
-    if plan.tiled is None:  # not known yet
-        return bool(plan.config.survey.trajectory.files)
+def has_pointing(plan: Plan) -> bool:
+    """Some trajectory was flown over the probes, and its beams can be held against it; asked once for a plan."""
     return has_range(plan.config) and bool(plan.flown) and bool(_over(plan, _probes(plan)))
 
 
+def _points(plan: Plan) -> bool:
+    return bool(plan.config.survey.trajectory.files) if plan.tiled is None else plan.pointing
+
+
 def _checked(plan: Plan) -> list[Name]:
-    return [("pointing", "all")] if _points(plan) else []
+    return [("pointing", "all")] if plan.pointing else []
 
 
 def _overlap_needs(plan: Plan, tile: Any) -> list[Name]:

@@ -53,6 +53,7 @@ class Plan:
     splits : receipts of the chunks that are cut into tiles.
     tiled : the tiles that there are, once the echoes lie in them.
     flown : when each trajectory was.
+    pointing : beams are held against the trajectory before a range is taken from it.
     declares : columns that the program does not know, of a user's own stages.
     providers : the stage that writes each column, as far as records tell.
     """
@@ -66,6 +67,7 @@ class Plan:
     splits: Mapping[Name, Receipt] = field(default_factory=dict)
     tiled: Layout | None = None
     flown: Flown = field(default_factory=dict)
+    pointing: bool = False
     declares: tuple[Column, ...] = ()
     providers: Mapping[str, str] = field(default_factory=dict)
 

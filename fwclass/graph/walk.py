@@ -14,7 +14,7 @@ from fwclass.graph.layout import Layout, Strip
 from fwclass.graph.model_fit import check_model
 from fwclass.graph.outputs import DELIVER_TILE
 from fwclass.graph.quantities import check_learned, joint
-from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by
+from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by, has_pointing
 from fwclass.graph.reference import check_polygons
 from fwclass.graph.report import write_report
 from fwclass.graph.sites import describe_sites, sites
@@ -76,7 +76,8 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) ->
     layout = replace(Layout.of(config, {**tiled, **polygons}), quantities=quantities, providers=providers(plan, stages))
     check_polygons(config, polygons.values(), layout.box)
     plan = replace(plan, tiled=layout)
-    return replace(plan, flown=flown_by(plan, runner.do(READ_TRAJECTORY.tasks(plan))))
+    plan = replace(plan, flown=flown_by(plan, runner.do(READ_TRAJECTORY.tasks(plan))))
+    return replace(plan, pointing=has_pointing(plan))
 
 
 def _of_strips(plan: Plan) -> Tasks:
