@@ -45,7 +45,7 @@ from fwclass.label.params import LabelParams
 from fwclass.label.polygons import Polygons, owners
 from fwclass.model import ClassDef
 from fwclass.neighbours import nearest_within
-from fwclass.publish.cog import class_raster
+from fwclass.publish.class_raster import class_raster
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span
 from fwclass.read.text import read_text
 from fwclass.schema import Table
