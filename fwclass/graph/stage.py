@@ -280,8 +280,7 @@ class Stage:
     after : stages that it comes after, besides those that write its columns: it reads parts of them, or is planned by
         them.
     needs : these parts, of stages in `after`.
-    source : the file from outside that a part is made from, with its digests; the place may be None where the files
-        are known to the arguments.
+    source : the file from outside that a part is made from, with its digests.
     named : of what it needs it reads the piece that bears its own name (`store.cells.by_name`).
     declares : columns among those it writes that the program does not know.
     cells : its rows are digested by place, as others read them in a halo.
@@ -310,7 +309,7 @@ class Stage:
     area: Callable[[Plan, Tile], Box] = _own_box
     after: Names = ()
     needs: Callable[[Plan, Any], Iterable[Name]] = _no_needs
-    source: Callable[[Plan, Any], tuple[Location | None, FileDigests] | None] = _no_source
+    source: Callable[[Plan, Any], tuple[Location, FileDigests] | None] = _no_source
     named: bool = False
     declares: tuple[Column, ...] = ()
     cells: bool = False
@@ -345,9 +344,9 @@ class Stage:
         return self.area(plan, place).grown(self.reach(plan))
 
     def columns_read(self, plan: Plan) -> dict[str, str]:
-        """The columns that it reads under this plan, and the stage that writes each."""
+        """The columns that it reads under this plan, and the stage that writes each, as far as a record tells."""
         names = (*named(self.reads, plan), *named(self.own, plan)) if self.when(plan) else ()
-        return plan.layout.columns(names) if names else {}
+        return {n: plan.providers[n] for n in names if n in plan.providers}
 
     def columns(self, plan: Plan) -> Names:
         """The columns that it writes under this plan."""
@@ -393,6 +392,7 @@ class _Maker:
                 )
         needs = tuple(dict.fromkeys((*read, *mine, *more_needs)))
         more = stage.each(plan, part)
+        params = _disjoint(self.params, plain_values(more, stage.silent))
         location, external = stage.source(plan, part) or (None, ())
         work = Work(
             stage.function,
@@ -411,16 +411,7 @@ class _Maker:
             plan.declares,
         )
         return Task(
-            stage.name,
-            key,
-            stage.version,
-            {**self.params, **plain_values(more, stage.silent)},
-            work,
-            needs,
-            external,
-            stage.where,
-            within,
-            check=self.check,
+            stage.name, key, stage.version, params, work, needs, external, stage.where, within, check=self.check
         )
 
     def _around(self, key: str, place: Tile | None) -> tuple[tuple[str, ...], Within]:
@@ -445,8 +436,16 @@ def plain_values(values: Mapping[str, Any], silent: frozenset[str] = frozenset()
         if name in silent:
             continue
         plain = _plain(value, silent)
-        result |= plain if name == "params" else {name: plain}
+        result = _disjoint(result, plain if name == "params" else {name: plain})
     return result
+
+
+def _disjoint(some: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
+    """Both together; `TypeError` where one would hide a value of the other from the key."""
+    both = some.keys() & more.keys()
+    if both:
+        raise TypeError(f"two arguments of a stage enter its key as {', '.join(sorted(both))}: give one another name")
+    return {**some, **more}
 
 
 def _plain(value: Any, silent: frozenset[str] = frozenset()) -> Any:

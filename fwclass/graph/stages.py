@@ -65,7 +65,7 @@ CLASSIFYING = (CLASSIFY_ECHOES, CLASSIFY_THINNED)
 JUDGING = (COUNT_CONFUSION, ASSESS)
 DELIVERY = (DELIVER_TILE, DELIVER_STRIP, MAP_CLASSES, DELIVER_RASTERS)
 STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY)
-"""Every stage that any run has; `plan`, `status`, `seams`, the report and the documentation walk this list."""
+"""Every stage that any run has; what a run takes is reckoned by this list."""
 
 
 def providers(plan: Plan, stages: Iterable[Stage] = STAGES) -> dict[str, str]:
@@ -92,10 +92,10 @@ def graph_of(plan: Plan, stages: Iterable[Stage] = STAGES) -> list[dict[str, Any
         if columns:
             sources.add(TILE_ECHOES.name)
         one = nodes.setdefault(stage.name, {"name": stage.name, "over": stage.over, "unit": stage.unit, "reads": []})
-        one["reads"] = list({*one["reads"], *(sources & names - {stage.name})})
+        one["reads"] += sources & names - {stage.name}
     order = {name: k for k, name in enumerate(nodes)}
     for one in nodes.values():
-        one["reads"] = sorted(one["reads"], key=lambda name: order.get(name, 0))
+        one["reads"] = sorted(set(one["reads"]), key=order.__getitem__)
     return list(nodes.values())
 
 
@@ -116,6 +116,22 @@ def check_reads(plan: Plan, stages: Iterable[Stage]) -> list[str]:
                 )
             more.append(column)
     return more
+
+
+def check_order(plan: Plan, stages: Iterable[Stage]) -> None:
+    """`ConfigError` for a stage that comes before the one that writes what it reads."""
+    earlier = {stage.name for stage in TO_TILES}
+    for stage in stages:
+        for column, source in stage.columns_read(plan).items():
+            if source not in earlier and source != stage.name:
+                raise ConfigError(
+                    "a stage comes before the one that writes what it reads",
+                    where=f"workflow, stage {stage.name}",
+                    expected=f"behind {source}",
+                    got=f"it reads {column}, which {source} writes",
+                    do="put it further back",
+                )
+        earlier.add(stage.name)
 
 
 def check_features(config: Config, names: Iterable[str], where: object, stages: Iterable[Stage] = STAGES) -> None:

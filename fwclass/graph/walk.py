@@ -118,7 +118,6 @@ def until_report(
     check_altitude(layout)
     keys = tiles.tiles(layout, plan.survey.crs) if isinstance(tiles, Area) else tiles
     stages = tuple(stages)
-    check_order(plan, stages)
     graph = graph_of(plan, (SIMULATE, *TO_TILES, *stages))
     tasks = tasks_of(plan, stages)
     for words in (describe_sites(sites(layout), plan.survey.strips, tiles_of_strips(plan)), small_tiles(layout)):
@@ -129,22 +128,6 @@ def until_report(
     runner.do(tasks)
     runner.finish(whole=keys is None)
     return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph))
-
-
-def check_order(plan: Plan, stages: Iterable[Stage]) -> None:
-    """`ConfigError` for a stage that comes before the one that writes what it reads."""
-    earlier = {stage.name for stage in TO_TILES}
-    for stage in stages:
-        for column, source in stage.columns_read(plan).items():
-            if source not in earlier and source != stage.name:
-                raise ConfigError(
-                    "a stage comes before the one that writes what it reads",
-                    where=f"workflow, stage {stage.name}",
-                    expected=f"behind {source}",
-                    got=f"it reads {column}, which {source} writes",
-                    do="put it further back",
-                )
-        earlier.add(stage.name)
 
 
 def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:

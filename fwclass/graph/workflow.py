@@ -11,7 +11,7 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
 from fwclass.graph.area_of_interest import Area
 from fwclass.graph.stage import Plan, Stage
-from fwclass.graph.stages import LEARNING, STAGES, TO_TILES, check_reads
+from fwclass.graph.stages import LEARNING, STAGES, TO_TILES, check_order, check_reads
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.walk import deciding, until_report, until_tiles
 from fwclass.run.runner import Runner
@@ -48,7 +48,9 @@ class Workflow:
         plan = replace(deciding(config, self.stages), declares=columns)
         ours = {id(stage) for stage in STAGES}
         more = check_reads(plan, [stage for stage in self.stages if id(stage) not in ours])
-        return replace(plan, computed=tuple(dict.fromkeys((*plan.computed, *more))))
+        plan = replace(plan, computed=tuple(dict.fromkeys((*plan.computed, *more))))
+        check_order(plan, after_tiles(self.stages))
+        return plan
 
     def with_stage(self, stage: Stage, after: str) -> Workflow:
         """This workflow with one stage more, behind the last one of the name `after`."""

@@ -69,6 +69,7 @@ class FileStrip:
     tell: Tell
     _plan: Plan = field(init=False)
     _strip: Strip = field(init=False)
+    _measured: Receipt | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         path = self.source.path
@@ -136,12 +137,12 @@ class FileStrip:
 
     def faults(self) -> dict[str, int]:
         """Faults of packets, by name."""
-        found: dict[str, int] = {}
+        faults: dict[str, int] = {}
         for span in self.spans:
             receipt = self._made(READ_SPAN, span) if span.waves else self._decomposed(span)
             for name, count in receipt.meta["faults"].items():
-                found[name] = found.get(name, 0) + int(count)
-        return found
+                faults[name] = faults.get(name, 0) + int(count)
+        return faults
 
     def _decomposed(self, span: StripSpan) -> Receipt:
         if not span.waves:
@@ -150,9 +151,11 @@ class FileStrip:
         return self._made(DECOMPOSE_WAVES, span)
 
     def _measure(self) -> Receipt:
-        for span in self.spans:
-            self._made(READ_SPAN, span)
-        return self._made(MEASURE_PULSE, self._strip)
+        if self._measured is None:
+            for span in self.spans:
+                self._made(READ_SPAN, span)
+            self._measured = self._made(MEASURE_PULSE, self._strip)
+        return self._measured
 
     def _inputs(self) -> PartInputs:
         return PartInputs(self.store)

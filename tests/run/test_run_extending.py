@@ -230,6 +230,7 @@ def test_what_cannot_be_is_refused_before_anything_runs(tmp_path, text, words):
     ("text", "words"),
     [
         (PUT.format("reads=('hieght_above_ground',)"), "height_above_ground"),
+        ("workflow = classification.with_stage(stage(reads=('ground',)), after='tile')", "before the one that writes"),
         ("MY = Column('My Col', 'f4', 'm', 'x')\n" + PUT.format("writes=(MY,)"), "name of a column"),
         ("MY = Column('my', 'f4', 'm', 'x', las='intensity')\n" + PUT.format("writes=(MY,)"), "name of a column"),
         ("MY = Column('my', 'f4', 'm', 'x', las='a' * 40)\n" + PUT.format("writes=(MY,)"), "at most 32 bytes"),

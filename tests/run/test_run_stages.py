@@ -60,6 +60,8 @@ def test_all_that_a_function_gets_enters_the_key():
     told = plain_values({"params": config.features, "names": ("zc",), "also": 1}, frozenset({"also"}))
     assert told["names"] == ["zc"] and "also" not in told
     assert told["normal_radius"] == config.features.normal_radius
+    with pytest.raises(TypeError, match="enter its key as normal_radius"):
+        plain_values({"params": config.features, "normal_radius": 3.0})
     with pytest.raises(TypeError, match="cannot enter a key"):
         plain_values({"path": object()})
 
