@@ -353,13 +353,15 @@ def flat_survey(
     wander: float = 0.0,
     noise: float = 0.8,
     extra: int = 0,
+    ghosts: float = 0.0,
     samples: int = 256,
     seed: int = 0,
     **options: Any,
 ) -> Path:
     """Single returns of gently sloping ground at 265 m, 0.7 m apart, in long records of `correlated` noise.
 
-    `extra` weak but clear echoes a pulse, 3 m apart, stand above the ground, as of leaves that the vendor has not.
+    `extra` weak but clear echoes a pulse, 3 m apart, stand above the ground, as of leaves that the vendor has not. So
+    large a share of the pulses as `ghosts` has an echo 15 m below the ground, as a reflection inside the receiver.
     """
     rng = np.random.default_rng([seed, 1])
     side = int(np.ceil(np.sqrt(pulses)))
@@ -370,9 +372,11 @@ def flat_survey(
     height = rng.uniform(60.0, 150.0, pulses)
     quiet = noise * correlated(pulses, samples, lag1, wander, seed)
     leaves = [(12.0, -3.0 * (k + 1) / METRES_PER_NS, 4.0) for k in range(extra)]
+    ghost = np.where(rng.random(pulses) < ghosts, 12.0, 0.0)
+    deep = 15.0 / METRES_PER_NS
     waveforms = [
-        digitise(gaussian(samples, [(h, t, 4.0), *((a, t + d, w) for a, d, w in leaves)], 12.0) + q)
-        for h, t, q in zip(height, at, quiet, strict=True)
+        digitise(gaussian(samples, [(h, t, 4.0), (g, t + deep, 4.0), *((a, t + d, w) for a, d, w in leaves)], 12.0) + q)
+        for h, t, g, q in zip(height, at, ghost, quiet, strict=True)
     ]
     options.setdefault("descriptors", {1: Descriptor(8, samples, 1000)})
     return write_las(

@@ -17,6 +17,8 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
 
 from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
@@ -176,12 +178,15 @@ def simulate(
     baseline: ArrayLike = 10.0,
     pulse: Pulse | None = None,
     saturation: float | None = None,
+    phi: Sequence[float] = (),
+    growth: float = 0.0,
     seed: int = 0,
 ) -> tuple[Waveforms, Truth]:
     """Record echoes; `amplitude` [DN], `time` [ns], `sigma` [ns] are (n, k), NaN times where an echo is absent.
 
     `noise` and `baseline` [DN] are numbers or (n,). `saturation` is the highest number that can be recorded, by
-    default that of the `bits`.
+    default that of the `bits`. Neighbouring samples' noise is an autoregression `phi`, of standard deviation `noise`;
+    a DN of signal adds `growth` to its variance [DN].
     """
     rng = np.random.default_rng([seed, 7])
     n, most = time.shape
@@ -193,11 +198,13 @@ def simulate(
     recorded = np.empty((n, samples), np.uint8 if bits <= 8 else np.uint16)
     for a in range(0, n, BATCH):
         part = slice(a, min(a + BATCH, n))
-        y = level[part, None] + sd[part, None] * rng.standard_normal((part.stop - a, samples))
+        rough = coloured(rng, part.stop - a, samples, phi)
+        signal = np.zeros((part.stop - a, samples))
         for k in range(most):
             on = a + np.flatnonzero(np.isfinite(time[part, k]))
-            y[on - a] += amplitude[on, k, None] * pulse.height(t - time[on, k, None], core[on, k])
-        recorded[part] = np.clip(np.rint(y), 0.0, top)
+            signal[on - a] += amplitude[on, k, None] * pulse.height(t - time[on, k, None], core[on, k])
+        spread = sd[part, None] if growth == 0.0 else np.sqrt(sd[part, None] ** 2 + growth * signal)
+        recorded[part] = np.clip(np.rint(level[part, None] + spread * rough + signal), 0.0, top)
     order = np.argsort(time, axis=1)  # NaN last
     amplitude, time, sigma, core = (np.take_along_axis(v, order, axis=1) for v in (amplitude, time, sigma, core))
     beside = np.diff(time, axis=1, prepend=-np.inf, append=np.inf)
@@ -221,6 +228,22 @@ def simulate(
     )
     first = np.where(truth.count > 0, time[:, 0], 0.0) if most else np.zeros(n)
     return waves_of(recorded, spacing=spacing, saturation=top, anchor_time=first), truth
+
+
+def coloured(rng: np.random.Generator, n: int, samples: int, phi: Sequence[float] = ()) -> NDArray:
+    """Noise of unit variance, (n, samples), every sample of which is `phi` times those before it and something new."""
+    if len(phi) == 0:
+        return rng.standard_normal((n, samples))
+    burn = 200
+    out = lfilter([1.0], [1.0, *(-np.asarray(phi))], rng.standard_normal((n, samples + burn)))[:, burn:]
+    return out / np.sqrt(covariance(phi, 1)[0])
+
+
+def covariance(phi: Sequence[float], lags: int) -> NDArray:
+    """Autocovariance at the lags 0 to `lags` of an autoregression with innovations of unit variance, from its impulse
+    response."""
+    answer = lfilter([1.0], [1.0, *(-np.asarray(phi))], np.r_[1.0, np.zeros(4000)])
+    return np.array([answer[: len(answer) - k] @ answer[k:] for k in range(lags + 1)])
 
 
 def waves_of(
@@ -373,12 +396,14 @@ def crb(
     samples: int = 72,
     spacing: float = 1.0,
     baseline_sd: float = np.inf,
+    phi: Sequence[float] = (),
 ) -> NDArray:
     """Cramér-Rao bounds as standard deviations, shape (n, 1 + 3k): baseline, then A, t, sigma of each echo.
 
     Inverse of the Fisher information J^T J / variance of Gaussian echoes in white noise; the variance is
     noise^2 + 1/12, the latter from rounding to whole numbers. The baseline is free, or known beforehand to
-    `baseline_sd` [DN]. Shapes (n, k); (k,) is one waveform.
+    `baseline_sd` [DN]. Shapes (n, k); (k,) is one waveform. Noise that is an autoregression `phi`: J^T C^-1 J with
+    the covariance of the whole waveform, rounding white.
     """
     amplitude, time, sigma = (np.atleast_2d(np.asarray(v, float)) for v in (amplitude, time, sigma))
     n, k = time.shape
@@ -387,20 +412,27 @@ def crb(
     for a in range(0, n, BATCH):
         part = slice(a, a + BATCH)
         j = jacobian(spacing * np.arange(samples), amplitude[part], time[part], sigma[part])
-        information = np.swapaxes(j, 1, 2) @ j / variance[part, None, None]
+        if len(phi) == 0:
+            information = np.swapaxes(j, 1, 2) @ j / variance[part, None, None]
+        else:
+            lags = covariance(phi, samples)
+            shape = toeplitz(lags[:samples] / lags[0])
+            information = np.empty((len(j), j.shape[2], j.shape[2]))
+            for i, v in enumerate(variance[part]):
+                information[i] = j[i].T @ np.linalg.solve((v - 1.0 / 12.0) * shape + np.eye(samples) / 12.0, j[i])
         information[:, 0, 0] += baseline_sd**-2
         bound[part] = np.sqrt(np.diagonal(np.linalg.inv(information), axis1=1, axis2=2))
     return bound
 
 
-def bounds(truth: Truth, baseline_sd: float = np.inf) -> NDArray:
+def bounds(truth: Truth, baseline_sd: float = np.inf, phi: Sequence[float] = ()) -> NDArray:
     """Cramér-Rao bounds of A [DN], t [ns], FWHM [ns] of every echo of `truth`, shape (m, 3), Gaussian pulse."""
     out = np.empty((len(truth.row), 3))
     for k in np.unique(truth.count[truth.count > 0]):
         at = np.flatnonzero(truth.count[truth.row] == k)
         a, t, s = (v[at].reshape(-1, k) for v in (truth.amplitude, truth.time, truth.sigma))
         noise = truth.noise[truth.row[at]].reshape(-1, k)[:, 0]
-        found = crb(a, t, s, noise, samples=truth.samples, spacing=truth.spacing, baseline_sd=baseline_sd)
+        found = crb(a, t, s, noise, samples=truth.samples, spacing=truth.spacing, baseline_sd=baseline_sd, phi=phi)
         out[at] = found[:, 1:].reshape(-1, 3)
     return out * np.array([1.0, 1.0, FWHM])
 

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.autoregression import WHITE, Autoregression
+from fwclass.decompose.least_squares import add_echoes
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.pulse_fit import EDGE, HIGHEST, OVERLAPPING, POOR, SATURATED, Echoes, fit_all
+from fwclass.decompose.pulse_fit import EDGE, FEWEST, HIGHEST, OVERLAPPING, POOR, SATURATED, Echoes, Kind, fit_all
 from fwclass.decompose.second_look import Settings
-from fwclass.decompose.shapes import Profiles, fits_spacing, lookup, widths_of
-from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.shapes import Lookup, Profiles, fits_spacing, lookup, widths_of
+from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.units import FWHM_PER_SIGMA
 from fwclass.waveforms import Waveforms
 
 __all__ = ["EDGE", "OVERLAPPING", "POOR", "SATURATED", "Fits", "fit_waveforms", "model_of", "reached_limits"]
+
+
+SPARED = 4
+"""One of so many samples of a waveform may be spent on foretelling the others."""
+LONGEST = 64
+"""Samples after which noise has forgotten itself."""
 
 
 @dataclass(frozen=True)
@@ -75,25 +84,27 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
     top = waves.pulses["saturation"].astype(np.float64)
     top = np.where(np.isnan(top), np.inf, top)
-    channels, channel_of = _channels(pulse, spacing, top)
+    channels, values, channel_of = _channels(pulse, spacing, top)
     top = reached_limits(waves, pulse)
     count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
     lengths = np.diff(waves.offsets)
     parts = []
-    for step in np.unique(spacing[fits_spacing(pulse, spacing)]):
-        rows = np.flatnonzero(spacing == step)
+    for rows, step, channel, order in _alike(spacing, lengths, channel_of, channels, fits_spacing(pulse, spacing)):
+        noise = channel.autoregression.shorter(order) if channel else WHITE
+        look = lookup(pulse, step, params.narrowest, params.widest, noise)
         echoes = _room(len(rows) * most)
         total = fit_all(
             waves.samples,
             waves.offsets,
             rows,
             top,
-            channels,
+            values,
             channel_of,
-            _settings(params, pulse, step),
+            _kind(noise, channel.growth if channel else 0.0),
+            _settings(params, pulse, step, look),
             most,
             int(lengths[rows].max()),
-            lookup(pulse, step, params.narrowest, params.widest),
+            look,
             count,
             *row_values,
             echoes,
@@ -102,7 +113,32 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     return _gathered(count, row_values, parts, params, pulse)
 
 
-def _settings(params: DecomposeParams, pulse: SystemPulse, spacing: float) -> Settings:
+def _alike(
+    spacing: NDArray[np.float64],
+    lengths: NDArray[np.int64],
+    channel_of: NDArray[np.int64],
+    channels: list[Channel],
+    fitted: NDArray[np.bool_],
+) -> Iterator[tuple[NDArray[np.int64], float, Channel | None, int]]:
+    """Rows that are fitted in one way, their sample spacing, their channel where its noise is not plain and white, and
+    from how many samples it is foretold: as many as the waveform can spare at its start."""
+    special = np.array([bool(c.phi) or c.growth > 0.0 for c in channels] + [False])
+    own = np.where(special[channel_of], channel_of, len(channels))
+    most = np.array([len(c.phi) for c in channels] + [0])[own]
+    order = np.clip((lengths - FEWEST) // SPARED, 0, most)
+    keys = np.stack([spacing, own, order], axis=1)
+    for step, k, m in np.unique(keys[fitted], axis=0):
+        rows = np.flatnonzero(fitted & (keys == (step, k, m)).all(axis=1))
+        yield rows, float(step), channels[int(k)] if k < len(channels) else None, int(m)
+
+
+def _kind(noise: Autoregression, growth: float) -> Kind:
+    phi, correlation = np.array(noise.phi), noise.correlation(LONGEST if noise.phi else 0)
+    spread = float(2.0 * (correlation @ correlation) - 1.0)
+    return Kind(phi, 1.0 - float(phi.sum()), noise.innovation, spread, growth)
+
+
+def _settings(params: DecomposeParams, pulse: SystemPulse, spacing: float, look: Lookup) -> Settings:
     sigma = pulse.fwhm / (FWHM_PER_SIGMA * spacing)
     return Settings(
         detection=params.detection,
@@ -111,7 +147,7 @@ def _settings(params: DecomposeParams, pulse: SystemPulse, spacing: float) -> Se
         widest=params.widest * sigma,
         separation=params.separation / spacing,
         noise_floor=params.noise_floor,
-        shape_error=pulse.shape_error,
+        shape_error=pulse.shape_error * look.pulse_gain,
         poor_misfit=params.poor_misfit,
         iterations=params.iterations,
         tolerance=params.tolerance,
@@ -124,14 +160,14 @@ def _settings(params: DecomposeParams, pulse: SystemPulse, spacing: float) -> Se
 
 def _channels(
     pulse: SystemPulse, spacing: NDArray[np.float64], top: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The receiver's channels as (c + 1, 4) numbers, the last for an unknown channel; every row's channel."""
+) -> tuple[list[Channel], NDArray[np.float64], NDArray[np.int64]]:
+    """The receiver's channels, also as (c + 1, 4) numbers, the last for an unknown channel; every row's channel."""
     known = [c for c in pulse.channels if c.freedom > 0.0]
     values = [(c.baseline, c.baseline_sd, c.noise, c.freedom) for c in known]
     channel_of = np.full(len(spacing), len(known), np.int64)
     for i, c in enumerate(known):
         channel_of[np.isclose(spacing, c.sample_spacing, rtol=1e-6, atol=0.0) & (top == c.saturation)] = i
-    return np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_of
+    return known, np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_of
 
 
 def reached_limits(waves: Waveforms, pulse: SystemPulse) -> NDArray[np.float64]:
@@ -191,6 +227,27 @@ def _gathered(
         deviation=e.deviation,
         flags=e.flags,
     )
+
+
+def signal_of(fits: Fits, waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -> NDArray[np.float64]:
+    """The sum of the fitted echoes at every sample, without the level [DN]; shape of ``waves.samples``."""
+    signal = np.zeros(len(waves.samples))
+    spacing = waves.pulses["sample_spacing"].astype(np.float64)[fits.row]
+    widths = widths_of(pulse, params.narrowest, params.widest)
+    width = np.interp(fits.width, widths.fwhm, widths.s)
+    for step in np.unique(spacing):
+        rows = np.flatnonzero(spacing == step)
+        look = lookup(pulse, float(step), params.narrowest, params.widest)
+        add_echoes(
+            fits.amplitude[rows],
+            fits.time[rows] / step,
+            width[rows] / step,
+            waves.offsets[fits.row[rows]],
+            waves.offsets[fits.row[rows] + 1],
+            look,
+            signal,
+        )
+    return signal
 
 
 def model_of(

@@ -177,6 +177,20 @@ def _profile(parts, length, dt, ds, height, residual, basis):  # type: ignore[no
         residual[j] -= height * u
 
 
+@kernel
+def add_echoes(amplitude, time, width, first, last, look, signal):  # type: ignore[no-untyped-def]
+    """Add echoes, times and widths in samples, to ``signal[first:last]``, each to its own waveform's."""
+    for e in range(len(amplitude)):
+        row, cell, whole, dt, ds = place(look, time[e], width[e])
+        parts = look.table[row]
+        half_t, cross, half_s = 0.5 * dt * dt, dt * ds, 0.5 * ds * ds
+        start = first[e] + whole + look.first[cell]
+        for j in range(max(first[e] - start, 0), min(last[e] - start, look.length[cell])):
+            u = parts[0, j] + dt * parts[1, j] + ds * parts[2, j]
+            u += half_t * parts[3, j] + cross * parts[4, j] + half_s * parts[5, j]
+            signal[start + j] += amplitude[e] * u
+
+
 @vectorised
 def _less(y, level, pad, n, residual):  # type: ignore[no-untyped-def]
     for i in range(pad, pad + n):

@@ -128,13 +128,14 @@ def is_peak(z, n, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def first_echoes(z, n, threshold, sigma, response, response_first, most, p):  # type: ignore[no-untyped-def]
+def first_echoes(z, n, threshold, sigma, response, response_first, starts, most, p):  # type: ignore[no-untyped-def]
     """Starting values of the peaks of `z` above `threshold`, at most the `most` highest; how many.
 
     Of what the highest peak itself leaves around it (`response`), a receiver's ringing, no echo is made.
 
     Time and width come from the parabola through the logarithms around the peak: a Gaussian of variance v
-    filtered by one of variance sigma^2 has variance v + sigma^2.
+    filtered by one of variance sigma^2 has variance v + sigma^2. Behind a filter for correlated noise `starts`
+    (curvature, width, height over the peak's; the sharpest first) tell them.
     """
     count = 0
     if most <= 0:
@@ -161,6 +162,11 @@ def first_echoes(z, n, threshold, sigma, response, response_first, most, p):  # 
             variance = 1.0 / curve - sigma * sigma
         s = min(math.sqrt(max(variance, 1.04 * sigma * sigma)), 2.0 * sigma)
         height = z[i] * math.sqrt((s * s + sigma * sigma) / (2.0 * s * s))
+        if len(starts) > 0:
+            at = 0
+            while at < len(starts) - 1 and starts[at, 0] > curve:
+                at += 1
+            s, height = min(max(starts[at, 1], 1.02 * sigma), 2.0 * sigma), z[i] * starts[at, 2]
         k = count
         if count < most:
             count += 1

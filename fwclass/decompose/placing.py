@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.fitting import OVERLAPPING, Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.shapes import height_error
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.schema import Table
 from fwclass.waveforms import RETURN_COLUMNS, Waveforms
@@ -71,7 +72,7 @@ def detection_limits(waves: Waveforms, params: DecomposeParams, pulse: SystemPul
     for channel in pulse.channels:
         mine = waves.pulses["sample_spacing"] == np.float32(channel.sample_spacing)
         mine &= waves.pulses["saturation"] == np.float32(channel.saturation)
-        limit[mine] = params.detection * channel.noise * np.sqrt(channel.sample_spacing / pulse.energy)
+        limit[mine] = params.detection * channel.noise * height_error(pulse, channel)
     return limit
 
 

@@ -97,7 +97,7 @@ def estimate_channels(
         clear = here & (count >= FEWEST)
         if clear.sum() < 2:
             continue
-        channel = _channel(kinds[k], mean[clear], variance[clear], count[clear])
+        channel = channel_from(kinds[k], mean[clear], variance[clear], count[clear])
         found.append(channel)
         share = np.maximum(count[here], 1) / channel.noise**2
         prior = 1.0 / max(channel.baseline_sd, 1e-3) ** 2
@@ -108,7 +108,9 @@ def estimate_channels(
     return tuple(found), own
 
 
-def _channel(kind: Floats, mean: Floats, variance: Floats, count: NDArray[np.int64]) -> Channel:
+def channel_from(kind: Floats, mean: Floats, variance: Floats, count: NDArray[np.int64]) -> Channel:
+    """The channel of (spacing [ns], saturation [DN]) whose waveforms have these means and variances of so many quiet
+    samples."""
     noise, freedom = prior_variance(variance, count - 1.0)
     noise = max(math.sqrt(noise), ROUNDING)
     order = np.sort(mean)

@@ -55,7 +55,8 @@ def estimate_pulse(waves: Waveforms, params: PulseParams) -> SystemPulse:
     mean shape, which aligns them anew. Half of the echoes judge the shape that the other half gives: it is kept if
     it predicts them better than the best Gaussian does.
 
-    Depends on the set of waveforms only, not on their order.
+    Depends on the set of waveforms only, not on their order. The channels' noise is taken for white, see
+    `quiet.with_correlated_noise`.
     """
     waves = _usable(waves)
     if waves.pulses.rows == 0:

@@ -33,6 +33,25 @@ FEWEST = 5
 """Samples without which nothing is fitted."""
 
 
+class Kind(NamedTuple):
+    """What kind of noise a channel has.
+
+    Attributes
+    ----------
+    phi : coefficients of its autoregression; empty: white.
+    level : what a level of 1 is in the samples made white.
+    innovation : variance of those samples over the noise's.
+    spread : samples that tell as much of the noise's variance as one white one.
+    growth : what a DN of signal adds to the variance [DN].
+    """
+
+    phi: NDArray[np.float64]
+    level: float
+    innovation: float
+    spread: float
+    growth: float
+
+
 class Echoes(NamedTuple):
     """Room for the echoes of a batch, one after the other; times and widths in samples."""
 
@@ -73,12 +92,30 @@ def _highest(y, pad, n):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _weigh(y, pad, n, level, variance, shape_error, weight):  # type: ignore[no-untyped-def]
-    """The pulse's own shape is known to `shape_error` of its height: less weight where echoes are high."""
+def _whiten(y, weight, pad, n, after, phi, white):  # type: ignore[no-untyped-def]
+    """``white`` = what is left of the samples `y` when each is foretold from those before it; weight 1 where all of
+    them count, else 0. Samples that count."""
+    used, good = 0, 0
+    for i in range(n):
+        good = good + 1 if weight[pad + i] > 0.0 else 0
+        value = y[pad + i]
+        for k in range(min(len(phi), i)):
+            value -= phi[k] * y[pad + i - 1 - k]
+        white[pad + i] = value
+        weight[pad + i] = 1.0 if good > len(phi) else 0.0
+        used += good > len(phi)
+    white[pad + n : pad + n + after] = 0.0
+    return used
+
+
+@inlined
+def _weigh(y, pad, n, level, variance, shape_error, growth, weight):  # type: ignore[no-untyped-def]
+    """Less weight where echoes are high: the pulse's own shape is known to `shape_error` of its height, and noise
+    grows with the signal, by `growth` a DN."""
     for i in range(pad, pad + n):
         height = 0.25 * y[max(i - 1, pad)] + 0.5 * y[i] + 0.25 * y[min(i + 1, pad + n - 1)] - level
         shape = shape_error * max(height, 0.0)
-        weight[i] *= variance / (variance + shape * shape)
+        weight[i] *= variance / (variance + growth * max(height, 0.0) + shape * shape)
 
 
 @vectorised
@@ -158,41 +195,46 @@ def _rms_near(residual, weight, pad, n, t, reach):  # type: ignore[no-untyped-de
 
 @inlined
 def fit_pulse(  # type: ignore[no-untyped-def]
-    samples, first, n, top, channel, settings, most, look, p, errors, y, weight, bins, work, spare
+    samples, first, n, top, channel, kind, settings, most, look, p, errors, y, white, weight, bins, work, spare
 ):
     """Echoes of one waveform into `p`, sorted by time, level less the returned base, and their standard errors into
     `errors`: (count, base, noise, misfit).
 
     `channel` is (baseline, its standard deviation, noise, freedom) of the receiver; freedom 0 where it is unknown.
+    `kind` is `Kind` of its noise. Samples `y` of correlated noise are fitted as `white`, with a level times
+    ``kind.level``, and so `p` has it.
     """
     residual, basis, window = work[0], work[1], work[2]
     filtered = spare[1]
     level, noise, kept = level_and_noise(samples, first, n, settings.noise_floor, bins)
-    quiet = CLIPPED * max(kept - 1.0, 0.0)
-    variance = noise * noise
-    known = (channel[2] * channel[2], channel[3], settings.noise_floor * settings.noise_floor)
+    quiet = CLIPPED * max(kept - 1.0, 0.0) / kind.spread
+    variance = noise * noise * kind.innovation
+    known = (channel[2] * channel[2] * kind.innovation, channel[3], settings.noise_floor * settings.noise_floor)
     prior_level, information = level, WEAK
     if channel[3] > 0.0:
         variance = (known[0] * known[1] + variance * quiet) / (known[1] + quiet)
         quiet += known[1]
-        prior_level, information = channel[0], variance / max(channel[1] * channel[1], 1e-4 * variance)
+        prior_level, information = channel[0], _information(variance, channel[1] * kind.level)
         level = (level * kept + prior_level * information) / (kept + information)
-    p[0] = level
+    p[0] = level * kind.level
     noise = math.sqrt(variance)
+    marginal = noise / math.sqrt(kind.innovation)
     if n < FEWEST:
-        return 0, 0.0, noise, np.nan
+        return 0, 0.0, marginal, np.nan
     base = math.floor(level)
     level -= base
-    p[0] = level
+    p[0] = level * kind.level
     pad = look.before + 2
     used = _load(samples, first, n, base, pad, look.after + 2, top, y, weight)
-    longer = math.log(max(n / USUAL, 1.0))
+    if len(kind.phi) > 0:
+        used = _whiten(y, weight, pad, n, look.after + 2, kind.phi, white)
+    longer = math.log(max(n * look.chances / USUAL, 1.0))
     detection = surer(math.sqrt(settings.detection**2 + 2.0 * longer), quiet)
     threshold = detection * noise / math.sqrt(look.energy)
     for i in range(pad, pad + n):
-        residual[i] = y[i] - level
-    # profiles of the waveform before have reached into the padding
-    residual[:pad] = 0.0
+        residual[i] = white[i] - p[0]
+    # profiles of the waveform before have reached into the padding; what nothing was foretold from says nothing
+    residual[: pad + len(kind.phi)] = 0.0
     residual[pad + n : pad + n + look.after + 2] = 0.0
     match_filter(residual, pad, n, look.template, look.template_first, filtered)
     count = first_echoes(
@@ -202,24 +244,25 @@ def fit_pulse(  # type: ignore[no-untyped-def]
         settings.sigma,
         look.response,
         look.response_first,
+        look.starts,
         min(most, max((used - 2) // 3, 0)),
         p,
     )
     if count == 0:
-        return 0, base, noise, np.nan
-    if settings.shape_error > 0.0:
-        _weigh(y, pad, n, level, variance, settings.shape_error, weight)
-    sums = moments(y, weight, pad, n)
+        return 0, base, marginal, np.nan
+    if settings.shape_error > 0.0 or kind.growth > 0.0:
+        _weigh(y, pad, n, level, variance, settings.shape_error, kind.growth * kind.innovation, weight)
+    sums = moments(white, weight, pad, n)
     highest = _highest(y, pad, n) - level
-    highest = HIGHEST_SATURATED * (top - base) if used < n else settings.between * highest + 5.0 * noise
-    prior = (prior_level - base, information)
+    highest = HIGHEST_SATURATED * (top - base) if used < n else settings.between * highest + 5.0 * marginal
+    prior = ((prior_level - base) * kind.level, information)
     limits = (settings.narrowest, settings.widest, settings.iterations, settings.tolerance * variance, highest)
-    chi = fit(p, count, y, weight, pad, n, prior, limits, look, sums, work)
+    chi = fit(p, count, white, weight, pad, n, prior, limits, look, sums, work)
     count, chi = second_look(
         p,
         count,
         chi,
-        y,
+        white,
         weight,
         pad,
         n,
@@ -244,19 +287,19 @@ def fit_pulse(  # type: ignore[no-untyped-def]
             p[a] = p[a + 3]
         count -= 1
         if count > 0:
-            chi = fit(p, count, y, weight, pad, n, prior, limits, look, sums, work)
-            evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
+            chi = fit(p, count, white, weight, pad, n, prior, limits, look, sums, work)
+            evaluate(p, count, white, weight, pad, n, look, residual, basis, window)
     if count == 0:
-        return 0, base, noise, np.nan
+        return 0, base, marginal, np.nan
     if _by_time(p, count):
-        evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
+        evaluate(p, count, white, weight, pad, n, look, residual, basis, window)
     while True:
         freedom = max(used - 3.0 * count - 1.0, 1.0)
         misfit = chi / (freedom * variance)
         final, freedom = posterior(chi, freedom, known)
         information = WEAK
         if channel[3] > 0.0:
-            information = final / max(channel[1] * channel[1], 1e-4 * final)
+            information = _information(final, channel[1] * kind.level)
         _standard_errors(p, count, weight, math.sqrt(final), information, sums, work, errors)
         k = _least_known(p, count, errors) if count > 1 else -1
         if k < 0:
@@ -264,9 +307,15 @@ def fit_pulse(  # type: ignore[no-untyped-def]
         for a in range(3 * k + 1, 3 * count - 2):
             p[a] = p[a + 3]
         count -= 1
-        chi = fit(p, count, y, weight, pad, n, prior, limits, look, sums, work)
-        evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
-    return count, base, math.sqrt(final), misfit
+        chi = fit(p, count, white, weight, pad, n, prior, limits, look, sums, work)
+        evaluate(p, count, white, weight, pad, n, look, residual, basis, window)
+    return count, base, math.sqrt(final / kind.innovation), misfit
+
+
+@inlined
+def _information(variance, sd):  # type: ignore[no-untyped-def]
+    """Information of a level known to `sd`, in samples of noise of this variance."""
+    return variance / max(sd * sd, 1e-4 * variance)
 
 
 @inlined
@@ -305,6 +354,7 @@ def fit_all(  # type: ignore[no-untyped-def]
     top,
     channels,
     channel_of,
+    kind,
     settings,
     most,
     length,
@@ -315,7 +365,7 @@ def fit_all(  # type: ignore[no-untyped-def]
     misfit,
     echoes,
 ):
-    """The waveforms `rows` of a batch, all of one sample spacing; how many echoes.
+    """The waveforms `rows` of a batch, all of one sample spacing and kind of noise; how many echoes.
 
     Parameters
     ----------
@@ -323,6 +373,7 @@ def fit_all(  # type: ignore[no-untyped-def]
     top : saturation per waveform [DN].
     channels, channel_of : (c, 4) baseline, its standard deviation, noise [DN] and freedom of the receiver's channels,
         and every waveform's channel; the last is all zeros: unknown.
+    kind : `Kind` of their noise.
     settings : `Settings`.
     most, length : echoes at most; samples of the longest waveform.
     look : `Lookup`.
@@ -345,6 +396,7 @@ def fit_all(  # type: ignore[no-untyped-def]
     )
     spare = (np.zeros(padded), np.empty(length), np.empty(size), np.empty(size), np.zeros(most, np.bool_))
     y, weight, p, errors = np.zeros(padded), np.zeros(padded), np.empty(size), np.empty(size)
+    white = np.zeros(padded) if len(kind.phi) > 0 else y
     bins, drop = np.empty(BINS + 1, np.int32), np.zeros(most, np.bool_)
     pad = look.before + 2
     total = 0
@@ -353,9 +405,25 @@ def fit_all(  # type: ignore[no-untyped-def]
         channel = channels[channel_of[w]]
         spare[0][pad + n : pad + n + look.after + 2] = 0.0
         found, base, sigma, chi = fit_pulse(
-            samples, first, n, top[w], channel, settings, most, look, p, errors, y, weight, bins, work, spare
+            samples,
+            first,
+            n,
+            top[w],
+            channel,
+            kind,
+            settings,
+            most,
+            look,
+            p,
+            errors,
+            y,
+            white,
+            weight,
+            bins,
+            work,
+            spare,
         )
-        baseline[w], noise[w], misfit[w] = p[0] + base, sigma, chi
+        baseline[w], noise[w], misfit[w] = p[0] / kind.level + base, sigma, chi
         if found == 0:
             count[w] = 0
             continue
@@ -371,7 +439,7 @@ def fit_all(  # type: ignore[no-untyped-def]
             echoes.width_sigma[total] = errors[a + 2]
             reach = FWHM_PER_SIGMA * p[a + 2]
             rms = _rms_near(work[0], weight, pad, n, p[a + 1], reach)
-            echoes.deviation[total] = 1000.0 * rms / p[a]
+            echoes.deviation[total] = 1000.0 * rms / (math.sqrt(kind.innovation) * p[a])
             echoes.flags[total] = _flags(p, found, k, y, pad, n, top[w] - base, chi, settings.poor_misfit, drop)
             total += 1
             kept += 1

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.decompose.params import PulseParams
+from fwclass.decompose.system_pulse import Channel
 from fwclass.hashing import hashed
 from fwclass.schema import Table
 from fwclass.waveforms import RETURN_COLUMNS, Waveforms
@@ -53,3 +54,13 @@ def rows_of(waves: Waveforms, rows: NDArray) -> Waveforms:
     offsets = np.concatenate([[0], np.cumsum(length)]).astype(np.int64)
     at = np.arange(offsets[-1]) + np.repeat(waves.offsets[rows] - offsets[:-1], length)
     return Waveforms(waves.pulses.take(rows), Table.empty(RETURN_COLUMNS), waves.samples[at], offsets)
+
+
+def of_channel(waves: Waveforms, channel: Channel, most: int) -> Waveforms:
+    """The waveforms of a channel of the receiver, by (pulse, segment); every n-th of them where they hold more than
+    `most` samples."""
+    spacing, top = (waves.pulses[name].astype(np.float64) for name in ("sample_spacing", "saturation"))
+    order = np.lexsort((waves.pulses["segment_start"], waves.pulses["pulse"]))
+    mine = order[((spacing == channel.sample_spacing) & (top == channel.saturation))[order]]
+    length = int(np.diff(waves.offsets)[mine].sum())
+    return rows_of(waves, mine[:: max(-(-length // most), 1)])

@@ -16,7 +16,8 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
-from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.autoregression import WHITE, Autoregression
+from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.units import FWHM_PER_SIGMA
 
 WIDTH_STEP = 0.05
@@ -50,6 +51,13 @@ class Lookup(NamedTuple):
         the peak.
     energy : sum of squares of the pulse.
     before, after : samples that a profile reaches at most before and after an echo.
+    starts : what a peak behind the matched filter tells of its echo, (cells, 3): curvature of its logarithm, width of
+        the echo, height of the echo over the peak's; empty for white noise, where Gaussians tell it.
+    chances : independent chances of noise to look like an echo, over those of white noise.
+    pulse_gain : root of the energy, over that of the pulse itself.
+
+    For noise that is correlated all profiles are filtered by what makes it white; a level of b is then b times the sum
+    of that filter.
     """
 
     table: NDArray[np.float32]
@@ -66,6 +74,9 @@ class Lookup(NamedTuple):
     energy: float
     before: int
     after: int
+    starts: NDArray[np.float64]
+    chances: float
+    pulse_gain: float
 
 
 @dataclass(frozen=True)
@@ -134,8 +145,10 @@ def fits_spacing(pulse: SystemPulse, spacing: NDArray[np.float64]) -> NDArray[np
         return np.asarray((per_pulse >= COARSEST) & (per_pulse <= FINEST))
 
 
-def lookup(pulse: SystemPulse, spacing: float, narrowest: float, widest: float) -> Lookup:
-    """The table for echoes from `narrowest` to `widest` pulse widths at a sample spacing [ns]."""
+def lookup(
+    pulse: SystemPulse, spacing: float, narrowest: float, widest: float, noise: Autoregression = WHITE
+) -> Lookup:
+    """The table for echoes from `narrowest` to `widest` pulse widths at a sample spacing [ns], in noise of a kind."""
     profiles = Profiles(pulse)
     low = 1.0 - WIDTH_STEP * math.ceil((1.0 - narrowest) / WIDTH_STEP - 1e-9)
     widths = max(math.ceil((widest - low) / WIDTH_STEP - 1e-9), 1)
@@ -145,6 +158,8 @@ def lookup(pulse: SystemPulse, spacing: float, narrowest: float, widest: float) 
     first = np.floor(reach[:, 0] / spacing).astype(np.int64)
     length = np.ceil(reach[:, 1] / spacing).astype(np.int64) + 2 - first
     length += -length % LANES
+    taps = noise.filter
+    longer = len(taps) - 1 + -(len(taps) - 1) % LANES
     table = np.zeros((widths, phases, 6, int(length.max())), np.float32)
     score = np.empty((widths, 3))
     fine = spacing / (2 * phases)
@@ -155,8 +170,21 @@ def lookup(pulse: SystemPulse, spacing: float, narrowest: float, widest: float) 
         for phase in range(phases):
             at = 2 * phases - 2 * phase
             table[k, phase, :, : length[k]] = parts[:, at : at + 2 * phases * length[k] : 2 * phases]
+    if noise.phi:
+        plain, length = table, length + longer
+        table = np.zeros((*table.shape[:3], table.shape[3] + longer), np.float32)
+        for lag, tap in enumerate(taps):
+            table[..., lag : lag + plain.shape[3]] += np.float32(tap) * plain
+    for k in range(widths):
         score[k] = _score(table[k, 0].astype(np.float64))
-    template, template_first, response, response_first, energy = _template(profiles, spacing)
+    template, template_first, response, response_first, energy = _template(profiles, spacing, noise)
+    starts, chances, gain = np.empty((0, 3)), 1.0, 1.0
+    if noise.phi:
+        _, _, usual, _, plain_energy = _template(profiles, spacing, WHITE)
+        chances, gain = math.sqrt(_fall(response) / _fall(usual)), math.sqrt(energy / plain_energy)
+        starts = _starts(
+            table[:, 0, 0].astype(np.float64), first, template, template_first, np.asarray(edges[1::2] / spacing)
+        )
     return Lookup(
         table.reshape(widths * phases, 6, -1),
         first,
@@ -172,7 +200,35 @@ def lookup(pulse: SystemPulse, spacing: float, narrowest: float, widest: float) 
         energy,
         -int(first.min()) + 1,
         int((first + length).max()) + 1,
+        starts,
+        chances,
+        gain,
     )
+
+
+def _fall(response: NDArray[np.float64]) -> float:
+    """How far the matched filter's answer falls from its peak to the next samples."""
+    top = int(response.argmax())
+    return float(1.0 - 0.5 * (response[top - 1] + response[top + 1]) / response[top])
+
+
+def _starts(
+    profiles: NDArray[np.float64],
+    first: NDArray[np.int64],
+    template: NDArray[np.float64],
+    template_first: int,
+    widths: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """`Lookup.starts` of echoes with these profiles (k, samples) and widths [samples], the sharpest peak first."""
+    found = []
+    for profile, before, width in zip(profiles, first, widths, strict=True):
+        answer = np.correlate(profile, template, "full")
+        peak = template_first + len(template) - 1 - int(before)
+        if not 0 < peak < len(answer) - 1 or not (answer[peak - 1 : peak + 2] > 0.0).all():
+            continue
+        left, middle, right = np.log(answer[peak - 1 : peak + 2])
+        found.append((2.0 * middle - left - right, width, 1.0 / answer[peak]))
+    return np.array(sorted(found, reverse=True)).reshape(-1, 3)
 
 
 def _quadratic(
@@ -203,16 +259,28 @@ def _score(parts: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([inverse[0, 0], inverse[0, 1], inverse[1, 1]])
 
 
-def _template(profiles: Profiles, spacing: float) -> tuple[NDArray[np.float64], int, NDArray[np.float64], int, float]:
-    """Matched filter of the pulse itself, its first sample, its answer to the pulse, and the energy of the pulse."""
+def _template(
+    profiles: Profiles, spacing: float, noise: Autoregression
+) -> tuple[NDArray[np.float64], int, NDArray[np.float64], int, float]:
+    """Matched filter of the pulse itself, its first sample, its answer to the pulse, that answer's first sample, and
+    the energy of the pulse, all in samples made white."""
     start, stop = (int(v) for v in np.round(np.array(profiles.reach(profiles.s0)) / spacing))
     h = profiles.at(profiles.s0, start, stop - start + 1, spacing)
     high = np.flatnonzero(h > TEMPLATE_FOOT)
-    used = h[high[0] : high[-1] + 1]
+    h = np.convolve(h, noise.filter) if noise.phi else h
+    used = h[high[0] : high[-1] + 1 + len(noise.phi)]
     energy = float(used @ used)
     first = start + int(high[0])
     last = first + len(used) - 1
     return used / energy, first, np.correlate(h, used / energy, "full"), start - last, energy
+
+
+def height_error(pulse: SystemPulse, channel: Channel) -> float:
+    """Standard deviation of the matched filter's output, as a share of the channel's noise."""
+    if not channel.phi:
+        return math.sqrt(channel.sample_spacing / pulse.energy)
+    energy = _template(Profiles(pulse), channel.sample_spacing, channel.autoregression)[4]
+    return math.sqrt(channel.autoregression.innovation / energy)
 
 
 def widths_of(pulse: SystemPulse, narrowest: float, widest: float) -> Widths:

@@ -215,5 +215,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=3)
+PULSE = Computation(name="pulse", version=4)
 DECOMPOSE = Computation(name="decompose", version=5, writes=ECHO_COLUMNS)

@@ -10,10 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.decompose.autoregression import Autoregression
 from fwclass.errors import InputError
 from fwclass.units import FWHM_PER_SIGMA
 
-MOST_VALUES, MOST_CHANNELS = 100_000, 64
+MOST_VALUES, MOST_CHANNELS, MOST_ORDER = 100_000, 64, 64
 """Limits of a stored pulse."""
 
 
@@ -27,6 +28,8 @@ class Channel:
     saturation : highest value that the digitiser can record [DN].
     baseline, baseline_sd : mean level of its waveforms, and how it differs between waveforms beyond the noise [DN].
     noise : standard deviation of the noise within a waveform, rounding included [DN].
+    phi : how the noise of neighbouring samples hangs together, see `Autoregression`; empty: white.
+    growth : what a DN of signal adds to the variance of the noise [DN].
     clip : highest value that its samples reach [DN]: `saturation`, or less where the digitiser has fewer bits than
         its samples are stored in.
     freedom : how well `noise` holds for every single waveform, as the number of samples whose own estimate would be
@@ -40,6 +43,16 @@ class Channel:
     noise: float
     freedom: float
     clip: float
+    phi: tuple[float, ...] = ()
+    growth: float = 0.0
+
+    @property
+    def key(self) -> tuple[float, float]:
+        return self.sample_spacing, self.saturation
+
+    @property
+    def autoregression(self) -> Autoregression:
+        return Autoregression(self.phi)
 
 
 @dataclass(frozen=True)
@@ -86,7 +99,8 @@ class SystemPulse:
 
     def to_json(self) -> dict[str, Any]:
         """Numbers, texts and lists of them, as `from_json` takes them."""
-        return {**asdict(self), "values": self.values.tolist(), "channels": [asdict(c) for c in self.channels]}
+        channels = [{**asdict(c), "phi": list(c.phi)} for c in self.channels]
+        return {**asdict(self), "values": self.values.tolist(), "channels": channels}
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any], where: object = "") -> SystemPulse:
@@ -180,6 +194,17 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             noise=_number(one, "noise", where, 0.0, 2.0**32),
             freedom=_number(one, "freedom", where, 0.0, 1e9),
             clip=_number(one, "clip", where, 0.0, 2.0**32),
+            phi=_coefficients(one["phi"], where),
+            growth=_number(one, "growth", where, 0.0, 2.0**32),
         )
         for one in stored
     )
+
+
+def _coefficients(stored: object, where: object) -> tuple[float, ...]:
+    if not isinstance(stored, list | tuple) or len(stored) > MOST_ORDER:
+        raise _refusal("coefficients of another kind", where, f"at most {MOST_ORDER} numbers", type(stored).__name__)
+    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in stored)
+    if not numbers or not Autoregression(tuple(stored)).stationary:
+        raise _refusal("coefficients of no stationary noise", where, "partial correlations within -1 to 1", stored)
+    return tuple(float(v) for v in stored)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,8 @@ from fwclass.decompose.envelope import Envelope
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.plausible import UNKNOWN, Surroundings
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
-from fwclass.decompose.quiet import QuietNoise, quiet_noise
+from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
+from fwclass.decompose.signal_noise import with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.layout import FileDigests, Strip
@@ -139,7 +140,7 @@ def waveforms_of(part: str, inputs: PartInputs, returns: bool = True) -> Wavefor
     )
 
 
-def measured_pulse(here: StageInputs, params: PulseParams, cell: float) -> Made:
+def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) -> Made:
     """The system's pulse and the receiver of a strip, from a sample of its waveforms; the envelope of its returns."""
     parts, inputs, directory = here.parts("read"), here.inputs, here.directory
     strip, pulses = int(here.part), int(inputs.meta("index", here.part)["pulses"])
@@ -151,14 +152,15 @@ def measured_pulse(here: StageInputs, params: PulseParams, cell: float) -> Made:
     )
     if samples:
         sample = join_samples(samples)
-        pulse = estimate_pulse(sample, params)
+        pulse = with_correlated_noise(estimate_pulse(sample, params), sample, fit)
+        pulse = with_signal_noise(pulse, sample, fit)
     write_json(directory / PULSE_FILE, pulse.to_json())
     if sampled:
-        noise = quiet_noise(sample, pulse, params.tail)
+        noise = quiet_noise(sample, pulse, fit)
         returns = (inputs.table("read", part, "xyz", "returns.parquet") for part in parts)
-        envelope = Envelope.of(returns, cell)
+        envelope = Envelope.of(returns, fit.envelope_cell)
         ends = {n: v if np.isfinite(v) else None for n, v in (("bottom", envelope.bottom), ("top", envelope.top))}
-        attributes = {"cell": cell, **ends, **asdict(noise)}
+        attributes = {"cell": fit.envelope_cell, **ends, **asdict(noise)}
         write_arrays(directory / ENVELOPE, {"keys": envelope.keys, "lowest": envelope.lowest}, attributes)
     return {
         "pulse": describe(pulse),
@@ -181,7 +183,7 @@ def surroundings_of(strip: int, inputs: PartInputs) -> Surroundings:
     arrays, facts = inputs.arrays("pulse", part, ENVELOPE)
     bottom, top = (np.nan if facts[n] is None else facts[n] for n in ("bottom", "top"))
     envelope = Envelope(facts["cell"], arrays["keys"], arrays["lowest"], bottom, top)
-    return Surroundings(envelope, QuietNoise(facts["lag1"], facts["inflation"], facts["samples"]))
+    return Surroundings(envelope, QuietNoise(**{f.name: facts[f.name] for f in fields(QuietNoise)}))
 
 
 def strip_of(chunk: str) -> int:
@@ -259,7 +261,7 @@ MEASURE_PULSE = Stage(
     measured_pulse,
     parts=_strips_with_waves,
     waves=True,
-    arguments=lambda plan: {"params": plan.config.pulse, "cell": plan.config.decompose.envelope_cell},
+    arguments=lambda plan: {"params": plan.config.pulse, "fit": plan.config.decompose},
     after=("index", "read"),
     needs=lambda plan, strip: [index_name(strip), *(("read", s.key) for s in spans_of(plan, strip))],
 )

@@ -102,7 +102,7 @@ class FileStrip:
         return pulse_of(self.number, self._inputs())
 
     def noise(self) -> Mapping[str, Any]:
-        """What its noise is like: ``lag1, inflation, quiet_samples``."""
+        """What its noise is like, see `QuietNoise.told`."""
         if not self.source.has_waves:
             return UNKNOWN.noise.told
         meta = self._measure().meta

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,10 @@ from fwclass.decompose.least_squares import evaluate
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
+from fwclass.decompose.quiet import with_correlated_noise
 from fwclass.decompose.shapes import lookup
-from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.signal_noise import with_signal_noise
+from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.schema import Table
 from fwclass.waveforms import PULSE_COLUMNS, Waveforms
 
@@ -101,6 +104,13 @@ def samples(rng: np.random.Generator) -> np.ndarray:
     return np.clip(np.rint(y + rng.normal(0.0, rng.choice([0.0, 0.5, 30.0]), n)), 0, 65535).astype(np.uint16)
 
 
+COLOURED = tuple(
+    Channel(step, 65535.0, 5.0, 1.0, 2.0, 20.0, 65535.0, phi, growth)
+    for step, phi, growth in ((0.5, (0.5, 0.1, -0.2, 0.3), 0.0), (1.0, (-0.6,), 0.2), (2.0, (1.4, -0.5), 1e4))
+)
+"""Receivers whose noise is correlated, and grows with the signal."""
+
+
 def evaluate_anywhere() -> None:
     """The model at times and widths that no fit should ask for."""
     n, look = 12, lookup(long_pulse(), 1.0, PARAMS.narrowest, PARAMS.widest)
@@ -120,6 +130,7 @@ def drive(inputs: int, seed: int) -> int:
     many = DecomposeParams(**(BASE["decompose"] | MANY))
     few = DecomposeParams(**(BASE["decompose"] | {"max_echoes": 1, "narrowest": 0.05}))
     pulses = (long_pulse(), long_pulse(8.0, 60.0), long_pulse(60.0, 5.0), *map(SystemPulse.gaussian, (0.7, 2.0, 60.0)))
+    pulses += tuple(replace(p, channels=COLOURED) for p in pulses)
     for done in range(0, inputs, 50):
         batch = [samples(rng) for _ in range(min(inputs - done, 50))]
         for w in ([one] for one in batch[:3]):
@@ -127,7 +138,8 @@ def drive(inputs: int, seed: int) -> int:
         pulse = pulses[(done // 50) % len(pulses)]
         for params in (PARAMS, many, few) if inputs > 100 else (PARAMS,):
             fit_waveforms(waves(batch, float(rng.choice([0.5, 1.0, 2.0]))), params, pulse)
-        estimate_pulse(waves(batch), PulseParams(**BASE["pulse"] | {"min_echoes": 8}))
+        estimated = estimate_pulse(waves(batch), PulseParams(**BASE["pulse"] | {"min_echoes": 8}))
+        with_signal_noise(with_correlated_noise(estimated, waves(batch), PARAMS), waves(batch), PARAMS)
     for rows in (0, 1, 2, 9):
         pulse, xyz, found = np.sort(rng.integers(0, 4, rows)), rng.normal(0, 1e300, (rows, 3)), np.empty(rows, np.int64)
         nearest_of_pulse(pulse, xyz, pulse[: rows // 2], xyz * np.nan, found)

@@ -8,13 +8,18 @@ from lasmaker import correlated, digitise
 from wavemaker import survey_mix, waves_of
 
 from fwclass.decompose.envelope import Envelope
+from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.decompose.plausible import renumbered
-from fwclass.decompose.quiet import quiet_noise
-from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.pulse_estimate import estimate_pulse
+from fwclass.decompose.quiet import quiet_noise, with_correlated_noise
+from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.schema import Table
 from fwclass.waveforms import IMPLAUSIBLE
 
-PULSE = SystemPulse.gaussian(4.0)
+
+@pytest.fixture(scope="module")
+def params(base):
+    return DecomposeParams(**base["decompose"])
 
 
 @pytest.mark.parametrize("cut", [1, 7])
@@ -41,24 +46,30 @@ def test_a_strip_without_returns_has_no_envelope():
 
 
 @pytest.mark.parametrize(("lag1", "least", "most"), [(0.0, 1.0, 1.1), (0.6, 1.5, 2.3)])
-def test_the_noise_is_measured_where_no_echo_reaches(lag1, least, most):
+def test_the_noise_is_measured_where_no_echo_reaches(params, lag1, least, most):
     samples = [digitise(20.0 + 3.0 * row) for row in correlated(400, 200, lag1)]
     for k in range(0, 400, 2):  # every second waveform has an echo of 100 DN with a tail
         samples[k][80:120] += (100.0 * np.exp(-np.arange(40) / 6.0)).astype(np.uint8)
-    found = quiet_noise(waves_of(samples), PULSE, 60.0)
-    assert abs(found.lag1 - lag1) < 0.05 and least <= found.inflation <= most
+    waves, channel = waves_of(samples), Channel(1.0, 255.0, 20.0, 0.1, 3.0, 1000.0, 255.0)
+    pulse = SystemPulse("gaussian", 4.0, channels=(channel,))
+    found = quiet_noise(waves, pulse, params)
+    assert abs(found.lag1 - lag1) < 0.05 and least <= found.inflation <= most and found.order == 0
     assert found.samples < 200 * 200 + 200 * 160
+    known = with_correlated_noise(pulse, waves, params)
+    left = quiet_noise(waves, known, params)
+    assert abs(left.lag1 - lag1) < 0.05 and left.inflation < 1.1 and left.order == len(known.channels[0].phi)
 
 
-def test_white_noise_in_short_records_is_not_taken_for_correlated():
+def test_white_noise_in_short_records_is_not_taken_for_correlated(base, params):
     waves, _ = survey_mix(3000, seed=5)
-    found = quiet_noise(waves, SystemPulse.gaussian(3.5), 60.0)
-    assert found.lag1 is None or abs(found.lag1) < 0.1
+    found = quiet_noise(waves, estimate_pulse(waves, PulseParams(**base["pulse"])), params)
+    assert abs(found.lag1) < 0.1
 
 
-def test_nothing_is_said_of_too_few_samples():
-    assert quiet_noise(waves_of([np.full(30, 10, np.uint8)] * 3), PULSE, 60.0).lag1 is None
-    assert quiet_noise(waves_of([]), PULSE, 60.0).inflation == 1.0
+def test_nothing_is_said_of_too_few_samples(params):
+    pulse = SystemPulse("gaussian", 4.0, channels=(Channel(1.0, 255.0, 10.0, 0.1, 0.5, 20.0, 255.0),))
+    assert quiet_noise(waves_of([np.full(30, 10, np.uint8)] * 3), pulse, params).lag1 is None
+    assert quiet_noise(waves_of([]), pulse, params).inflation == 1.0
 
 
 def test_plausible_echoes_are_numbered_first():

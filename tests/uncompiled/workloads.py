@@ -27,9 +27,10 @@ from fwclass.columns import FEATURES
 from fwclass.decompose.least_squares import evaluate
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.pulse_estimate import estimate_pulse
+from fwclass.decompose.quiet import with_correlated_noise
 from fwclass.decompose.shapes import lookup
 from fwclass.decompose.stage import decompose
-from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.features.stage import features
 from fwclass.formats.wkb import shapes
 from fwclass.grid import Tile, Window
@@ -256,6 +257,14 @@ def work_decompose(_: Path) -> Any:
     }.items():
         found[name] = decompose(waves, 0, params, SystemPulse.gaussian(3.5))
     return found
+
+
+def work_correlated_noise(_: Path) -> Any:
+    params, noise = conf.section("decompose"), {"phi": (0.5,), "growth": 0.05}
+    waves, _truth = wavemaker.survey_mix(60, seed=4, **noise)
+    channel = Channel(1.0, 255.0, 10.0, 0.1, 1.5, 18.0, 255.0, (0.45, 0.02), 0.04)
+    pulse = SystemPulse("gaussian", 3.5, channels=(channel,))
+    return with_correlated_noise(pulse, waves, params), decompose(waves, 0, params, pulse)
 
 
 def work_estimated_pulse(_: Path) -> Any:

@@ -11,8 +11,7 @@ def describe(found: dict[str, Any]) -> str:
     kind = "a Gaussian" if shape["shape"] == "gaussian" else f"measured on {shape['echoes']:,} echoes"
     lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
     if found["noise"]["lag1"] is not None:
-        times = f", {found['noise']['inflation']:.2f} times that of white noise after the matched filter"
-        lines.append(f"noise        neighbouring samples correlate by {found['noise']['lag1']:.2f}{times}")
+        lines.append(f"noise        {_noise_words(found['noise'])}")
     if "waveforms" in found:
         lines.append(f"waveforms    {found['waveforms']:,} with {found['echoes']:,} echoes")
     for pulse in found["pulses"]:
@@ -22,6 +21,16 @@ def describe(found: dict[str, Any]) -> str:
     elif "waveforms" in found:
         lines += ["", "the file has no vendor returns to compare with"]
     return "\n".join([*lines, "", f"pictures     {found['png']}", f"             {found['pulse_png']}"])
+
+
+def _noise_words(noise: dict[str, Any]) -> str:
+    words = [f"neighbouring samples correlate by {noise['lag1']:.2f}"]
+    if noise["noise_order"]:
+        words.append(f"the fit takes the last {noise['noise_order']} into account")
+    words.append(f"after the matched filter it is {noise['inflation']:.2f} times what the fit takes it for")
+    if noise["noise_growth"]:
+        words.append(f"its variance grows by {noise['noise_growth']:.3g} DN with every DN of signal")
+    return "; ".join(words)
 
 
 def _pulse_lines(pulse: dict[str, Any]) -> list[str]:
