@@ -230,7 +230,7 @@ def link_table(inputs: PartInputs, part: str) -> Table:
 
 INDEX = Stage(
     "index",
-    2,
+    3,
     "strip",
     "point",
     index,

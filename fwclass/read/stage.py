@@ -74,4 +74,4 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     )
 
 
-READ = Computation("read", 3)
+READ = Computation("read", 4)
