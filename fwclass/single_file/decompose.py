@@ -82,7 +82,7 @@ def decompose_file(
     with strip_of(opened, settings) as strip:
         tables = list(strip.echoes())
         pulse, pulses, noise = strip.pulse(), strip.pulses, strip.noise()
-        faults, counts = strip.faults(), strip.counts()
+        faults, counts, places = strip.faults(), strip.counts(), strip.places()
     if not tables:
         raise InputError(
             "the file has no points and no pulses", where=source, do="check the delivery; there is nothing to decompose"
@@ -96,7 +96,7 @@ def decompose_file(
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
     write_tile_laz(delivered, output, system, params["publish"], standard_time=opened.standard_gps_time)
-    near, judged = fit.vendor_tolerance, of_strip(source.stem, opened.n_points, counts, noise)
+    near, judged = fit.vendor_tolerance, of_strip(source.stem, opened.n_points, counts, noise, places)
     lone = judged["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
     rows = [

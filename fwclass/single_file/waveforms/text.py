@@ -13,6 +13,7 @@ def describe(found: dict[str, Any]) -> str:
     if found["noise"]["lag1"] is not None:
         times = f", {found['noise']['inflation']:.2f} times that of white noise after the matched filter"
         lines.append(f"noise        neighbouring samples correlate by {found['noise']['lag1']:.2f}{times}")
+    lines += [f"places       {text}" for text in found["places"]["remarks"]]
     if "waveforms" in found:
         lines.append(f"waveforms    {found['waveforms']:,} with {found['echoes']:,} echoes")
     for pulse in found["pulses"]:
