@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import visible
 from fwclass.formats.flat import flat_faults
+from fwclass.read.beams import beam_fault
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, looked_into
 from fwclass.read.pls_info import describe_pulses, pulse_info
@@ -120,6 +121,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
             *source.faults,
             *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
             *_faults(source, tally, step),
+            *filter(None, [beam_fault(source)]),
         ],
     }
 

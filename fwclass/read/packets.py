@@ -74,12 +74,14 @@ class References:
     step: NDArray[np.float64]
 
     @classmethod
-    def of(cls, points: Any) -> References:
-        """From a laspy record of point format 4, 5, 9 or 10."""
+    def of(cls, points: Any, mirrored: bool = False) -> References:
+        """From a laspy record of point format 4, 5, 9 or 10; `mirrored`: with the horizontal parts turned round."""
         a = points.array
         with np.errstate(invalid="ignore"):  # a NaN that signals stays a NaN: no packet of it is usable
             step = np.stack([np.asarray(a[n], np.float64) for n in ("x_t", "y_t", "z_t")], axis=1)
             location = a["return_point_wave_location"].astype(np.float64)
+        if mirrored:
+            step[:, :2] *= -1.0
         return cls(a["wavepacket_index"], a["wavepacket_offset"], a["wavepacket_size"], location * 1e-3, step * 1e3)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.formats.flat import flat_faults
+from fwclass.read.beams import beam_fault
 from fwclass.read.pls_waves import FAULTS, SILENT, Found, Samplings, blocks_of, reach
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
 from fwclass.read.quantities import WORDS, quantities_of
@@ -96,6 +97,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
             *source.faults,
             *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
             *_faults(source, tally),
+            *filter(None, [beam_fault(source)]),
         ],
     }
 
