@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from wdzmaker import packed
 
 METRES_PER_NS = 0.299792458 / 2 / 1.000273
 FWHM = 2 * np.sqrt(2 * np.log(2))
@@ -123,7 +124,8 @@ def write_las(
     scale: float = 0.001,
     wave: Mapping[str, ArrayLike] | None = None,
 ) -> Path:
-    """Write a LAS file, and its WDP beside it if `where` is ``external``.
+    """Write a LAS file, and its WDP (WDZ where a descriptor says that packets are compressed) beside it if `where` is
+    ``external``.
 
     Parameters
     ----------
@@ -169,7 +171,9 @@ def write_las(
     tail = evlr_head(wave_user, 65535, len(packets)) + packets if internal else b""
     path.write_bytes(head + b"".join(records) + body + tail)
     if packets and where == "external":
-        path.with_suffix(".wdp").write_bytes(evlr_head(wave_user, 65535, len(packets)) + packets)
+        compressed = any(d.compression for d in descriptors.values())
+        beside = path.with_suffix(".wdz" if compressed else ".wdp")
+        beside.write_bytes(evlr_head(wave_user, 65535, len(packets)) + packets)
     return path
 
 
@@ -178,7 +182,10 @@ def _fill_waves(wave, waveforms, descriptor_of, pulse, location, step, descripto
     blobs = []
     for samples, kind in zip(waveforms, kinds, strict=True):
         known = descriptors.get(kind)
-        blobs.append(np.asarray(samples, "<u2" if known and known.bits > 8 else "u1").tobytes())
+        if known and known.compression == 1:
+            blobs.append(packed(samples, known.bits))
+        else:
+            blobs.append(np.asarray(samples, "<u2" if known and known.bits > 8 else "u1").tobytes())
     sizes = np.array([len(b) for b in blobs], "u8")
     starts = 60 + np.concatenate([[0], np.cumsum(sizes)]).astype("u8")
     owner = np.arange(len(wave)) if pulse is None else np.asarray(pulse)

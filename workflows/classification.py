@@ -17,7 +17,7 @@ from fwclass.graph.radiometry import (
     READ_TRAJECTORY,
 )
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
-from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PULSE, READ_SPAN
+from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
@@ -33,6 +33,7 @@ classification = Workflow(
         INDEX,
         READ_SPAN,
         MEASURE_PULSE,
+        MEASURE_PLACES,
         DECOMPOSE_WAVES,
         DECOMPOSE_RETURNS,
         # echoes to tiles

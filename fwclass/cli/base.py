@@ -78,4 +78,9 @@ ACCEPT_IMPLAUSIBLE = click.option(
     is_flag=True,
     help="Do not end with exit code 4 where echoes are implausible (plausibility).",
 )
+MIRROR_BEAMS = click.option(
+    "--mirror-beams",
+    is_flag=True,
+    help="Turn the horizontal parts of all beams round (read.mirror_beams): some converters stored them so.",
+)
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, OVERWRITE, PATH, SET, cli
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, JSON, MIRROR_BEAMS, OVERWRITE, PATH, SET, cli
 from fwclass.errors import FAILED, FwclassError
 
 
@@ -94,6 +94,7 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
 @SET
 @OVERWRITE
 @ACCEPT_IMPLAUSIBLE
+@MIRROR_BEAMS
 def decompose(
     source: Path,
     output: Path,
@@ -103,6 +104,7 @@ def decompose(
     settings: tuple[str, ...],
     overwrite: bool,
     accept_implausible: bool,
+    mirror_beams: bool,
 ) -> None:
     """One file: waveforms to echoes with extra bytes (LAZ)."""
     from fwclass import conf
@@ -110,6 +112,7 @@ def decompose(
     from fwclass.single_file.decompose import decompose_file
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()
+    settings += ("read.mirror_beams=true",) if mirror_beams else ()
     told, judged = decompose_file(source, output, settings, overwrite, trajectory, undulation, crs)
     click.echo(told, err=True)
     judge(judged, conf.section("plausibility", settings))

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, PATH, RUN, SCHEDULER, SET, WORKERS, cli, little_garbage
+from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, MIRROR_BEAMS, PATH, RUN, SCHEDULER, SET, WORKERS, cli, little_garbage
 from fwclass.cli.runner import open_runner, report_path, tell_failures
 from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, location_of_run, out_directory, requested
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
@@ -146,6 +146,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     "--accept-libraries", is_flag=True, help="Parts made with other versions of libraries are done (see `status`)."
 )
 @ACCEPT_IMPLAUSIBLE
+@MIRROR_BEAMS
 @click.option("--only", metavar="STAGE/PART", help="Make this one part alone, in the plain loop.")
 @click.option(
     "--verify",
@@ -171,6 +172,7 @@ def run(
     keep_going: bool,
     accept_libraries: bool,
     accept_implausible: bool,
+    mirror_beams: bool,
     only: str | None,
     verify: bool,
     report: str | None,
@@ -178,6 +180,7 @@ def run(
     """Run a survey from its files to classified tiles; what is already done is skipped."""
     settings += ("run.accept_libraries=true",) if accept_libraries else ()
     settings += ("plausibility.accept=true",) if accept_implausible else ()
+    settings += ("read.mirror_beams=true",) if mirror_beams else ()
     if only is None:
         how = How(scheduler, workers, not keep_going, report, verify)
         _run(conf, out, settings, chosen(tiles, aoi), workflow, how)

@@ -54,9 +54,13 @@ class DecomposeParams(Params):
     noise_floor : least standard deviation of the noise, from digitisation [DN].
     poor_misfit : reduced chi-square above which a fit is flagged poor.
     vendor_tolerance : a pulse without an echo this close to its anchor return is flagged [ns].
-    register_within : the pulse is shifted so that the echo nearest to its anchor return falls on it, if they are this
-        close [ns]; 0 trusts the stored return location. Without the outgoing pulse the location of some systems
-        jitters by half a sample.
+    vendor_offset : ``auto``: what fitted times differ from the vendor's locations by over the whole strip, a constant
+        and a curve over the echo's height, is taken off where returns show it; ``keep``: locations are taken as stored.
+    offset_echoes : fewer echoes beside a return, of a channel of a strip, show nothing.
+    outgoing_time : ``subtract`` or ``keep`` the time of a recorded outgoing pulse; ``auto``: what makes ranges smooth.
+    register_within : in strips with too few returns to tell, the pulse is shifted so that the echo nearest to its
+        anchor return falls on it, if they are this close [ns]. 0 shifts no pulse, not even where all the strip's
+        locations lack the phase of the digitiser's clock, half a sample.
     tail_share, tail_reach : an echo lower than this share of an earlier one, up to this long after it [ns], is the
         receiver's ringing and is left out; a share of 0 keeps all.
     envelope_cell, envelope_margin : an echo that no return explains is implausible this far below [m] the lowest return
@@ -75,6 +79,9 @@ class DecomposeParams(Params):
     noise_floor: float = Field(gt=0.0)
     poor_misfit: float = Field(gt=0.0)
     vendor_tolerance: float = Field(gt=0.0)
+    vendor_offset: Literal["auto", "keep"]
+    offset_echoes: int = Field(ge=8, le=10_000_000)
+    outgoing_time: Literal["auto", "subtract", "keep"]
     register_within: float = Field(ge=0.0)
     tail_share: float = Field(ge=0.0, lt=1.0)
     tail_reach: float = Field(ge=0.0)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.fitting import OVERLAPPING, Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.placement import Placement, offsets_of, phases_of
 from fwclass.decompose.shapes import height_error
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.schema import Table
@@ -38,25 +39,52 @@ def outgoing_times(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse
     return late
 
 
+PHASE_REACH = 0.65
+"""Samples that a location without the phase of the digitiser's clock is off by at most, the fit's error included."""
+
+
+def origins_of(
+    waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, placement: Placement
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """When every row's time begins to count, after the pulse's time origin [ns], for its place and for its distance
+    from the sensor: at its outgoing pulse, or 0.
+
+    An anchor without a fixed distance from the sensor has nothing to do with when the outgoing pulse left.
+    """
+    nothing = np.zeros(waves.pulses.rows)
+    if not (placement.from_outgoing or placement.range_from_outgoing):
+        return nothing, nothing
+    late = outgoing_times(waves, params, pulse)
+    if params.outgoing_time == "auto":
+        late = np.where(np.isnan(waves.pulses["anchor_range"]), 0.0, late)
+    return late if placement.from_outgoing else nothing, late if placement.range_from_outgoing else nothing
+
+
 def from_anchor(
-    fits: Fits, waves: Waveforms, late: NDArray[np.float64], params: DecomposeParams
+    fits: Fits, waves: Waveforms, late: NDArray[np.float64], params: DecomposeParams, placement: Placement
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """How long after its anchor every echo is [ns], and which echoes are far from what the vendor has.
 
-    Where the anchor is a return, the row is shifted so that the echo nearest to it falls on it, within
-    `register_within`. An echo that overlaps others does not shift its row: the vendor may have seen several as one.
-    Where the anchor is at the sensor, the time origin is when the outgoing pulse left (`late`).
+    What the strip's curve says of the vendor's locations is taken off. Where locations lack the phase of the
+    digitiser's clock, the row is shifted so that the echo nearest to its return falls on it; where the strip has too
+    few returns to tell, too, within `register_within` and by no echo that overlaps others, as the vendor may have seen
+    several as one. Elsewhere the vendor's location holds for the strip, not for the row.
+    Where the anchor is at the sensor, `late` is the time origin.
     """
     pulses = waves.pulses
-    after = fits.time - (pulses["anchor_time"].astype(np.float64) + late)[fits.row]
+    after = fits.time - offsets_of(fits, pulses, placement)
+    after -= (pulses["anchor_time"].astype(np.float64) + late)[fits.row]
     at_return = waves.returns.rows > 0  # a format without returns has the sensor, or a point beside it, for anchor
     distance = np.abs(after)
     gap = np.full(pulses.rows, np.inf)
     np.minimum.at(gap, fits.row, distance)
     nearest = np.flatnonzero(distance == gap[fits.row])[::-1]  # of two equally near ones the first is written last
     shift = np.zeros(pulses.rows)
-    shift[fits.row[nearest]] = after[nearest] * ((fits.flags[nearest] & OVERLAPPING) == 0)
-    shift[gap > params.register_within] = 0.0
+    lacking, unknown = phases_of(pulses, placement)
+    alone = (fits.flags[nearest] & OVERLAPPING) == 0
+    shift[fits.row[nearest]] = after[nearest] * (alone | lacking[fits.row[nearest]])
+    phase = PHASE_REACH * pulses["sample_spacing"] * (params.register_within > 0.0)
+    shift[gap > np.where(lacking, phase, np.where(unknown, params.register_within, 0.0))] = 0.0
     if not at_return:
         return after, np.zeros(len(after), bool)
     far = gap > params.vendor_tolerance

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from fwclass.decompose.fitting import SATURATED, fit_waveforms
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.placing import beams, detection_limits, from_anchor, outgoing_times
+from fwclass.decompose.placement import AS_STORED, Placement
+from fwclass.decompose.placing import beams, detection_limits, from_anchor, origins_of
 from fwclass.decompose.plausible import UNKNOWN, Surroundings, judge, renumbered
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import quantised
@@ -31,7 +32,12 @@ MOST = 255
 
 
 def decompose(
-    waves: Waveforms, strip: int, params: DecomposeParams, pulse: SystemPulse, around: Surroundings = UNKNOWN
+    waves: Waveforms,
+    strip: int,
+    params: DecomposeParams,
+    pulse: SystemPulse,
+    around: Surroundings = UNKNOWN,
+    placement: Placement = AS_STORED,
 ) -> tuple[Table, Table, dict[str, int]]:
     """Echoes of a chunk, and the echo that every return belongs to.
 
@@ -47,6 +53,7 @@ def decompose(
     params : `DecomposeParams`.
     pulse : the system's pulse.
     around : what the echoes are held against, see `plausible`.
+    placement : what the strip tells of its places.
 
     Returns
     -------
@@ -54,7 +61,7 @@ def decompose(
     links : `LINK_COLUMNS`, one row per return, in file order: the nearest echo of its pulse.
     counts : `plausible.COUNTS`.
     """
-    echoes = _fitted(waves, params, pulse)
+    echoes = _fitted(waves, params, pulse, placement)
     kept = _kept(waves, echoes["pulse"])
     if len(kept["pulse"]):
         echoes = {name: np.concatenate([echoes[name], kept[name]]) for name in echoes}
@@ -101,12 +108,12 @@ def returns_without_echo(waves: Waveforms, echoes: Table, links: Table, params: 
     return int((away > params.vendor_tolerance * beams(waves)[1].max()).sum())
 
 
-def _fitted(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> dict[str, NDArray]:
+def _fitted(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, placement: Placement) -> dict[str, NDArray]:
     """Columns of the fitted echoes, by pulse and echo number."""
     fits = fit_waveforms(waves, params, pulse)
     row, pulses = fits.row, waves.pulses
-    late = outgoing_times(waves, params, pulse)
-    after, far = from_anchor(fits, waves, late, params)
+    late, range_late = origins_of(waves, params, pulse, placement)
+    after, far = from_anchor(fits, waves, late, params, placement)
     beam, speed = beams(waves)
     time = pulses["segment_start"].astype(np.float64)[row] + fits.time
     with np.errstate(divide="ignore"):
@@ -115,7 +122,7 @@ def _fitted(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> di
         "pulse": pulses["pulse"][row],
         "origin": np.full(len(row), FITTED, np.uint8),
         "gps_time": pulses["gps_time"][row],
-        "beam_range": pulses["anchor_range"][row] + after * speed[row],
+        "beam_range": pulses["anchor_range"][row] + (after + (late - range_late)[row]) * speed[row],
         "amplitude": fits.amplitude,
         "amplitude_db": decibels,
         "width": fits.width,
@@ -216,4 +223,5 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 
 PULSE = Computation(name="pulse", version=4)
-DECOMPOSE = Computation(name="decompose", version=5, writes=ECHO_COLUMNS)
+PLACES = Computation(name="places", version=1)
+DECOMPOSE = Computation(name="decompose", version=6, writes=ECHO_COLUMNS)

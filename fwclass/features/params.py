@@ -17,6 +17,10 @@ from fwclass.stage import Params
 
 NORMAL = ("normal_x", "normal_y", "normal_z")
 
+LINEAR, COLLINEAR = "linearity", 0.99
+"""Neighbours of a linearity above this, a tenth as wide as long, are a line to radiometry and have no normal: a scan
+line, whose own noise would turn it."""
+
 MAX_NEAREST = 500
 """Echoes of the largest neighbourhood of nearest echoes. The papers take 10 to 100; the time of a search grows with k
 and faster, and 500 echoes lie within 4 to 11 m at 1 to 10 echoes per square metre, which spheres describe better."""

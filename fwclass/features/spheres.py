@@ -12,7 +12,7 @@ from fwclass.features.eigen import SHAPES
 from fwclass.features.gather import LANES, Points, most_in_window, slices, window
 from fwclass.features.measures import CODE, needs
 from fwclass.features.moments import AREA, MOMENTS, STEP, packed_kinds, steps
-from fwclass.features.params import NORMAL, FeaturesParams
+from fwclass.features.params import LINEAR, NORMAL, FeaturesParams
 from fwclass.features.percentiles import BUCKETS
 from fwclass.features.walk import BLOCK, STRIDE, Block, Grid, Scratch, Task, Values, walk
 from fwclass.schema import Scale, Table
@@ -39,7 +39,7 @@ def spheres(chunk: Chunk, asked: Mapping[Scale, Sequence[str]], params: Features
     made: Columns = {}
     normals = Scale("r", round(params.normal_radius * 100))
     plain = {scale: tuple(bases) for scale, bases in asked.items() if scale.kind in "rc"}
-    plain[normals] = (*plain.get(normals, ()), *NORMAL)
+    plain[normals] = tuple(dict.fromkeys((*plain.get(normals, ()), LINEAR, *NORMAL)))
     for kind in "rc":
         for scales in size_classes({scale: bases for scale, bases in plain.items() if scale.kind == kind}):
             made |= _walk(chunk, {scale: plain[scale] for scale in scales})

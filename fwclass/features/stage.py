@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.features.cells import cells, height_in_cell
 from fwclass.features.dense import thinned
 from fwclass.features.nearest import nearest_echoes
 from fwclass.features.orientation import oriented_inclination
-from fwclass.features.params import NORMAL, ORIENTED, Asked, FeaturesParams
+from fwclass.features.params import COLLINEAR, LINEAR, NORMAL, ORIENTED, Asked, FeaturesParams
 from fwclass.features.pulses import MEASURED, pulse_variances
 from fwclass.features.spheres import optimal, spheres
 from fwclass.schema import Scale, Table, require
@@ -22,7 +23,7 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
 
     What each is stands in `fwclass.columns.FEATURES`; names carry the scale. The echo itself and echoes at the same
     place count as neighbours; one at exactly the radius does. ``normal_x, normal_y, normal_z`` is the upward unit
-    normal at ``params.normal_radius``.
+    normal at ``params.normal_radius``, NaN where the neighbours are nearly collinear (`params.COLLINEAR`).
 
     With fewer than three neighbours, or all at one place, everything that comes from the covariance is NaN; on a line
     the inclination, the normal and what refers to the fitted plane are NaN. Heights and shares always have a value;
@@ -51,6 +52,8 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
         made |= pulse_variances(chunk, variances, params)
     if "zc" in asked.plain:
         made["zc"] = height_in_cell(chunk, params)
+    line = made[f"{LINEAR}_r{round(params.normal_radius * 100)}"] > COLLINEAR
+    made |= {name: np.where(line, np.float32(np.nan), made[name]) for name in NORMAL}
     return Table({name: made[name] for name in (*asked.names, *NORMAL)})
 
 
@@ -79,5 +82,5 @@ def named(made: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
     return {f"{base}_{scale.suffix}": values for base, values in made.items()}
 
 
-FEATURES = Computation(name="features", version=6, writes=NORMAL)
+FEATURES = Computation(name="features", version=7, writes=NORMAL)
 """It reads and writes what a list of names asks for: `Asked.reads`, `Asked.reach`."""

@@ -62,7 +62,8 @@ def not_flat(crs: Any, low: Sequence[float], high: Sequence[float], step: float 
 
     Parameters
     ----------
-    crs : `pyproj.CRS` of the coordinates, or None: only then degrees are told from the numbers.
+    crs : `pyproj.CRS` of the coordinates, or None. Beside a projected one, as a user may have named for a file in
+        degrees, the numbers must say twice that they are degrees.
     low, high : least and largest x, y and z; numbers that are not finite say nothing.
     step : of the stored x and y, None where they are text.
     """
@@ -77,15 +78,20 @@ def not_flat(crs: Any, low: Sequence[float], high: Sequence[float], step: float 
         return GEOCENTRIC
     wide, deep, up = (b - a for a, b in zip(low, high, strict=True))
     small = max(abs(low[0]), abs(high[0])) <= LONGEST and max(abs(low[1]), abs(high[1])) <= HIGHEST
-    if crs is not None or not small or not 0.0 < max(wide, deep) <= WIDEST:
+    if not small or not 0.0 < max(wide, deep) <= WIDEST:
         return ""
-    fine = step is not None and step <= FINEST
-    return DEGREES if fine or up > STEEP * max(wide, deep) else ""
+    fine, steep = step is not None and step <= FINEST, up > STEEP * max(wide, deep)
+    return DEGREES if (fine and steep if crs is not None else fine or steep) else ""
+
+
+def _named(crs: Any) -> bool:
+    """A projected system, which the numbers are not of."""
+    return crs is not None and not (crs.is_geographic or crs.is_geocentric)
 
 
 def words(kind: str, crs: Any) -> str:
     """What `not_flat` told, in words: certain where the system says it."""
-    return (_LIKE if crs is None else _WORDS)[kind]
+    return (_LIKE if crs is None or _named(crs) else _WORDS)[kind]
 
 
 def refuse_unless_flat(
@@ -101,7 +107,8 @@ def refuse_unless_flat(
             expected="a projected coordinate system in metres: every distance here is a length, and z is up",
             got=f"{crs.name}; {x}, {y}, {z}" if crs is not None else f"no coordinate system named; {x}, {y}, {z}",
             do="reproject the file first (for example with PDAL's filters.reprojection)"
-            + (", or name the system that its metres are in" if crs is None else ""),
+            + (", or name the system that its metres are in" if crs is None else "")
+            + ("; naming a system (--crs, survey.crs) transforms nothing" if _named(crs) else ""),
         )
 
 

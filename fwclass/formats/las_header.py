@@ -6,6 +6,7 @@ Source: ASPRS LAS 1.4 R15; record layouts of LAS 1.0 to 1.3 are prefixes of it.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -23,6 +24,9 @@ RECORD_LENGTH = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 WPD_FIRST, WPD_LAST, WDP_RECORD = 100, 354, 65535
 SPEC_USERS = ("LASF_Spec", "LAS_Spec")
 """User ids of the specification's own records; the second is a common misspelling."""
+
+PACKET_ENDINGS = (".wdp", ".wdz")
+"""Of the files of packets beside a file of points: as they are, and compressed."""
 
 VLR_HEADER, EVLR_HEADER = 54, 60
 MAX_EVLR_BODY = 1 << 22
@@ -108,7 +112,7 @@ def read_header(path: Path) -> Header:
     except OSError as error:
         raise InputError("cannot open the file", where=path, got=error, do="check the path and its rights") from error
     with stream:
-        if path.suffix.lower() == ".wdp":
+        if path.suffix.lower() in PACKET_ENDINGS:
             raise InputError("this file holds waveforms, not points", where=path, do="give the .las or .laz beside it")
         return _parse(stream, path, size)
 
@@ -262,6 +266,12 @@ def evlr_at(stream: BinaryIO, at: int, size: int) -> Record | None:
     user, number, length = struct.unpack_from("<16sHQ", stream.read(EVLR_HEADER), 2)
     whole = length <= min(MAX_EVLR_BODY, size - at - EVLR_HEADER)
     return Record(text(user), number, at, length, stream.read(length) if whole else b"")
+
+
+def packet_endings(records: Iterable[Record]) -> tuple[str, ...]:
+    """Endings of the file beside that may hold the packets of descriptors, the likeliest first."""
+    described = [r.body for r in records if r.user in SPEC_USERS and WPD_FIRST <= r.number <= WPD_LAST]
+    return PACKET_ENDINGS[::-1] if any(len(b) > 1 and b[1] for b in described) else PACKET_ENDINGS[:1]
 
 
 def text(raw: bytes) -> str:

@@ -28,7 +28,7 @@ from fwclass.ground.stage import TERRAIN
 from fwclass.publish.class_raster import class_raster
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.geoparquet import write_geoparquet
-from fwclass.publish.laz import write_tile_laz
+from fwclass.publish.laz import without_reflectance, write_tile_laz
 from fwclass.publish.palette import colours
 from fwclass.publish.params import PublishParams
 from fwclass.publish.shade import hillshade
@@ -78,14 +78,16 @@ def crs_of(text: str | None) -> CRS | None:
 
 
 def delivered_tile(
-    here: StageInputs, params: PublishParams, columns: Names, crs: str | None, standard_time: bool
+    here: StageInputs, params: PublishParams, columns: Names, crs: str | None, standard_time: bool, calibrated: bool
 ) -> Made:
-    """A tile as LAZ and as GeoParquet."""
+    """A tile as LAZ and as GeoParquet. Without a calibration no LAZ has `reflectance`: other programs show its no-data
+    number as a value."""
     table, directory = here.rows(), here.directory
     for name in ("laz/tiles", "parquet"):
         (directory / name).mkdir(parents=True)
     path = directory / "laz" / "tiles" / f"{here.part}.laz"
-    write_tile_laz(table, path, crs_of(crs), params, standard_time=standard_time)
+    shown = table if calibrated else without_reflectance(table)
+    write_tile_laz(shown, path, crs_of(crs), params, standard_time=standard_time)
     write_geoparquet(table, directory / "parquet" / f"{here.part}.parquet", crs_of(crs), params)
     return {"rows": table.rows}
 
@@ -289,7 +291,7 @@ def _box_of_cells(plan: Plan, block: Tile) -> Box:
 
 DELIVER_TILE = Stage(
     "publish-tile",
-    2,
+    3,
     "tile",
     "echo",
     delivered_tile,
@@ -298,6 +300,7 @@ DELIVER_TILE = Stage(
         "columns": columns_of_tiles(plan),
         "crs": plan.survey.crs,
         "standard_time": plan.survey.standard_time,
+        "calibrated": plan.config.radiometry.calibrates,
     },
     silent=NO_BYTE,
     own=columns_of_tiles,

@@ -7,6 +7,7 @@ from typing import Any
 
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.errors import QualityError
+from fwclass.units import METRES_PER_NS
 
 TOLD_FROM = 0.1
 """Share of the echoes without a return, or of the returns without an echo, from which a remark tells it."""
@@ -17,12 +18,22 @@ RARE = 0.001
 INFLATED = 1.1
 """From so many times the noise that was reckoned with on, it is told."""
 
+OFFSET = 0.05
+"""ns between fitted times and the vendor's locations from which it is told: 7 mm."""
+
 NAMED = 3
 """Strips of a remark that are named."""
 
 
-def of_strip(name: str, returns: int, counts: Mapping[str, int], noise: Mapping[str, Any]) -> dict[str, Any]:
-    """One strip for report.json: counts of echoes and returns, shares of them, and what its noise is like."""
+def of_strip(
+    name: str,
+    returns: int,
+    counts: Mapping[str, int],
+    noise: Mapping[str, Any],
+    places: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """One strip for report.json: counts of echoes and returns, shares of them, what its noise is like, and how its
+    echoes were placed (`placement.describe_placement`)."""
     checked = counts["checked"] if returns else 0
     return {
         "name": name,
@@ -32,6 +43,7 @@ def of_strip(name: str, returns: int, counts: Mapping[str, int], noise: Mapping[
         "implausible_share": counts["implausible"] / checked if checked else None,
         "unmatched_returns_share": counts["returns_without_echo"] / returns if returns else None,
         **noise,
+        "places": places,
     }
 
 
@@ -71,7 +83,43 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
             f"{params.detection:g} standard deviations is in truth {params.detection / worst['inflation']:.1f} "
             f"({_names(some)})"
         )
+    return lines + place_remarks(strips)
+
+
+def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How the echoes of strips were placed, where that is not as the file has it: of ``name`` and ``places``."""
+    told = [(s, c) for s in strips for c in (s["places"] or {}).get("vendor_offset", ())]
+    lines = []
+    some = [(s, c) for s, c in told if max(map(abs, c["offsets"])) >= OFFSET]
+    if some:
+        worst = max((c for _, c in some), key=lambda c: abs(c["constant"]))
+        low, high, metres = worst["offsets"][0], worst["offsets"][-1], abs(worst["constant"]) * METRES_PER_NS
+        walk = ""
+        if len(worst["offsets"]) > 1:
+            walk = f", from {low:.2f} at {worst['heights'][0]:.0f} DN to {high:.2f} at {worst['heights'][-1]:.0f} DN"
+        lines.append(
+            f"fitted times lie {worst['constant']:+.2f} ns ({metres:.2f} m) from the vendor's locations{walk}; this is "
+            f"taken off (decompose.vendor_offset; {_names(_once(s for s, _ in some))})"
+        )
+    some = [(s, c) for s, c in told if c["phase"]]
+    if some:
+        lines.append(
+            "the vendor's locations lack the phase of the digitiser's clock, half a sample: every pulse is placed by "
+            f"its own return (decompose.register_within; {_names(_once(s for s, _ in some))})"
+        )
+    for way in (True, False):
+        times = [s for s in strips if ((s["places"] or {}).get("outgoing_time") or {}).get("from_outgoing") is way]
+        if times:
+            evidence = times[0]["places"]["outgoing_time"]["evidence"]
+            what = "is taken off" if way else "is not taken off"
+            lines.append(
+                f"the time of the recorded outgoing pulse {what}: {evidence} (decompose.outgoing_time; {_names(times)})"
+            )
     return lines
+
+
+def _once(strips: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    return list({s["name"]: s for s in strips}.values())
 
 
 def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> None:

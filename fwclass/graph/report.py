@@ -34,7 +34,7 @@ from fwclass.store.url import Url
 
 REPORT, PAGE = "report.json", "report.html"
 
-SOURCES = ("index", "read", "pulse", "decompose", "split")
+SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
 """Stages whose failed parts leave tiles without some of their echoes."""
 
 JUDGING = ("label", "confusion", "assess")
@@ -262,6 +262,7 @@ def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
 def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, Any] | None:
     """What the echoes of every strip with waveforms look like beside its returns; None without waveforms."""
     noise = {r.part: r.meta for r in _made(runner, "pulse") if r.meta["sampled"]}
+    places = {r.part: r.meta["places"] for r in _made(runner, "places")}
     counts: dict[str, list[dict[str, int]]] = {}
     for receipt in _made(runner, "decompose"):
         counts.setdefault(receipt.part.split("-")[0], []).append(receipt.meta["plausibility"])
@@ -270,7 +271,13 @@ def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, A
         returns[receipt.part.split("-")[0]] += receipt.meta["returns"]
     parts = [(s.path.stem, f"{s.number:05d}") for s in survey.strips]
     strips = [
-        of_strip(name, returns[part], added(counts[part]), {n: noise[part][n] for n in ("lag1", "inflation")})
+        of_strip(
+            name,
+            returns[part],
+            added(counts[part]),
+            {n: noise[part][n] for n in ("lag1", "inflation")},
+            places.get(part),
+        )
         for name, part in parts
         if part in noise and part in counts
     ]

@@ -10,11 +10,13 @@ import numpy as np
 
 from fwclass.decompose.envelope import Envelope
 from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.place_estimate import join_runs, measure_placement, sample_runs
+from fwclass.decompose.placement import Placement, describe_placement
 from fwclass.decompose.plausible import UNKNOWN, Surroundings
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
 from fwclass.decompose.signal_noise import with_signal_noise
-from fwclass.decompose.stage import DECOMPOSE, PULSE, decompose
+from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.layout import FileDigests, Strip
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
@@ -31,6 +33,7 @@ from fwclass.store.tables import write_table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 PULSE_FILE = "pulse.json"
+PLACES_FILE = "places.json"
 ENVELOPE = "envelope.zarr"
 
 _ARRAYS = ("samples", "offsets", "outgoing", "outgoing_offsets")
@@ -175,6 +178,21 @@ def pulse_of(strip: int, inputs: PartInputs) -> SystemPulse:
     return SystemPulse.from_json(read_json(inputs.path("pulse", f"{strip:05d}", PULSE_FILE)))
 
 
+def measured_places(here: StageInputs, params: DecomposeParams, sample: int) -> Made:
+    """What a strip tells of its places, from runs of about `sample` of its pulses."""
+    inputs, index = here.inputs, here.inputs.meta("index", here.part)
+    parts = here.parts("read")
+    runs = join_runs(sample_runs(waveforms_of(p, inputs, returns=False), int(index["pulses"]), sample) for p in parts)
+    placement = measure_placement(runs, index["points"] > 0, params, pulse_of(int(here.part), inputs))
+    write_json(here.directory / PLACES_FILE, placement.to_json())
+    return {"places": describe_placement(placement), "sampled": runs.pulses.rows}
+
+
+def placement_of(strip: int, inputs: PartInputs) -> Placement:
+    """How the echoes of a strip are placed, as `measured_places` stored it."""
+    return Placement.from_json(read_json(inputs.path("places", f"{strip:05d}", PLACES_FILE)))
+
+
 def surroundings_of(strip: int, inputs: PartInputs) -> Surroundings:
     """What the echoes of a strip are held against, as `measured_pulse` stored it."""
     part = f"{strip:05d}"
@@ -196,7 +214,7 @@ def decomposed(here: StageInputs, params: DecomposeParams) -> Made:
     strip = strip_of(here.part)
     waves = waveforms_of(here.part, here.inputs)
     pulse, around = pulse_of(strip, here.inputs), surroundings_of(strip, here.inputs)
-    return _write_echoes(here, decompose(waves, strip, params, pulse, around))
+    return _write_echoes(here, decompose(waves, strip, params, pulse, around, placement_of(strip, here.inputs)))
 
 
 def returned(here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span) -> Made:
@@ -232,7 +250,7 @@ def link_table(inputs: PartInputs, part: str) -> Table:
 
 INDEX = Stage(
     "index",
-    2,
+    3,
     "strip",
     "point",
     index,
@@ -265,6 +283,22 @@ MEASURE_PULSE = Stage(
     after=("index", "read"),
     needs=lambda plan, strip: [index_name(strip), *(("read", s.key) for s in spans_of(plan, strip))],
 )
+MEASURE_PLACES = Stage(
+    PLACES.name,
+    PLACES.version,
+    "strip",
+    "pulse",
+    measured_places,
+    parts=_strips_with_waves,
+    waves=True,
+    arguments=lambda plan: {"params": plan.config.decompose, "sample": plan.config.pulse.sample},
+    after=("index", "read", "pulse"),
+    needs=lambda plan, strip: [
+        index_name(strip),
+        ("pulse", strip.key),
+        *(("read", s.key) for s in spans_of(plan, strip)),
+    ],
+)
 DECOMPOSE_WAVES = Stage(
     DECOMPOSE.name,
     DECOMPOSE.version,
@@ -274,8 +308,8 @@ DECOMPOSE_WAVES = Stage(
     parts=_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.decompose},
-    after=("read", "pulse"),
-    needs=lambda plan, part: (("read", part.key), ("pulse", part.strip.key)),
+    after=("read", "pulse", "places"),
+    needs=lambda plan, part: (("read", part.key), ("pulse", part.strip.key), ("places", part.strip.key)),
 )
 DECOMPOSE_RETURNS = Stage(
     DECOMPOSE.name,

@@ -24,14 +24,14 @@ from fwclass.graph.radiometry import (
     READ_TRAJECTORY,
 )
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
-from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PULSE, READ_SPAN
+from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
 from fwclass.graph.stage import Plan, Stage, named
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
 from fwclass.radiometry.stage import RADIOMETRY
 
-OF_STRIPS = (READ_SPAN, MEASURE_PULSE, DECOMPOSE_WAVES, DECOMPOSE_RETURNS, SPLIT_ECHOES)
+OF_STRIPS = (READ_SPAN, MEASURE_PULSE, MEASURE_PLACES, DECOMPOSE_WAVES, DECOMPOSE_RETURNS, SPLIT_ECHOES)
 """What every strip goes through by itself."""
 TO_TILES = (READ_POLYGONS, INDEX, *OF_STRIPS, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, READ_TRAJECTORY)
 """From files to tiles: each of these is planned by what the ones before it found."""

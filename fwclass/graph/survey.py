@@ -27,7 +27,7 @@ from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.quantities import quantities_of
 from fwclass.read.source import Source, open_source
-from fwclass.read.stage import check_source, read_cloud
+from fwclass.read.stage import as_told, check_source, read_cloud
 from fwclass.run.part import Name
 from fwclass.run.runner import Runner
 from fwclass.simulate.params import SimulateParams
@@ -154,7 +154,7 @@ def opened_all(places: Sequence[Location], config: Config) -> list[Source]:
     opened, faults = [], []
     for place in places:
         try:
-            source = open_source(local(place))
+            source = as_told(open_source(local(place)), config.read)
             check_source(source, config.read)
             opened.append(source)
         except InputError as fault:

@@ -45,6 +45,11 @@ POINT6 = np.dtype(
 )
 
 
+def without_reflectance(table: Table) -> Table:
+    """`table` as it is published where nothing calibrates it."""
+    return table.select([name for name in table if name != "reflectance"])
+
+
 def write_tile_laz(
     table: Table, path: Path, crs: pyproj.CRS | None, params: PublishParams, *, standard_time: bool = False
 ) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from fwclass.formats.las_bytes import (
     extended_records,
     read_extended,
 )
-from fwclass.formats.las_header import EVLR_HEADER, Record
+from fwclass.formats.las_header import EVLR_HEADER, PACKET_ENDINGS, Record, packet_endings
 from fwclass.publish.files import whole
 
 WAVE_FORMATS = (4, 5, 9, 10)
@@ -30,7 +30,7 @@ class Packets:
     Attributes
     ----------
     internal : they are a record of the LAS file itself, `start` to `start + length` (record header included).
-    sidecar : path of the `.wdp` beside the source, or None.
+    sidecar : path of the `.wdp`, or `.wdz`, beside the source, or None.
     truncated : the record says that it is longer than the file.
     notes : what a user should know.
     """
@@ -50,19 +50,18 @@ def find_packets(head: LasHead) -> Packets:
     inside = head.encoding & INTERNAL or not head.encoding & EXTERNAL  # a start beside the external bit is stale
     if inside and (found := _internal(head)) is not None:
         return found
-    sidecar = _beside(head.path)
+    endings = packet_endings(head.records)
+    sidecar = _beside(head.path, endings)
     if sidecar is None:
-        place = "an internal record" if head.encoding & INTERNAL else f"{head.path.stem}.wdp"
+        place = "an internal record" if head.encoding & INTERNAL else f"{head.path.stem}{endings[0]}"
         return Packets(notes=(f"waveform packets are missing: no {place}",))
     return Packets(sidecar=sidecar)
 
 
-def _beside(path: Path) -> Path | None:
+def _beside(path: Path, endings: tuple[str, ...]) -> Path | None:
     stems = {path.stem, path.stem.removesuffix(".copc")}
-    for other in sorted(path.parent.iterdir()):
-        if other.suffix.lower() == ".wdp" and other.stem in stems:
-            return other
-    return None
+    there = [p for p in sorted(path.parent.iterdir()) if p.stem in stems]
+    return next((p for ending in endings for p in there if p.suffix.lower() == ending), None)
 
 
 def _internal(head: LasHead) -> Packets | None:
@@ -87,8 +86,9 @@ def carried(record: Record, packets: Packets) -> bool:
     return record.user != "copc" and not (packets.internal and record.start == packets.start)
 
 
-def publish_packets(head: LasHead, packets: Packets, target: Path) -> tuple[str, Path | None]:
-    """Put the packets at `target`; what was done, and the path if something is there."""
+def publish_packets(head: LasHead, packets: Packets, output: Path) -> tuple[str, Path | None]:
+    """Put the packets beside `output`; what was done, and the path if something is there."""
+    target = output.with_suffix(packets.sidecar.suffix.lower() if packets.sidecar is not None else PACKET_ENDINGS[0])
     if packets.internal:
         with head.path.open("rb") as source, whole(target) as beside, beside.open("wb") as file:
             copy_bytes(source, file, packets.start, packets.length)

@@ -52,8 +52,8 @@ def write_strip_laz(
 
     All other fields, the flags beside a legacy class, the variable length records and the packet references stay byte
     for byte; the output is read back and compared. Waveform packets go with it as an external `.wdp` under the
-    output's name: a source's own `.wdp` is copied, internal packets are written out verbatim (offsets count from the
-    record's header in both places). COPC comes out as plain LAZ.
+    output's name: a source's own `.wdp` (or `.wdz`) is copied, internal packets are written out verbatim (offsets
+    count from the record's header in both places). COPC comes out as plain LAZ.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def write_strip_laz(
             changed = _copy(head, file, output, classes, extras, extra or {}, packets, chunk, heights)
         verify(head, beside, classes, extras, extra or {}, packets, chunk, heights)
         size = beside.stat().st_size
-        waveforms, wdp = publish_packets(head, packets, output.with_suffix(".wdp"))
+        waveforms, wdp = publish_packets(head, packets, output)
     copc = _is_copc(head)
     kind = "LAS" if output.suffix.lower() == ".las" else "LAZ"
     notes = list(packets.notes)

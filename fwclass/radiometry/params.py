@@ -62,6 +62,8 @@ class RadiometryParams(Params):
         source nor a trajectory tells; None: no range for these.
     max_time_gap : no position between two fixes of the trajectory further apart than this [s].
     max_incidence : γ takes incidence angles above this for this [deg].
+    grazing : beams meet no surface at more than this [deg]: its neighbours lie in one plane with the beam, as those of
+        one scan line do, and their normal is none.
     calibration : C_cal [m⁻² DN⁻¹ ns⁻¹]; None: from `target`, or 1 and flagged where there is none.
     extinction : of the air, one way [dB/km]; η of the formulas follows from it.
     divergence : full angle of the beam [mrad], for its cross-section A_i.
@@ -73,12 +75,18 @@ class RadiometryParams(Params):
     platform_altitude: float | None
     max_time_gap: float = Field(gt=0.0)
     max_incidence: float = Field(gt=0.0, lt=90.0)
+    grazing: float = Field(gt=0.0, le=90.0)
     calibration: float | None = Field(gt=0.0)
     extinction: float = Field(ge=0.0, le=1000.0)
     divergence: float = Field(gt=0.0, le=1000.0)
     balance: bool
     target: TargetParams | None
     overlap: OverlapParams
+
+    @property
+    def calibrates(self) -> bool:
+        """Something gives C_cal."""
+        return self.calibration is not None or self.target is not None
 
     @model_validator(mode="after")
     def _one_constant(self) -> RadiometryParams:

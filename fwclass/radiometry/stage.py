@@ -37,7 +37,8 @@ ONE_OF_SEVERAL, NO_RANGE, NO_NORMAL, CLIPPED, SATURATED, UNCALIBRATED = 1, 2, 4,
 def radiometry(chunk: Chunk, trajectory: Table | None, calibration: Calibration, params: RadiometryParams) -> Table:
     """Radiometric columns of the core rows; the formulas stand in `fwclass.radiometry.formulas`.
 
-    ``range`` [m] as in `ranges`. ``incidence`` [deg], angle between beam and normal, whichever way the normal points.
+    ``range`` [m] as in `ranges`. ``incidence`` [deg], angle between beam and normal, whichever way the normal points;
+    above ``grazing`` the normal is none.
     ``cross_section`` σ = C_cal R⁴ E / (η g) [m²], E the echo's energy, g the strip's gain. ``backscatter``
     γ = σ / (A_i cos θ), θ taken at no more than ``max_incidence``; 4 × its reflectance on a matt surface larger than
     the beam. ``reflectance`` [dB] over a white surface that faces the beam, where C_cal holds.
@@ -52,6 +53,7 @@ def radiometry(chunk: Chunk, trajectory: Table | None, calibration: Calibration,
     echoes = chunk.table.select(READS).take(chunk.core)
     range_ = ranges(echoes, trajectory, params)
     cosine = incidence_cosine(echoes)
+    cosine[cosine < np.cos(np.radians(params.grazing))] = np.nan
     lowest = np.cos(np.radians(params.max_incidence))
     energy = echoes["energy"].astype(np.float64)
     energy[~(np.isfinite(energy) & (energy >= 0.0))] = np.nan
@@ -89,4 +91,4 @@ def _flags(
 
 OVERLAP = Computation(name="overlap", version=1, reads=READS, halo=lambda params: float(params.overlap.cell))
 CALIBRATE = Computation(name="calibrate", version=1)
-RADIOMETRY = Computation(name="radiometry", version=1, reads=READS, writes=RADIOMETRIC)
+RADIOMETRY = Computation(name="radiometry", version=2, reads=READS, writes=RADIOMETRIC)

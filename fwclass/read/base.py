@@ -46,6 +46,7 @@ class Source(ABC):
     waves : where the samples are.
     standard_gps_time : times count from the GPS epoch (less 10^9 s), not from the start of a week.
     faults : what is wrong with the file, as sentences for the user.
+    mirrored : the horizontal parts of its beams are to be turned round.
     """
 
     path: Path
@@ -62,6 +63,7 @@ class Source(ABC):
     waves: WaveStore
     standard_gps_time: bool
     faults: tuple[str, ...]
+    mirrored: bool = False
 
     @property
     @abstractmethod

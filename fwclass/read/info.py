@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from fwclass.errors import visible
 from fwclass.formats.flat import flat_faults
+from fwclass.read.beams import beam_fault
 from fwclass.read.las import LasSource
-from fwclass.read.packets import FAULTS, References, judge
+from fwclass.read.packets import FAULTS, References, looked_into
 from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import is_polygon_file
@@ -61,7 +62,7 @@ class _Tally:
             self.heights[int(bin_)] = self.heights.get(int(bin_), 0) + int(n)
         if source.has_waves:
             refs = References.of(points)
-            self.packets += np.bincount(judge(source, refs), minlength=len(FAULTS))
+            self.packets += np.bincount(looked_into(source, refs), minlength=len(FAULTS))
             self.descriptors += np.bincount(refs.descriptor, minlength=256)
 
 
@@ -120,6 +121,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
             *source.faults,
             *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
             *_faults(source, tally, step),
+            *filter(None, [beam_fault(source)]),
         ],
     }
 

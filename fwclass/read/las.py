@@ -18,6 +18,7 @@ from fwclass.formats.las_header import (
     Header,
     Record,
     evlr_at,
+    packet_endings,
     read_header,
 )
 from fwclass.formats.laz import check_laz
@@ -25,6 +26,9 @@ from fwclass.read.base import Source, WaveStore
 
 STANDARD_GPS_TIME = 1
 """Bit of the global encoding."""
+
+PLAIN, LASZIP = 0, 1
+"""Compression types of packets that can be read."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,7 @@ def open_las(path: Path) -> LasSource:
     faults = list(header.faults)
     crs = crs_of(header, faults)
     found = _descriptors(header, faults)
-    waves = _find_waves(header, faults)
+    waves = _find_waves(header, faults, packet_endings((*header.vlrs, *header.evlrs)))
     if header.n_points == 0:
         faults.append("the file has no points")
     if header.has_waves and not found:
@@ -140,25 +144,27 @@ def _descriptors(header: Header, faults: list[str]) -> dict[int, Descriptor]:
     return found
 
 
-def _find_waves(header: Header, faults: list[str]) -> WaveStore:
+def _find_waves(header: Header, faults: list[str], endings: tuple[str, ...]) -> WaveStore:
+    """`endings`: of the files beside that may hold them, the likeliest first."""
     if not header.has_waves:
         return WaveStore("none", why_not="the point format has no waveforms")
     internal = bool(header.global_encoding & 2)
-    ways = (_internal, _external) if internal else (_external, _internal)
-    for way in ways:
-        found = way(header, faults)
+    for inside in (internal, not internal):
+        found = _internal(header, faults) if inside else _external(header, faults, endings)
         if found is not None:
             return found
-    expected = header.path.with_suffix(".wdp").name
+    expected = header.path.with_suffix(endings[0]).name
     why = f"the waveforms are missing: put {expected} beside {header.path.name}"
     if internal:
         why = f"the waveforms that the header places in the file are not there, and there is no {expected}"
+    elif ".wdz" not in endings and (other := _beside(header.path, ".wdz")) is not None:
+        why += f" ({other.name} is there, but its descriptors are of packets that are not compressed)"
     faults.append(why)
     return WaveStore("none", why_not=why)
 
 
-def _external(header: Header, faults: list[str]) -> WaveStore | None:
-    path = _sidecar(header.path)
+def _external(header: Header, faults: list[str], endings: tuple[str, ...]) -> WaveStore | None:
+    path = next((p for p in (_beside(header.path, ending) for ending in endings) if p is not None), None)
     if path is None:
         return None
     size = path.stat().st_size
@@ -172,13 +178,12 @@ def _external(header: Header, faults: list[str]) -> WaveStore | None:
     return WaveStore("external", path, 0, size)
 
 
-def _sidecar(path: Path) -> Path | None:
+def _beside(path: Path, ending: str) -> Path | None:
     """``name.wdp`` beside ``name.las``, in any case of letters."""
-    wanted = path.with_suffix(".wdp").name.lower()
-    exact = path.with_suffix(".wdp")
+    exact = path.with_suffix(ending)
     if exact.is_file():
         return exact
-    found = sorted(p for p in path.parent.iterdir() if p.name.lower() == wanted and p.is_file())
+    found = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
     return found[0] if found else None
 
 

@@ -6,44 +6,61 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.las_header import packet_endings
 from fwclass.read.las import LasSource
-from fwclass.read.packets import FAULTS, Packets, References, gather_packets, judge, pulses_of
+from fwclass.read.packets import (
+    DAMAGED,
+    FAULTS,
+    VECTOR_RANGE,
+    Packets,
+    References,
+    gather_packets,
+    looked_into,
+    pulses_of,
+)
 from fwclass.read.params import ReadParams
 from fwclass.read.points import WAVE_FIELDS, PointReader, coordinates, gps_times
 from fwclass.read.segments import Rows, segment_links
 from fwclass.read.spans import Span, spans_by_points, spans_by_pulses
 from fwclass.schema import Table
+from fwclass.units import METRES_PER_NS
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
 
 def check_las(source: LasSource, params: ReadParams) -> None:
     """`InputError` if `source` declares waveforms, none can be read, and `missing_packets` is ``error``.
 
-    Looks at packet references until the first usable one.
+    Looks at packet references until the first usable one. Of compressed packets more must be sound than are not: a few
+    of another file's happen to lie where the points look for them.
     """
     if params.missing_packets == "keep" or not source.has_waves or source.n_points == 0:
         return
-    counts = np.zeros(len(FAULTS), np.int64)
+    counts, times = np.zeros(len(FAULTS), np.int64), [1.0]
     if source.waves.kind != "none":
         with PointReader(source, WAVE_FIELDS) as reader:
             for _, points in reader.blocks():
-                counts += np.bincount(judge(source, References.of(points)), minlength=len(FAULTS))
-                if counts[0]:
+                refs = References.of(points)
+                counts += np.bincount(looked_into(source, refs), minlength=len(FAULTS))
+                with np.errstate(invalid="ignore"):
+                    times.append(float(np.median(np.linalg.norm(refs.step, axis=1))) / METRES_PER_NS)
+                if counts[0] > counts[DAMAGED]:
                     return
-    reasons = ", ".join(f"{n} returns: {FAULTS[i]}" for i, n in enumerate(counts) if n) or source.waves.why_not
-    wdp = source.path.with_suffix(".wdp").name
+    reasons = ", ".join(f"{n} returns: {FAULTS[i]}" for i, n in enumerate(counts) if n and i) or source.waves.why_not
+    keep = f"or set read.missing_packets=keep to use its {source.n_points} returns without waveforms"
+    wdp = source.path.with_suffix(packet_endings((*source.header.vlrs, *source.header.evlrs))[0]).name
     raise InputError(
-        "the file declares waveforms, but none can be read",
+        f"the file declares waveforms, but {'most cannot' if counts[0] else 'none can'} be read",
         where=source.path,
         expected=f"point format {source.point_format} with its waveforms in {source.waves.path or wdp}",
         got=reasons,
-        do=f"{_advice(source, wdp)}, or set read.missing_packets=keep to use its {source.n_points} returns without "
-        "waveforms",
+        do=f"{_advice(source, wdp, times[-1])}, {keep}",
     )
 
 
-def _advice(source: LasSource, wdp: str) -> str:
-    """Where usable waveforms could come from."""
+def _advice(source: LasSource, wdp: str, length: float) -> str:
+    """Where usable waveforms could come from; `length` of the beam vectors, of what light travels both ways."""
+    if not VECTOR_RANGE[0] <= length <= VECTOR_RANGE[1]:
+        return f"export it again with beam vectors in m/ps: they are {length:.4g} times as long as light's way"
     if source.waves.kind == "none":
         return f"put {wdp} beside it"
     if source.waves.kind == "internal":

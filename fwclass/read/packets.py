@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.formats.las_header import EVLR_HEADER
-from fwclass.read.las import LasSource
+from fwclass.read.compressed_packets import SHORTEST, decompress
+from fwclass.read.las import LASZIP, PLAIN, LasSource
 from fwclass.read.layout import lay_out
 from fwclass.read.packet_kernels import first_anchors, gather, join_heads, number_pulses, pulse_heads
 from fwclass.units import METRES_PER_NS
@@ -26,7 +27,7 @@ FAULTS = (
     "",
     "no packet",
     "unknown descriptor",
-    "compressed packet",
+    "unknown compression of packets",
     "unsupported samples",
     "invalid sample spacing",
     "packet size too small",
@@ -36,8 +37,11 @@ FAULTS = (
     "packet cut short",
     "packet shared by too many returns",
     "no sane return location or beam vector",
+    "compressed packet damaged, or another file's",
 )
-"""Why a return has no usable packet; the index is the code in `judge`."""
+"""Why a return has no usable packet; the index is the code in `judge`. The last one shows only where it is read."""
+
+DAMAGED = FAULTS.index("compressed packet damaged, or another file's")
 
 VECTOR_RANGE = (0.5, 1.5)
 """Sane lengths of the stored beam vector, in units of c / 2n: water (0.75) passes, zeros and metres do not."""
@@ -51,6 +55,13 @@ MOST_GAIN = 1e4
 
 _OVERLAP = 2
 
+MOST_PACKED = 1024
+"""Samples of a compressed packet take at most so many times its bytes: 5000 equal ones of 16 bits take 300 times."""
+
+UNPACKED, UNPACKED_FREE = 32, 8 << 20
+"""All packets of a span together take at most so many times the bytes of their file, and so many bytes for nothing;
+real ones take three times as many."""
+
 
 @dataclass(frozen=True)
 class References:
@@ -63,12 +74,14 @@ class References:
     step: NDArray[np.float64]
 
     @classmethod
-    def of(cls, points: Any) -> References:
-        """From a laspy record of point format 4, 5, 9 or 10."""
+    def of(cls, points: Any, mirrored: bool = False) -> References:
+        """From a laspy record of point format 4, 5, 9 or 10; `mirrored`: with the horizontal parts turned round."""
         a = points.array
         with np.errstate(invalid="ignore"):  # a NaN that signals stays a NaN: no packet of it is usable
             step = np.stack([np.asarray(a[n], np.float64) for n in ("x_t", "y_t", "z_t")], axis=1)
             location = a["return_point_wave_location"].astype(np.float64)
+        if mirrored:
+            step[:, :2] *= -1.0
         return cls(a["wavepacket_index"], a["wavepacket_offset"], a["wavepacket_size"], location * 1e-3, step * 1e3)
 
 
@@ -118,6 +131,7 @@ class _Lookup:
     samples: NDArray[np.int64]
     bytes: NDArray[np.int64]
     wide: NDArray[np.bool_]
+    packed: NDArray[np.bool_]
     spacing: NDArray[np.float64]
     top: NDArray[np.float32]
     unitless: NDArray[np.bool_]
@@ -129,18 +143,18 @@ class _Lookup:
         fault[0] = FAULTS.index("no packet")
         samples, length = np.zeros(256, np.int64), np.zeros(256, np.int64)
         wide, spacing, top = np.zeros(256, np.bool_), np.zeros(256), np.zeros(256, np.float32)
-        unitless = np.zeros(256, np.bool_)
+        unitless, packed = np.zeros(256, np.bool_), np.zeros(256, np.bool_)
         for i, d in source.descriptors.items():
             samples[i], length[i], wide[i] = d.n_samples, d.packet_bytes, d.bytes_per_sample == 2
             spacing[i], top[i] = d.spacing_ns, float(2 ** min(d.bits, 16) - 1)
-            fault[i], unitless[i] = 0, not d.has_unit
-            if d.compression:
-                fault[i] = FAULTS.index("compressed packet")
-            elif not 1 <= d.bits <= 16 or d.empty:
+            fault[i], unitless[i], packed[i] = 0, not d.has_unit, d.compression == LASZIP
+            if d.compression not in (PLAIN, LASZIP):
+                fault[i] = FAULTS.index("unknown compression of packets")
+            elif d.empty or not (d.bits in (8, 16) if packed[i] else 1 <= d.bits <= 16):
                 fault[i] = FAULTS.index("unsupported samples")
             elif not 0 < d.spacing_ns <= MAX_SPACING:
                 fault[i] = FAULTS.index("invalid sample spacing")
-        return cls(fault, samples, length, wide, spacing, top, unitless, _relative_gains(source))
+        return cls(fault, samples, length, wide, packed, spacing, top, unitless, _relative_gains(source))
 
 
 def _relative_gains(source: LasSource) -> NDArray[np.float32]:
@@ -159,14 +173,16 @@ def judge(source: LasSource, refs: References, shared: tuple[int, ...] = ()) -> 
     """Index into `FAULTS` for every point; 0 where its packet can be used."""
     table = _Lookup.of(source)
     index = refs.descriptor
-    need = table.bytes[index].astype(np.uint64)
+    packed, whole = table.packed[index], table.bytes[index]
+    need = np.where(packed, refs.size, whole).astype(np.uint64)
+    least = np.where(packed, np.maximum(whole // MOST_PACKED, 1 + table.wide[index] + SHORTEST), whole)
     available = np.uint64(source.waves.available)
     fault = table.fault[index].copy()
 
     def mark(name: str, where: NDArray[np.bool_]) -> None:
         fault[(fault == 0) & where] = FAULTS.index(name)
 
-    mark("packet size too small", refs.size < need)
+    mark("packet size too small", refs.size < least)
     mark("waveforms missing", np.full(len(fault), source.waves.kind == "none"))
     mark("packet inside the record's header", refs.offset < EVLR_HEADER)
     mark("packet past the end", refs.offset >= available)
@@ -175,6 +191,16 @@ def judge(source: LasSource, refs: References, shared: tuple[int, ...] = ()) -> 
         key = (index.astype(np.uint64) << np.uint64(56)) | refs.offset
         mark("packet shared by too many returns", np.isin(key, np.array(shared, np.uint64)))
     mark("no sane return location or beam vector", ~_sane(table, refs))
+    return fault
+
+
+def looked_into(source: LasSource, refs: References) -> NDArray[np.uint8]:
+    """As `judge`, and compressed packets are read to see whether they are sound."""
+    fault, table = judge(source, refs), _Lookup.of(source)
+    point = np.flatnonzero((fault == 0) & table.packed[refs.descriptor])
+    if len(point):
+        _, first, packet = np.unique(refs.offset[point], return_index=True, return_inverse=True)
+        fault[point[_stored(source, refs, table, point[first]).damaged[packet]]] = DAMAGED
     return fault
 
 
@@ -231,10 +257,12 @@ def gather_packets(
     fault = judge(source, refs, shared)
     anchors = np.empty(int(packet.max(initial=-1)) + 1, np.int64)
     first_anchors(packet, fault == 0, return_number, anchors)
+    table = _Lookup.of(source)
+    stored = _stored(source, refs, table, anchors[anchors >= 0])
+    fault, anchors = _without_damaged(stored.damaged, fault, anchors, packet)
     with_packet = np.flatnonzero(anchors >= 0)
     anchor = anchors[with_packet]
     has_packet = anchors[packet] >= 0
-    table = _Lookup.of(source)
     index = refs.descriptor[anchor]
     layout = lay_out(
         pulse[anchor],
@@ -251,7 +279,9 @@ def gather_packets(
     ends = np.concatenate([[0], np.cumsum(table.samples[ordered])]).astype(np.int64)
     first_of_row = np.searchsorted(layout.row[layout.order], np.arange(len(layout.head) + 1))
     head = anchor[layout.head]
-    samples = _samples(source, refs.offset[anchor[layout.order]], table.wide[ordered], table.bytes[ordered], ends)
+    samples = np.empty(int(ends[-1]), np.dtype(source.sample_dtype))
+    if len(ordered):
+        gather(stored.data, stored.start[layout.order], stored.wide[layout.order], ends, samples)
     return Packets(
         head,
         pulse[head],
@@ -267,20 +297,46 @@ def gather_packets(
     )
 
 
-def _samples(
-    source: LasSource,
-    offset: NDArray[np.uint64],
-    wide: NDArray[np.bool_],
-    length: NDArray[np.int64],
-    ends: NDArray[np.int64],
-) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Samples of packets at `offset` one after the other; packet i ends up in ``[ends[i], ends[i + 1])``."""
-    _refuse_overlap(source, int(length.sum()))
-    samples = np.empty(int(ends[-1]), np.dtype(source.sample_dtype))
-    if len(offset) and source.waves.path is not None:
-        data = np.asarray(np.memmap(source.waves.path, np.uint8, "r"))
-        gather(data, offset.astype(np.int64) + source.waves.base, wide, ends, samples)
-    return samples
+@dataclass(frozen=True)
+class _Stored:
+    """Where the samples of packets are: bytes, where each packet begins, whether its samples have two bytes; and which
+    of the packets that were asked for are `damaged`: the others do not have them."""
+
+    data: NDArray[np.uint8]
+    start: NDArray[np.int64]
+    wide: NDArray[np.bool_]
+    damaged: NDArray[np.bool_]
+
+
+def _stored(source: LasSource, refs: References, table: _Lookup, anchor: NDArray[np.int64]) -> _Stored:
+    """The packets of `anchor` points: in the file, or taken out of it where some are compressed."""
+    index, none = refs.descriptor[anchor], np.zeros(len(anchor), np.bool_)
+    packed, wide = table.packed[index], table.wide[index]
+    size = np.where(packed, refs.size[anchor], table.bytes[index]).astype(np.int64)
+    _refuse_overlap(source, int(size.sum()))
+    if packed.any():
+        _refuse_swollen(source, int(table.bytes[index].sum()))
+    if len(anchor) == 0 or source.waves.path is None:
+        return _Stored(np.empty(0, np.uint8), np.empty(0, np.int64), wide[:0], none[:0])
+    data = np.asarray(np.memmap(source.waves.path, np.uint8, "r"))
+    start = refs.offset[anchor].astype(np.int64) + source.waves.base
+    if not packed.any():
+        return _Stored(data, start, wide, none)
+    samples, ends, sound = decompress(data, start, size, wide, packed, table.samples[index])
+    all_wide = np.ones(int(sound.sum()), np.bool_)
+    return _Stored(samples.astype("<u2", copy=False).view(np.uint8), 2 * ends[:-1][sound], all_wide, ~sound)
+
+
+def _without_damaged(
+    damaged: NDArray[np.bool_], fault: NDArray[np.uint8], anchors: NDArray[np.int64], packet: NDArray[np.int64]
+) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """`fault` with that of damaged packets at all their points, and `anchors` without them."""
+    lost = np.flatnonzero(anchors >= 0)[damaged]
+    if len(lost) == 0:
+        return fault, anchors
+    anchors = anchors.copy()
+    anchors[lost] = -1
+    return np.where((fault == 0) & (anchors[packet] < 0), np.uint8(DAMAGED), fault), anchors
 
 
 def _count(table: _Lookup, refs: References, fault: NDArray[np.uint8], has_packet: NDArray[np.bool_]) -> dict[str, int]:
@@ -289,6 +345,18 @@ def _count(table: _Lookup, refs: References, fault: NDArray[np.uint8], has_packe
     faults = {name: int(n) for name, n in zip(FAULTS, counts, strict=True) if n and name}
     without_unit = int((has_packet & table.unitless[refs.descriptor]).sum())
     return faults | ({UNITLESS: without_unit} if without_unit else {})
+
+
+def _refuse_swollen(source: LasSource, wanted: int) -> None:
+    """Compressed packets that promise far more samples than such packets hold would fill the memory."""
+    if wanted > UNPACKED * source.waves.available + UNPACKED_FREE:
+        raise InputError(
+            "the compressed waveform packets promise too much",
+            where=source.path,
+            expected=f"at most {UNPACKED} times the {source.waves.available} bytes of packets",
+            got=f"{wanted} bytes by the descriptors' sample counts",
+            do="the descriptors are damaged; export the file again",
+        )
 
 
 def _refuse_overlap(source: LasSource, wanted: int) -> None:

@@ -18,8 +18,10 @@ class ReadParams(Params):
     max_span_points : points of the longest span that memory allows.
     missing_packets : ``error`` stops at a file that declares waveforms none of which can be read; ``keep`` takes
         its returns as echoes.
+    mirror_beams : turn the horizontal parts of all beams round, which old converters stored with the wrong sign.
     """
 
     chunk_pulses: int = Field(gt=0, le=100_000_000)
     max_span_points: int = Field(gt=0, le=2_000_000_000)
     missing_packets: Literal["error", "keep"]
+    mirror_beams: bool

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.formats.flat import flat_faults
+from fwclass.read.beams import beam_fault
 from fwclass.read.pls_waves import FAULTS, SILENT, Found, Samplings, blocks_of, reach
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
 from fwclass.read.quantities import WORDS, quantities_of
@@ -86,6 +87,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
                     "index": i,
                     "pulses": int(tally.descriptors[i]),
                     "unit_ns": _finite(d.unit_ns),
+                    "optical_centre_ns": _finite(d.centre * d.unit_ns),
                     "samplings": _samplings(d),
                 }
                 for i, d in sorted(source.descriptors.items())
@@ -95,6 +97,7 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
             *source.faults,
             *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
             *_faults(source, tally),
+            *filter(None, [beam_fault(source)]),
         ],
     }
 
@@ -135,6 +138,11 @@ def _inside(source: PulseSource, tally: _Tally) -> bool:
     return bool((tally.low >= low - 1.0).all() and (tally.high <= high + 1.0).all())
 
 
+def _asked(outgoing: int) -> str:
+    """That a header does not tell whether times count from the outgoing pulse."""
+    return "; whether times count from it the echoes tell (info --waveforms, decompose)" if outgoing else ""
+
+
 def describe_pulses(found: dict[str, Any]) -> list[tuple[str, str]]:
     """Rows of `info.describe` that tell of pulses."""
     waves = found["waveforms"]
@@ -142,14 +150,15 @@ def describe_pulses(found: dict[str, Any]) -> list[tuple[str, str]]:
     counts = ", ".join(f"{key}: {n:,}" for key, n in found["segments"].items()) or "none"
     rows = [
         ("pulses", f"{found['pulses']:,}, {waves['usable']:,} with a usable returning waveform"),
-        ("outgoing", f"{found['outgoing']:,} pulses with a recorded outgoing pulse"),
+        ("outgoing", f"{found['outgoing']:,} pulses with a recorded outgoing pulse{_asked(found['outgoing'])}"),
         ("segments", f"{counts}  (of a pulse)"),
         ("waveforms", where),
         ("amplitudes", WORDS[found["quantities"]["amplitude"]]),
         ("echo widths", WORDS[found["quantities"]["width"]]),
     ]
     for d in waves["descriptors"]:
-        rows.append(("descriptor", f"{d['index']}: {d['pulses']:,} pulses"))
+        afloat = ", anchors at no fixed distance from the optical centre" if d["optical_centre_ns"] is None else ""
+        rows.append(("descriptor", f"{d['index']}: {d['pulses']:,} pulses{afloat}"))
         for s in d["samplings"]:
             text = f"{s['type']}, {s['segments']} segments of {s['samples']} samples of {s['bits']} bits"
             rows.append(("", f"{text} every {s['spacing_ns']} ns"))

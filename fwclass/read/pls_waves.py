@@ -171,6 +171,8 @@ def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDA
     anchor = records["anchor"] * scales + offsets
     away = (records["target"].astype(np.int64) - records["anchor"]) * scales
     step = away / (-1000.0 * kinds.unit[index])[:, None]
+    if source.mirrored:
+        step[:, :2] *= -1.0
     length = np.sqrt((step**2).sum(axis=1))
     fault = kinds.state[index].copy()
     sane = (length >= VECTOR_RANGE[0] * METRES_PER_NS) & (length <= VECTOR_RANGE[1] * METRES_PER_NS)

@@ -47,7 +47,7 @@ class Rows:
             np.asarray(points["return_number"], np.uint8),
             np.asarray(points["number_of_returns"], np.uint8),
             np.stack(coordinates(source, points), axis=1),
-            References.of(points),
+            References.of(points, source.mirrored),
         )
 
     def take(self, index: Any) -> Rows:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from fwclass.read.beams import check_beams
 from fwclass.read.las_read import check_las, index_las, read_las
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
@@ -18,15 +20,22 @@ from fwclass.stage import Computation
 from fwclass.waveforms import Waveforms
 
 
+def as_told(source: Source, params: ReadParams) -> Source:
+    """`source` as the settings have it read: with its beams turned round where `params.mirror_beams`."""
+    return replace(source, mirrored=params.mirror_beams)
+
+
 def check_source(source: Source, params: ReadParams) -> None:
-    """`InputError` if `source` declares waveforms and none can be read.
+    """`InputError` if `source` declares waveforms and none can be read, or its beams come from below.
 
     In a LAS file `params.missing_packets` ``keep`` takes its returns instead; a Pulse file has nothing but waveforms.
     """
+    source = as_told(source, params)
     if isinstance(source, PulseSource):
         check_pls(source)
     else:
         check_las(las_of(source), params)
+    check_beams(source)
 
 
 def index_source(source: Source, params: ReadParams) -> list[Span]:
@@ -37,6 +46,7 @@ def index_source(source: Source, params: ReadParams) -> list[Span]:
     InputError
         Points that cannot be read, or a file sorted so that it cannot be cut.
     """
+    source = as_told(source, params)
     if isinstance(source, PulseSource):
         return index_pls(source, params.chunk_pulses)
     return index_las(las_of(source), params)
@@ -47,6 +57,7 @@ def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
 
     See `las_read.read_las` and `pls_read.read_pls`.
     """
+    source = as_told(source, params)
     if isinstance(source, PulseSource):
         return read_pls(source, span)
     return read_las(las_of(source), span, params)
@@ -74,4 +85,4 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     )
 
 
-READ = Computation("read", 3)
+READ = Computation("read", 4)

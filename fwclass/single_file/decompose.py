@@ -19,7 +19,7 @@ from fwclass.formats.flat import refuse_source, refuse_unless_flat
 from fwclass.graph.plausibility import of_strip, remarks
 from fwclass.graph.survey import given_crs
 from fwclass.grid import Tile
-from fwclass.publish.laz import write_tile_laz
+from fwclass.publish.laz import without_reflectance, write_tile_laz
 from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
 from fwclass.read.source import open_source
 from fwclass.read.stage import check_source
@@ -82,7 +82,7 @@ def decompose_file(
     with strip_of(opened, settings) as strip:
         tables = list(strip.echoes())
         pulse, pulses, noise = strip.pulse(), strip.pulses, strip.noise()
-        faults, counts = strip.faults(), strip.counts()
+        faults, counts, places = strip.faults(), strip.counts(), strip.places()
     if not tables:
         raise InputError(
             "the file has no points and no pulses", where=source, do="check the delivery; there is nothing to decompose"
@@ -95,8 +95,9 @@ def decompose_file(
     whole, notes = ranged(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
-    write_tile_laz(delivered, output, system, params["publish"], standard_time=opened.standard_gps_time)
-    near, judged = fit.vendor_tolerance, of_strip(source.stem, opened.n_points, counts, noise)
+    shown = delivered if params["radiometry"].calibrates else without_reflectance(delivered)
+    write_tile_laz(shown, output, system, params["publish"], standard_time=opened.standard_gps_time)
+    near, judged = fit.vendor_tolerance, of_strip(source.stem, opened.n_points, counts, noise, places)
     lone = judged["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
     rows = [

@@ -20,6 +20,7 @@ from fwclass.graph.sources import (
     DECOMPOSE_RETURNS,
     DECOMPOSE_WAVES,
     INDEX,
+    MEASURE_PLACES,
     MEASURE_PULSE,
     READ_SPAN,
     StripSpan,
@@ -108,6 +109,14 @@ class FileStrip:
         meta = self._measure().meta
         return {name: meta[name] for name in UNKNOWN.noise.told}
 
+    def places(self) -> Mapping[str, Any] | None:
+        """How its echoes are placed (`placement.describe_placement`); None without waveforms."""
+        if not self.source.has_waves:
+            return None
+        self._measure()
+        places: Mapping[str, Any] = self._made(MEASURE_PLACES, self._strip).meta["places"]
+        return places
+
     def waves(self, span: StripSpan) -> Waveforms:
         """The waveforms and returns of a span."""
         self._made(READ_SPAN, span)
@@ -148,6 +157,7 @@ class FileStrip:
         if not span.waves:
             return self._made(DECOMPOSE_RETURNS, span)
         self._measure()
+        self._made(MEASURE_PLACES, self._strip)
         return self._made(DECOMPOSE_WAVES, span)
 
     def _measure(self) -> Receipt:

@@ -120,8 +120,8 @@ def _with_beside(one: Held, held: Iterable[Held], directory: Url, params: StoreP
 
 
 _BESIDE = {
-    ".las": (".wdp",),
-    ".laz": (".wdp",),
+    ".las": (".wdp", ".wdz"),
+    ".laz": (".wdp", ".wdz"),
     ".pls": (".wvs",),
     ".plz": (".wvz", ".wvs"),
     ".shp": (".dbf", ".shx", ".prj", ".cpg"),

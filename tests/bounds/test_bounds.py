@@ -24,13 +24,17 @@ def test_kernels_of_decompose():
     drive("python", "decompose", 12)
 
 
+def test_kernels_of_packets():
+    drive("python", "packets", 120)
+
+
 @pytest.mark.slow
 def test_compiled_kernels_of_decompose():
     drive("checked", "decompose", 600)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("room", "inputs"), [("points", 120), ("forest", 400)])
+@pytest.mark.parametrize(("room", "inputs"), [("points", 120), ("forest", 400), ("packets", 20_000)])
 def test_compiled_kernels_of(room, inputs):
     drive("checked", room, inputs)
 

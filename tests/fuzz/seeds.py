@@ -102,6 +102,11 @@ def las_seeds(folder: Path) -> list[Seed]:
                     path, pulses=8, point_format=number, where=where, bits=16 if number == 5 else 8, n_samples=40
                 )
             made.append(_taken(own, own.name, "a.las", _las_numbers(path)))
+    own = folder / "f4compressed"
+    own.mkdir()
+    told = {1: lasmaker.Descriptor(8, 40, 1000, compression=1)}
+    lasmaker.survey(own / "a.las", pulses=8, point_format=4, n_samples=40, descriptors=told)
+    made.append(_taken(own, own.name, "a.las", _las_numbers(own / "a.las")))
     return made
 
 
@@ -113,8 +118,7 @@ def _las_numbers(path: Path) -> list[tuple[str, int, int]]:
     if head.point_format in WAVE_OFFSET:
         block = WAVE_OFFSET[head.point_format]
         found += 3 * wave_fields(data, path.name, head.points_start, head.record_length, block, 4)
-    beside = path.with_suffix(".wdp")
-    if beside.exists():
+    for beside in filter(Path.exists, map(path.with_suffix, (".wdp", ".wdz"))):
         found += [(beside.name, at, w) for at, w in ((2, 8), (18, 2), (20, 8), (60, 4))]
     if head.wave_start:
         found += [(path.name, head.wave_start + at, w) for at, w in ((2, 8), (18, 2), (20, 8))]

@@ -20,6 +20,7 @@ SECTION: dict[str, Any] = {
     "platform_altitude": 600.0,
     "max_time_gap": 2.0,
     "max_incidence": 80.0,
+    "grazing": 85.0,
     "calibration": None,
     "extinction": 0.0,
     "divergence": 0.5,

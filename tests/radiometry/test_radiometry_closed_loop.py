@@ -33,6 +33,7 @@ SECTION: dict[str, Any] = {
     "platform_altitude": None,
     "max_time_gap": 0.1,
     "max_incidence": 80.0,
+    "grazing": 85.0,
     "calibration": None,
     "extinction": 0.0,
     "divergence": 0.5,

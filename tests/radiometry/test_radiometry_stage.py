@@ -10,7 +10,10 @@ import pytest
 from pydantic import ValidationError
 from tolerances import FLOAT32_CHAIN_RTOL, FLOAT32_RTOL
 
+from fwclass import conf
 from fwclass.errors import InputError
+from fwclass.features.params import NORMAL, FeaturesParams
+from fwclass.features.stage import features
 from fwclass.grid import Tile
 from fwclass.radiometry.stage import RADIOMETRY, Calibration, RadiometryParams, pointing_error, radiometry, ranges
 from fwclass.schema import Table, column
@@ -21,6 +24,7 @@ SECTION: dict[str, Any] = {
     "platform_altitude": 660.0,
     "max_time_gap": 2.0,
     "max_incidence": 80.0,
+    "grazing": 85.0,
     "calibration": None,
     "extinction": 0.0,
     "divergence": 0.5,
@@ -151,7 +155,8 @@ def test_divergence_cancels_out_of_gamma_and_reflectance_once_calibrated() -> No
         ({"beam_range": 0.0, "z": 660.0}, 2, ()),
         ({"normal_z": np.nan}, 4, ("cross_section", "reflectance")),
         ({"normal_z": 0.0}, 4, ("cross_section", "reflectance")),
-        ({"normal_x": 1.0, "normal_z": 0.0}, 8, ("cross_section", "backscatter", "reflectance")),
+        ({"normal_x": 1.0, "normal_z": 0.0}, 4, ("cross_section", "reflectance")),
+        ({"normal_x": 1.0, "normal_z": 0.12}, 8, ("cross_section", "backscatter", "reflectance")),
         ({"fit_flags": 3}, 16, ("cross_section", "backscatter", "reflectance")),
         ({"energy": np.nan}, 0, ()),
         ({"energy": np.inf}, 0, ()),
@@ -175,13 +180,34 @@ def test_uncalibrated_is_relative_and_has_no_reflectance() -> None:
 
 
 def test_grazing_incidence_stays_finite_and_tells_its_angle() -> None:
-    wall = {"normal_x": math.cos(math.radians(2.0)), "normal_z": math.sin(math.radians(2.0))}
+    wall = {"normal_x": math.cos(math.radians(6.0)), "normal_z": math.sin(math.radians(6.0))}
     got, facing = run(echoes(**wall)), run(echoes())
-    assert got["incidence"][0] == pytest.approx(88.0, abs=1e-3)
+    assert got["incidence"][0] == pytest.approx(84.0, abs=1e-3)
     assert got["backscatter"][0] == pytest.approx(
         facing["backscatter"][0] / math.cos(math.radians(80.0)), rel=FLOAT32_RTOL
     )
     assert got["cross_section"][0] == facing["cross_section"][0]
+
+
+def test_a_single_scan_line_has_no_normals() -> None:
+    """Neighbours of one line lie in one plane with the beam: over noisy flat ground, and over what stands up."""
+    rng = np.random.default_rng(8)
+    params = FeaturesParams(**{**conf.section("features").model_dump(), "normal_radius": 1.5})
+    tilt = np.repeat(np.linspace(-0.3, 0.3, 700), 2)
+    n = len(tilt)
+    for rough in (0.02, 4.0):
+        away = (600.0 + np.where(np.arange(n) % 2 == 0, 0.0, rng.uniform(0.0, rough, n))) / np.cos(tilt)
+        place = {"x": (away * np.sin(tilt)).round(3), "y": rng.normal(0.0, 0.02, n).round(3)}
+        place["z"] = (660.0 - away * np.cos(tilt)).round(3)
+        beam = {"beam_x": np.sin(tilt), "beam_y": np.zeros(n), "beam_z": -np.cos(tilt)}
+        table = echoes(**place, **beam).with_columns(
+            {"pulse": np.arange(n), "echo_number": np.ones(n), "amplitude": np.ones(n), "width": np.ones(n)}
+        )
+        chunk = Chunk(table, np.arange(n), Tile(0, 0, 1e6))
+        got = run(table.with_columns(features(chunk, (), params).select(NORMAL)))
+        without = got["radiometry_flags"] & 4 > 0
+        assert without.mean() > 0.9 and np.isnan(got["incidence"][without]).all()
+        assert np.isnan(got["backscatter"][without]).all() and np.isfinite(got["cross_section"]).all()
 
 
 def flight() -> Table:

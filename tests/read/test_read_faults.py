@@ -74,7 +74,7 @@ def test_a_bad_reference_is_counted_and_its_return_kept(tmp_path, params, name, 
 @pytest.mark.parametrize(
     ("name", "descriptor"),
     [
-        ("compressed packet", Descriptor(compression=1)),
+        ("unknown compression of packets", Descriptor(compression=2)),
         ("unsupported samples", Descriptor(bits=32)),
         ("unsupported samples", Descriptor(bits=0)),
         ("unsupported samples", Descriptor(n_samples=0)),

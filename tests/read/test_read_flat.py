@@ -59,6 +59,20 @@ def test_every_command_that_measures_refuses(tmp_path, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_naming_a_projected_system_turns_no_degrees_into_metres(tmp_path, kind):
+    """1000 footprints were written to 64 places, a thousandth of a degree apart."""
+    path, _ = write(tmp_path, kind)
+    ended = fwclass("decompose", path, tmp_path / "out.laz", "--crs", "EPSG:32631")
+    assert ended.returncode == 1 and "look" in ended.stderr and "transforms nothing" in ended.stderr, ended.stderr
+    (tmp_path / "t.yaml").write_text(CONFIG)
+    ended = fwclass(
+        "run", tmp_path / "t.yaml", "--set", "survey.crs=EPSG:32631", "--out", tmp_path / "r", "--workers", 0
+    )
+    assert ended.returncode == 1 and "transforms nothing" in ended.stderr, ended.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.las", "t.yaml"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_info_says_so(tmp_path, kind):
     path, words = write(tmp_path, kind)
     faults = json.loads(fwclass("info", path, "--json").stdout)["faults"]
@@ -104,4 +118,5 @@ def test_text_in_degrees(tmp_path):
 )
 def test_numbers(low, high, step, kind):
     assert not_flat(None, low, high, step) == kind
-    assert not_flat(CRS(25832), low, high, step) == (kind if kind == GEOCENTRIC else "")
+    sure = kind == GEOCENTRIC or (kind == DEGREES and step is not None)  # a projected system was named for degrees
+    assert not_flat(CRS(25832), low, high, step) == (kind if sure else "")

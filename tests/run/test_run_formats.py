@@ -115,7 +115,7 @@ def test_laz_in_gives_the_same_echoes_as_las(tmp_path):
 FAULTS = {
     "packet past the end": {"wave": {"offset": 10**9}},
     "unknown descriptor": {"wave": {"index": 77}},
-    "compressed": {"descriptors": {1: Descriptor(compression=1)}},
+    "compressed": {"descriptors": {1: Descriptor(compression=2)}},
 }
 
 

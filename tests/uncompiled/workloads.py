@@ -332,6 +332,15 @@ def work_las(directory: Path) -> Any:
     return _read(lasmaker.survey(directory / "a.las", pulses=30).path, chunk_pulses=10)
 
 
+def work_compressed_packets(directory: Path) -> Any:
+    """Of 8 and of 16 bits, the latter with differences of more than 8."""
+    told = [lasmaker.Descriptor(bits, 60, 1000, compression=1) for bits in (8, 16)]
+    narrow, wide = (
+        lasmaker.survey(directory / f"w{d.bits}.las", pulses=12, bits=d.bits, descriptors={1: d}).path for d in told
+    )
+    return [*_read(narrow), *_read(wide)]
+
+
 def work_pulsewaves(directory: Path) -> Any:
     return _read(plsmaker.survey(directory / "a.pls", pulses=12).path)
 

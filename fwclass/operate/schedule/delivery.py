@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.operate.schedule.inbox import REPLACED, Delivery
-from fwclass.operate.schedule.places import COMPANIONS, Places
+from fwclass.operate.schedule.places import COMPANIONS, WAVES, Places
 from fwclass.operate.schedule.watch import mark_of
 from fwclass.store.atomic import sync
 
@@ -46,7 +46,7 @@ def _there(delivery: Delivery, places: Places) -> list[Path]:
     head = delivery.files[-1]
     same = [p for p in sorted(delivery.target.iterdir()) if p.is_file() and p.stem.lower() == head.stem.lower()]
     heads = [p for p in same if p.suffix.lower() in COMPANIONS and (places.finds(p) or p.name == head.name)]
-    return heads + [p for p in same if p.suffix.lower() in COMPANIONS.values()]
+    return heads + [p for p in same if p.suffix.lower() in WAVES]
 
 
 def _ahead(delivery: Delivery, places: Places) -> set[str]:

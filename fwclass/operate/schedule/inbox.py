@@ -11,7 +11,7 @@ from pathlib import Path
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.errors import InputError
 from fwclass.formats.las_header import Header
-from fwclass.operate.schedule.places import COMPANIONS, Places
+from fwclass.operate.schedule.places import COMPANIONS, WAVES, Places
 from fwclass.operate.schedule.ticks import Now
 from fwclass.operate.schedule.watch import writers
 
@@ -74,11 +74,10 @@ class Inbox:
         self._judged = {p: known for p, known in self._judged.items() if p in marks}
         complete: list[Delivery] = []
         waiting: list[Waiting] = []
-        companions = set(COMPANIONS.values())
         for path in sorted(marks):
             if path.suffix in self.params.markers:
                 continue
-            if path.suffix.lower() in companions:
+            if path.suffix.lower() in WAVES:
                 if not any(_goes_with(head, path) for head in marks):
                     waiting.append(Waiting(path.name, "its file of points or pulses is not there"))
                 continue
@@ -144,7 +143,7 @@ def _marks(directory: Path) -> dict[Path, Mark]:
 
 def _goes_with(head: Path, path: Path) -> bool:
     """`path` holds the waveforms of `head`."""
-    return COMPANIONS.get(head.suffix.lower()) == path.suffix.lower() and head.stem.lower() == path.stem.lower()
+    return path.suffix.lower() in COMPANIONS.get(head.suffix.lower(), ()) and head.stem.lower() == path.stem.lower()
 
 
 def fault_of(head: Path, beside: tuple[Path, ...], target: Path, marked: bool) -> str:

@@ -10,8 +10,10 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.paths import path_matches
 
-COMPANIONS = {".las": ".wdp", ".laz": ".wdp", ".pls": ".wvs"}
-"""The file of waveforms that goes with a file of points or pulses, by ending."""
+COMPANIONS = {".las": (".wdp", ".wdz"), ".laz": (".wdp", ".wdz"), ".pls": (".wvs",)}
+"""Endings of the file of waveforms that goes with a file of points or pulses."""
+
+WAVES = frozenset(ending for endings in COMPANIONS.values() for ending in endings)
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,9 @@ def check_packets(cloud: PointCloud, output: Path, overwrite: bool) -> None:
     """`ConfigError` if waveforms would go onto a file that is there already and is not the source's own."""
     if not isinstance(cloud.source, LasSource) or not cloud.source.has_waves or output.suffix.lower() not in LAS:
         return
-    target, own = output.with_suffix(".wdp"), cloud.source.waves.path
+    own = cloud.source.waves.path
+    outside = own is not None and cloud.source.waves.kind == "external"
+    target = output.with_suffix(own.suffix.lower() if own is not None and outside else ".wdp")
     if target.exists() and not overwrite and not (own is not None and own.exists() and target.samefile(own)):
         raise ConfigError(
             "the waveforms of the output would replace a file",

@@ -12,6 +12,7 @@ def describe(found: dict[str, Any]) -> str:
     lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
     if found["noise"]["lag1"] is not None:
         lines.append(f"noise        {_noise_words(found['noise'])}")
+    lines += [f"places       {text}" for text in found["places"]["remarks"]]
     if "waveforms" in found:
         lines.append(f"waveforms    {found['waveforms']:,} with {found['echoes']:,} echoes")
     for pulse in found["pulses"]:

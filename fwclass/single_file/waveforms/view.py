@@ -16,6 +16,7 @@ from fwclass.decompose.fitting import EDGE, OVERLAPPING, POOR, SATURATED, model_
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.plausibility import place_remarks
 from fwclass.graph.pulse_picture import pulse_picture
 from fwclass.graph.sources import StripSpan
 from fwclass.publish.files import whole
@@ -80,7 +81,7 @@ def look(
         raise InputError("the file has no waveforms", where=path, do="name a file with waveform packets (fwclass info)")
     check_source(source, read)
     with strip_of(source, settings) as strip:
-        pulse, noise = strip.pulse(), strip.noise()
+        pulse, noise, places = strip.pulse(), strip.noise(), strip.places()
         wanted = strip.spans if not pulses else _with(strip.spans, pulses, path)
         views = (see(strip.waves(span), params, pulse, pulses) for span in wanted)
         chosen, counts = _named(views, pulses, pulse, path) if pulses else _telling(views, pulse)
@@ -99,6 +100,7 @@ def look(
             "pulse_png": beside_it,
             "system_pulse": shape,
             "noise": dict(noise),
+            "places": {**(places or {}), "remarks": place_remarks([{"name": path.stem, "places": places}])},
             **counts,
             "pulses": [f for _, f in chosen],
         }

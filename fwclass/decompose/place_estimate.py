@@ -1,0 +1,230 @@
+"""What a strip itself tells of its places.
+
+A vendor finds the place of a return by a rule of its own: a share of the rising edge, a centre, a table. Against the
+peak of the fitted pulse that is a constant time, which walks with the height of the echo. Echoes are placed along the
+beam from a return, so that both go into every place that is not taken off. Where anchors are at the sensor, the time of
+the recorded outgoing pulse may or may not be in the stored times already: what is right makes ranges smooth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.decompose.fitting import EDGE, OVERLAPPING, SATURATED, Fits, fit_waveforms
+from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.placement import AS_STORED, OffsetCurve, Placement
+from fwclass.decompose.placing import PHASE_REACH, beams, outgoing_times
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.schema import Table
+from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
+
+Floats = NDArray[np.float64]
+
+RUN = 64
+"""Consecutive pulses that are sampled together: neighbours in a scan line tell whether ranges are smooth."""
+
+PER_NODE, MOST_NODES = 60, 12
+"""Echoes of a node of the curve over height, and nodes at most."""
+
+SURE = 3.0
+"""Standard errors by which a constant must differ from 0, and nodes (root mean square) from the constant."""
+
+PHASE_SPREAD, PHASE_SHARE = 0.35, 0.98
+"""Locations that lack the phase of the digitiser's clock lie evenly over one sample: their middle half then spans half
+a sample, and nearly all lie within half a sample and the fit's error."""
+
+SMOOTHER = 1.25
+"""Ratio of two roughnesses of range from which the smoother one is the truth."""
+
+TRIPLES = 30
+"""Fewer second differences tell nothing."""
+
+
+def sample_runs(waves: Waveforms, n_pulses: int, sample: int) -> Waveforms:
+    """Runs of consecutive pulses of a strip of `n_pulses`, about `sample` of them, with their outgoing pulses.
+
+    Runs are numbered by pulse, so that cutting into chunks cannot matter.
+    """
+    run = waves.pulses["pulse"].astype(np.int64) // RUN
+    return _rows(waves, np.flatnonzero(run % max(1, math.ceil(n_pulses / sample)) == 0))
+
+
+def join_runs(parts: Iterable[Waveforms]) -> Waveforms:
+    """Samples of several chunks as one, by (pulse, segment)."""
+    kept = [part for part in parts if part.pulses.rows]
+    if not kept:
+        return Waveforms(Table.empty(PULSE_COLUMNS), Table.empty(RETURN_COLUMNS), np.empty(0, np.uint8), _ends([]))
+    whole = Waveforms(
+        Table.concat([p.pulses for p in kept]),
+        Table.empty(RETURN_COLUMNS),
+        np.concatenate([p.samples for p in kept]),
+        _ends(np.concatenate([np.diff(p.offsets) for p in kept])),
+        outgoing=np.concatenate([p.outgoing for p in kept]),
+        outgoing_offsets=_ends(np.concatenate([np.diff(p.outgoing_offsets) for p in kept])),
+    )
+    return _rows(whole, np.lexsort((whole.pulses["segment_start"], whole.pulses["pulse"])))
+
+
+def measure_placement(sample: Waveforms, at_returns: bool, params: DecomposeParams, pulse: SystemPulse) -> Placement:
+    """What the sampled runs of a strip tell of its places.
+
+    Parameters
+    ----------
+    sample : of `sample_runs`, the whole strip's.
+    at_returns : anchors are returns of the vendor, not places at the sensor.
+    params : ``vendor_offset``, ``offset_echoes``, ``outgoing_time`` and those of the fit.
+    """
+    if sample.pulses.rows == 0:
+        return AS_STORED
+    fits = fit_waveforms(sample, params, pulse)
+    if at_returns:
+        return Placement(_curves(sample, fits, params, pulse) if params.vendor_offset == "auto" else ())
+    return _outgoing(sample, fits, params, pulse)
+
+
+def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse) -> tuple[OffsetCurve, ...]:
+    """The curve of every channel whose echoes show one."""
+    gap = fits.time - sample.pulses["anchor_time"].astype(np.float64)[fits.row]
+    within = max(params.vendor_tolerance, pulse.fwhm)
+    plain = (fits.flags & (SATURATED | OVERLAPPING | EDGE)) == 0
+    kinds = np.stack([sample.pulses["sample_spacing"], sample.pulses["saturation"]], axis=1)
+    found = []
+    for spacing, saturation in np.unique(kinds[~np.isnan(kinds).any(axis=1)], axis=0):
+        mine = ((kinds == (spacing, saturation)).all(axis=1))[fits.row]
+        constant = 0.0
+        for _ in range(2):  # which echo is nearest depends on the constant
+            near = _nearest(gap - constant, fits.row, mine, sample.pulses.rows)
+            near = near[plain[near] & (np.abs(gap[near] - constant) <= within)]
+            if len(near) < params.offset_echoes:
+                break
+            constant = float(np.median(gap[near]))
+        if len(near) >= params.offset_echoes:
+            curve = _curve(gap[near], fits.amplitude[near], float(spacing), float(saturation))
+            found += [curve] if curve.scatter < 0.5 * within else []
+    return tuple(found)
+
+
+def _nearest(gap: Floats, row: NDArray[np.int64], mine: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
+    """Of the echoes of every row that are `mine` the one of the least gap, the first on a tie."""
+    at = np.flatnonzero(mine)
+    order = at[np.lexsort((at, np.abs(gap[at]), row[at]))]
+    return order[np.unique(row[order], return_index=True)[1]]
+
+
+def _curve(gap: Floats, height: Floats, spacing: float, saturation: float) -> OffsetCurve:
+    order = np.lexsort((gap, height))
+    constant = float(np.median(gap))
+    nodes = np.array_split(order, min(MOST_NODES, max(1, len(gap) // PER_NODE)))
+    middle, sigma = np.array([_robust(gap[node]) for node in nodes]).T
+    error = np.maximum(1.2533 * sigma / np.sqrt([len(node) for node in nodes]), 1e-6)
+    heights, offsets = np.array([np.median(height[node]) for node in nodes]), middle
+    if len(nodes) == 1 or np.sqrt(np.mean(((middle - constant) / error) ** 2)) < SURE:
+        whole = 1.2533 * _robust(gap)[1] / math.sqrt(len(gap))
+        heights, offsets = (
+            np.median(height, keepdims=True),
+            np.array([constant if abs(constant) > SURE * whole else 0.0]),
+        )
+    curve = OffsetCurve(spacing, saturation, tuple(heights), tuple(offsets), constant, 0.0, len(gap), False)
+    left = gap - curve.at(height)
+    (low, high), far = np.quantile(left, [0.25, 0.75]), np.quantile(np.abs(left), PHASE_SHARE)
+    return OffsetCurve(
+        spacing,
+        saturation,
+        tuple(float(v) for v in heights),
+        tuple(float(v) for v in offsets),
+        constant,
+        float(_robust(left)[1]),
+        len(gap),
+        bool(high - low >= PHASE_SPREAD * spacing and far <= PHASE_REACH * spacing),
+    )
+
+
+def _robust(values: Floats) -> tuple[float, float]:
+    """Median and standard deviation, the latter from the median deviation."""
+    middle = float(np.median(values))
+    return middle, 1.4826 * float(np.median(np.abs(values - middle)))
+
+
+def _outgoing(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: SystemPulse) -> Placement:
+    """Whether the time of the outgoing pulse is to be taken off, by `outgoing_time` and by the data."""
+    recorded = np.diff(sample.outgoing_offsets) > 0
+    n = len(np.unique(sample.pulses["pulse"][recorded]))
+    if n == 0:
+        return AS_STORED
+    told: dict[str, Any] = {"outgoing": n}
+    if params.outgoing_time != "auto":
+        taken = params.outgoing_time == "subtract"
+        return Placement((), taken, taken, "the setting says so", **told)
+    if np.isnan(sample.pulses["anchor_range"][recorded]).all():
+        return Placement((), False, False, "its anchors have no fixed distance from the sensor", **told)
+    roughness = _roughness(sample, fits, outgoing_times(sample, params, pulse))
+    if roughness is None:
+        return Placement((), True, True, "too few neighbouring pulses to tell, so by the format's rule", **told)
+    (stored, less), ranges = roughness
+    told |= {"places": (stored, less), "ranges": ranges}
+    words = f"places along the line are rough by {stored:.3f} m as stored, by {less:.3f} m less that time"
+    taken = _smoother(stored, less, True)
+    if _smoother(stored, less, False) != taken:
+        words += ", which does not tell, so by the format's rule"
+    return Placement((), taken, _smoother(*ranges, taken), words, **told)
+
+
+def _smoother(stored: float, less: float, otherwise: bool) -> bool:
+    """`less` is smoother than `stored`; `otherwise` where they are about the same."""
+    return less < stored if max(stored, less) >= SMOOTHER * min(stored, less) else otherwise
+
+
+def _roughness(sample: Waveforms, fits: Fits, late: Floats) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Median second differences along the beam [m] of places, and of times from the anchor alone; of each as stored and
+    less the outgoing pulse. None of too few.
+
+    Of consecutive pulses that have one echo each: what lies on one surface.
+    """
+    pulses = sample.pulses
+    one = np.bincount(fits.row, minlength=pulses.rows) == 1
+    row = fits.row[one[fits.row]]
+    echo = np.full(pulses.rows, -1)
+    echo[fits.row] = np.arange(len(fits.row))
+    number, count = np.unique(pulses["pulse"].astype(np.int64), return_counts=True)
+    row = row[np.isin(pulses["pulse"][row], number[count == 1]) & (np.diff(sample.outgoing_offsets)[row] > 0)]
+    follows = np.diff(pulses["pulse"].astype(np.int64)[row]) == 1
+    middle = np.flatnonzero(follows[:-1] & follows[1:]) + 1
+    if len(middle) < TRIPLES:
+        return None
+    beam, speed = (values[row] for values in beams(sample))
+    anchor = np.stack([pulses[f"anchor_{a}"][row] for a in "xyz"], axis=1)
+    after = fits.time[echo[row]] - pulses["anchor_time"].astype(np.float64)[row]
+
+    def rough(time: Floats, origin: Floats) -> float:
+        place = origin + (time * speed)[:, None] * beam
+        bend = place[middle - 1] - 2.0 * place[middle] + place[middle + 1]
+        return float(np.median(np.abs((bend * beam[middle]).sum(axis=1))))
+
+    both = (after, after - late[row])
+    places, ranges = ([rough(time, origin) for time in both] for origin in (anchor, np.zeros_like(anchor)))
+    return (places[0], places[1]), (ranges[0], ranges[1])
+
+
+def _rows(waves: Waveforms, rows: NDArray[np.int64]) -> Waveforms:
+    """Waveforms `rows` of `waves` with their outgoing pulses, in that order, without returns."""
+    samples, offsets = _pieces(waves.samples, waves.offsets, rows)
+    outgoing, launched = _pieces(waves.outgoing, waves.outgoing_offsets, rows)
+    none = Table.empty(RETURN_COLUMNS)
+    return Waveforms(waves.pulses.take(rows), none, samples, offsets, outgoing=outgoing, outgoing_offsets=launched)
+
+
+def _pieces(
+    values: NDArray[Any], offsets: NDArray[np.int64], rows: NDArray[np.int64]
+) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    length = np.diff(offsets)[rows]
+    ends = _ends(length)
+    return values[np.arange(ends[-1]) + np.repeat(offsets[rows] - ends[:-1], length)], ends
+
+
+def _ends(lengths: Any) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

@@ -1,0 +1,120 @@
+"""How the echoes of a strip are placed: what of a fitted time is the vendor's constant and range walk, and whether
+times count from the recorded outgoing pulse."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.decompose.fitting import Fits
+from fwclass.schema import Table
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class OffsetCurve:
+    """Fitted time less the vendor's location in one channel of the receiver.
+
+    Attributes
+    ----------
+    sample_spacing, saturation : what the channel is told by [ns, DN].
+    heights, offsets : nodes of the curve [DN, ns], lowest first; straight over log height between, level beyond.
+    constant, scatter : median of all, and robust standard deviation about the curve [ns].
+    echoes : that it was made of.
+    phase : locations lack the phase of the digitiser's clock.
+    """
+
+    sample_spacing: float
+    saturation: float
+    heights: tuple[float, ...]
+    offsets: tuple[float, ...]
+    constant: float
+    scatter: float
+    echoes: int
+    phase: bool
+
+    def at(self, amplitude: Floats) -> Floats:
+        """Offset of echoes of these heights [ns]."""
+        return np.interp(np.log(np.maximum(amplitude, 1e-9)), np.log(self.heights), self.offsets)
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How the echoes of a strip are placed.
+
+    Attributes
+    ----------
+    curves : of the channels that showed one; none where `decompose.vendor_offset` is ``keep``.
+    from_outgoing, range_from_outgoing : for places, and for the distance from the sensor, times count from the
+        recorded outgoing pulse, whose own time is taken off. The two differ where a converter has put that time into
+        the anchors.
+    evidence : why, in words; empty where nothing was recorded.
+    places, ranges : roughness along the line as stored, and less the outgoing pulse's time [m]; None unknown.
+    outgoing : pulses of the sample with a recorded outgoing pulse.
+    """
+
+    curves: tuple[OffsetCurve, ...] = ()
+    from_outgoing: bool = True
+    range_from_outgoing: bool = True
+    evidence: str = ""
+    places: tuple[float, float] | None = None
+    ranges: tuple[float, float] | None = None
+    outgoing: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, plain: Mapping[str, Any]) -> Placement:
+        curves = tuple(
+            OffsetCurve(**{**c, "heights": tuple(c["heights"]), "offsets": tuple(c["offsets"])})
+            for c in plain["curves"]
+        )
+        pairs = {name: None if plain[name] is None else tuple(plain[name]) for name in ("places", "ranges")}
+        return cls(**{**plain, **pairs, "curves": curves})
+
+
+AS_STORED = Placement()
+"""Nothing known of the strip: locations are taken as they are, outgoing pulses are taken off."""
+
+
+def offsets_of(fits: Fits, pulses: Table, placement: Placement) -> Floats:
+    """How much later than its vendor would have it every echo was fitted [ns]; 0 in channels without a curve."""
+    late = np.zeros(len(fits.row))
+    for curve in placement.curves:
+        mine = _of_channel(pulses, curve)[fits.row]
+        late[mine] = curve.at(fits.amplitude[mine])
+    return late
+
+
+def phases_of(pulses: Table, placement: Placement) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Rows whose locations are known to lack the clock's phase, and rows of which nothing is known."""
+    lacking, unknown = np.zeros(pulses.rows, np.bool_), np.ones(pulses.rows, np.bool_)
+    for curve in placement.curves:
+        mine = _of_channel(pulses, curve)
+        lacking[mine], unknown[mine] = curve.phase, False
+    return lacking, unknown
+
+
+def describe_placement(placement: Placement) -> dict[str, Any]:
+    """Facts for receipts and reports: ``vendor_offset``, channels with a curve, and ``outgoing_time``, or None."""
+    channels = [{**asdict(c), "heights": list(c.heights), "offsets": list(c.offsets)} for c in placement.curves]
+    recorded = {
+        "from_outgoing": placement.from_outgoing,
+        "range_from_outgoing": placement.range_from_outgoing,
+        "evidence": placement.evidence,
+        "places_m": list(placement.places or ()),
+        "ranges_m": list(placement.ranges or ()),
+        "pulses": placement.outgoing,
+    }
+    return {"vendor_offset": channels, "outgoing_time": recorded if placement.outgoing else None}
+
+
+def _of_channel(pulses: Table, curve: OffsetCurve) -> NDArray[np.bool_]:
+    mine = pulses["sample_spacing"] == np.float32(curve.sample_spacing)
+    return np.asarray(mine & (pulses["saturation"] == np.float32(curve.saturation)))

@@ -1,0 +1,156 @@
+"""Whether the beams of a file come from one place above: what old converters and wrong exports give away.
+
+Pulses that follow each other leave the sensor within a metre, so that the lines through their first samples, along the
+stored beam vectors, must meet, and above the ground. Where a sign is wrong they meet below; where axes are exchanged,
+nowhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.read.packets import References, judge
+from fwclass.read.pls_waves import Samplings, find, read_records, waves_of
+from fwclass.read.points import PointReader, coordinates, gps_times
+from fwclass.read.pulsewaves import RETURNING
+from fwclass.read.source import PulseSource, Source, las_of
+
+Floats = NDArray[np.float64]
+
+LOOKED_AT = 20_000
+"""Points or pulses at the start of a file that are looked at."""
+
+GROUP = 12
+"""Pulses whose beams are brought together: 0.1 ms of a fast scanner, in which it flies 1 cm."""
+
+FEWEST = 5
+"""Groups that must meet before anything is said."""
+
+WIDE, STEEP = 0.3, 1e-4
+"""Groups tell something whose places are so far apart across the beam [m, root mean square], and whose directions
+differ by as much [rad]."""
+
+MEET = 0.1
+"""Beams meet that pass their common point within this share of how far apart their places are."""
+
+MOST = 0.8
+"""Share of the groups that must agree."""
+
+HORIZONTAL = "the sign of their horizontal parts is wrong"
+TURNED: dict[str, Callable[[Floats], Floats]] = {
+    HORIZONTAL: lambda beam: beam * (-1.0, -1.0, 1.0),
+    "the sign of the whole vectors is wrong, they point down": lambda beam: -beam,
+    "the sign of their x is wrong": lambda beam: beam * (-1.0, 1.0, 1.0),
+    "the sign of their y is wrong": lambda beam: beam * (1.0, -1.0, 1.0),
+    "their axes x and y are exchanged": lambda beam: beam[:, [1, 0, 2]],
+}
+"""What may be wrong, and what mends it."""
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Groups whose beams meet, of `groups`; the median distance to that place, positive towards the sensor [m]; and the
+    share of them in which it lies that way, and higher than the places."""
+
+    meet: int
+    groups: int
+    away: float
+    above: float
+
+    @property
+    def sound(self) -> bool:
+        """They come from above."""
+        return self.meet >= FEWEST and 2 * self.meet >= self.groups and self.above >= MOST
+
+
+def check_beams(source: Source) -> None:
+    """`InputError` where the beams of `source` meet below the ground, or only with a sign or an axis changed."""
+    wrong = beam_fault(source)
+    if wrong:
+        mends = "add --mirror-beams (read.mirror_beams: true)"
+        if source.mirrored:
+            mends = "leave --mirror-beams (read.mirror_beams) out"
+        raise InputError(
+            wrong,
+            where=source.path,
+            expected="beams of neighbouring pulses that meet above the ground, where the sensor was",
+            do=mends
+            if HORIZONTAL in wrong
+            else "export the file again, with vectors that point from the target up to the sensor",
+        )
+
+
+def beam_fault(source: Source) -> str:
+    """What is wrong with the beams of `source`, as a sentence; "" if nothing is, or too little is there to tell."""
+    place, beam = _first_samples(source)
+    found = meeting(place, beam)
+    if found.sound:
+        return ""
+    wrong = next((words for words, turned in TURNED.items() if meeting(place, turned(beam)).sound), "")
+    if not wrong:
+        return ""
+    side = "below" if wrong == HORIZONTAL else "behind"
+    where = f"{-found.away:.0f} m {side} the ground" if found.meet and found.away < 0.0 else "nowhere"
+    return f"the beams of neighbouring pulses meet {where}: {wrong}"
+
+
+def meeting(place: Floats, beam: Floats) -> Meeting:
+    """Where lines through `place` (n, 3) [m] along the unit vectors `beam` (n, 3), away from the sensor, meet: by
+    groups of `GROUP` rows, each by least squares."""
+    n = len(place) // GROUP
+    if n == 0:
+        return Meeting(0, 0, 0.0, 0.0)
+    p, b = (v[: n * GROUP].reshape(n, GROUP, 3) for v in (place, beam))
+    mean = b.mean(axis=1, keepdims=True)
+    mean /= np.maximum(np.linalg.norm(mean, axis=2, keepdims=True), 1e-12)
+    local = p - p.mean(axis=1, keepdims=True)
+    across = np.eye(3) - b[..., :, None] * b[..., None, :]
+    inverse = np.linalg.pinv(across.sum(axis=1), rcond=1e-12, hermitian=True)
+    point = inverse @ (across @ local[..., None]).sum(axis=1)
+    miss = _root_mean_square((across @ (point[:, None] - local[..., None]))[..., 0])
+    spread = _root_mean_square(local - (local * mean).sum(axis=2, keepdims=True) * mean)
+    turn = _root_mean_square(b - mean)
+    away = -((point[:, None, :, 0] - local) * b).sum(axis=2).mean(axis=1)
+    wide = (spread >= WIDE) & (turn >= STEEP)
+    meet = wide & (miss <= MEET * spread)
+    if not meet.any():
+        return Meeting(0, int(wide.sum()), 0.0, 0.0)
+    above = (away > 0.0) & (point[:, 2, 0] > 0.0)
+    return Meeting(int(meet.sum()), int(wide.sum()), float(np.median(away[meet])), float(above[meet].mean()))
+
+
+def _root_mean_square(vectors: Floats) -> Floats:
+    return np.asarray(np.sqrt((vectors**2).sum(axis=2).mean(axis=1)))
+
+
+def _first_samples(source: Source) -> tuple[Floats, Floats]:
+    """Places of the first samples of the first pulses, and their beams away from the sensor, one row a pulse, in the
+    order of time."""
+    nothing = np.empty((0, 3)), np.empty((0, 3))
+    if not source.has_waves or source.waves.kind == "none" or source.n_records == 0:
+        return nothing
+    last = min(source.n_records, LOOKED_AT)
+    if isinstance(source, PulseSource):
+        kinds = Samplings.of(source)
+        found = find(source, read_records(source, 0, last), kinds, waves_of(source))
+        parts = found.segments.take(np.flatnonzero(kinds.kind[found.segments.sampling] == RETURNING))
+        row, first = np.unique(parts.pulse, return_index=True)
+        step, time = found.step[row], found.time[row]
+        place = found.anchor[row] - parts.begin[first, None] * step
+    else:
+        las = las_of(source)
+        with PointReader(las) as reader:
+            points = reader.read(0, last)
+        refs = References.of(points, las.mirrored)
+        usable = np.flatnonzero(judge(las, refs) == 0)
+        row = usable[np.sort(np.unique(refs.offset[usable], return_index=True)[1])]
+        step, time = refs.step[row], gps_times(las, points)[row]
+        place = np.stack(coordinates(las, points), axis=1)[row] + refs.location[row, None] * step
+    order = np.argsort(time, kind="stable")
+    speed = np.linalg.norm(step, axis=1, keepdims=True)
+    return (place[order], -(step / speed)[order]) if len(row) else nothing

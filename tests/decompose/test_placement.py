@@ -1,0 +1,208 @@
+"""Where echoes are placed: the vendor's constant and range walk, the clock's phase, the outgoing pulse. Files written
+byte by byte, scored against what was put in."""
+
+from __future__ import annotations
+
+import laspy
+import numpy as np
+import pytest
+from lasmaker import METRES_PER_NS, digitise, gaussian, write_las
+from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, write_pls
+
+from fwclass import conf
+from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.single_file.decompose import decompose_file
+
+FLUCTUATES = 0x8FFFFFFF
+PULSES = 900
+
+
+def walk(height):
+    """How much earlier than the pulse's peak this vendor's return lies [ns]: a share of the rising edge, and slower."""
+    return 1.3 + 0.45 * np.log(height / 60.0)
+
+
+def strip(path, location, seed=1, pulses=PULSES, **options):
+    """Single returns on flat ground; `location` gives the vendor's [ns] from true times, heights and a generator."""
+    rng = np.random.default_rng(seed)
+    height, time = np.exp(rng.uniform(np.log(12.0), np.log(220.0), pulses)), 25.0 + rng.uniform(0.0, 8.0, pulses)
+    xyz = np.c_[
+        500000.0 + 0.5 * (np.arange(pulses) % 30), 5400000.0 + 0.5 * (np.arange(pulses) // 30), np.full(pulses, 200.0)
+    ]
+    waveforms = [
+        digitise(gaussian(70, [(a, t, 3.6)], 10.0) + rng.normal(0.0, 0.6, 70))
+        for a, t in zip(height, time, strict=True)
+    ]
+    stored = location(time, height, rng)
+    return write_las(
+        path,
+        xyz,
+        waveforms=waveforms,
+        pulse=np.arange(pulses),
+        location=stored,
+        gps_time=1000.0 + 1e-5 * np.arange(pulses),
+        intensity=np.rint(height),
+        descriptors={1: _samples(70)},
+        **options,
+    )
+
+
+def _samples(n):
+    from lasmaker import Descriptor as OfLas
+
+    return OfLas(8, n, 1000)
+
+
+def echoes(path, *settings):
+    """z of the echoes, sorted by time, and the words."""
+    out = path.with_suffix(".out.laz")
+    words, strips = decompose_file(path, out, settings, True)
+    las = laspy.read(out)
+    order = np.argsort(np.asarray(las.gps_time), kind="stable")
+    return np.asarray(las.z)[order] - 200.0, np.asarray(las.gps_time)[order], words, strips[0]["places"]
+
+
+def test_a_vendors_constant_and_range_walk_are_taken_off(tmp_path):
+    path = strip(tmp_path / "a.las", lambda t, a, rng: t - walk(a) + rng.normal(0.0, 0.05, len(t)))
+    z, _, words, places = echoes(path)
+    assert len(z) == PULSES and "+1." in words and "decompose.vendor_offset" in words
+    assert (np.abs(z) < 0.05).mean() > 0.95 and abs(np.median(z)) < 0.01
+    (channel,) = places["vendor_offset"]
+    assert channel["echoes"] > 0.9 * PULSES and not channel["phase"] and channel["scatter"] < 0.15
+    np.testing.assert_allclose(channel["offsets"], walk(np.array(channel["heights"])), atol=0.08)
+    stored, _, _, none = echoes(path, "decompose.vendor_offset=keep", "decompose.register_within=0")
+    assert none["vendor_offset"] == [] and np.median(stored) < -0.15
+    assert np.ptp([np.median(stored[k::3]) for k in range(3)]) < 0.05
+
+
+def test_a_row_is_not_pulled_onto_its_return(tmp_path):
+    """Vendor's locations scatter by 0.3 ns, 4.5 cm: the strip's curve is kept to, and the scatter stays out."""
+    path = strip(tmp_path / "a.las", lambda t, a, rng: t - 1.0 + rng.normal(0.0, 0.2, len(t)))
+    noisy, _, _, _ = echoes(path)
+    assert 0.02 < np.std(noisy) < 0.04  # the return's own error, as its place is off by it; never 0 by construction
+
+
+def test_locations_without_the_clocks_phase_place_every_pulse_by_its_return(tmp_path):
+    path = strip(tmp_path / "a.las", lambda t, a, rng: t + rng.uniform(-0.5, 0.5, len(t)))
+    z, _, words, places = echoes(path)
+    assert places["vendor_offset"][0]["phase"] and "clock" in words
+    assert (np.abs(z) < 0.002).mean() > 0.98
+    free, _, _, _ = echoes(path, "decompose.register_within=0")
+    assert 0.03 < np.std(free) < 0.06
+
+
+def test_true_locations_change_nothing(tmp_path):
+    path = strip(tmp_path / "a.las", lambda t, a, rng: t)
+    z, _, words, places = echoes(path)
+    assert "vendor's locations" not in words
+    assert max(map(abs, places["vendor_offset"][0]["offsets"])) < 0.03
+    assert np.std(z) < 0.02
+
+
+def test_too_few_returns_show_nothing(tmp_path):
+    path = strip(tmp_path / "a.las", lambda t, a, rng: t - 0.6, pulses=30)
+    z, _, _, places = echoes(path)
+    assert places["vendor_offset"] == [] and np.abs(z).max() < 0.002
+
+
+def test_locations_that_make_no_sense_show_nothing(tmp_path):
+    path = strip(tmp_path / "a.las", lambda t, a, rng: rng.uniform(0.0, 60.0, len(t)))
+    assert echoes(path, "plausibility.accept=true")[3]["vendor_offset"] == []
+
+
+def test_chunks_do_not_matter(tmp_path):
+    """The curve is the strip's, whatever the file is cut into, and whatever share of it is looked at."""
+    path = strip(tmp_path / "a.las", lambda t, a, rng: t - walk(a))
+    for more in ((), ("pulse.sample=300",)):
+        whole, parts = echoes(path, *more), echoes(path, "read.chunk_pulses=70", *more)
+        np.testing.assert_array_equal(whole[0], parts[0])
+        assert whole[3] == parts[3]
+
+
+def test_the_report_names_the_strips():
+    counts = dict.fromkeys(("fitted", "checked", "unexplained", "below", "outside", "weak", "implausible"), 0)
+    counts["returns_without_echo"] = 0
+    channel = {"constant": 1.7, "offsets": [1.2, 1.9], "heights": [20.0, 110.0], "phase": False}
+    strips = [
+        of_strip(
+            f"s{k}", 10, counts, {"lag1": None, "inflation": 1.0}, {"vendor_offset": [channel], "outgoing_time": None}
+        )
+        for k in range(5)
+    ]
+    (line,) = remarks(strips, conf.section("decompose"))
+    assert (
+        "+1.70 ns (0.25 m)" in line
+        and "from 1.20 at 20 DN to 1.90 at 110 DN" in line
+        and "s0, s1, s2 and 2 more" in line
+    )
+
+
+def line(path, origin, jitter=1.0, pulses=500, height=600.0, centre=0):
+    """A scan line over a plane, in Pulse and Waves files whose outgoing pulse is up to `jitter` ns off its place.
+
+    `origin`: what durations count from: the digitiser's ``trigger``; the outgoing ``pulse`` itself; the trigger, and
+    the converter has moved the ``anchor`` instead; or the first sample, at whose place the anchor is (``sample``).
+    """
+    rng = np.random.default_rng(3)
+    made, truth = [], []
+    for p, tilt in enumerate(np.linspace(-0.25, 0.25, pulses)):
+        sensor = np.array([500000.0, 5400000.0 + 0.02 * p, 200.0 + height])
+        away = np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+        late = rng.uniform(-jitter, jitter)
+        ground = height / np.cos(tilt) / METRES_PER_NS
+        outgoing = digitise(gaussian(24, [(180.0, 11.0 + late, 3.5)], 10.0) + rng.normal(0, 0.7, 24))
+        begin = np.floor(ground - 20.0)
+        y = gaussian(60, [(rng.uniform(60, 200), ground + late - begin, 3.7)], 10.0) + rng.normal(0, 0.7, 60)
+        anchor, duration, launched = sensor, begin, -11.0
+        if origin == "pulse":  # the sampling clock of the returns was set right; the record beside it is as it was
+            y = gaussian(60, [(rng.uniform(60, 200), ground - begin, 3.7)], 10.0) + rng.normal(0, 0.7, 60)
+        elif origin == "anchor":
+            anchor = sensor - late * METRES_PER_NS * away
+        elif origin == "sample":
+            anchor, duration = sensor + (begin - late) * METRES_PER_NS * away, 0.0
+            launched = 0.0
+        waves = [[(launched, outgoing)], [(duration, digitise(y))]]
+        made.append(Pulse(np.round(anchor, 3), away, waves, time=1000.0 + 1e-5 * p))
+        truth.append(ground)
+    kinds = [Sampling(OUTGOING, length_bits=0, samples=24, segment_bits=0, segments=1), Sampling()]
+    return write_pls(path, made, {1: Descriptor(kinds, centre=centre)}), np.array(truth) * METRES_PER_NS
+
+
+@pytest.mark.parametrize(
+    ("origin", "taken", "ranges"),
+    [("trigger", True, True), ("pulse", False, False), ("anchor", False, True), ("sample", False, False)],
+)
+def test_the_data_tell_whether_times_count_from_the_outgoing_pulse(tmp_path, origin, taken, ranges):
+    path, away = line(tmp_path / "a.pls", origin, centre=FLUCTUATES if origin == "sample" else 0)
+    z, _, words, places = echoes(path)
+    told = places["outgoing_time"]
+    assert (told["from_outgoing"], told["range_from_outgoing"], told["pulses"]) == (taken, ranges, 500)
+    assert ("is taken off: places along" in words) == taken and "decompose.outgoing_time" in words
+    assert ("no fixed distance" in words) == (origin == "sample")
+    assert len(z) == 500 and np.abs(z).max() < 0.04 and abs(z.mean()) < 0.003
+    if origin != "sample":
+        las = laspy.read(path.with_suffix(".out.laz"))
+        order = np.argsort(np.asarray(las.gps_time), kind="stable")
+        np.testing.assert_allclose(np.asarray(las["range"])[order], away, atol=0.04)
+
+
+@pytest.mark.parametrize(("way", "off"), [("subtract", False), ("keep", True)])
+def test_the_user_has_the_last_word(tmp_path, way, off):
+    path, _ = line(tmp_path / "a.pls", "trigger")
+    z, _, words, _ = echoes(path, f"decompose.outgoing_time={way}")
+    assert "the setting says so" in words
+    assert (np.std(z) > 0.05) == off
+
+
+def test_an_outgoing_pulse_that_does_not_wander_is_taken_off_by_the_formats_rule(tmp_path):
+    path, _ = line(tmp_path / "a.pls", "trigger", jitter=0.0)
+    z, _, words, places = echoes(path)
+    assert places["outgoing_time"]["from_outgoing"] and "by the format's rule" in words
+    assert np.abs(z).max() < 0.04
+
+
+def test_outgoing_times_do_not_depend_on_chunks(tmp_path):
+    path, _ = line(tmp_path / "a.pls", "trigger")
+    whole, parts = echoes(path, "pulse.sample=200"), echoes(path, "pulse.sample=200", "read.chunk_pulses=37")
+    np.testing.assert_array_equal(whole[0], parts[0])
+    assert whole[3] == parts[3]

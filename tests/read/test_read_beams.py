@@ -1,0 +1,148 @@
+"""Beams that come from below, or from nowhere: which of sign, axis and unit is wrong, and what mends it."""
+
+from __future__ import annotations
+
+import laspy
+import numpy as np
+import pytest
+from commandline import process
+from lasmaker import METRES_PER_NS, digitise, gaussian, survey, write_las
+from lasmaker import Descriptor as OfLas
+from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, write_pls
+
+from fwclass.errors import InputError
+from fwclass.read.info import info
+from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
+
+PULSES, HEIGHT = 240, 700.0
+TURNS = {
+    "right": lambda v: v,
+    "mirrored": lambda v: v * (-1.0, -1.0, 1.0),
+    "reversed": lambda v: -v,
+    "x": lambda v: v * (-1.0, 1.0, 1.0),
+    "y": lambda v: v * (1.0, -1.0, 1.0),
+    "exchanged": lambda v: v[..., [1, 0, 2]],
+}
+WORDS = {
+    "mirrored": "below the ground: the sign of their horizontal parts",
+    "reversed": "the sign of the whole vectors",
+    "x": "the sign of their x",
+    "y": "the sign of their y",
+    "exchanged": "axes x and y are exchanged",
+}
+
+
+@pytest.fixture
+def params(base) -> ReadParams:
+    return ReadParams(**base["read"])
+
+
+def scan(rng):
+    """Sensor's places and unit vectors down of an oblique scan line, and true places on rough ground."""
+    k = np.arange(PULSES)
+    tilt = np.linspace(-0.3, 0.3, PULSES)
+    away = np.c_[np.sin(tilt) * 0.8, np.sin(tilt) * 0.6 + 0.05, -np.ones(PULSES)]
+    away /= np.linalg.norm(away, axis=1)[:, None]
+    sensor = np.c_[500000.0 + 6e-4 * k, 5400000.0 + 2e-4 * k, np.full(PULSES, 200.0 + HEIGHT)]
+    ground = 200.0 + np.cumsum(rng.normal(0.0, 0.2, PULSES))
+    return sensor, away, sensor + ((sensor[:, 2] - ground) / -away[:, 2])[:, None] * away
+
+
+def las(path, turn="right", unit=1.0, second=8.0):
+    """A return at the first of two echoes `second` ns apart."""
+    rng = np.random.default_rng(2)
+    _, away, xyz = scan(rng)
+    y = [gaussian(60, [(120.0, 20.0, 3.5), (90.0, 20.0 + second, 3.5)]) + rng.normal(0, 0.7, 60) for _ in range(PULSES)]
+    return write_las(
+        path,
+        xyz,
+        waveforms=[digitise(v) for v in y],
+        pulse=np.arange(PULSES),
+        location=20.0,
+        step=unit * TURNS[turn](-away * METRES_PER_NS),
+        gps_time=1000.0 + 1e-5 * np.arange(PULSES),
+        descriptors={1: OfLas(8, 60, 1000)},
+    )
+
+
+def pls(path, turn="right"):
+    rng = np.random.default_rng(2)
+    _, away, xyz = scan(rng)
+    made = []
+    for p in range(PULSES):
+        t = 30.0  # as old converters have it: the anchor is at the first sample, or near it
+        begin = 10.0
+        samples = digitise(gaussian(60, [(120.0, t - begin, 3.5)]) + rng.normal(0, 0.7, 60))
+        made.append(
+            Pulse(
+                np.round(xyz[p] - t * METRES_PER_NS * away[p], 3),
+                TURNS[turn](away[p]),
+                [[(-8.0, digitise(gaussian(20, [(180.0, 8.0, 3.5)])))], [(begin, samples)]],
+                time=1000.0 + 1e-5 * p,
+            )
+        )
+    kinds = [Sampling(OUTGOING, length_bits=0, samples=20, segment_bits=0, segments=1), Sampling()]
+    return write_pls(path, made, {1: Descriptor(kinds)})
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_what_is_wrong_is_told(tmp_path, params, turn):
+    path = las(tmp_path / "a.las", turn)
+    faults = [f for f in info(path)["faults"] if "beams" in f]
+    if turn == "right":
+        check_source(open_source(path), params)
+        assert faults == []
+        return
+    with pytest.raises(InputError, match=WORDS[turn]) as refused:
+        check_source(open_source(path), params)
+    assert ("--mirror-beams" in str(refused.value)) == (turn == "mirrored")
+    assert len(faults) == 1 and WORDS[turn] in faults[0]
+
+
+def test_a_wrong_unit_is_told(tmp_path, params):
+    with pytest.raises(InputError, match=r"they are 1000 times as long as light"):
+        check_source(open_source(las(tmp_path / "a.las", unit=1000.0)), params)
+
+
+def test_mirrored_beams_of_pulses(tmp_path, params):
+    """Where anchors are near the ground. At the sensor, beams meet there whatever their signs."""
+    check_source(open_source(pls(tmp_path / "a.pls")), params)
+    wrong = pls(tmp_path / "b.pls", "mirrored")
+    assert any(WORDS["mirrored"] in f for f in info(wrong)["faults"])
+    with pytest.raises(InputError, match=WORDS["mirrored"]):
+        check_source(open_source(wrong), params)
+    turned = params.model_copy(update={"mirror_beams": True})
+    check_source(open_source(wrong), turned)
+    (a,), (b,) = (
+        [read_span(open_source(p), s, how) for s in index_source(open_source(p), how)]
+        for p, how in ((tmp_path / "a.pls", params), (wrong, turned))
+    )
+    for name in a.pulses:
+        np.testing.assert_array_equal(a.pulses[name], b.pulses[name])
+
+
+def test_beams_that_are_turned_round_give_the_echoes_of_right_ones(tmp_path):
+    """By command: refused with 1, mended by the option; a right file is refused with it."""
+    right, wrong = las(tmp_path / "a.las"), las(tmp_path / "b.las", "mirrored")
+    assert process("decompose", right, tmp_path / "a.laz").returncode == 0
+    refused = process("decompose", wrong, tmp_path / "b.laz")
+    assert refused.returncode == 1 and "--mirror-beams" in refused.stderr and not (tmp_path / "b.laz").exists()
+    assert process("decompose", wrong, tmp_path / "b.laz", "--mirror-beams").returncode == 0
+    a, b = laspy.read(tmp_path / "a.laz"), laspy.read(tmp_path / "b.laz")
+    assert len(a.points) == 2 * PULSES
+    for axis in "xyz":
+        np.testing.assert_array_equal(np.asarray(a[axis]), np.asarray(b[axis]))
+    twice = process("decompose", right, tmp_path / "c.laz", "--mirror-beams")
+    assert twice.returncode == 1 and "leave --mirror-beams" in twice.stderr
+
+
+def test_beams_that_have_nothing_to_meet_in_are_left_alone(tmp_path, params):
+    """Directions without any order, parallel ones, and fewer pulses than make a group."""
+    check_source(open_source(survey(tmp_path / "a.las", pulses=200).path), params)
+    rng = np.random.default_rng(0)
+    xyz = np.c_[rng.uniform(0, 50, (200, 2)), np.zeros(200)]
+    waves = [digitise(gaussian(60, [(99.0, 20.0, 3.5)]))] * 200
+    for name, some in (("p", 200), ("q", 5)):
+        check_source(
+            open_source(write_las(tmp_path / f"{name}.las", xyz[:some], waveforms=waves[:some], location=20.0)), params
+        )
