@@ -11,8 +11,8 @@ import hashlib
 import os
 import pickle
 import sys
+import threading
 import time
-import uuid
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -41,16 +41,32 @@ KEPT = 30 * 86400.0
 
 SUFFIX = ".kernel"
 
-watchers: list[Callable[[bool], None]] = []
-"""Told when this process begins to compile, or to wait for a kernel, and when that is over."""
+TOLD_AFTER = 1.0
+"""Seconds that a process compiles before a person is told."""
+
+ONCE = "compiling for this machine, once"
+
+tellers: list[Callable[[bool], None]] = []
+"""The last is told when this process begins to compile, or to wait for a kernel, and when that is over."""
+
+asked: list[tuple[str, Any]] = []
+"""Kernels that this process called, each with the types of its arguments; what they call themselves goes with them."""
 
 _under_way = Counter[str]()
+_stacks: list[ExitStack] = []
+"""What is held for the kernels that are asked for, one on behalf of another; numba lets in one thread at a time."""
 _since, _spent = 0.0, 0.0
+_count = 0
 
 
 def spent() -> float:
     """Seconds that this process has compiled, or waited for others that did."""
     return _spent + (time.perf_counter() - _since if runs() else 0.0)
+
+
+def count() -> int:
+    """Kernels that this process has compiled, each with those in it that have no file of their own."""
+    return _count
 
 
 def runs() -> bool:
@@ -62,25 +78,54 @@ def runs() -> bool:
 def _watched(name: str) -> Iterator[None]:
     """Told to `watchers`, once for all kernels that are compiled on behalf of one."""
     global _since, _spent
-    outer = not runs()
-    if outer:
-        _since = time.perf_counter()
+    if runs():
+        _under_way[name] += 1
+        try:
+            yield
+        finally:
+            _under_way[name] -= 1
+        return
+    _since = time.perf_counter()
     _under_way[name] += 1
-    if outer:
-        _tell(True)
+    try:
+        with _told_late():
+            yield
+    finally:
+        _spent += time.perf_counter() - _since
+        _under_way[name] -= 1
+
+
+@contextmanager
+def _told_late() -> Iterator[None]:
+    """The last of `tellers` is told, unless it is over before."""
+    heard = tellers[-1:]
+    begun = threading.Event()
+
+    def tell() -> None:
+        begun.set()
+        for teller in heard:
+            teller(True)
+
+    timer = threading.Timer(max(TOLD_AFTER - _spent, 0.0), tell)
+    timer.daemon = True
+    timer.start()
     try:
         yield
     finally:
-        if outer:
-            _spent += time.perf_counter() - _since
-        _under_way[name] -= 1
-        if outer:
-            _tell(False)
+        timer.cancel()
+        if begun.is_set():
+            for teller in heard:
+                teller(False)
 
 
-def _tell(begins: bool) -> None:
-    for watcher in tuple(watchers):
-        watcher(begins)
+@contextmanager
+def told(teller: Callable[[bool], None]) -> Iterator[None]:
+    """Inside, `teller` is the one of `tellers` that is told."""
+    tellers.append(teller)
+    try:
+        yield
+    finally:
+        tellers.remove(teller)
 
 
 class KernelFiles:
@@ -88,7 +133,6 @@ class KernelFiles:
 
     def __init__(self, name: str, stamp: str) -> None:
         self._name, self._stamp = name, stamp
-        self._held: list[ExitStack] = []
 
     @property
     def cache_path(self) -> str:
@@ -99,29 +143,31 @@ class KernelFiles:
         context.refresh()
         found = self._load(signature, context)
         if found is None:
-            self._held[-1].enter_context(_watched(self._name))
-            self._held[-1].enter_context(_alone(self._name))
+            _stacks[-1].enter_context(_watched(self._name))
+            _stacks[-1].enter_context(_alone(self._name))
             found = self._load(signature, context)  # it may have been made meanwhile
         return found
 
     def compile_with(self, compiled: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """`compiled`, a dispatcher's method, that compiles only what nobody else does."""
+        from numba.core.compiler_lock import global_compiler_lock
 
         def alone(signature: Any) -> Any:
-            with ExitStack() as held:
-                self._held.append(held)
+            with global_compiler_lock, ExitStack() as held:
+                if not _stacks:
+                    asked.append((self._name, signature))
+                _stacks.append(held)
                 try:
                     return compiled(signature)
                 finally:
-                    self._held.pop()
+                    _stacks.pop()
 
         return alone
 
     def _path(self, signature: Any, codegen: Any) -> Path:
-        import llvmlite
         import numba
 
-        told = (_told(signature), codegen.magic_tuple(), numba.__version__, llvmlite.__version__, sys.version_info[:2])
+        told = (_told(signature), codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
         key = hashlib.blake2b(repr(told).encode(), digest_size=8).hexdigest()
         return kernel_cache() / f"{self._name}-{self._stamp[:16]}-{key}{SUFFIX}"
 
@@ -137,12 +183,14 @@ class KernelFiles:
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
+        global _count
         from numba.core.serialize import dumps
 
+        _count += 1
         if result.library.has_dynamic_globals:
             return
         path, data = self._path(signature, result.codegen), dumps(result._reduce())
-        beside = path.with_suffix(f".{uuid.uuid4().hex}")
+        beside = path.with_suffix(f".{os.urandom(8).hex()}")
         try:
             for other in path.parent.glob(f"{self._name}-*"):
                 _tidy(other, self._stamp[:16])
@@ -166,6 +214,19 @@ def attach(dispatcher: Any, name: str, stamp: str) -> None:
     files = KernelFiles(name, stamp)
     dispatcher._cache = files
     dispatcher.compile = files.compile_with(dispatcher.compile)
+    dispatcher.get_call_template = _for_all_numbers(dispatcher.get_call_template)
+
+
+def _for_all_numbers(template: Callable[..., Any]) -> Callable[..., Any]:
+    """Other kernels call one instance, whatever whole number they name; else each number is a kernel of its own."""
+    from numba import types
+
+    def get_call_template(words: Any, named: Any) -> Any:
+        return template(
+            tuple(map(types.unliteral, words)), {name: types.unliteral(kind) for name, kind in named.items()}
+        )
+
+    return get_call_template
 
 
 def _told(kind: Any) -> Any:

@@ -84,7 +84,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
         rows = np.flatnonzero(spacing == step)
         echoes = _room(len(rows) * most)
         total = fit_all(
-            waves.samples,
+            waves.wide,
             waves.offsets,
             rows,
             top,

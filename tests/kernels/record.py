@@ -1,0 +1,87 @@
+"""Write `conf/kernels.json`: the kernels that the program calls, and the types of their arguments.
+
+`python tests/kernels/record.py DIRECTORY` runs the commands below in DIRECTORY, some minutes, and adds what they call
+to the list; with `--anew` the list has nothing else; with `--from WORDS` those from this one on are run. Real data is
+taken from `../shared/data` where there is any.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "data"
+LIST = ROOT / "conf" / "kernels.json"
+STRIP = "demo/survey/strips/strip_01.las"
+FILTERS = ("slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf", "consensus")
+COMMANDS = [
+    ["demo", "--out", "demo", "--workers", "0"],
+    *(["ground", STRIP, f"ground-{k}.laz", "--method", method] for k, method in enumerate(FILTERS)),
+    ["ground", STRIP, "auto.laz", "--auto"],
+    ["normalize", "ground-2.laz", "normalized.laz"],
+    ["decompose", STRIP, "decomposed.laz"],
+    ["info", "--waveforms", STRIP],
+    *(
+        ["features", "ground-2.laz", f"{name}.parquet", "--set", name, "--skip-missing"]
+        for name in ("default", "default-waveform", "fan2013", "xiong2018", "shi2019")
+    ),
+    ["classify", STRIP, "classified.laz", "--model", "demo/model"],
+    ["seams", "demo"],
+    ["train", "demo", "--compare", "all", "--out", "demo", "--workers", "0"],
+    ["select", "demo", "--method", "rffs", "--to", "set.yaml", "--out", "demo", "--workers", "0"],
+    ["run", "demo", "--out", "thinned", "--workers", "0", "--set", "thin.rate=0.5", "--set", "train.split=histogram"],
+    ["run", "riegl-sample", "--set", f"survey.directory={DATA / 'waveform'}", "--out", "riegl", "--workers", "0"],
+    ["decompose", str(DATA / "waveform" / "leica_2ns.laz"), "leica.laz"],
+    ["decompose", str(DATA / "waveform" / "geolas_example2.pls"), "pulses.laz"],
+    ["ground", str(DATA / "isprs" / "samp21.txt"), "text.txt"],
+    ["features", str(DATA / "ign_hd" / "urban_77050_627755.laz"), "town.parquet", "--set", "xiong2018"],
+]
+"""What is run, in this order."""
+
+
+def child(to: Path, words: list[str]) -> None:
+    """Run one command in this process; what it called goes to the file `to`."""
+    from fwclass import compiling
+    from fwclass.cli import cli
+    from fwclass.operate.ahead import lines
+
+    try:
+        cli(words, standalone_mode=False)
+    finally:
+        to.write_text("\n".join(lines(compiling.asked)))
+
+
+def main() -> None:
+    if sys.argv[1] == "child":
+        child(Path(sys.argv[2]), sys.argv[3:])
+        return
+    directory = Path(sys.argv[1]).resolve()
+    directory.mkdir(parents=True, exist_ok=True)
+    found = set() if "--anew" in sys.argv else {json.dumps(row) for row in json.loads(LIST.read_text())}
+    first = sys.argv[sys.argv.index("--from") + 1] if "--from" in sys.argv else ""
+    for words in COMMANDS[[" ".join(words) for words in COMMANDS].index(first) if first else 0 :]:
+        to = directory / "called.txt"
+        to.unlink(missing_ok=True)
+        ended = subprocess.run(
+            [sys.executable, __file__, "child", str(to), *words],
+            cwd=directory,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+        )
+        called = set(to.read_text().splitlines()) if to.exists() else set()
+        print(
+            f"{' '.join(words)}: exit {ended.returncode}, {len(called)} called, {len(called - found)} new", flush=True
+        )
+        if ended.returncode:
+            print(ended.stderr[-600:])
+        found |= called
+    LIST.write_text("[\n" + ",\n".join(sorted(found)) + "\n]\n")
+
+
+if __name__ == "__main__":
+    main()
