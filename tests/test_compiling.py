@@ -226,7 +226,7 @@ def test_a_person_is_told_from_a_second_on(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_list_of_kernels_can_be_read_and_is_as_it_is_written() -> None:
     kernels = listed()
-    assert len(kernels) > 100
+    assert len(kernels) > 80
     for kernel, types in kernels:
         assert [_text(_type(told)) for told in types] == types, kernel
 

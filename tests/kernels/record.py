@@ -32,13 +32,18 @@ COMMANDS = [
     ["classify", STRIP, "classified.laz", "--model", "demo/model"],
     ["seams", "demo"],
     ["train", "demo", "--compare", "all", "--out", "demo", "--workers", "0"],
-    ["select", "demo", "--method", "rffs", "--to", "set.yaml", "--out", "demo", "--workers", "0"],
-    ["run", "demo", "--out", "thinned", "--workers", "0", "--set", "thin.rate=0.5", "--set", "train.split=histogram"],
+    ["select", "demo", "--method", "rffs", "--to", "set.yaml", "--overwrite", "--out", "demo", "--workers", "0"],
+    [*"run demo --out thinned --workers 0 --set thin.rate=0.5 --set train.split=histogram".split()],
     ["run", "riegl-sample", "--set", f"survey.directory={DATA / 'waveform'}", "--out", "riegl", "--workers", "0"],
-    ["decompose", str(DATA / "waveform" / "leica_2ns.laz"), "leica.laz"],
     ["decompose", str(DATA / "waveform" / "geolas_example2.pls"), "pulses.laz"],
     ["ground", str(DATA / "isprs" / "samp21.txt"), "text.txt"],
     ["features", str(DATA / "ign_hd" / "urban_77050_627755.laz"), "town.parquet", "--set", "xiong2018"],
+    [
+        *"features ground-2.laz own.parquet --features".split(),
+        "density_g100,zc,oriented_inclination_r100,planarity_opt",
+    ],
+    *(["normalize", "ground-2.laz", f"by-{name}.laz", "--height", name] for name in ("nearest", "raster")),
+    [*"run demo --out weighed --workers 0 --set train.importance_repeats=2 --set train.bagging=0.9".split()],
 ]
 """What is run, in this order."""
 
