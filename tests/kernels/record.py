@@ -1,7 +1,7 @@
 """Write `conf/kernels.json`: the kernels that the program calls, and the types of their arguments.
 
 `python tests/kernels/record.py DIRECTORY` runs the commands below in DIRECTORY, some minutes, and adds what they call
-to the list; with `--anew` the list has nothing else; with `--from WORDS` those from this one on are run. Real data is
+to the list; with `--anew` the list has nothing else; with `--from COMMAND` those from this one on are run. Real data is
 taken from `../shared/data` where there is any.
 """
 
@@ -18,32 +18,26 @@ DATA = ROOT.parent / "shared" / "data"
 LIST = ROOT / "conf" / "kernels.json"
 STRIP = "demo/survey/strips/strip_01.las"
 FILTERS = ("slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf", "consensus")
+SETS = ("default", "default-waveform", "fan2013", "xiong2018", "shi2019")
 COMMANDS = [
-    ["demo", "--out", "demo", "--workers", "0"],
-    *(["ground", STRIP, f"ground-{k}.laz", "--method", method] for k, method in enumerate(FILTERS)),
-    ["ground", STRIP, "auto.laz", "--auto"],
-    ["normalize", "ground-2.laz", "normalized.laz"],
-    ["decompose", STRIP, "decomposed.laz"],
-    ["info", "--waveforms", STRIP],
-    *(
-        ["features", "ground-2.laz", f"{name}.parquet", "--set", name, "--skip-missing"]
-        for name in ("default", "default-waveform", "fan2013", "xiong2018", "shi2019")
-    ),
-    ["classify", STRIP, "classified.laz", "--model", "demo/model"],
-    ["seams", "demo"],
-    ["train", "demo", "--compare", "all", "--out", "demo", "--workers", "0"],
-    ["select", "demo", "--method", "rffs", "--to", "set.yaml", "--overwrite", "--out", "demo", "--workers", "0"],
-    [*"run demo --out thinned --workers 0 --set thin.rate=0.5 --set train.split=histogram".split()],
-    ["run", "riegl-sample", "--set", f"survey.directory={DATA / 'waveform'}", "--out", "riegl", "--workers", "0"],
-    ["decompose", str(DATA / "waveform" / "geolas_example2.pls"), "pulses.laz"],
-    ["ground", str(DATA / "isprs" / "samp21.txt"), "text.txt"],
-    ["features", str(DATA / "ign_hd" / "urban_77050_627755.laz"), "town.parquet", "--set", "xiong2018"],
-    [
-        *"features ground-2.laz own.parquet --features".split(),
-        "density_g100,zc,oriented_inclination_r100,planarity_opt",
-    ],
-    *(["normalize", "ground-2.laz", f"by-{name}.laz", "--height", name] for name in ("nearest", "raster")),
-    [*"run demo --out weighed --workers 0 --set train.importance_repeats=2 --set train.bagging=0.9".split()],
+    "demo --out demo --workers 0",
+    *(f"ground {STRIP} ground-{name}.laz --method {name}" for name in FILTERS),
+    f"ground {STRIP} auto.laz --auto",
+    *(f"normalize ground-smrf.laz by-{name}.laz --height {name}" for name in ("tin", "nearest", "raster")),
+    f"decompose {STRIP} decomposed.laz",
+    f"info --waveforms {STRIP}",
+    *(f"features ground-smrf.laz {name}.parquet --set {name} --skip-missing" for name in SETS),
+    "features ground-smrf.laz own.parquet --features density_g100,zc,oriented_inclination_r100,planarity_opt",
+    f"classify {STRIP} classified.laz --model demo/model",
+    "seams demo",
+    "train demo --compare all --out demo --workers 0",
+    "select demo --method rffs --to set.yaml --out demo --workers 0",
+    "run demo --out thinned --workers 0 --set thin.rate=0.5 --set train.split=histogram",
+    "run demo --out weighed --workers 0 --set train.importance_repeats=2 --set train.bagging=0.9",
+    f"run riegl-sample --out riegl --workers 0 --set survey.directory={DATA / 'waveform'}",
+    f"decompose {DATA / 'waveform' / 'geolas_example2.pls'} pulses.laz",
+    f"ground {DATA / 'isprs' / 'samp21.txt'} text.txt",
+    f"features {DATA / 'ign_hd' / 'urban_77050_627755.laz'} town.parquet --set xiong2018",
 ]
 """What is run, in this order."""
 
@@ -68,20 +62,18 @@ def main() -> None:
     directory.mkdir(parents=True, exist_ok=True)
     found = set() if "--anew" in sys.argv else {json.dumps(row) for row in json.loads(LIST.read_text())}
     first = sys.argv[sys.argv.index("--from") + 1] if "--from" in sys.argv else ""
-    for words in COMMANDS[[" ".join(words) for words in COMMANDS].index(first) if first else 0 :]:
+    for command in COMMANDS[COMMANDS.index(first) if first else 0 :]:
         to = directory / "called.txt"
         to.unlink(missing_ok=True)
         ended = subprocess.run(
-            [sys.executable, __file__, "child", str(to), *words],
+            [sys.executable, __file__, "child", str(to), *command.split()],
             cwd=directory,
             env=os.environ | {"PYTHONPATH": str(ROOT)},
             capture_output=True,
             text=True,
         )
         called = set(to.read_text().splitlines()) if to.exists() else set()
-        print(
-            f"{' '.join(words)}: exit {ended.returncode}, {len(called)} called, {len(called - found)} new", flush=True
-        )
+        print(f"{command}: exit {ended.returncode}, {len(called)} called, {len(called - found)} new", flush=True)
         if ended.returncode:
             print(ended.stderr[-600:])
         found |= called
