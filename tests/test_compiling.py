@@ -254,5 +254,22 @@ def test_after_compile_a_run_compiles_nothing(tmp_path: Path) -> None:
     assert kept() == before
 
 
+def test_a_command_without_progress_tells_it_once(tmp_path: Path, program: Path) -> None:
+    code = """
+import time
+from fwclass.cli.base import cli
+from fwclass import compiling
+@cli.command()
+def waits():
+    for _ in range(2):
+        with compiling._watched("a"):
+            time.sleep(1.3)
+cli(["waits"], standalone_mode=False)
+answer = 0.0
+"""
+    told = ended(started(code + TELL, program, tmp_path / "cache"))[2]
+    assert told == f"{compiling.ONCE}; `fwclass compile` makes all kernels ahead\n"
+
+
 def test_help_tells_of_compile() -> None:
     assert "Compile all kernels" in CliRunner().invoke(cli, ["--help"]).output

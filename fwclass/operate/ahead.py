@@ -92,7 +92,7 @@ def _text(kind: Any) -> Any:
         words = [str(kind.ndim), kind.layout, *([] if kind.mutable else ["readonly"])]
         words += [] if kind.aligned else ["unaligned"]
         if isinstance(kind.dtype, types.Record):
-            return {"dtype": as_dtype(kind.dtype).descr, "array": " ".join(words)}
+            return {"dtype": [list(field) for field in as_dtype(kind.dtype).descr], "array": " ".join(words)}
         return " ".join([str(kind.dtype), *words])
     if isinstance(kind, types.BaseTuple):
         own = getattr(kind, "instance_class", None)
