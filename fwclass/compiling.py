@@ -292,7 +292,9 @@ def _locks(directory: str) -> int | None:
     if fcntl is None:
         return None
     try:
-        Path(directory).mkdir(mode=0o700, parents=True, exist_ok=True)
+        Path(directory).mkdir(
+            parents=True, exist_ok=True
+        )  # an image's is for all its users; `kernel_cache` makes its own
         return os.open(Path(directory) / LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError:
         return None

@@ -173,7 +173,8 @@ pathlib.Path.write_bytes = write_bytes
 def test_what_was_compiled_is_read_where_nothing_can_be_written_or_locked(program: Path, tmp_path: Path) -> None:
     """As in an image: a directory that another user made."""
     cache = tmp_path / "cache"
-    run(program, cache)
+    run(program, cache, "import os; os.umask(0o022)\n")
+    assert all(p.stat().st_mode & 0o044 for p in (cache, *cache.glob(f"*{compiling.SUFFIX}")))
     barred = """
 import os, fcntl
 def no(*words): raise OSError(30, 'Read-only file system')
