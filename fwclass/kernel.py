@@ -36,11 +36,13 @@ class Kernel:
         if self._compiled is None:
             import numba
 
-            self._compiled = numba.njit(nogil=True, cache=True, error_model="numpy", **self._options)(self._function)
-            stamp = self.stamp()
-            kept = getattr(getattr(self._compiled, "_cache", None), "_cache_file", None)
-            if kept is not None:  # numba's own stamp is the time of this one file
-                kept._source_stamp = stamp
+            from fwclass.compiling import attach
+
+            # What is not said, fastmath too, a kernel takes from whichever caller it is compiled for first.
+            options = {"nogil": True, "error_model": "numpy", "fastmath": False, "no_cfunc_wrapper": True}
+            self._compiled = numba.njit(**options | self._options)(self._function)
+            if not getattr(self._compiled, "targetoptions", {"boundscheck": True}).get("boundscheck"):  # else a test
+                attach(self._compiled, f"{self._function.__module__}.{self._function.__qualname__}", self.stamp())
             names = self._function.__globals__
             for name in _names(self._function.__code__):
                 if isinstance(names.get(name), Kernel):

@@ -102,6 +102,11 @@ class Waveforms:
     outgoing: NDArray[np.uint8] | NDArray[np.uint16] = field(default_factory=lambda: np.empty(0, np.uint8))
     outgoing_offsets: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
+    @property
+    def wide(self) -> NDArray[np.uint16]:
+        """`samples` as kernels take them: of one kind, so that these are not compiled for each."""
+        return self.samples.astype(np.uint16, copy=False)
+
     def __post_init__(self) -> None:
         if len(self.outgoing_offsets) == 0:
             object.__setattr__(self, "outgoing_offsets", np.zeros(self.pulses.rows + 1, np.int64))

@@ -7,13 +7,14 @@ import sys
 
 import click
 
-from fwclass.cli import export, features, files, ground, model, plan, schedule, seams, select, status, survey
+from fwclass.cli import ahead, export, features, files, ground, model, plan, schedule, seams, select, status, survey
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
 from fwclass.isolation import isolate
 from fwclass.redact import redacted
 
 __all__ = [
+    "ahead",
     "cli",
     "export",
     "features",

@@ -24,6 +24,18 @@ def cli() -> None:
     Exit codes: 0 done, 1 failed, 2 usage or configuration, 3 some parts failed, 4 a quality threshold was missed,
     130 interrupted.
     """
+    from fwclass import compiling  # not for --help
+
+    compiling.tellers[:] = [_compiling]
+
+
+def _compiling(begins: bool) -> None:
+    """For commands that show no progress."""
+    from fwclass import compiling
+
+    if begins and compiling.tellers:
+        compiling.tellers.clear()
+        click.echo(f"{compiling.ONCE}; `fwclass compile` makes all kernels ahead", err=True)
 
 
 def little_garbage() -> None:

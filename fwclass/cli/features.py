@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, cli
+from fwclass.cli.base import JSON, OVERWRITE, PATH, cli, little_garbage
 from fwclass.cli.ground import CRS, METHOD, PARAM, PRESET
 
 SETS = click.option(
@@ -46,6 +46,7 @@ def features(
     ground, where heights above it are asked for, is what has class 2; with --method, --preset or --param it is looked
     for.
     """
+    little_garbage()
     from fwclass.single_file.features.names import sorted_settings
 
     named, settings = sorted_settings(words)

@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,7 @@ def open_runner(
 ) -> Iterator[Any]:
     """A run locked for writing, with its executor; `location` is its directory, or a `Remote` place; `limits` is
     section `run` of the configuration, `report` where Dask's performance report goes."""
+    from fwclass.compiling import told
     from fwclass.run.libraries import announced
     from fwclass.run.local import Loop, WhenNeeded
     from fwclass.run.progress import Display
@@ -61,7 +63,12 @@ def open_runner(
     from fwclass.store.run_location import locked, unmade_again
 
     location = location.resolve() if isinstance(location, Path) else location
-    with unmade_again(location), Display() as display, locked(location, display.say) as (location, held):
+    with (
+        unmade_again(location),
+        Display() as display,
+        told(partial(display.compiling, "")),
+        locked(location, display.say) as (location, held),
+    ):
 
         def started() -> Any:
             from fwclass.run.cluster import Cluster
@@ -76,6 +83,7 @@ def open_runner(
                 watched=report is not None,
                 say=display.say,
                 part_hours=limits.part_hours,
+                compiles=display.compiling,
             )
             display.say(f"dask             {cluster.dashboard or cluster.address + NO_PAGE}")
             display.workers = cluster.workers

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +125,16 @@ def plain(text: str, shipped: bool = False) -> Any:
         loader.dispose()
 
 
+def _shipped(text: str) -> Any:
+    """As `plain`, of a file that comes with fwclass: read again and again, and parsed once."""
+    return copy.deepcopy(_parsed(text))
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> Any:
+    return plain(text, shipped=True)
+
+
 def _count(node: yaml.Node, known: dict[int, tuple[int, int]], depth: int) -> tuple[int, int]:
     """Values below `node` and their levels, those of an alias each time; `known` holds what was counted before."""
     if id(node) not in known:
@@ -157,7 +169,7 @@ def read(path: Path) -> dict[str, Any]:
             )
         with open_regular(path) as file:
             text = file.read().decode("utf-8")
-        value = plain(text, path.resolve().is_relative_to(conf_directory()))
+        value = _shipped(text) if path.resolve().is_relative_to(conf_directory()) else plain(text)
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as fault:
         told = _message(fault, path.name)
         tabs = "indent with spaces: YAML knows no tabs" if "\\t" in told else "mend the YAML at the place named"

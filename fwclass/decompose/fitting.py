@@ -94,7 +94,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
         look = lookup(pulse, step, params.narrowest, params.widest, noise)
         echoes = _room(len(rows) * most)
         total = fit_all(
-            waves.samples,
+            waves.wide,
             waves.offsets,
             rows,
             top,

@@ -70,7 +70,7 @@ def clip_levels(waves: Waveforms, kinds: Floats, group: NDArray[np.int64]) -> Fl
 def rough_levels(waves: Waveforms, group: NDArray[np.int64]) -> tuple[Floats, Floats]:
     """Level of every waveform, and the median noise of its channel, [DN]."""
     level, spread = np.empty(waves.pulses.rows), np.empty(waves.pulses.rows)
-    pulse_scan.levels(waves.samples, waves.offsets, level, spread)
+    pulse_scan.levels(waves.wide, waves.offsets, level, spread)
     noise = np.full(len(level), ROUNDING)
     for k in range(group.max(initial=-1) + 1):
         rows = (group == k) & np.isfinite(spread)
@@ -89,7 +89,7 @@ def estimate_channels(
     rows = waves.pulses.rows
     mean, variance, count = np.empty(rows), np.empty(rows), np.empty(rows, np.int64)
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
-    pulse_scan.echo_free(waves.samples, waves.offsets, spacing, level, noise, fwhm, tail, mean, variance, count)
+    pulse_scan.echo_free(waves.wide, waves.offsets, spacing, level, noise, fwhm, tail, mean, variance, count)
     own = level.copy()
     found = []
     for k in range(len(kinds)):

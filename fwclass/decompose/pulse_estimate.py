@@ -120,17 +120,7 @@ def _bright_peaks(waves: Waveforms, level: Floats, noise: Floats, params: PulseP
     top = waves.pulses["saturation"].astype(np.float64)
     for bright in (params.bright, params.bright / DIMMER):
         pulse_scan.brightest(
-            waves.samples,
-            waves.offsets,
-            spacing,
-            top,
-            level,
-            bright * noise,
-            params.isolation,
-            noise,
-            peak,
-            height,
-            width,
+            waves.wide, waves.offsets, spacing, top, level, bright * noise, params.isolation, noise, peak, height, width
         )
         if (peak >= 0).sum() >= params.min_echoes:
             break

@@ -56,7 +56,8 @@ def _throw(z, low, shift, values, count):  # type: ignore[no-untyped-def]
     for b in range(BUCKETS):
         count[b + 1] += count[b]
     if shift == 0:
-        count[:BUCKETS] = count[1:]
+        for b in range(BUCKETS):
+            count[b] = count[b + 1]
         return
     for k in range(len(z)):
         value = np.int32(z[k])

@@ -29,6 +29,7 @@ from distributed import Client, Future, LocalCluster, Nanny, WorkerPlugin, as_co
 from distributed.scheduler import KilledWorker
 from tornado.ioloop import IOLoop
 
+from fwclass import compiling
 from fwclass.errors import FwclassError
 from fwclass.isolation import kernel_cache
 from fwclass.run.in_flight import InFlight
@@ -83,6 +84,7 @@ def _at_worker(
     if libraries != _digest_here():
         raise OtherLibraries(worker.address, dict(fingerprint()))
     worker_directory(Path(worker.local_directory))
+    compiling.tellers[:] = [lambda begins: worker.log_event(topic, {"worker": worker.address, "compiling": begins})]
     with ended_after(seconds) if math.isfinite(seconds) else nullcontext():
         outcome = execute(location, task, tuple(upstream), split)
     worker.log_event(topic, {"key": worker.get_current_task(), "outcome": asdict(outcome)})
@@ -184,7 +186,7 @@ class Cluster:
     It is given at most `window` parts at a time. A part whose worker is lost is tried `retries` times more among
     others, then alone, in `split` × `split` pieces. One that takes longer than `part_hours` has failed, and its worker
     is ended. `watched`: for a performance report, workers note what they do.
-    `say`: told of workers that are turned away.
+    `say`: told of workers that are turned away; `compiles`: of those that begin or end to compile kernels.
     """
 
     def __init__(
@@ -198,6 +200,7 @@ class Cluster:
         watched: bool = False,
         say: Callable[[str], None] = print,
         part_hours: float = math.inf,
+        compiles: Callable[[str, bool], None] = lambda worker, begins: None,
     ) -> None:
         steady()
         dask.config.set(
@@ -211,6 +214,7 @@ class Cluster:
         )
         self._cluster: LocalCluster | None = None
         self._heard: dict[str, Outcome] = {}
+        self._compiling = compiles
         self._away: set[str] = set()
         self._wanted, self._memory, self._retries, self._split = workers, worker_memory_gib, retries, split
         try:
@@ -358,6 +362,9 @@ class Cluster:
         )
 
     def _hear(self, event: tuple[float, dict[str, Any]]) -> None:
+        if "compiling" in event[1]:
+            self._compiling(event[1]["worker"], event[1]["compiling"])
+            return
         told = event[1]["outcome"]
         self._heard[event[1]["key"]] = Outcome(**{**told, "lost": tuple(told["lost"])})
 

@@ -10,6 +10,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from fwclass.compiling import ONCE
 from fwclass.errors import visible
 from fwclass.run.part import Outcome
 
@@ -83,6 +84,8 @@ class Display:
         self._all: TaskID | None = None
         self._spoke = clock()
         self._told: set[str] = set()
+        self._compiling: set[str] = set()
+        self._compiled = False
 
     def __enter__(self) -> Display:
         if self._live:
@@ -129,6 +132,15 @@ class Display:
         elif outcome.lost:
             self.say(f"{outcome.stage}/{outcome.part} {outcome.status} after {outcome.lost[-1]}")
 
+    def compiling(self, worker: str, begins: bool) -> None:
+        """A worker, or this process (""), compiles kernels, or waits for another that does; or that is over."""
+        (self._compiling.add if begins else self._compiling.discard)(worker)
+        if self._live and self._all is not None:
+            self._bars.update(self._all, pace=self._at_work())
+        elif begins and not self._compiled:
+            self.say(f"{'compiling':<16} for this machine, once; `fwclass compile` makes all kernels ahead")
+        self._compiled |= begins
+
     def _draw(self, name: str, stage: _Stage, now: float) -> None:
         """Bars of stages that have begun and not ended; a stage that has ended is a line above them."""
         if stage.row is None:
@@ -144,7 +156,8 @@ class Display:
             self._bars.update(self._all, advance=1, pace=self._at_work())
 
     def _at_work(self) -> str:
-        return f"{self.workers} workers" if self.workers else "in this process"
+        where = f"{self.workers} workers" if self.workers else "in this process"
+        return f"{where}, {ONCE}" if self._compiling else where
 
     def _under_way(self, now: float) -> list[str]:
         rows = []

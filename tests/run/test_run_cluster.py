@@ -10,6 +10,7 @@ import time
 from functools import partial
 from pathlib import Path
 
+from fwclass import compiling
 from fwclass.run.cluster import Cluster
 from fwclass.run.part import Task
 
@@ -75,3 +76,16 @@ def test_outcomes_are_heard_and_not_asked_for(tmp_path: Path) -> None:
 
 def quick(inputs: object, directory: Path) -> dict[str, object]:
     return {}
+
+
+def compiles(inputs, directory):
+    with compiling._watched("a"):
+        time.sleep(compiling.TOLD_AFTER + 0.5)
+    return {}
+
+
+def test_it_is_told_that_a_worker_compiles(tmp_path: Path) -> None:
+    heard: list[tuple[str, bool]] = []
+    with Cluster(None, 1, 1.0, 10, compiles=lambda *told: heard.append(told)) as cluster:
+        assert [o.status for o in cluster.run(tmp_path, [Task("slow", "all", 1, {}, compiles)])] == ["computed"]
+    assert [begins for _, begins in heard] == [True, False] and heard[0][0] == heard[1][0] != ""

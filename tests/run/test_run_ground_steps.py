@@ -5,16 +5,16 @@ from __future__ import annotations
 import io
 import time
 
-import numba
 import numpy as np
 import pytest
 from rich.console import Console
 
+from fwclass import compiling
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import GroundJob, ground_file
 from fwclass.single_file.ground.params import ground_params
-from fwclass.single_file.ground.steps import ONCE, CompileClock, Steps
+from fwclass.single_file.ground.steps import Steps
 from fwclass.single_file.ground.stray import stray_points, told
 
 
@@ -43,16 +43,20 @@ def test_a_person_sees_the_step():
     assert "block 3 of 16" in file.getvalue()
 
 
-def test_compiling_is_named_and_timed():
-    seen = []
-    with Steps(Console(file=io.StringIO())) as steps, CompileClock(lambda: seen.append(steps.line)) as clock:
+@pytest.mark.parametrize("terminal", [False, True])
+def test_compiling_is_named_and_timed(monkeypatch, terminal):
+    monkeypatch.setattr(compiling, "TOLD_AFTER", 0.2)
+    monkeypatch.setattr(compiling, "_spent", 0.0)
+    file = io.StringIO()
+    with Steps(Console(file=file, force_terminal=terminal, width=80)) as steps:
         steps.tell("filter smrf")
-        double = numba.njit(lambda x: 2.0 * x)
-        double(1.0)
-        once = clock.seconds
-        double(2.0)
-    assert once > 0 and clock.seconds == once and not clock.runs
-    assert seen[0].startswith("filter smrf") and any(ONCE in text for text in seen)
+        with compiling._watched("a"):
+            time.sleep(0.5)
+            assert steps.line == f"filter smrf ({compiling.ONCE})"
+        assert steps.line == "filter smrf"
+    shown = file.getvalue()
+    assert compiling.ONCE in shown if terminal else shown == f"filter smrf ({compiling.ONCE})\n"
+    assert compiling.spent() >= 0.5
 
 
 def test_every_block_is_told():

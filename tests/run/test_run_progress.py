@@ -5,6 +5,7 @@ import io
 import pytest
 from rich.console import Console
 
+from fwclass.compiling import ONCE
 from fwclass.run.part import Outcome, Task
 from fwclass.run.progress import PERIOD, TOLD, Display, span
 
@@ -78,3 +79,20 @@ def test_a_person_sees_bars_of_what_is_under_way():
 
 def test_spans_in_words():
     assert [span(s) for s in (3.2, 98, 100, 3590, 3660)] == ["3 s", "98 s", "2 min", "1 h 00 min", "1 h 01 min"]
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_compiling_is_told(live):
+    display, _ = shown(live)
+    display.workers = 2
+    display.expect({"read": 3})
+    for worker, begins in (("a", True), ("b", True), ("a", False), ("c", True), ("c", False)):
+        display.compiling(worker, begins)
+    if live:
+        assert [t.fields["pace"] for t in display._bars.tasks] == [f"2 workers, {ONCE}"]
+        display.compiling("b", False)
+        assert [t.fields["pace"] for t in display._bars.tasks] == ["2 workers"]
+    else:
+        assert display.console.file.getvalue().splitlines() == [
+            "compiling        for this machine, once; `fwclass compile` makes all kernels ahead"
+        ]

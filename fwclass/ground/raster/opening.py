@@ -61,7 +61,8 @@ def _erode(surface, half_widths, strip, table, out):  # type: ignore[no-untyped-
         for r in range(nrows):
             base = table[0, r]
             base[:begin] = np.inf
-            base[begin : begin + last_in - first_in] = surface[r, first_in:last_in]
+            for c in range(last_in - first_in):
+                base[begin + c] = surface[r, first_in + c]
             base[begin + last_in - first_in : wide] = np.inf
             for k in range(1, levels):
                 step = 1 << (k - 1)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass import conf
+from fwclass import compiling, conf
 from fwclass.errors import ConfigError
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import MAX_REACH, FeaturesParams
@@ -37,7 +37,7 @@ from fwclass.single_file.features.missing import given
 from fwclass.single_file.features.names import Wanted, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.ground.params import check_settings
-from fwclass.single_file.ground.steps import CompileClock, Tell, quiet
+from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.stage import Chunk
 from fwclass.tile.stage import morton
 
@@ -45,6 +45,9 @@ SECTIONS = ("read", "pulse", "decompose", "ground", "terrain", "features", "radi
 """Sections of the configuration that the command obeys."""
 
 SUFFIX = (".parquet", ".geoparquet")
+
+HELD = 256 << 20
+"""Bytes of features that are held in memory; more lie on disk."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,8 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
 
     Echoes are fitted where there are waveforms, else returns are echoes. Rows stand as in the tiles of a run: by
     global cells of 2 m, then pulse and echo number. The file is worked on in tiles (`tile.size`), which change no byte;
-    the echoes' columns are held in memory, the features on disk beside the output until they are written.
+    the echoes' columns are held in memory, and so are the features up to `HELD`; more lie on disk beside the output
+    until they are written.
 
     Raises
     ------
@@ -100,16 +104,17 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     size, publish = conf.section("tile", job.settings).size, conf.section("publish", job.settings)
     _check_reach(asked, params)
     tell("reading")
-    with CompileClock() as compiling:
-        found = _echoes(job, asked, tell)
-        asked, left_out = given(asked, found.table, job.source, job.skip_missing)
-        table = _sorted(found.table)
-        with tempfile.TemporaryDirectory(dir=job.output.parent, prefix=".fwclass-features-") as room:
-            made, tiles, crowd = _features(table, asked, params, size, Path(room), tell)
-            tell("writing")
-            parts = _row_groups(table, asked, made, publish.row_group)
-            written = write_geoparquet_parts(parts, bounds_of(table), job.output, found.crs, publish)
-            del made, parts
+    before = compiling.spent()
+    found = _echoes(job, asked, tell)
+    asked, left_out = given(asked, found.table, job.source, job.skip_missing)
+    table = _sorted(found.table)
+    with tempfile.TemporaryDirectory(dir=job.output.parent, prefix=".fwclass-features-") as room:
+        made, tiles, crowd = _features(table, asked, params, size, Path(room), tell)
+        tell("writing")
+        empty = dict.fromkeys(asked.names, 0)
+        parts = _row_groups(table, asked, made, publish.row_group, empty)
+        written = write_geoparquet_parts(parts, bounds_of(table), job.output, found.crs, publish)
+        del made, parts
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -119,11 +124,11 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
         "echoes": table.rows,
         "tiles": tiles,
         "reach": asked.around.reach(params),
-        "without_value": _without(job.output, asked),
+        "without_value": {name: n for name, n in empty.items() if n},
         "crs": found.crs.name if found.crs is not None else None,
         "notes": [*found.told, *([crowd.text(params)] if crowd else [])],
         "bytes": written["bytes"],
-        "seconds": {"compiling": round(compiling.seconds, 3), "all": round(time.perf_counter() - started, 3)},
+        "seconds": {"compiling": round(compiling.spent() - before, 3), "all": round(time.perf_counter() - started, 3)},
     }
 
 
@@ -175,12 +180,16 @@ def _sorted(table: Table) -> Table:
 def _features(
     table: Table, asked: Wanted, params: FeaturesParams, size: float, room: Path, tell: Tell
 ) -> tuple[dict[str, NDArray[np.float32]], int, Crowd | None]:
-    """Features of a neighbourhood of all rows, by name, in files below `room`; how many tiles it took; dense places."""
+    """Features of a neighbourhood of all rows, by name, those of many in files below `room`; how many tiles it took;
+    dense places."""
     around = asked.around
     if not around.names:
         return {}, 0, None
+    held = 4 * table.rows * len(around.names) <= HELD
     made: dict[str, NDArray[np.float32]] = {
-        n: np.lib.format.open_memmap(room / f"{k}.npy", "w+", column(n).dtype, (table.rows,))
+        n: np.empty(table.rows, column(n).dtype)
+        if held
+        else np.lib.format.open_memmap(room / f"{k}.npy", "w+", column(n).dtype, (table.rows,))
         for k, n in enumerate(around.names)
     }
     reads, done, tiles, crowds = table.select(dict.fromkeys((*around.reads, *PLACE[:3]))), 0, 0, []
@@ -196,26 +205,16 @@ def _features(
     return made, tiles, Crowd.of_parts(crowds)
 
 
-def _row_groups(table: Table, asked: Wanted, made: dict[str, NDArray[np.float32]], size: int) -> Iterator[Table]:
-    """The output's columns, row group by row group."""
+def _row_groups(
+    table: Table, asked: Wanted, made: dict[str, NDArray[np.float32]], size: int, empty: dict[str, int]
+) -> Iterator[Table]:
+    """The output's columns, row group by row group; echoes without a value are counted to `empty`, by feature."""
     plain = [n for n in dict.fromkeys((*PLACE, *asked.names)) if n in table]
     order = dict.fromkeys((*(n for n in PLACE if n in table), *asked.names))
     for first in range(0, table.rows, size):
         part = slice(first, first + size)
         own = {n: table[n][part] for n in plain} | {n: values[part] for n, values in made.items()}
+        for n in empty:
+            if own[n].dtype == np.float32:
+                empty[n] += int(np.count_nonzero(np.isnan(own[n])))
         yield Table({n: own[n] for n in order})
-
-
-def _without(output: Path, asked: Wanted) -> dict[str, int]:
-    """Echoes without a value, by feature, of the file that was written; none where all have one."""
-    import pyarrow.compute as pc
-    import pyarrow.parquet as pq
-
-    counts = dict.fromkeys(asked.names, 0)
-    with pq.ParquetFile(output) as file:
-        for group in range(file.num_row_groups):
-            part = file.read_row_group(group, columns=list(asked.names))
-            for name in asked.names:
-                if str(part.schema.field(name).type) == "float":
-                    counts[name] += pc.sum(pc.is_nan(part[name])).as_py() or 0
-    return {name: n for name, n in counts.items() if n}

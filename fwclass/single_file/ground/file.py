@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass import conf
+from fwclass import compiling, conf
 from fwclass.errors import InputError
 from fwclass.formats.flat import HIGHEST, LONGEST
 from fwclass.graph.survey import given_crs
@@ -23,7 +23,7 @@ from fwclass.read.las import LasSource
 from fwclass.single_file.ground.output import check_output, check_packets, write_points
 from fwclass.single_file.ground.params import ground_params, used, with_assignments
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
-from fwclass.single_file.ground.steps import CompileClock, Tell, quiet
+from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.single_file.ground.stray import stray_points, told
 
 UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
@@ -91,17 +91,17 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     if job.rasters:
         check_extent(cloud, shown, terrain.cell)
     measured: dict[str, Any] = {}
-    with CompileClock() as compiling:
-        if job.adapt is not None:
-            params, measured = job.adapt(cloud, some_shown(cloud, shown), params)
-            params = with_assignments(params, job.assignments)
-        at, before = time.perf_counter(), compiling.seconds
-        flags = filter_cloud(cloud, shown, params, tell)
-        filtering = time.perf_counter() - at - (compiling.seconds - before)
-        classes = classes_of(cloud, flags, job.keep_classes)
-        if job.rasters:
-            tell("terrain")
-            found = terrain_of(cloud, flags, shown, job.settings)
+    compiled = compiling.spent()
+    if job.adapt is not None:
+        params, measured = job.adapt(cloud, some_shown(cloud, shown), params)
+        params = with_assignments(params, job.assignments)
+    at, before = time.perf_counter(), compiling.spent()
+    flags = filter_cloud(cloud, shown, params, tell)
+    filtering = time.perf_counter() - at - (compiling.spent() - before)
+    classes = classes_of(cloud, flags, job.keep_classes)
+    if job.rasters:
+        tell("terrain")
+        found = terrain_of(cloud, flags, shown, job.settings)
     tell("writing")
     made = write_points(cloud, job.output, classes, publish)
     rasters = write_rasters(cloud, found, job.rasters, publish) if job.rasters else {}
@@ -130,7 +130,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "notes": _notes(cloud, shown, flags, stray, made),
         "seconds": {
             "filter": round(filtering, 3),
-            "compiling": round(compiling.seconds, 3),
+            "compiling": round(compiling.spent() - compiled, 3),
             "all": round(time.perf_counter() - started, 3),
         },
     }

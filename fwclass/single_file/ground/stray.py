@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from fwclass.grid import TileGrid
 from fwclass.read.cloud import PointCloud
@@ -25,6 +22,10 @@ def stray_points(cloud: PointCloud, shown: NDArray[np.bool_]) -> NDArray[np.int6
     keys, square = np.unique(ix * (1 << 32) + iy, return_inverse=True)
     if len(keys) < 2:
         return rows[:0]
+    from scipy.sparse import coo_matrix  # they take a fifth of a second to load
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     row = keys + (1 << 31) >> 32
     pairs = cKDTree(np.column_stack([row, keys - (row << 32)])).query_pairs(1.5, p=np.inf, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs), np.int8), (pairs[:, 0], pairs[:, 1])), shape=(len(keys), len(keys)))

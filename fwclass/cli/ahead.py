@@ -1,0 +1,31 @@
+"""Compiling ahead: compile."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from fwclass.cli.base import JSON, cli
+
+
+@cli.command("compile")
+@JSON
+def compile_kernels(as_json: bool) -> None:
+    """Compile all kernels for this machine, ahead of the first run.
+
+    For an image, a package or a new machine: what is compiled is kept below the user's cache directory, or in the
+    directory that NUMBA_CACHE_DIR names, and is good for this version, these libraries and this kind of processor.
+    """
+    from fwclass import compiling
+    from fwclass.operate.ahead import compile_all
+
+    compiling.tellers.clear()
+    made = compile_all(lambda text: click.echo(f"compiling        {text}", err=True))
+    click.echo(
+        f"{made['compiled']} kernels compiled in {made['seconds']:g} s; all {made['listed']} that are called lie in "
+        f"{made['directory']}",
+        err=True,
+    )
+    if as_json:
+        click.echo(json.dumps(made, indent=1))

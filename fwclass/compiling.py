@@ -1,0 +1,300 @@
+"""Compiled kernels on disk: each is compiled once on a machine, by whoever asks for it first; others wait for it.
+
+One file a kernel, version of its source, signature, processor and compiler, so that two programs at once never read
+each other's. A file that is cut off is none; a directory that cannot be written to or locked costs time, never a run.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import pickle
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from fwclass.isolation import kernel_cache
+
+try:
+    import fcntl
+except ImportError:  # Windows: nobody waits
+    fcntl = None  # type: ignore[assignment]
+
+LOCKS = "locks"
+"""File of the cache whose bytes are locked, one for each kernel. The system frees them when a process ends."""
+
+LOOK = 0.05
+"""Seconds between two looks at a kernel that another process compiles."""
+
+PATIENCE = 300.0
+"""Seconds to wait for it: one that was stopped keeps its lock, and two that call each other wait for each other."""
+
+KEPT = 30 * 86400.0
+"""Seconds that kernels of another version of the program are kept after they were written."""
+
+SUFFIX = ".kernel"
+
+TOLD_AFTER = 1.0
+"""Seconds that a process compiles before a person is told."""
+
+ONCE = "compiling for this machine, once"
+
+tellers: list[Callable[[bool], None]] = []
+"""The last is told when this process begins to compile, or to wait for a kernel, and when that is over."""
+
+asked: list[tuple[str, Any]] = []
+"""Kernels that this process called, each with the types of its arguments; what they call themselves goes with them."""
+
+_under_way = Counter[str]()
+_stacks: list[ExitStack] = []
+"""What is held for the kernels that are asked for, one on behalf of another; numba lets in one thread at a time."""
+_since, _spent = 0.0, 0.0
+_count = 0
+
+
+def spent() -> float:
+    """Seconds that this process has compiled, or waited for others that did."""
+    return _spent + (time.perf_counter() - _since if runs() else 0.0)
+
+
+def count() -> int:
+    """Kernels that this process has compiled, each with those in it that have no file of their own."""
+    return _count
+
+
+def runs() -> bool:
+    """This process compiles a kernel, or waits for one."""
+    return _under_way.total() > 0
+
+
+@contextmanager
+def _watched(name: str) -> Iterator[None]:
+    """Told to `watchers`, once for all kernels that are compiled on behalf of one."""
+    global _since, _spent
+    if runs():
+        _under_way[name] += 1
+        try:
+            yield
+        finally:
+            _under_way[name] -= 1
+        return
+    _since = time.perf_counter()
+    _under_way[name] += 1
+    try:
+        with _told_late():
+            yield
+    finally:
+        _spent += time.perf_counter() - _since
+        _under_way[name] -= 1
+
+
+@contextmanager
+def _told_late() -> Iterator[None]:
+    """The last of `tellers` is told, unless it is over before."""
+    heard = tellers[-1:]
+    begun = threading.Event()
+
+    def tell() -> None:
+        begun.set()
+        for teller in heard:
+            teller(True)
+
+    timer = threading.Timer(max(TOLD_AFTER - _spent, 0.0), tell)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if begun.is_set():
+            for teller in heard:
+                teller(False)
+
+
+@contextmanager
+def told(teller: Callable[[bool], None]) -> Iterator[None]:
+    """Inside, `teller` is the one of `tellers` that is told."""
+    tellers.append(teller)
+    try:
+        yield
+    finally:
+        tellers.remove(teller)
+
+
+class KernelFiles:
+    """What numba asks for compiled code of one kernel. `stamp`: digest of what the kernel does."""
+
+    def __init__(self, name: str, stamp: str) -> None:
+        self._name, self._stamp = name, stamp
+
+    @property
+    def cache_path(self) -> str:
+        return str(kernel_cache())
+
+    def load_overload(self, signature: Any, context: Any) -> Any:
+        """The kernel from its file; else None, and it is this process that compiles it (`compile_with`)."""
+        context.refresh()
+        found = self._load(signature, context)
+        if found is None:
+            _stacks[-1].enter_context(_watched(self._name))
+            _stacks[-1].enter_context(_alone(self._name))
+            found = self._load(signature, context)  # it may have been made meanwhile
+        return found
+
+    def compile_with(self, compiled: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        """`compiled`, a dispatcher's method, that compiles only what nobody else does."""
+        from numba.core.compiler_lock import global_compiler_lock
+
+        def alone(signature: Any) -> Any:
+            with global_compiler_lock, ExitStack() as held:
+                if not _stacks:
+                    asked.append((self._name, signature))
+                _stacks.append(held)
+                try:
+                    return compiled(signature)
+                finally:
+                    _stacks.pop()
+
+        return alone
+
+    def _path(self, signature: Any, codegen: Any) -> Path:
+        import numba
+
+        told = (_told(signature), codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
+        key = hashlib.blake2b(repr(told).encode(), digest_size=8).hexdigest()
+        return kernel_cache() / f"{self._name}-{self._stamp[:16]}-{key}{SUFFIX}"
+
+    def _load(self, signature: Any, context: Any) -> Any:
+        from numba.core.compiler import CompileResult
+
+        try:
+            told = self._path(signature, context.codegen()).read_bytes()
+            if _digest(told[32:]) == told[:32]:
+                return CompileResult._rebuild(context, *pickle.loads(told[32:]))  # noqa: S301 - see `kernel_cache`
+        except Exception:  # noqa: S110 - of whatever kind: it is compiled anew, and written over
+            pass
+        return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        global _count
+        from numba.core.serialize import dumps
+
+        _count += 1
+        if result.library.has_dynamic_globals:
+            return
+        path, data = self._path(signature, result.codegen), dumps(result._reduce())
+        beside = path.with_suffix(f".{os.urandom(8).hex()}")
+        try:
+            for other in path.parent.glob(f"{self._name}-*"):
+                _tidy(other, self._stamp[:16])
+            try:
+                beside.write_bytes(_digest(data) + data)
+                beside.replace(path)
+            finally:
+                beside.unlink(missing_ok=True)
+        except OSError as fault:
+            _not_kept(str(path.parent), fault.strerror or type(fault).__name__)
+
+    def enable(self) -> None: ...
+
+    def disable(self) -> None: ...
+
+    def flush(self) -> None: ...
+
+
+def attach(dispatcher: Any, name: str, stamp: str) -> None:
+    """Keep what `dispatcher`, numba's of the kernel `name`, compiles, and compile nothing that others compile now."""
+    files = KernelFiles(name, stamp)
+    dispatcher._cache = files
+    dispatcher.compile = files.compile_with(dispatcher.compile)
+    dispatcher.get_call_template = _for_all_numbers(dispatcher.get_call_template)
+
+
+def _for_all_numbers(template: Callable[..., Any]) -> Callable[..., Any]:
+    """Other kernels call one instance, whatever whole number they name; else each number is a kernel of its own."""
+    from numba import types
+
+    def get_call_template(words: Any, named: Any) -> Any:
+        return template(
+            tuple(map(types.unliteral, words)), {name: types.unliteral(kind) for name, kind in named.items()}
+        )
+
+    return get_call_template
+
+
+def _told(kind: Any) -> Any:
+    """A type of numba in words that differ for all that is compiled differently; its own leave out fields' names."""
+    if isinstance(kind, tuple):
+        return tuple(map(_told, kind))
+    return repr(kind), getattr(kind, "fields", None), _told(tuple(getattr(kind, "types", ())))
+
+
+def _digest(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=32).digest()
+
+
+def _tidy(other: Path, stamp: str) -> None:
+    """Remove what a process that was killed left half-written, and kernels of a version long gone."""
+    old = time.time() - KEPT
+    with suppress(OSError):
+        if other.suffix != SUFFIX or (f"-{stamp}-" not in other.name and other.stat().st_mtime < old):
+            other.unlink()
+
+
+@cache
+def _not_kept(place: str, why: str) -> None:
+    sys.stderr.write(f"fwclass: compiled code cannot be kept in {place}: {why}; it is compiled anew for this command\n")
+
+
+@contextmanager
+def _alone(name: str) -> Iterator[None]:
+    """No other process of this machine compiles the kernel; after `PATIENCE`, or without locks, one may."""
+    file = _locks(str(kernel_cache()))
+    place = int.from_bytes(hashlib.blake2b(name.encode(), digest_size=7).digest())
+    if file is None or not _locked(file, place):
+        yield
+        return
+    _holds[place] += 1
+    try:
+        yield
+    finally:
+        _holds[place] -= 1
+        if not _holds[place]:  # one that calls itself holds it twice
+            with suppress(OSError):
+                fcntl.lockf(file, fcntl.LOCK_UN, 1, place)
+
+
+_holds = Counter[int]()
+
+
+def _locked(file: int, place: int) -> bool:
+    until = time.monotonic() + PATIENCE
+    while True:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+            return True
+        except OSError as fault:  # another has it; anything else: a file system without locks
+            if fault.errno not in (errno.EACCES, errno.EAGAIN) or time.monotonic() > until:
+                return False
+        time.sleep(LOOK)
+
+
+@cache
+def _locks(directory: str) -> int | None:
+    """The file of locks, open for good: whoever closes it loses all locks of the process."""
+    if fcntl is None:
+        return None
+    try:
+        Path(directory).mkdir(
+            parents=True, exist_ok=True
+        )  # an image's is for all its users; `kernel_cache` makes its own
+        return os.open(Path(directory) / LOCKS, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError:
+        return None

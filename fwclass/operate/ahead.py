@@ -1,0 +1,100 @@
+"""`fwclass compile`: all kernels, for all types of arguments that the program calls them with, before anyone waits.
+
+They are listed in ``conf/kernels.json``, which ``tests/kernels/record.py`` writes: one line for each kernel and its
+types. A type is a scalar's name; an array's, with dimensions and layout; ``[class, field, …]`` of a named tuple,
+without class of a plain one; or ``{"dtype": …, "array": …}`` of an array of records.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from fwclass import compiling
+from fwclass.conf.files import conf_directory
+from fwclass.isolation import kernel_cache
+from fwclass.kernel import Kernel
+
+LIST = "kernels.json"
+
+
+def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, Any]:
+    """Compile what the cache lacks; how many kernels and seconds, and where they lie, as plain data.
+
+    `tell` hears now and then how far it is.
+    """
+    began, wanted = time.perf_counter(), listed()
+    before, spoke = compiling.count(), began
+    for done, (kernel, types) in enumerate(wanted):
+        kernel.compiled().compile(tuple(map(_type, types)))  # type: ignore[attr-defined]
+        if time.perf_counter() - spoke > 10.0:
+            spoke = time.perf_counter()
+            tell(f"{done + 1} of {len(wanted)}")
+    return {
+        "listed": len(wanted),
+        "compiled": compiling.count() - before,
+        "seconds": round(time.perf_counter() - began, 1),
+        "directory": str(kernel_cache()),
+    }
+
+
+def listed() -> list[tuple[Kernel, list[Any]]]:
+    """Every kernel of the list, and the types of its arguments, as text."""
+    rows = json.loads((conf_directory() / LIST).read_text(encoding="utf-8"))
+    return [(_named(name), types) for name, *types in rows]
+
+
+def _named(name: str) -> Any:
+    module, _, own = name.rpartition(".")
+    return getattr(importlib.import_module(module), own)
+
+
+def _type(told: Any) -> Any:
+    """numba's type."""
+    from numba import types
+    from numba.np.numpy_support import from_dtype
+
+    if isinstance(told, dict):
+        return _array(from_dtype(np.dtype([tuple(field) for field in told["dtype"]])), told["array"].split())
+    if isinstance(told, list):
+        kind, *fields = told
+        inner = [_type(field) for field in fields]
+        return types.NamedTuple(inner, _named(kind)) if kind else types.Tuple(inner)
+    scalar, *rest = told.split()
+    found = types.none if scalar == "none" else getattr(types, scalar)
+    return _array(found, rest) if rest else found
+
+
+def _array(kind: Any, told: list[str]) -> Any:
+    from numba import types
+
+    ndim, layout, *more = told
+    return types.Array(kind, int(ndim), layout, readonly="readonly" in more, aligned="unaligned" not in more)
+
+
+def lines(asked: list[tuple[str, Any]]) -> Iterator[str]:
+    """Of `compiling.asked`, as the list has them."""
+    for name, types in asked:
+        yield json.dumps([name, *map(_text, types)])
+
+
+def _text(kind: Any) -> Any:
+    """A type as `_type` reads it."""
+    from numba import types
+    from numba.np.numpy_support import as_dtype
+
+    if isinstance(kind, types.Array):
+        words = [str(kind.ndim), kind.layout, *([] if kind.mutable else ["readonly"])]
+        words += [] if kind.aligned else ["unaligned"]
+        if isinstance(kind.dtype, types.Record):
+            return {"dtype": [list(field) for field in as_dtype(kind.dtype).descr], "array": " ".join(words)}
+        return " ".join([str(kind.dtype), *words])
+    if isinstance(kind, types.BaseTuple):
+        own = getattr(kind, "instance_class", None)
+        return [f"{own.__module__}.{own.__qualname__}" if own else "", *map(_text, kind.types)]
+    return str(kind)

@@ -1,0 +1,84 @@
+"""Write `conf/kernels.json`: the kernels that the program calls, and the types of their arguments.
+
+`python tests/kernels/record.py DIRECTORY` runs the commands below in DIRECTORY, some minutes, and adds what they call
+to the list; with `--anew` the list has nothing else; with `--from COMMAND` those from this one on are run. Real data is
+taken from `../shared/data` where there is any.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = ROOT.parent / "shared" / "data"
+LIST = ROOT / "conf" / "kernels.json"
+STRIP = "demo/survey/strips/strip_01.las"
+FILTERS = ("slope", "pmf", "smrf", "moving-surface", "ptd", "iptd", "csf", "csf+smrf", "consensus")
+SETS = ("default", "default-waveform", "fan2013", "xiong2018", "shi2019")
+COMMANDS = [
+    "demo --out demo --workers 0",
+    *(f"ground {STRIP} ground-{name}.laz --method {name}" for name in FILTERS),
+    f"ground {STRIP} auto.laz --auto",
+    *(f"normalize ground-smrf.laz by-{name}.laz --height {name}" for name in ("tin", "nearest", "raster")),
+    f"decompose {STRIP} decomposed.laz",
+    f"info --waveforms {STRIP}",
+    *(f"features ground-smrf.laz {name}.parquet --set {name} --skip-missing" for name in SETS),
+    "features ground-smrf.laz own.parquet --features density_g100,zc,oriented_inclination_r100,planarity_opt",
+    f"classify {STRIP} classified.laz --model demo/model",
+    "seams demo",
+    "train demo --compare all --out demo --workers 0",
+    "select demo --method rffs --to set.yaml --out demo --workers 0",
+    "run demo --out thinned --workers 0 --set thin.rate=0.5 --set train.split=histogram",
+    "run demo --out weighed --workers 0 --set train.importance_repeats=2 --set train.bagging=0.9",
+    f"run riegl-sample --out riegl --workers 0 --set survey.directory={DATA / 'waveform'}",
+    f"decompose {DATA / 'waveform' / 'geolas_example2.pls'} pulses.laz",
+    f"ground {DATA / 'isprs' / 'samp21.txt'} text.txt",
+    f"features {DATA / 'ign_hd' / 'urban_77050_627755.laz'} town.parquet --set xiong2018",
+]
+"""What is run, in this order."""
+
+
+def child(to: Path, words: list[str]) -> None:
+    """Run one command in this process; what it called goes to the file `to`."""
+    from fwclass import compiling
+    from fwclass.cli import cli
+    from fwclass.operate.ahead import lines
+
+    try:
+        cli(words, standalone_mode=False)
+    finally:
+        to.write_text("\n".join(lines(compiling.asked)))
+
+
+def main() -> None:
+    if sys.argv[1] == "child":
+        child(Path(sys.argv[2]), sys.argv[3:])
+        return
+    directory = Path(sys.argv[1]).resolve()
+    directory.mkdir(parents=True, exist_ok=True)
+    found = set() if "--anew" in sys.argv else {json.dumps(row) for row in json.loads(LIST.read_text())}
+    first = sys.argv[sys.argv.index("--from") + 1] if "--from" in sys.argv else ""
+    for command in COMMANDS[COMMANDS.index(first) if first else 0 :]:
+        to = directory / "called.txt"
+        to.unlink(missing_ok=True)
+        ended = subprocess.run(
+            [sys.executable, __file__, "child", str(to), *command.split()],
+            cwd=directory,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+        )
+        called = set(to.read_text().splitlines()) if to.exists() else set()
+        print(f"{command}: exit {ended.returncode}, {len(called)} called, {len(called - found)} new", flush=True)
+        if ended.returncode:
+            print(ended.stderr[-600:])
+        found |= called
+    LIST.write_text("[\n" + ",\n".join(sorted(found)) + "\n]\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,276 @@
+"""Each kernel is compiled once on a machine, whoever is killed, and whatever the directory of compiled code is like."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from fwclass import compiling
+from fwclass.cli import cli
+from fwclass.operate.ahead import _text, _type, listed
+
+LOWER = """
+from fwclass.kernel import kernel, vectorised
+
+@kernel
+def more(x):
+    return x + {more}
+
+@kernel
+def apart(x, y):
+    return (x + y) - x
+
+@vectorised
+def loose(x, y):
+    return apart(x, y)
+
+@kernel
+def place(values, at):
+    return values[at]
+"""
+UPPER = """
+from fwclass.kernel import kernel
+from lower import more, place
+
+@kernel
+def total(values):
+    found = 0.0
+    for k in range(len(values)):
+        found += more(values[k])
+    return found + place(values, 0) + place(values, 1) + place(values, len(values) - 1)
+"""
+TOTAL = "import numpy as np; from upper import total; from fwclass import compiling; answer = total(np.ones(3))\n"
+TELL = "print(answer, compiling.count())"
+KERNELS = 3
+"""That `total` needs."""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    """The kernels above, and a cache for them."""
+    return made(tmp_path / "one", 1.0)
+
+
+def made(directory: Path, more: float) -> Path:
+    directory.mkdir()
+    (directory / "lower.py").write_text(LOWER.format(more=more))
+    (directory / "upper.py").write_text(UPPER)
+    return directory
+
+
+def started(code: str, program: Path, cache: Path, **environment: str) -> subprocess.Popen[str]:
+    path = os.pathsep.join([str(program), str(Path(__file__).parents[1])])
+    return subprocess.Popen(
+        [sys.executable, "-P", "-c", code],
+        env=os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(cache)} | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[float, int, str]:
+    """The answer, the kernels that were compiled, and what was told."""
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    answer, count = out.split()[-2:]
+    return float(answer), int(count), err
+
+
+def run(program: Path, cache: Path, before: str = "", **environment: str) -> tuple[float, int, str]:
+    return ended(started(before + TOTAL + TELL, program, cache, **environment))
+
+
+@contextmanager
+def holding(program: Path, cache: Path, name: str) -> Iterator[subprocess.Popen[str]]:
+    """A process that is at a kernel, and does not end."""
+    code = f"""import time; from fwclass import compiling
+with compiling._alone({name!r}): print('holds', flush=True); time.sleep(99)"""
+    process = started(code, program, cache)
+    try:
+        assert process.stdout is not None and process.stdout.readline() == "holds\n"
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_several_processes_at_once_compile_each_kernel_once(program: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    found = [ended(p) for p in [started(TOTAL + TELL, program, cache) for _ in range(3)]]
+    assert [answer for answer, _, _ in found] == [9.0] * 3 and sum(count for _, count, _ in found) == KERNELS
+    assert run(program, cache) == (9.0, 0, "")
+
+
+def test_who_is_killed_while_it_compiles_is_waited_for_no_longer(program: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    with holding(program, cache, "upper.total") as other:
+        (cache / "upper.total-0-0.half").write_bytes(b"half")
+        process = started(TOTAL + TELL, program, cache)
+        time.sleep(3.0)
+        assert process.poll() is None
+        other.kill()
+        assert ended(process)[:2] == (9.0, KERNELS)
+    assert {p.suffix for p in cache.iterdir()} == {"", compiling.SUFFIX}  # the file of locks, and kernels
+
+
+def test_who_is_stopped_is_not_waited_for_for_ever(program: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    with holding(program, cache, "upper.total") as other:
+        other.send_signal(signal.SIGSTOP)
+        assert run(program, cache, "from fwclass import compiling; compiling.PATIENCE = 0.5\n")[:2] == (9.0, KERNELS)
+
+
+def test_a_file_that_is_cut_off_is_made_again(program: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    run(program, cache)
+    for path in cache.glob(f"*{compiling.SUFFIX}"):
+        path.write_bytes(path.read_bytes()[:-100] if "more" not in path.name else b"")
+    assert run(program, cache) == (9.0, KERNELS, "")
+    assert run(program, cache) == (9.0, 0, "")
+
+
+def test_a_file_that_is_another_kernels_is_made_again(program: Path, tmp_path: Path) -> None:
+    """Whole, and nothing that can be loaded."""
+    cache = tmp_path / "cache"
+    run(program, cache)
+    for path in cache.glob(f"*{compiling.SUFFIX}"):
+        path.write_bytes(compiling._digest(b"no pickle") + b"no pickle")
+    assert run(program, cache) == (9.0, KERNELS, "")
+
+
+def test_a_place_that_cannot_be_written_to_is_told_once(program: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    answer, count, told = run(program, tmp_path / "file" / "cache")
+    assert (answer, count) == (9.0, KERNELS)
+    assert told.count("compiled code cannot be kept in") == 1 and "Not a directory" in told
+
+
+def test_a_full_disk_is_told_once_and_nothing_half_written_stays(program: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    full = """
+import pathlib
+real = pathlib.Path.write_bytes
+def write_bytes(self, data):
+    real(self, data[:50])
+    raise OSError(28, "No space left on device")
+pathlib.Path.write_bytes = write_bytes
+"""
+    answer, count, told = run(program, cache, full)
+    assert (answer, count) == (9.0, KERNELS) and told.count("No space left on device") == 1
+    assert [p.name for p in cache.iterdir()] == [compiling.LOCKS]
+
+
+def test_what_was_compiled_is_read_where_nothing_can_be_written_or_locked(program: Path, tmp_path: Path) -> None:
+    """As in an image: a directory that another user made."""
+    cache = tmp_path / "cache"
+    run(program, cache, "import os; os.umask(0o022)\n")
+    assert all(p.stat().st_mode & 0o044 for p in (cache, *cache.glob(f"*{compiling.SUFFIX}")))
+    barred = """
+import os, fcntl
+def no(*words): raise OSError(30, 'Read-only file system')
+fcntl.lockf = no; os.mkdir = no
+"""
+    assert run(program, cache, barred) == (9.0, 0, "")
+
+
+def test_two_versions_and_two_processors_keep_their_own(program: Path, tmp_path: Path) -> None:
+    cache, other = tmp_path / "cache", made(tmp_path / "other", 5.0)
+    plain = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    asked = [(program, {}), (other, {}), (program, plain)]
+    began = [started(TOTAL + TELL, place, cache, **words) for place, words in asked]
+    assert [ended(p)[0] for p in began] == [9.0, 21.0, 9.0]
+    assert [run(place, cache, **words)[:2] for place, words in asked] == [(9.0, 0), (21.0, 0), (9.0, 0)]
+
+
+def test_versions_long_gone_are_removed(program: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    for name, days in (("old", 31), ("young", 29)):
+        path = cache / f"upper.total-{name}-0{compiling.SUFFIX}"
+        path.write_bytes(b"")
+        os.utime(path, (time.time() - 86400 * days,) * 2)
+    run(program, cache)
+    assert sorted(p.name.split("-")[1] for p in cache.glob("upper.total-*"))[-1] == "young"
+    assert len(list(cache.glob("upper.total-*"))) == 2
+
+
+def test_a_kernel_does_not_divide_as_its_first_caller_may(program: Path, tmp_path: Path) -> None:
+    """numba hands `fastmath` down to whatever says nothing of it, and keeps that for all callers."""
+    code = (
+        "from lower import apart, loose; loose(1e30, 1.0); answer = apart(1e30, 1.0)\nfrom fwclass import compiling\n"
+    )
+    assert ended(started(code + TELL, program, tmp_path / "cache"))[0] == 0.0
+
+
+def test_a_person_is_told_from_a_second_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[bool] = []
+    monkeypatch.setattr(compiling, "_spent", 0.0)
+    with compiling.told(heard.append):
+        with compiling._watched("a"):
+            pass
+        assert heard == []
+        with compiling._watched("a"), compiling._watched("b"):
+            time.sleep(compiling.TOLD_AFTER + 0.3)
+            assert heard == [True]
+        assert heard == [True, False] and not compiling.runs() and compiling.spent() > compiling.TOLD_AFTER
+
+
+def test_the_list_of_kernels_can_be_read_and_is_as_it_is_written() -> None:
+    kernels = listed()
+    assert len(kernels) > 80
+    for kernel, types in kernels:
+        assert [_text(_type(told)) for told in types] == types, kernel
+
+
+@pytest.mark.slow
+def test_after_compile_a_run_compiles_nothing(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "fwclass"]
+    path = str(Path(__file__).parents[1])
+    environment = os.environ | {"PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def kept() -> set[tuple[str, int]]:
+        return {(p.name, p.stat().st_mtime_ns) for p in (tmp_path / "cache").glob(f"*{compiling.SUFFIX}")}
+
+    def done(*more: str) -> str:
+        told = subprocess.run(
+            [*words, *more], env=environment, cwd=tmp_path, check=True, capture_output=True, text=True
+        )
+        return told.stderr
+
+    assert "kernels compiled in" in done("compile")
+    before = kept()
+    assert len(before) > 200
+    assert done("compile").startswith("0 kernels compiled")
+    assert compiling.ONCE not in done("demo", "--out", "demo", "--workers", "0")
+    assert kept() == before
+
+
+def test_a_command_without_progress_tells_it_once(tmp_path: Path, program: Path) -> None:
+    code = """
+import time
+from fwclass.cli.base import cli
+from fwclass import compiling
+@cli.command()
+def waits():
+    for _ in range(2):
+        with compiling._watched("a"):
+            time.sleep(1.3)
+cli(["waits"], standalone_mode=False)
+answer = 0.0
+"""
+    told = ended(started(code + TELL, program, tmp_path / "cache"))[2]
+    assert told == f"{compiling.ONCE}; `fwclass compile` makes all kernels ahead\n"
+
+
+def test_help_tells_of_compile() -> None:
+    assert "Compile all kernels" in CliRunner().invoke(cli, ["--help"]).output
