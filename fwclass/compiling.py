@@ -41,6 +41,9 @@ KEPT = 30 * 86400.0
 
 SUFFIX = ".kernel"
 
+LINKING = 1
+"""Goes into the names of the files; it changes with what is done to kernels while they are compiled."""
+
 TOLD_AFTER = 1.0
 """Seconds that a process compiles before a person is told."""
 
@@ -167,7 +170,7 @@ class KernelFiles:
     def _path(self, signature: Any, codegen: Any) -> Path:
         import numba
 
-        told = (_told(signature), codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
+        told = (LINKING, _told(signature), codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
         key = hashlib.blake2b(repr(told).encode(), digest_size=8).hexdigest()
         return kernel_cache() / f"{self._name}-{self._stamp[:16]}-{key}{SUFFIX}"
 
@@ -209,8 +212,31 @@ class KernelFiles:
     def flush(self) -> None: ...
 
 
+@cache
+def _with_own_copies() -> None:
+    """Let compiled code run its own copies of the functions that it calls.
+
+    numba leaves those copies weak: a process that has compiled such a function by itself too runs that one's code,
+    which was optimised in other surroundings. Where sums may be reordered, the last bits of a result would then depend
+    on what else a process has compiled, and whether it has or only loaded it.
+    """
+    import llvmlite.binding as llvm
+    from numba.core.codegen import CPUCodeLibrary as Library
+
+    optimise = Library._optimize_final_module
+
+    def own(library: Any) -> None:
+        for function in library._final_module.functions:
+            if not function.is_declaration and function.linkage == llvm.Linkage.linkonce_odr:
+                function.linkage = llvm.Linkage.internal
+        optimise(library)
+
+    Library._optimize_final_module = own  # type: ignore[method-assign,unused-ignore]
+
+
 def attach(dispatcher: Any, name: str, stamp: str) -> None:
     """Keep what `dispatcher`, numba's of the kernel `name`, compiles, and compile nothing that others compile now."""
+    _with_own_copies()
     files = KernelFiles(name, stamp)
     dispatcher._cache = files
     dispatcher.compile = files.compile_with(dispatcher.compile)

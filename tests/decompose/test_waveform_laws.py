@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -255,3 +259,37 @@ def test_segments_of_other_depth_are_the_same_waveform(params):
     assert y.max() < 250
     a, b = fitted(y, params, saturation=255.0), fitted(y.astype(np.uint16), params, saturation=65535.0)
     assert_same(a, b, np.arange(300))
+
+
+ECHOES_OF_TWO_RECEIVERS = """
+import hashlib
+import sys
+import numpy as np
+import wavemaker as wm
+import yaml
+from fwclass.decompose.fitting import fit_waveforms
+from fwclass.decompose.params import DecomposeParams, PulseParams
+from fwclass.decompose.pulse_estimate import estimate_pulse
+from fwclass.compiling import count
+
+base = yaml.safe_load(open(sys.argv[1]))
+state = hashlib.sha256()
+for options in ({}, {"bits": 16, "amplitude": (300, 3000)}):
+    waves, _ = wm.survey_mix(8000, seed=5, **options)
+    pulse = estimate_pulse(waves, PulseParams(**base["pulse"]))
+    fits = fit_waveforms(waves, DecomposeParams(**base["decompose"]), pulse)
+    for column in (fits.baseline, fits.amplitude, fits.time, fits.deviation):
+        state.update(np.ascontiguousarray(column).tobytes())
+print(count() > 0, state.hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_a_process_that_compiles_gives_the_bytes_of_one_that_loads(tmp_path):
+    """Sums may be reordered where that is said to be so: but in one way only on a machine."""
+    root = Path(__file__).resolve().parents[2]
+    words = [sys.executable, "-c", ECHOES_OF_TWO_RECEIVERS, str(root / "conf" / "base.yaml")]
+    inside = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": f"{root}{os.pathsep}{root / 'tests'}"}
+    cold, warm = (subprocess.run(words, env=inside, capture_output=True, text=True, check=True).stdout for _ in "ab")
+    assert cold.split()[0] == "True" and warm.split()[0] == "False"
+    assert cold.split()[1] == warm.split()[1]
