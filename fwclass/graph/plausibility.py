@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
+from fwclass.decompose.recorded_pulse import disagree
 from fwclass.errors import QualityError
 from fwclass.units import METRES_PER_NS
 
@@ -23,6 +24,12 @@ OFFSET = 0.05
 
 NAMED = 3
 """Strips of a remark that are named."""
+
+
+def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """What the receipt of a strip's pulse says of its noise, and how wide [ns] the pulse and the recorded one are."""
+    told = ("lag1", "inflation", "quiet_samples", "noise_order", "noise_growth", "recorded_fwhm")
+    return {**{name: meta[name] for name in told}, "fwhm": meta["pulse"]["fwhm"]}
 
 
 def of_strip(
@@ -74,6 +81,13 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
         lines.append(
             f"{lone:,} of {returns:,} returns ({_percent(lone / returns)}) have no echo within "
             f"{params.vendor_tolerance:g} ns ({_names(some)})"
+        )
+    some = [s for s in strips if s.get("fwhm") and disagree(s["fwhm"], s["recorded_fwhm"])]
+    if some:
+        by_echoes, recorded = some[0]["fwhm"], some[0]["recorded_fwhm"]
+        lines.append(
+            f"the system pulse is {by_echoes:.2f} ns wide by the echoes, {recorded:.2f} ns by the recorded outgoing "
+            f"pulses: look at info --waveforms, and fix it by pulse.width ({_names(some)})"
         )
     some = [s for s in strips if (s["lag1"] or 0.0) > params.white_noise and s["inflation"] >= INFLATED]
     if some:

@@ -18,7 +18,7 @@ from fwclass.decompose.plausible import added
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.layout import Layout, Survey
-from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.graph.plausibility import of_strip, receiver_facts, remarks
 from fwclass.graph.rasters import Mosaic
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
@@ -271,13 +271,7 @@ def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, A
         returns[receipt.part.split("-")[0]] += receipt.meta["returns"]
     parts = [(s.path.stem, f"{s.number:05d}") for s in survey.strips]
     strips = [
-        of_strip(
-            name,
-            returns[part],
-            added(counts[part]),
-            {n: noise[part][n] for n in ("lag1", "inflation")},
-            places.get(part),
-        )
+        of_strip(name, returns[part], added(counts[part]), receiver_facts(noise[part]), places.get(part))
         for name, part in parts
         if part in noise and part in counts
     ]

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from fwclass.decompose.envelope import Envelope
-from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.params import FEWEST, DecomposeParams
 from fwclass.decompose.place_estimate import join_runs, measure_placement, sample_runs
 from fwclass.decompose.placement import Placement, describe_placement
 from fwclass.decompose.plausible import UNKNOWN, Surroundings
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
+from fwclass.decompose.recorded_pulse import recorded_widths
 from fwclass.decompose.signal_noise import with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
@@ -147,7 +148,12 @@ def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams)
     """The system's pulse and the receiver of a strip, from a sample of its waveforms; the envelope of its returns."""
     parts, inputs, directory = here.parts("read"), here.inputs, here.directory
     strip, pulses = int(here.part), int(inputs.meta("index", here.part)["pulses"])
-    samples = [sample_pulses(waveforms_of(part, inputs, returns=False), strip, pulses, params) for part in parts]
+    samples, recorded = [], [np.empty(0)]
+    for part in parts:
+        waves = waveforms_of(part, inputs, returns=False)
+        samples.append(sample_pulses(waves, strip, pulses, params))
+        recorded.append(recorded_widths(waves, samples[-1].pulses["pulse"]))
+    widths = np.concatenate(recorded)
     sampled, noise, pulse = (
         sum(s.pulses.rows for s in samples),
         UNKNOWN.noise,
@@ -168,6 +174,7 @@ def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams)
     return {
         "pulse": describe(pulse),
         "noise": max((c.noise for c in pulse.channels), default=None),
+        "recorded_fwhm": float(np.median(widths)) if len(widths) >= FEWEST else None,
         "sampled": sampled,
         **noise.told,
     }

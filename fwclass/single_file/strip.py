@@ -16,6 +16,7 @@ from fwclass.decompose.pulse_estimate import PulseParams
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.layout import Strip, Survey
 from fwclass.graph.numbering import numbers
+from fwclass.graph.plausibility import receiver_facts
 from fwclass.graph.sources import (
     DECOMPOSE_RETURNS,
     DECOMPOSE_WAVES,
@@ -103,11 +104,10 @@ class FileStrip:
         return pulse_of(self.number, self._inputs())
 
     def noise(self) -> Mapping[str, Any]:
-        """What its noise is like, see `QuietNoise.told`."""
+        """What its noise is like, see `receiver_facts`."""
         if not self.source.has_waves:
             return UNKNOWN.noise.told
-        meta = self._measure().meta
-        return {name: meta[name] for name in UNKNOWN.noise.told}
+        return receiver_facts(self._measure().meta)
 
     def places(self) -> Mapping[str, Any] | None:
         """How its echoes are placed (`placement.describe_placement`); None without waveforms."""
