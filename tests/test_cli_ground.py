@@ -187,7 +187,7 @@ def test_longitudes_without_a_system_are_refused_at_once_and_told_by_info(tmp_pa
     code, out, _ = fwclass("info", source)
     assert "look like degrees" in out
     code, _, err = fwclass("ground", source, tmp_path / "c.laz", "--crs", "EPSG:25832")
-    assert code == 0
+    assert code == 1 and "look like degrees" in err and "transforms nothing" in err
 
 
 def test_waveform_packets_survive(tmp_path, fwclass):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from click.testing import CliRunner
 
 from fwclass import compiling
 from fwclass.cli import cli
+from fwclass.operate import ahead
 from fwclass.operate.ahead import _text, _type, listed
 
 LOWER = """
@@ -230,6 +232,14 @@ def test_the_list_of_kernels_can_be_read_and_is_as_it_is_written() -> None:
     assert len(kernels) > 80
     for kernel, types in kernels:
         assert [_text(_type(told)) for told in types] == types, kernel
+        assert len(types) == len(inspect.signature(kernel).parameters), f"{kernel}: run tests/kernels/record.py"
+
+
+def test_an_entry_that_does_not_fit_its_kernel_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel, types = next(row for row in listed() if row[0].__name__ == "levels")
+    monkeypatch.setattr(ahead, "listed", lambda: [(kernel, types[1:]), (kernel, types)])
+    made = ahead.compile_all()
+    assert made["listed"] == 2 and len(made["left_out"]) == 1 and made["left_out"][0].startswith("levels: ")
 
 
 @pytest.mark.slow

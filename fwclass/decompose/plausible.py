@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from fwclass.decompose.envelope import Envelope
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placing import beams
+from fwclass.decompose.pulse_fit import POOR
 from fwclass.decompose.quiet import QuietNoise
 from fwclass.waveforms import IMPLAUSIBLE, Waveforms
 
 _FITTED, _VENDOR_KEPT = 0, 16
 
-COUNTS = ("fitted", "checked", "unexplained", "below", "outside", "weak", "implausible", "returns_without_echo")
+COUNTS = ("fitted", "checked", "unexplained", "below", "outside", "weak", "implausible", "poor", "returns_without_echo")
 """What `Plausibility.counts` holds, in this order."""
 
 
@@ -41,7 +42,7 @@ class Plausibility:
     implausible : bool (echoes,).
     counts : echoes by `COUNTS`. fitted: to waveforms; checked: of pulses all of whose returns are in the file;
         unexplained: of these, without a return of their pulse within `vendor_tolerance`; below, outside, weak: see
-        `judge`; implausible: below or weak.
+        `judge`; implausible: below or weak; poor: fitted, with a misfit above `poor_misfit`.
     """
 
     implausible: NDArray[np.bool_]
@@ -90,7 +91,8 @@ def judge(
     faint = _faint(echoes, fitted, around.noise, params)
     weak = alone & faint & (high | _last(echoes, ~faint, returns)) if faint.any() else faint
     implausible = below | weak
-    counted = (fitted, checked, alone & known, below, outside, weak, implausible)
+    poor = fitted & (echoes["fit_flags"] & POOR > 0)
+    counted = (fitted, checked, alone & known, below, outside, weak, implausible, poor)
     return Plausibility(implausible, dict(zip(COUNTS, (int(c.sum()) for c in counted), strict=False)))
 
 

@@ -82,6 +82,13 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
             f"{lone:,} of {returns:,} returns ({_percent(lone / returns)}) have no echo within "
             f"{params.vendor_tolerance:g} ns ({_names(some)})"
         )
+    some = [s for s in strips if s["poor"] > TOLD_FROM * s["fitted"]]
+    if some:
+        poor, fitted = (sum(s[key] for s in some) for key in ("poor", "fitted"))
+        lines.append(
+            f"{poor:,} of {fitted:,} echoes ({_percent(poor / fitted)}) are poorly fitted, misfit above "
+            f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({_names(some)})"
+        )
     some = [s for s in strips if s.get("fwhm") and disagree(s["fwhm"], s["recorded_fwhm"])]
     if some:
         by_echoes, recorded = some[0]["fwhm"], some[0]["recorded_fwhm"]

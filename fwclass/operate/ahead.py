@@ -24,20 +24,25 @@ LIST = "kernels.json"
 
 
 def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, Any]:
-    """Compile what the cache lacks; how many kernels and seconds, and where they lie, as plain data.
+    """Compile what the cache lacks; how many kernels and seconds, which do not fit their list, and where they lie, as
+    plain data.
 
     `tell` hears now and then how far it is.
     """
     began, wanted = time.perf_counter(), listed()
-    before, spoke = compiling.count(), began
+    before, spoke, left = compiling.count(), began, list[str]()
     for done, (kernel, types) in enumerate(wanted):
-        kernel.compiled().compile(tuple(map(_type, types)))  # type: ignore[attr-defined]
+        try:
+            kernel.compiled().compile(tuple(map(_type, types)))  # type: ignore[attr-defined]
+        except TypeError as fault:
+            left.append(f"{kernel.__name__}: {fault}")  # type: ignore[attr-defined]
         if time.perf_counter() - spoke > 10.0:
             spoke = time.perf_counter()
             tell(f"{done + 1} of {len(wanted)}")
     return {
         "listed": len(wanted),
         "compiled": compiling.count() - before,
+        "left_out": left,
         "seconds": round(time.perf_counter() - began, 1),
         "directory": str(kernel_cache()),
     }

@@ -120,7 +120,7 @@ def test_chunks_do_not_matter(tmp_path):
 
 
 def test_the_report_names_the_strips():
-    counts = dict.fromkeys(("fitted", "checked", "unexplained", "below", "outside", "weak", "implausible"), 0)
+    counts = dict.fromkeys(("fitted", "checked", "unexplained", "below", "outside", "weak", "implausible", "poor"), 0)
     counts["returns_without_echo"] = 0
     channel = {"constant": 1.7, "offsets": [1.2, 1.9], "heights": [20.0, 110.0], "phase": False}
     strips = [

@@ -19,6 +19,9 @@ MODULES = {"pickle", "cPickle", "_pickle", "cloudpickle", "dill", "joblib", "mar
 BUILTINS = {"eval", "exec", "compile", "__import__"}
 YAML = {"load", "load_all", "full_load", "full_load_all", "unsafe_load", "unsafe_load_all"}
 SHELL = {("os", "system"), ("os", "popen"), ("subprocess", "getoutput"), ("subprocess", "getstatusoutput")}
+EXECUTED = {"fwclass/compiling.py": "imports pickle"}
+"""Compiled code is run, whatever it is wrapped in: its directory is the user's alone (`isolation.kernel_cache`)."""
+
 FILES = {"load", "save", "savez", "savez_compressed", "fromregex"}
 
 
@@ -66,7 +69,8 @@ def _of_call(node: ast.Call) -> list[str]:
 def test_no_module_runs_what_a_file_says() -> None:
     assert len(SOURCES) > 300
     found = {p.relative_to(ROOT).as_posix(): faults(ast.parse(p.read_text(encoding="utf-8"))) for p in SOURCES}
-    assert {name: what for name, what in found.items() if what} == {}
+    seen = {name: [fault.partition(": ")[2] for fault in what] for name, what in found.items() if what}
+    assert seen == {name: [fault] for name, fault in EXECUTED.items()}
 
 
 @pytest.mark.parametrize(
