@@ -463,6 +463,21 @@ def match(truth: Truth, fits: Fitted, tolerance: float) -> tuple[NDArray, NDArra
     return i[order], j[order]
 
 
+def errors(truth: Truth, fits: Any, tolerance: float) -> tuple[NDArray, NDArray, NDArray]:
+    """(index of truth, errors (m, 3) of A, t, width, their standard errors) of the echoes that `match`."""
+    i, j = match(truth, fits, tolerance)
+    names = ("amplitude", "time", "width")
+    error = np.stack([getattr(fits, n)[j] - getattr(truth, n)[i] for n in names], axis=1)
+    return i, error, np.stack([getattr(fits, f"{n}_sigma")[j] for n in names], axis=1)
+
+
+def rms(standard: NDArray) -> tuple[NDArray, NDArray]:
+    """Root mean square of every column, and its sampling error."""
+    square = standard**2
+    value = np.sqrt(square.mean(axis=0))
+    return value, square.std(axis=0) / np.sqrt(len(square)) / (2 * value)
+
+
 def _first_of(values: NDArray) -> NDArray:
     """True where a value occurs for the first time."""
     first = np.zeros(len(values), bool)

@@ -105,19 +105,6 @@ def test_the_order_of_the_waveforms_does_not_matter(params, noise):
     assert seen[0].channels == seen[1].channels != KNOWN and seen[0].shape_error == seen[1].shape_error
 
 
-def errors(truth, fits):
-    i, j = wm.match(truth, fits, HALF)
-    names = ("amplitude", "time", "width")
-    error = np.stack([getattr(fits, n)[j] - getattr(truth, n)[i] for n in names], axis=1)
-    return i, error, np.stack([getattr(fits, f"{n}_sigma")[j] for n in names], axis=1)
-
-
-def rms(standard):
-    square = standard**2
-    value = np.sqrt(square.mean(axis=0))
-    return value, square.std(axis=0) / np.sqrt(len(square)) / (2 * value)
-
-
 def singles(n, **noise):
     waves, truth = wm.mix(n, (1.0,), amplitude=(20, 200), seed=13, **noise)
     return waves, truth, (truth.ratio >= 20.0) & ~truth.clipped
@@ -133,11 +120,11 @@ def test_errors_reach_the_bound_of_correlated_noise_and_are_stated(params, corre
     waves, truth, clear = singles(n, phi=PHI)
     fits = fit_waveforms(waves, params, correlated)
     assert at_most((fits.count[clear] > 1).mean(), clear.sum(), 0.003)
-    i, error, sigma = errors(truth, fits)
+    i, error, sigma = wm.errors(truth, fits, HALF)
     use = ((fits.count == 1) & clear)[truth.row[i]]
-    ratio, sd = rms((error / wm.bounds(truth, phi=PHI)[i])[use])
+    ratio, sd = wm.rms((error / wm.bounds(truth, phi=PHI)[i])[use])
     assert (ratio <= 1.03 + 3 * sd).all() and (ratio >= 0.9).all(), (ratio, sd)
-    standard, sd = rms((error / sigma)[use])
+    standard, sd = wm.rms((error / sigma)[use])
     assert (np.abs(standard - 1.0) <= 0.05 + 3 * sd).all(), (standard, sd)
 
 
@@ -167,8 +154,8 @@ def test_noise_that_grows_with_the_signal(base, params, growth):
     assert pulse.channels[0].growth > 0.5 * growth and pulse.channels[0].growth < 1.3 * growth
     waves, truth, clear = singles(8000, **noise)
     fits = fit_waveforms(waves, params, pulse)
-    i, error, sigma = errors(truth, fits)
-    standard, sd = rms((error / sigma)[((fits.count == 1) & clear)[truth.row[i]]])
+    i, error, sigma = wm.errors(truth, fits, HALF)
+    standard, sd = wm.rms((error / sigma)[((fits.count == 1) & clear)[truth.row[i]]])
     assert (np.abs(standard - 1.0) <= 0.07 + 3 * sd).all(), (standard, sd)
     for width in (1.0, 2.0):
         wide, _ = wm.fixed(8000, [75.0], width=width * wm.PULSE_WIDTH, first=30.0, seed=18, **(noise | {"noise": 1.3}))

@@ -31,21 +31,6 @@ def params(base):
     return DecomposeParams(**{**base["decompose"], "tail_share": 0.0})
 
 
-def errors(truth, fits):
-    """(index of truth, errors (m, 3) of A, t, width, their standard errors) of the echoes that were found."""
-    i, j = wm.match(truth, fits, HALF)
-    names = ("amplitude", "time", "width")
-    error = np.stack([getattr(fits, n)[j] - getattr(truth, n)[i] for n in names], axis=1)
-    return i, error, np.stack([getattr(fits, f"{n}_sigma")[j] for n in names], axis=1)
-
-
-def rms(standard):
-    """Root mean square of every column, and its sampling error."""
-    square = standard**2
-    value = np.sqrt(square.mean(axis=0))
-    return value, square.std(axis=0) / np.sqrt(len(square)) / (2 * value)
-
-
 def clear(truth, ratio):
     """Waveforms whose echoes all reach `ratio` times the noise, without saturation."""
     least = np.minimum.reduceat(truth.ratio, np.cumsum(truth.count) - truth.count)
@@ -75,13 +60,13 @@ def test_isolated_echoes_reach_the_cramer_rao_bound(params, pulse, n):
     """RMSE / bound <= 1.02, standardised errors 1.00 +- 0.03, no bias, for A/sigma >= 20 and widths of 1 to 1.6."""
     waves, truth = wm.mix(n, (1.0,), amplitude=(20, 200), seed=31)
     fits = fit_waveforms(waves, params, pulse)
-    i, error, sigma = errors(truth, fits)
+    i, error, sigma = wm.errors(truth, fits, HALF)
     use = counted(truth, fits, 0.002)[truth.row[i]]
     bound = wm.bounds(truth)[i]
-    ratio, sd = rms((error / bound)[use])
+    ratio, sd = wm.rms((error / bound)[use])
     assert (ratio <= 1.02 + 3 * sd).all(), (ratio, sd)
     assert (ratio >= 0.85).all(), "better than the bound: the bound would be wrong"
-    standard, sd = rms((error / sigma)[use])
+    standard, sd = wm.rms((error / sigma)[use])
     assert (np.abs(standard - 1.0) <= 0.03 + 3 * sd).all(), (standard, sd)
     bias = (error / bound)[use].mean(axis=0)
     assert (np.abs(bias) < 0.05 + 3 / np.sqrt(use.sum())).all(), bias
@@ -93,11 +78,11 @@ def test_pairs_five_to_eight_ns_apart(params, pulse, n):
     """RMSE / bound <= 1.10 and honest standard errors, both echoes of the system's width, A/sigma >= 20."""
     waves, truth = wm.mix(n, (0.0, 1.0), amplitude=(25, 120), gap=(5, 8), widest=1.0, seed=32)
     fits = fit_waveforms(waves, params, pulse)
-    i, error, sigma = errors(truth, fits)
+    i, error, sigma = wm.errors(truth, fits, HALF)
     use = counted(truth, fits, 0.005)[truth.row[i]]
-    ratio, sd = rms((error / wm.bounds(truth)[i])[use])
+    ratio, sd = wm.rms((error / wm.bounds(truth)[i])[use])
     assert (ratio <= 1.10 + 3 * sd).all() and (sd < 0.2).all(), (ratio, sd)
-    standard, sd = rms((error / sigma)[use])
+    standard, sd = wm.rms((error / sigma)[use])
     assert (np.abs(standard - 1.0) <= 0.03 + 3 * sd).all(), (standard, sd)
 
 
@@ -176,8 +161,8 @@ def test_the_true_pulse_needs_no_second_echo(params, shape, asked, n):
     assert at_most((fits.count > 1).sum(), n, asked), (fits.count > 1).mean()
     wrong = SystemPulse("gaussian", shape.fwhm, channels=KNOWN.channels)
     assert (fit_waveforms(waves, params, wrong).count > 1).mean() > 0.05
-    _, error, sigma = errors(truth, fits)
-    standard, sd = rms((error / sigma)[:, :2])  # the width of such a pulse is not 2.3548 sigma
+    _, error, sigma = wm.errors(truth, fits, HALF)
+    standard, sd = wm.rms((error / sigma)[:, :2])  # the width of such a pulse is not 2.3548 sigma
     assert (np.abs(standard - 1.0) <= 0.03 + 3 * sd).all(), (standard, sd)
     assert np.abs((error / sigma)[:, :2].mean(axis=0)).max() < 0.1
 
@@ -198,10 +183,10 @@ def test_bounds_hold_for_other_spacings_and_depths(params):
         )
         fits = fit_waveforms(waves, params, ALONE)
         assert at_most((fits.count > 1).sum(), 4000, 0.005)
-        i, error, sigma = errors(truth, fits)
-        ratio, sd = rms(error / wm.bounds(truth)[i])
+        i, error, sigma = wm.errors(truth, fits, HALF)
+        ratio, sd = wm.rms(error / wm.bounds(truth)[i])
         assert (ratio <= 1.02 + 3 * sd).all(), (spacing, ratio, sd)
-        standard, sd = rms(error / sigma)
+        standard, sd = wm.rms(error / sigma)
         assert (np.abs(standard - 1.0) <= 0.03 + 3 * sd).all(), (spacing, standard, sd)
 
 
