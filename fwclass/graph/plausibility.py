@@ -22,6 +22,9 @@ INFLATED = 1.1
 OFFSET = 0.05
 """ns between fitted times and the vendor's locations from which it is told: 7 mm."""
 
+UNREADABLE = ("packet past the end", "packet cut short", "compressed packet damaged, or another file's")
+"""Faults of reading that a file of packets shows which is cut off, damaged, or another's."""
+
 NAMED = 3
 """Strips of a remark that are named."""
 
@@ -38,9 +41,10 @@ def of_strip(
     counts: Mapping[str, int],
     noise: Mapping[str, Any],
     places: Mapping[str, Any] | None = None,
+    faults: Mapping[str, int] | None = None,
 ) -> dict[str, Any]:
-    """One strip for report.json: counts of echoes and returns, shares of them, what its noise is like, and how its
-    echoes were placed (`placement.describe_placement`)."""
+    """One strip for report.json: counts of echoes and returns, shares of them, what its noise is like, how its echoes
+    were placed (`placement.describe_placement`), and how many of its packets cannot be read, of its `faults`."""
     checked = counts["checked"] if returns else 0
     return {
         "name": name,
@@ -51,6 +55,7 @@ def of_strip(
         "unmatched_returns_share": counts["returns_without_echo"] / returns if returns else None,
         **noise,
         "places": places,
+        "unreadable_packets": sum((faults or {}).get(name, 0) for name in UNREADABLE),
     }
 
 
@@ -81,6 +86,13 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
         lines.append(
             f"{lone:,} of {returns:,} returns ({_percent(lone / returns)}) have no echo within "
             f"{params.vendor_tolerance:g} ns ({_names(some)})"
+        )
+    some = [s for s in strips if s["unreadable_packets"] > TOLD_FROM * s["returns"]]
+    if some:
+        lost, returns = (sum(s[key] for s in some) for key in ("unreadable_packets", "returns"))
+        lines.append(
+            f"{lost:,} of {returns:,} returns ({_percent(lost / returns)}) have a waveform that cannot be read, and "
+            f"lie where their vendor has them: is the packet file whole? ({_names(some)})"
         )
     some = [s for s in strips if s["poor"] > TOLD_FROM * s["fitted"]]
     if some:

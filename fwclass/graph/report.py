@@ -266,12 +266,16 @@ def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, A
     counts: dict[str, list[dict[str, int]]] = {}
     for receipt in _made(runner, "decompose"):
         counts.setdefault(receipt.part.split("-")[0], []).append(receipt.meta["plausibility"])
-    returns = Counter[str]()
+    returns, faults = Counter[str](), dict[str, Counter[str]]()
     for receipt in _made(runner, "read"):
-        returns[receipt.part.split("-")[0]] += receipt.meta["returns"]
+        part = receipt.part.split("-")[0]
+        returns[part] += receipt.meta["returns"]
+        faults.setdefault(part, Counter()).update(receipt.meta["faults"])
     parts = [(s.path.stem, f"{s.number:05d}") for s in survey.strips]
     strips = [
-        of_strip(name, returns[part], added(counts[part]), receiver_facts(noise[part]), places.get(part))
+        of_strip(
+            name, returns[part], added(counts[part]), receiver_facts(noise[part]), places.get(part), faults.get(part)
+        )
         for name, part in parts
         if part in noise and part in counts
     ]

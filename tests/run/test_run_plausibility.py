@@ -66,6 +66,16 @@ def test_decompose_tells_and_ends_with_4(haunted, tmp_path):
     assert fwclass("decompose", haunted, tmp_path / "o.laz", "--overwrite", *settings).returncode == 0
 
 
+def test_a_packet_file_that_is_cut_off_is_told(noisy, tmp_path):
+    """Half of the waveforms are gone: one line says so, not only a count of faults."""
+    (tmp_path / "a.las").write_bytes(noisy.read_bytes())
+    packets = noisy.with_suffix(".wdp").read_bytes()
+    (tmp_path / "a.wdp").write_bytes(packets[: len(packets) // 2])
+    ended = fwclass("decompose", tmp_path / "a.las", tmp_path / "o.laz")
+    assert "451 of 900 returns (50.1 %) have a waveform that cannot be read" in ended.stderr
+    assert "is the packet file whole? (a)" in ended.stderr and len(laspy.read(tmp_path / "o.laz")) >= 900
+
+
 def test_ground_of_a_decomposed_file_does_not_see_them(haunted, tmp_path):
     fwclass("decompose", haunted, tmp_path / "o.laz")
     assert fwclass("ground", tmp_path / "o.laz", tmp_path / "g.laz", "--dtm", tmp_path / "dtm.tif").returncode == 0
