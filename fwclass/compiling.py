@@ -223,7 +223,9 @@ def _with_own_copies() -> None:
     import llvmlite.binding as llvm
     from numba.core.codegen import CPUCodeLibrary as Library
 
-    optimise = Library._optimize_final_module
+    optimise = getattr(Library, "_optimize_final_module", None)
+    if optimise is None:  # another numba: its own way, and the test of the bytes tells
+        return
 
     def own(library: Any) -> None:
         for function in library._final_module.functions:

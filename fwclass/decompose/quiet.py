@@ -193,10 +193,10 @@ def _quiet(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Decom
     reach = math.ceil(pulse.fwhm / channel.sample_spacing)
     bad = (fits.misfit > params.poor_misfit) | ~np.isfinite(fits.baseline)
     taken = (np.abs(signal) > LEFT * channel.noise) | (waves.samples >= channel.clip) | bad[row]
-    hot = taken | (above > MARK)
+    hot = ~taken & (above > MARK)
     filtered = _filtered(np.where(taken, 0.0, above), _template(pulse, channel.sample_spacing))
     faint = filtered > FAINTEST * _spread(filtered[~taken])
-    quiet = ~_near((hot & ~taken) | faint, row, reach, reach) & ~taken
+    quiet = ~_near(hot | faint, row, reach, reach) & ~taken
     # a recorder that waits for an echo has one in every waveform: where none stands out, one is hidden
     clear = (fits.count > 0)[row]
     if (quiet & clear).sum() >= FEWEST_CLEAR:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
+from fwclass.decompose.plausible import UNKNOWN
 from fwclass.decompose.recorded_pulse import disagree
 from fwclass.errors import QualityError
 from fwclass.units import METRES_PER_NS
@@ -31,8 +32,7 @@ NAMED = 3
 
 def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     """What the receipt of a strip's pulse says of its noise, and how wide [ns] the pulse and the recorded one are."""
-    told = ("lag1", "inflation", "quiet_samples", "noise_order", "noise_growth", "recorded_fwhm")
-    return {**{name: meta[name] for name in told}, "fwhm": meta["pulse"]["fwhm"]}
+    return {**{name: meta[name] for name in (*UNKNOWN.noise.told, "recorded_fwhm")}, "fwhm": meta["pulse"]["fwhm"]}
 
 
 def of_strip(
@@ -74,7 +74,7 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
         )
     some = [s for s in strips if (s["unexplained_share"] or 0.0) >= TOLD_FROM]
     if some:
-        lone, checked = (sum(s[key] for s in some) for key in ("unexplained", "checked"))
+        lone, checked = _sums(some, "unexplained", "checked")
         lines.append(
             f"{lone:,} of {checked:,} echoes ({_percent(lone / checked)}) have no return within "
             f"{params.vendor_tolerance:g} ns, {sum(s['outside'] for s in some):,} of them lie outside of the returns' "
@@ -82,21 +82,21 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
         )
     some = [s for s in strips if (s["unmatched_returns_share"] or 0.0) >= TOLD_FROM]
     if some:
-        lone, returns = (sum(s[key] for s in some) for key in ("returns_without_echo", "returns"))
+        lone, returns = _sums(some, "returns_without_echo", "returns")
         lines.append(
             f"{lone:,} of {returns:,} returns ({_percent(lone / returns)}) have no echo within "
             f"{params.vendor_tolerance:g} ns ({_names(some)})"
         )
     some = [s for s in strips if s["unreadable_packets"] > TOLD_FROM * s["returns"]]
     if some:
-        lost, returns = (sum(s[key] for s in some) for key in ("unreadable_packets", "returns"))
+        lost, returns = _sums(some, "unreadable_packets", "returns")
         lines.append(
             f"{lost:,} of {returns:,} returns ({_percent(lost / returns)}) have a waveform that cannot be read, and "
             f"lie where their vendor has them: is the packet file whole? ({_names(some)})"
         )
     some = [s for s in strips if s["poor"] > TOLD_FROM * s["fitted"]]
     if some:
-        poor, fitted = (sum(s[key] for s in some) for key in ("poor", "fitted"))
+        poor, fitted = _sums(some, "poor", "fitted")
         lines.append(
             f"{poor:,} of {fitted:,} echoes ({_percent(poor / fitted)}) are poorly fitted, misfit above "
             f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({_names(some)})"
@@ -149,6 +149,10 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
                 f"the time of the recorded outgoing pulse {what}: {evidence} (decompose.outgoing_time; {_names(times)})"
             )
     return lines
+
+
+def _sums(strips: Iterable[Mapping[str, Any]], *keys: str) -> list[int]:
+    return [sum(s[key] for s in strips) for key in keys]
 
 
 def _once(strips: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
