@@ -14,7 +14,7 @@ from fwclass.decompose.least_squares import add_echoes
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_fit import EDGE, FEWEST, HIGHEST, OVERLAPPING, POOR, SATURATED, Echoes, Kind, fit_all
 from fwclass.decompose.second_look import Settings
-from fwclass.decompose.shapes import Lookup, Profiles, fits_spacing, lookup, widths_of
+from fwclass.decompose.shapes import Lookup, Profiles, Widths, fits_spacing, lookup, widths_of
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.units import FWHM_PER_SIGMA
 from fwclass.waveforms import Waveforms
@@ -73,7 +73,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     waves : samples with their spacing and saturation; nothing else of the pulses is read.
     params : `DecomposeParams`.
     pulse : the system's pulse; where one of its `channels` has a waveform's sample spacing and saturation, that
-        channel's level and noise are prior knowledge for the waveform's own.
+        channel's own pulse counts, and its level and noise are prior knowledge for the waveform's.
 
     Returns
     -------
@@ -89,9 +89,9 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
     lengths = np.diff(waves.offsets)
     parts = []
-    for rows, step, channel, order in _alike(spacing, lengths, channel_of, channels, fits_spacing(pulse, spacing)):
-        noise = channel.autoregression.shorter(order) if channel else WHITE
-        look = lookup(pulse, step, params.narrowest, params.widest, noise)
+    for rows, step, channel, order in _alike(spacing, lengths, channel_of, channels, pulse):
+        noise, own = channel.autoregression.shorter(order) if channel else WHITE, pulse.of(channel)
+        look = lookup(own, step, params.narrowest, params.widest, noise)
         echoes = _room(len(rows) * most)
         total = fit_all(
             waves.wide,
@@ -101,7 +101,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
             values,
             channel_of,
             _kind(noise, channel.growth if channel else 0.0),
-            _settings(params, pulse, step, look),
+            _settings(params, own, step, look),
             most,
             int(lengths[rows].max()),
             look,
@@ -109,8 +109,8 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
             *row_values,
             echoes,
         )
-        parts.append(_in_ns(echoes, total, float(step)))
-    return _gathered(count, row_values, parts, params, pulse)
+        parts.append(_in_ns(echoes, total, float(step), widths_of(own, params.narrowest, params.widest)))
+    return _gathered(count, row_values, parts)
 
 
 def _alike(
@@ -118,15 +118,20 @@ def _alike(
     lengths: NDArray[np.int64],
     channel_of: NDArray[np.int64],
     channels: list[Channel],
-    fitted: NDArray[np.bool_],
+    pulse: SystemPulse,
 ) -> Iterator[tuple[NDArray[np.int64], float, Channel | None, int]]:
-    """Rows that are fitted in one way, their sample spacing, their channel where its noise is not plain and white, and
-    from how many samples it is foretold: as many as the waveform can spare at its start."""
-    special = np.array([bool(c.phi) or c.growth > 0.0 for c in channels] + [False])
+    """Rows that are fitted in one way, their sample spacing, their channel where its pulse is its own or its noise not
+    plain and white, and from how many samples it is foretold: as many as the waveform can spare at its start. Rows
+    whose spacing does not fit their pulse are left out."""
+    special = np.array([bool(c.phi) or c.growth > 0.0 or c.pulse is not None for c in channels] + [False])
     own = np.where(special[channel_of], channel_of, len(channels))
     most = np.array([len(c.phi) for c in channels] + [0])[own]
     order = np.clip((lengths - FEWEST) // SPARED, 0, most)
     keys = np.stack([spacing, own, order], axis=1)
+    fitted = np.zeros(len(spacing), np.bool_)
+    for k in np.unique(own):
+        mine = own == k
+        fitted[mine] = fits_spacing(pulse.of(channels[k] if k < len(channels) else None), spacing[mine])
     for step, k, m in np.unique(keys[fitted], axis=0):
         rows = np.flatnonzero(fitted & (keys == (step, k, m)).all(axis=1))
         yield rows, float(step), channels[int(k)] if k < len(channels) else None, int(m)
@@ -189,71 +194,64 @@ def _room(capacity: int) -> Echoes:
     return Echoes(np.empty(capacity, np.int64), a, t, w, da, dt, dw, deviation, np.empty(capacity, np.uint8))
 
 
-def _in_ns(echoes: Echoes, total: int, spacing: float) -> Echoes:
-    """The filled part, in ns."""
+def _in_ns(echoes: Echoes, total: int, spacing: float, widths: Widths) -> tuple[Echoes, NDArray[np.float64]]:
+    """The filled part, in ns, with widths as full width at half maximum; and the echoes' areas [DN ns]."""
     timed = ("time", "width", "time_sigma", "width_sigma")
-    values = {name: getattr(echoes, name)[:total] * (spacing if name in timed else 1) for name in echoes._fields}
-    return Echoes(**values)
+    e = Echoes(**{n: getattr(echoes, n)[:total] * (spacing if n in timed else 1) for n in echoes._fields})
+    slope = np.interp(e.width, widths.s, np.gradient(widths.fwhm, widths.s))
+    energy = e.amplitude * np.interp(e.width, widths.s, widths.area)
+    return e._replace(width=np.interp(e.width, widths.s, widths.fwhm), width_sigma=e.width_sigma * slope), energy
 
 
 def _gathered(
-    count: NDArray[np.int64],
-    row_values: NDArray[np.float64],
-    parts: list[Echoes],
-    params: DecomposeParams,
-    pulse: SystemPulse,
+    count: NDArray[np.int64], row_values: NDArray[np.float64], parts: list[tuple[Echoes, NDArray[np.float64]]]
 ) -> Fits:
-    """Echoes of all sample spacings by row, with widths as full width at half maximum and areas."""
-    parts = parts or [_room(0)]
-    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Echoes._fields}
-    order = np.argsort(columns["row"], kind="stable")
-    e = Echoes(**{name: values[order] for name, values in columns.items()} if len(parts) > 1 else columns)
-    widths = widths_of(pulse, params.narrowest, params.widest)
-    slope = np.gradient(widths.fwhm, widths.s)
+    """Echoes of all parts by row."""
+    parts = parts or [(_room(0), np.empty(0))]
+    columns = {name: np.concatenate([getattr(e, name) for e, _ in parts]) for name in Echoes._fields}
+    columns["energy"] = np.concatenate([energy for _, energy in parts])
+    if len(parts) > 1:
+        order = np.argsort(columns["row"], kind="stable")
+        columns = {name: values[order] for name, values in columns.items()}
     baseline, noise, misfit = row_values
-    return Fits(
-        count=count,
-        baseline=baseline,
-        noise=noise,
-        misfit=misfit,
-        row=e.row,
-        amplitude=e.amplitude,
-        time=e.time,
-        width=np.interp(e.width, widths.s, widths.fwhm),
-        energy=e.amplitude * np.interp(e.width, widths.s, widths.area),
-        amplitude_sigma=e.amplitude_sigma,
-        time_sigma=e.time_sigma,
-        width_sigma=e.width_sigma * np.interp(e.width, widths.s, slope),
-        deviation=e.deviation,
-        flags=e.flags,
-    )
+    return Fits(count=count, baseline=baseline, noise=noise, misfit=misfit, **columns)
 
 
 def signal_of(fits: Fits, waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -> NDArray[np.float64]:
     """The sum of the fitted echoes at every sample, without the level [DN]; shape of ``waves.samples``."""
     signal = np.zeros(len(waves.samples))
     spacing = waves.pulses["sample_spacing"].astype(np.float64)[fits.row]
-    widths = widths_of(pulse, params.narrowest, params.widest)
-    width = np.interp(fits.width, widths.fwhm, widths.s)
-    for step in np.unique(spacing):
-        rows = np.flatnonzero(spacing == step)
-        look = lookup(pulse, float(step), params.narrowest, params.widest)
+    kinds, kind = pulses_of(waves, pulse)
+    keys = np.stack([spacing, kind[fits.row]], axis=1)
+    for step, k in np.unique(keys, axis=0):
+        rows = np.flatnonzero((keys == (step, k)).all(axis=1))
+        own = kinds[int(k)]
+        widths = widths_of(own, params.narrowest, params.widest)
+        width = np.interp(fits.width[rows], widths.fwhm, widths.s)
         add_echoes(
             fits.amplitude[rows],
             fits.time[rows] / step,
-            width[rows] / step,
+            width / step,
             waves.offsets[fits.row[rows]],
             waves.offsets[fits.row[rows] + 1],
-            look,
+            lookup(own, float(step), params.narrowest, params.widest),
             signal,
         )
     return signal
 
 
+def pulses_of(waves: Waveforms, pulse: SystemPulse) -> tuple[list[SystemPulse], NDArray[np.int64]]:
+    """The pulses of the channels, the strip's last, and which of them every row is fitted with."""
+    spacing, top = (waves.pulses[name].astype(np.float64) for name in ("sample_spacing", "saturation"))
+    known, _, channel_of = _channels(pulse, spacing, np.where(np.isnan(top), np.inf, top))
+    return [pulse.of(channel) for channel in (*known, None)], channel_of
+
+
 def model_of(
     fits: Fits, row: int, n_samples: int, spacing: float, pulse: SystemPulse
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The fitted sum (n_samples,) with the level, and every echo's own curve (k, n_samples) without it [DN].
+    """The fitted sum (n_samples,) with the level, and every echo's own curve (k, n_samples) without it [DN]; `pulse` is
+    the row's.
 
     Independent of the fit's table: the profiles are made anew for the echoes' widths.
     """

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from fwclass.decompose.fitting import OVERLAPPING, Fits, fit_waveforms
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placement import Placement, offsets_of, phases_of
+from fwclass.decompose.pulse_sample import outgoing_of
 from fwclass.decompose.shapes import height_error
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.schema import Table
-from fwclass.waveforms import RETURN_COLUMNS, Waveforms
+from fwclass.waveforms import Waveforms
 
 
 def outgoing_times(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> NDArray[np.float64]:
@@ -23,14 +23,7 @@ def outgoing_times(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse
     rows = np.flatnonzero(np.diff(waves.outgoing_offsets) > 0)
     if len(rows) == 0:
         return late
-    ends = waves.outgoing_offsets[rows + 1]
-    sizes = ends - waves.outgoing_offsets[rows]
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
-    place = np.arange(offsets[-1]) + np.repeat(waves.outgoing_offsets[rows] - offsets[:-1], sizes)
-    alone = Waveforms(
-        waves.pulses.take(rows), Table.empty(RETURN_COLUMNS), waves.outgoing[place], offsets.astype(np.int64)
-    )
-    fits = fit_waveforms(alone, params, pulse)
+    fits = fit_waveforms(outgoing_of(waves, rows), params, pulse)
     order = np.lexsort((fits.amplitude, fits.row))
     found, last = np.unique(fits.row[order][::-1], return_index=True)
     highest = order[::-1][last]
@@ -100,7 +93,7 @@ def detection_limits(waves: Waveforms, params: DecomposeParams, pulse: SystemPul
     for channel in pulse.channels:
         mine = waves.pulses["sample_spacing"] == np.float32(channel.sample_spacing)
         mine &= waves.pulses["saturation"] == np.float32(channel.saturation)
-        limit[mine] = params.detection * channel.noise * height_error(pulse, channel)
+        limit[mine] = params.detection * channel.noise * height_error(pulse.of(channel), channel)
     return limit
 
 

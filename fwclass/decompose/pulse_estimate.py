@@ -16,7 +16,7 @@ from fwclass.decompose.params import FEWEST, PulseParams
 from fwclass.decompose.pulse_align import Echoes, cut_out, fit_template, half_sample_mode, narrowest
 from fwclass.decompose.pulse_channels import channel_groups, clip_levels, estimate_channels, rough_levels
 from fwclass.decompose.pulse_sample import join_samples, rows_of, sample_pulses
-from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, mean_shape
+from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, mean_shape, widened
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.waveforms import Waveforms
 
@@ -43,12 +43,23 @@ FEWEST_SAMPLES, MOST_SAMPLES = 0.7, 64.0
 FARTHEST = 30.0
 """Longest tail in FWHM."""
 
+SHARED = 0.5
+"""Of the echoes within four times what counts as one width, the share that must lie within it for them to share one; a
+quarter does where widths spread evenly."""
+
+FAR = 1.5
+"""From this ratio to the recorded width on, echoes that share none are wide targets; receivers differ by less."""
+
 CAPPED = 25.0
 """Square of a standardised residual that counts at most: what is no echo must not decide on the echo's shape."""
 
 
-def estimate_pulse(waves: Waveforms, params: PulseParams) -> SystemPulse:
+def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse | None = None) -> SystemPulse:
     """The pulse that the waveforms of one strip share, and what their receiver records without echoes.
+
+    The pulse is that of the channel with most bright echoes; another channel with enough of them has its own, unless
+    the two agree. Where a channel's echoes are too few, or share no width and are far wider than the pulse was
+    `recorded` as it left, that one is taken.
 
     The echoes used are the highest of their waveform, bright, unsaturated and alone. Their width is the one that the
     narrowest share (`narrowest`), for slopes and plants only widen. Aligned and scaled by least squares they give a
@@ -66,32 +77,86 @@ def estimate_pulse(waves: Waveforms, params: PulseParams) -> SystemPulse:
     reached = np.where(group >= 0, clips[group], waves.pulses["saturation"])
     waves = replace(waves, pulses=waves.pulses.with_columns({"saturation": reached}))
     level, noise = rough_levels(waves, group)
-    peak, height, guess = _bright_peaks(waves, level, noise, params)
+    peak, height, width = _bright_peaks(waves, level, noise, params)
+    guess = half_sample_mode(width[peak >= 0]) if (peak >= 0).sum() >= FEWEST else math.nan
     fwhm = params.width or (guess if math.isfinite(guess) else params.fallback_width)
     channels, level = estimate_channels(waves, kinds, group, level, noise, fwhm, params.tail)
     by_kind = dict(zip(map(tuple, kinds.tolist()), clips.tolist(), strict=True))
     channels = tuple(replace(c, clip=by_kind[c.sample_spacing, c.saturation]) for c in channels)
     noise = _channel_noise(channels, kinds, group, noise)
-    rows, spacing = _commonest(np.flatnonzero(peak >= 0), waves)
+    pulses: dict[int, SystemPulse] = {}
+    bright = (peak >= 0) & (group >= 0)
+    for k in np.argsort(-np.bincount(group[bright], minlength=len(kinds)), kind="stable").tolist():
+        rows = np.flatnonzero(bright & (group == k))
+        wide = fwhm if params.width or len(rows) < FEWEST else half_sample_mode(width[rows])
+        main = next(iter(pulses.values()), None)
+        pulse, echoes = _pulse_of(waves, rows, float(kinds[k, 0]), (peak, height, level, noise), wide, params)
+        known = _recorded_instead(pulse, echoes, recorded, tuple(kinds[k].tolist()), params)
+        own = pulse.echoes >= params.min_echoes and (known.outgoing or not _agree(main or pulse, pulse, echoes, params))
+        if main is None or own:
+            pulses[k] = known
+    strip = pulses.pop(next(iter(pulses)))
+    by_key = {tuple(kinds[k].tolist()): pulse for k, pulse in pulses.items()}
+    return replace(strip, channels=tuple(replace(c, pulse=by_key.get(c.key)) for c in channels))
+
+
+def _pulse_of(
+    waves: Waveforms,
+    rows: NDArray,
+    spacing: float,
+    facts: tuple[NDArray, Floats, Floats, Floats],
+    fwhm: float,
+    params: PulseParams,
+) -> tuple[SystemPulse, Echoes | None]:
+    """The pulse, about `fwhm` [ns] wide, of a channel whose bright echoes are in `rows`, and those it stands on.
+
+    `facts` are every waveform's (sample of its peak, height, level, noise).
+    """
+    peak, height, level, noise = facts
     if len(rows) < FEWEST or not _resolved(fwhm, spacing):
-        return SystemPulse("gaussian", fwhm, channels=channels)
+        return SystemPulse("gaussian", fwhm), None
     rows = _surest(rows, -height[rows] / noise[rows], CANDIDATES * params.max_echoes)
     fwhm, rows = _narrow_width(waves, rows, peak, level, noise, fwhm, params)
     if len(rows) < params.min_echoes or not _resolved(fwhm, spacing):
-        return SystemPulse("gaussian", fwhm, channels=channels, echoes=len(rows))
+        return SystemPulse("gaussian", fwhm, echoes=len(rows)), None
     after = min(max(params.tail, 2.0 * fwhm), FARTHEST * fwhm)
-    echoes = cut_out(waves, rows, peak[rows], level[rows], noise[rows], fwhm, after)
-    return _shaped(fit_template(echoes, gaussian_template(fwhm)), fwhm, params, channels)
+    echoes = fit_template(
+        cut_out(waves, rows, peak[rows], level[rows], noise[rows], fwhm, after), gaussian_template(fwhm)
+    )
+    return _shaped(echoes, fwhm, params), echoes
 
 
-def _commonest(rows: NDArray, waves: Waveforms) -> tuple[NDArray, float]:
-    """Those of `rows` that have the commonest sample spacing, and that spacing [ns]."""
-    if len(rows) == 0:
-        return rows, math.nan
-    spacing = waves.pulses["sample_spacing"][rows]
-    kinds, count = np.unique(spacing, return_counts=True)
-    common = kinds[int(count.argmax())]
-    return rows[spacing == common], float(common)
+def _recorded_instead(
+    pulse: SystemPulse,
+    echoes: Echoes | None,
+    recorded: SystemPulse | None,
+    channel: tuple[float, float],
+    params: PulseParams,
+) -> SystemPulse:
+    """The `recorded` pulse of `channel`, where the `echoes` do not show theirs; else `pulse`."""
+    if recorded is None or params.width:
+        return pulse
+    left = recorded.of(next((c for c in recorded.channels if c.key == channel), None))
+    if left.echoes < FEWEST:
+        return pulse
+    if echoes is not None and (pulse.fwhm < FAR * left.fwhm or _share_a_width(echoes)):
+        return pulse
+    return replace(left, echoes=0, outgoing=left.echoes, channels=())
+
+
+def _share_a_width(echoes: Echoes) -> bool:
+    size, error = echoes.size, 2.0 * echoes.size_sd + CLOSE
+    apart = np.abs(size - narrowest(size, echoes.size_sd))
+    return int((apart < error).sum()) >= SHARED * int((apart < 4.0 * error).sum())
+
+
+def _agree(main: SystemPulse, pulse: SystemPulse, echoes: Echoes | None, params: PulseParams) -> bool:
+    """Whether `main` says of these echoes what their own `pulse` says."""
+    if echoes is None or abs(pulse.fwhm - main.fwhm) > CLOSE * main.fwhm:
+        return False
+    of_main, of_own = _template_of(main), _template_of(pulse)
+    gain = _chi(fit_template(echoes, of_main), of_main) - _chi(fit_template(echoes, of_own), of_own)
+    return gain < params.worth * len(echoes)
 
 
 def _resolved(fwhm: float, spacing: float) -> bool:
@@ -112,8 +177,10 @@ def _usable(waves: Waveforms) -> Waveforms:
     return rows_of(waves, order[sound[order]])
 
 
-def _bright_peaks(waves: Waveforms, level: Floats, noise: Floats, params: PulseParams) -> tuple[NDArray, Floats, float]:
-    """Sample of every waveform's bright single echo, -1 without, and its height [DN]; about their width [ns]."""
+def _bright_peaks(
+    waves: Waveforms, level: Floats, noise: Floats, params: PulseParams
+) -> tuple[NDArray, Floats, Floats]:
+    """Sample of every waveform's bright single echo, -1 without, its height [DN], and about its width [ns]."""
     n = waves.pulses.rows
     peak, height, width = np.empty(n, np.int64), np.empty(n), np.empty(n)
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
@@ -124,8 +191,7 @@ def _bright_peaks(waves: Waveforms, level: Floats, noise: Floats, params: PulseP
         )
         if (peak >= 0).sum() >= params.min_echoes:
             break
-    found = peak >= 0
-    return peak, height, half_sample_mode(width[found]) if found.sum() >= FEWEST else math.nan
+    return peak, height, width
 
 
 def _channel_noise(channels: tuple[Channel, ...], kinds: Floats, group: NDArray, noise: Floats) -> Floats:
@@ -167,7 +233,7 @@ def _fair(echoes: Echoes) -> NDArray[np.bool_]:
     return fair & inside & np.isfinite(share) & (echoes.amplitude > 0.0)
 
 
-def _shaped(echoes: Echoes, fwhm: float, params: PulseParams, channels: tuple[Channel, ...]) -> SystemPulse:
+def _shaped(echoes: Echoes, fwhm: float, params: PulseParams) -> SystemPulse:
     """The pulse of `echoes`, which were fitted with a Gaussian of `fwhm`."""
     smooth = gaussian_template(fwhm)
     plain, _ = _closest(echoes, smooth, params)
@@ -184,10 +250,9 @@ def _shaped(echoes: Echoes, fwhm: float, params: PulseParams, channels: tuple[Ch
                 measured.value.astype(np.float64),
                 error,
                 len(aligned),
-                channels,
             )
     error = _shape_error(plain, smooth)
-    return SystemPulse("gaussian", fwhm, shape_error=error, echoes=len(plain), channels=channels)
+    return SystemPulse("gaussian", fwhm, shape_error=error, echoes=len(plain))
 
 
 def _closest(echoes: Echoes, template: Template, params: PulseParams) -> tuple[Echoes, float]:
@@ -200,6 +265,12 @@ def _closest(echoes: Echoes, template: Template, params: PulseParams) -> tuple[E
     rows = np.flatnonzero(apart < 2.0 * error + CLOSE * least) if close >= most else np.arange(len(echoes))
     rows = _surest(rows, error[rows] if close >= most else apart, most)
     return echoes.take(rows), least / template.fwhm
+
+
+def _template_of(pulse: SystemPulse) -> Template:
+    if pulse.shape == "gaussian":
+        return gaussian_template(pulse.fwhm)
+    return widened(pulse.first + pulse.step * np.arange(len(pulse.values)), pulse.values, pulse.fwhm)
 
 
 def _measured(echoes: Echoes, template: Template, params: PulseParams) -> tuple[Template | None, Echoes]:
@@ -278,8 +349,8 @@ def describe(pulse: SystemPulse) -> dict[str, float | int | str]:
 
     Returns
     -------
-    shape, echoes, shape_error; fwhm and rise_time from 10 to 90 % of the height [ns]; skew, the third standardised
-    moment; tail_share, the share of the area later than 1.5 FWHM after the peak.
+    shape, echoes, outgoing, shape_error; fwhm and rise_time from 10 to 90 % of the height [ns]; skew, the third
+    standardised moment; tail_share, the share of the area later than 1.5 FWHM after the peak.
     """
     if pulse.shape == "measured":
         time: Floats = pulse.first + pulse.step * np.arange(len(pulse.values))
@@ -301,4 +372,5 @@ def describe(pulse: SystemPulse) -> dict[str, float | int | str]:
         "tail_share": float(value[time > 1.5 * pulse.fwhm].sum() / value.sum()),
         "shape_error": pulse.shape_error,
         "echoes": pulse.echoes,
+        "outgoing": pulse.outgoing,
     }

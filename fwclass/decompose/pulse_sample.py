@@ -56,6 +56,11 @@ def rows_of(waves: Waveforms, rows: NDArray) -> Waveforms:
     return Waveforms(waves.pulses.take(rows), Table.empty(RETURN_COLUMNS), waves.samples[at], offsets)
 
 
+def outgoing_of(waves: Waveforms, rows: NDArray) -> Waveforms:
+    """The recorded outgoing pulses of `rows` of `waves`, in that order, as if they were waveforms."""
+    return rows_of(Waveforms(waves.pulses, waves.returns, waves.outgoing, waves.outgoing_offsets), rows)
+
+
 def of_channel(waves: Waveforms, channel: Channel, most: int) -> Waveforms:
     """The waveforms of a channel of the receiver, by (pulse, segment); every n-th of them where they hold more than
     `most` samples."""

@@ -102,7 +102,7 @@ def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -
         if len(correlation) < 2:
             continue
         noise = channel.autoregression
-        gain = filter_gain(correlation, noise, _template(pulse, channel.sample_spacing))
+        gain = filter_gain(correlation, noise, _template(pulse.of(channel), channel.sample_spacing))
         inflation = math.sqrt(max(gain, 1.0))
         seen = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth)
         if worst.lag1 is None or seen.inflation > worst.inflation:
@@ -123,7 +123,7 @@ def with_correlated_noise(pulse: SystemPulse, waves: Waveforms, params: Decompos
     channels = {c.key: c for c in pulse.channels}
     for rows, channel, part in _channels(waves, pulse, certain):
         correlation, samples = correlations(part.value, part.quiet, part.row)
-        noise = chosen(correlation, samples, _template(pulse, channel.sample_spacing))
+        noise = chosen(correlation, samples, _template(pulse.of(channel), channel.sample_spacing))
         if noise.phi:
             channels[channel.key] = _of_white(channel, noise, rows, part)
     return replace(pulse, channels=tuple(channels.values()))
@@ -190,11 +190,11 @@ def _quiet(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Decom
     signal = signal_of(fits, waves, pulse, params)
     row = np.repeat(np.arange(waves.pulses.rows), np.diff(waves.offsets))
     above = np.nan_to_num((waves.samples - signal - fits.baseline[row]) / fits.noise[row])
-    reach = math.ceil(pulse.fwhm / channel.sample_spacing)
+    reach = math.ceil(pulse.of(channel).fwhm / channel.sample_spacing)
     bad = (fits.misfit > params.poor_misfit) | ~np.isfinite(fits.baseline)
     taken = (np.abs(signal) > LEFT * channel.noise) | (waves.samples >= channel.clip) | bad[row]
     hot = ~taken & (above > MARK)
-    filtered = _filtered(np.where(taken, 0.0, above), _template(pulse, channel.sample_spacing))
+    filtered = _filtered(np.where(taken, 0.0, above), _template(pulse.of(channel), channel.sample_spacing))
     faint = filtered > FAINTEST * _spread(filtered[~taken])
     quiet = ~_near(hot | faint, row, reach, reach) & ~taken
     # a recorder that waits for an echo has one in every waveform: where none stands out, one is hidden

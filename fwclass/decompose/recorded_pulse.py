@@ -1,38 +1,39 @@
-"""How wide the recorded outgoing pulses are, to hold the system pulse of the echoes against."""
+"""The outgoing pulses as they were recorded, to hold the system pulse of the echoes against."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
+from fwclass.decompose.params import FEWEST, PulseParams
+from fwclass.decompose.pulse_estimate import estimate_pulse
+from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.waveforms import Waveforms
 
-FOOT = 3
-"""Samples at the start that tell the level."""
 
-DISAGREE = 1.15
-"""From this ratio of the widths on, either way, one of the two is not the system's pulse."""
+def recorded_pulse(outgoing: Waveforms, params: PulseParams) -> SystemPulse | None:
+    """The pulse that recorded outgoing pulses share, of every channel; None where too few show one.
 
-
-def recorded_widths(waves: Waveforms, pulses: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Full width at half maximum [ns] of the recorded outgoing pulses of `pulses`; those without both flanks, or with
-    samples at the digitiser's limit, have none."""
-    found = []
-    wanted = np.isin(waves.pulses["pulse"], pulses) & (np.diff(waves.outgoing_offsets) > FOOT)
-    spacing, limit = (waves.pulses[name].astype(np.float64) for name in ("sample_spacing", "saturation"))
-    for row in np.flatnonzero(wanted & np.isfinite(spacing) & (spacing > 0.0)):
-        y = waves.outgoing[waves.outgoing_offsets[row] : waves.outgoing_offsets[row + 1]].astype(np.float64)
-        top, level = int(y.argmax()), float(np.median(y[:FOOT]))
-        half = 0.5 * (y[top] + level)
-        before, after = np.flatnonzero(y[:top] < half), np.flatnonzero(y[top:] < half)
-        if not len(before) or not len(after) or y[top] >= limit[row]:
-            continue
-        a, b = int(before[-1]), top + int(after[0])
-        rise, fall = (half - y[a]) / (y[a + 1] - y[a]), (y[b - 1] - half) / (y[b - 1] - y[b])
-        found.append((b - 1 + fall - a - rise) * spacing[row])
-    return np.array(found)
+    They stand for the system's pulse as echoes do; compare Jutzi and Stilla 2006.
+    """
+    pulse = estimate_pulse(outgoing, params.model_copy(update={"width": None}))
+    return pulse if pulse.echoes >= FEWEST else None
 
 
-def disagree(fwhm: float, recorded: float | None) -> bool:
-    """Whether a system pulse of `fwhm` [ns] is not the one that was `recorded` as it left; False where none was."""
-    return recorded is not None and not recorded / DISAGREE <= fwhm <= recorded * DISAGREE
+def channel_pulses(pulse: SystemPulse, recorded: SystemPulse | None) -> list[dict[str, Any]]:
+    """Of every channel of the receiver, or of the strip where none is known: spacing [ns], saturation [DN], the width
+    of its pulse [ns], how many echoes or outgoing pulses it stands on, and how wide the outgoing pulse was recorded."""
+    known = {} if recorded is None else {c.key: recorded.of(c) for c in recorded.channels}
+    rows = []
+    for channel in pulse.channels or (None,):
+        own, left = pulse.of(channel), known.get(channel.key, recorded) if channel else recorded
+        rows.append(
+            {
+                "sample_spacing": channel and channel.sample_spacing,
+                "saturation": channel and channel.saturation,
+                "fwhm": own.fwhm,
+                "echoes": own.echoes,
+                "outgoing": own.outgoing,
+                "recorded_fwhm": left and left.fwhm,
+            }
+        )
+    return rows

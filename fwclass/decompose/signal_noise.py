@@ -45,18 +45,21 @@ def with_signal_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposePar
     """
     tried = pulse
     for _ in range(FITS):
-        channels, errors = [], [0.0]
+        channels, shared = [], []
         for channel in tried.channels:
-            look = lookup(tried, channel.sample_spacing, 1.0, 1.1, channel.autoregression)
+            own = tried.of(channel)
+            look = lookup(own, channel.sample_spacing, 1.0, 1.1, channel.autoregression)
             echoes = _bright(waves, channel, tried, params, look.pulse_gain)
             if echoes is None:
-                return pulse
+                channels.append(channel)
+                continue
             by, left, height = echoes
-            growth, error = _told_apart(by, left, np.array([channel.growth, tried.shape_error**2, 1.0]))
+            growth, error = _told_apart(by, left, np.array([channel.growth, own.shape_error**2, 1.0]))
             matters = growth * height > NOTICED * channel.noise**2
-            channels.append(replace(channel, growth=growth if matters else 0.0))
-            errors.append(math.sqrt(error))
-        tried = replace(tried, channels=tuple(channels), shape_error=max(errors))
+            pulse_of_its_own = channel.pulse and replace(channel.pulse, shape_error=math.sqrt(error))
+            shared += [] if channel.pulse else [math.sqrt(error)]
+            channels.append(replace(channel, growth=growth if matters else 0.0, pulse=pulse_of_its_own))
+        tried = replace(tried, channels=tuple(channels), shape_error=max(shared, default=tried.shape_error))
         if not any(c.growth > 0.0 or c.phi for c in channels):
             return pulse
     return tried
@@ -81,7 +84,7 @@ def _bright(
     row, signal = row[reached], signal[reached]
     growing, shape = noise.innovation * signal, (pulse_gain * signal) ** 2
     plain = np.full(len(row), channel.noise**2 * noise.innovation)
-    variance = plain + channel.growth * growing + pulse.shape_error**2 * shape
+    variance = plain + channel.growth * growing + pulse.of(channel).shape_error ** 2 * shape
     count = np.bincount(row, minlength=rows)
     use = count > 2 * PARAMETERS
     if use.sum() < FEWEST:

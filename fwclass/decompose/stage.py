@@ -222,6 +222,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=4)
+PULSE = Computation(name="pulse", version=5)
 PLACES = Computation(name="places", version=1)
 DECOMPOSE = Computation(name="decompose", version=6, writes=ECHO_COLUMNS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from fwclass.decompose.autoregression import Autoregression
 from fwclass.errors import InputError
 from fwclass.units import FWHM_PER_SIGMA
+
+DISAGREE = 1.15
+"""From this ratio of two widths on, either way, one of the two is not the system's pulse."""
 
 MOST_VALUES, MOST_CHANNELS, MOST_ORDER = 100_000, 64, 64
 """Limits of a stored pulse."""
@@ -30,6 +33,7 @@ class Channel:
     noise : standard deviation of the noise within a waveform, rounding included [DN].
     phi : how the noise of neighbouring samples hangs together, see `Autoregression`; empty: white.
     growth : what a DN of signal adds to the variance of the noise [DN].
+    pulse : its own pulse, without channels; None: the strip's.
     clip : highest value that its samples reach [DN]: `saturation`, or less where the digitiser has fewer bits than
         its samples are stored in.
     freedom : how well `noise` holds for every single waveform, as the number of samples whose own estimate would be
@@ -45,6 +49,7 @@ class Channel:
     clip: float
     phi: tuple[float, ...] = ()
     growth: float = 0.0
+    pulse: SystemPulse | None = None
 
     @property
     def key(self) -> tuple[float, float]:
@@ -68,6 +73,7 @@ class SystemPulse:
     shape_error : root mean square departure of recorded pulses from `values`, as a share of their height.
     echoes : how many recorded echoes the shape stands on; 0: it was given, not measured.
     channels : the receiver's channels; may be empty.
+    outgoing : the shape is that of so many recorded outgoing pulses, for the echoes show none.
     """
 
     shape: Literal["gaussian", "measured"]
@@ -78,6 +84,7 @@ class SystemPulse:
     shape_error: float = 0.0
     echoes: int = 0
     channels: tuple[Channel, ...] = ()
+    outgoing: int = 0
 
     @classmethod
     def gaussian(cls, fwhm: float, shape_error: float = 0.0) -> SystemPulse:
@@ -97,10 +104,14 @@ class SystemPulse:
             return float((self.values**2).sum() * self.step)
         return math.sqrt(math.pi) * self.fwhm / FWHM_PER_SIGMA
 
+    def of(self, channel: Channel | None) -> SystemPulse:
+        """The pulse that `channel` records."""
+        return (channel and channel.pulse) or self
+
     def to_json(self) -> dict[str, Any]:
         """Numbers, texts and lists of them, as `from_json` takes them."""
-        channels = [{**asdict(c), "phi": list(c.phi)} for c in self.channels]
-        return {**asdict(self), "values": self.values.tolist(), "channels": channels}
+        plain = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {**plain, "values": self.values.tolist(), "channels": [_channel_json(c) for c in self.channels]}
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any], where: object = "") -> SystemPulse:
@@ -124,11 +135,17 @@ class SystemPulse:
             values=_values(stored["values"], where),
             shape_error=_number(stored, "shape_error", where, 0.0, 1.0),
             echoes=int(_number(stored, "echoes", where, 0, 2**53)),
+            outgoing=int(_number(stored, "outgoing", where, 0, 2**53)),
             channels=_channels(stored["channels"], where),
         )
         if pulse.shape == "measured":
             _check_values(pulse, where)
         return pulse
+
+
+def disagree(fwhm: float, recorded: float | None) -> bool:
+    """Whether a system pulse of `fwhm` [ns] is not the one that was `recorded` as it left; False where none was."""
+    return recorded is not None and not recorded / DISAGREE <= fwhm <= recorded * DISAGREE
 
 
 def _refusal(what: str, where: object, expected: object, got: object) -> InputError:
@@ -196,9 +213,23 @@ def _channels(stored: object, where: object) -> tuple[Channel, ...]:
             clip=_number(one, "clip", where, 0.0, 2.0**32),
             phi=_coefficients(one["phi"], where),
             growth=_number(one, "growth", where, 0.0, 2.0**32),
+            pulse=_own_pulse(one["pulse"], where),
         )
         for one in stored
     )
+
+
+def _channel_json(channel: Channel) -> dict[str, Any]:
+    plain = {f.name: getattr(channel, f.name) for f in fields(channel)}
+    return {**plain, "phi": list(channel.phi), "pulse": channel.pulse and channel.pulse.to_json()}
+
+
+def _own_pulse(stored: object, where: object) -> SystemPulse | None:
+    if stored is None:
+        return None
+    if not isinstance(stored, Mapping) or stored.get("channels"):
+        raise _refusal("a channel's pulse of another kind", where, "a pulse without channels", _names(stored))
+    return SystemPulse.from_json(stored, where)
 
 
 def _coefficients(stored: object, where: object) -> tuple[float, ...]:

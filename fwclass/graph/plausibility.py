@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
-from fwclass.decompose.recorded_pulse import disagree
+from fwclass.decompose.system_pulse import disagree
 from fwclass.errors import QualityError
 from fwclass.units import METRES_PER_NS
 
@@ -26,13 +27,20 @@ OFFSET = 0.05
 UNREADABLE = ("packet past the end", "packet cut short", "compressed packet damaged, or another file's")
 """Faults of reading that a file of packets shows which is cut off, damaged, or another's."""
 
+WHOLE = "copy the packet file again, or take the one that belongs to these points"
+LOOK = (
+    "look at the waveforms (fwclass info --waveforms); a higher decompose.detection leaves weak echoes out, and "
+    "samples that no pulse explains may be stored wrongly"
+)
+"""What to do where a bound is passed."""
+
 NAMED = 3
 """Strips of a remark that are named."""
 
 
 def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """What the receipt of a strip's pulse says of its noise, and how wide [ns] the pulse and the recorded one are."""
-    return {**{name: meta[name] for name in (*UNKNOWN.noise.told, "recorded_fwhm")}, "fwhm": meta["pulse"]["fwhm"]}
+    """What the receipt of a strip's pulse says of its noise, and of every channel's pulse (`channel_pulses`)."""
+    return {name: meta[name] for name in (*UNKNOWN.noise.told, "channels")}
 
 
 def of_strip(
@@ -46,6 +54,7 @@ def of_strip(
     """One strip for report.json: counts of echoes and returns, shares of them, what its noise is like, how its echoes
     were placed (`placement.describe_placement`), and how many of its packets cannot be read, of its `faults`."""
     checked = counts["checked"] if returns else 0
+    unreadable = sum((faults or {}).get(name, 0) for name in UNREADABLE)
     return {
         "name": name,
         "returns": returns,
@@ -55,7 +64,9 @@ def of_strip(
         "unmatched_returns_share": counts["returns_without_echo"] / returns if returns else None,
         **noise,
         "places": places,
-        "unreadable_packets": sum((faults or {}).get(name, 0) for name in UNREADABLE),
+        "poor_share": counts["poor"] / counts["fitted"] if counts["fitted"] else None,
+        "unreadable_packets": unreadable,
+        "unreadable_share": unreadable / returns if returns else None,
     }
 
 
@@ -87,27 +98,21 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
             f"{lone:,} of {returns:,} returns ({_percent(lone / returns)}) have no echo within "
             f"{params.vendor_tolerance:g} ns ({_names(some)})"
         )
-    some = [s for s in strips if s["unreadable_packets"] > TOLD_FROM * s["returns"]]
+    some = [s for s in strips if (s["unreadable_share"] or 0.0) > TOLD_FROM]
     if some:
         lost, returns = _sums(some, "unreadable_packets", "returns")
         lines.append(
             f"{lost:,} of {returns:,} returns ({_percent(lost / returns)}) have a waveform that cannot be read, and "
             f"lie where their vendor has them: is the packet file whole? ({_names(some)})"
         )
-    some = [s for s in strips if s["poor"] > TOLD_FROM * s["fitted"]]
+    some = [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]
     if some:
         poor, fitted = _sums(some, "poor", "fitted")
         lines.append(
             f"{poor:,} of {fitted:,} echoes ({_percent(poor / fitted)}) are poorly fitted, misfit above "
             f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({_names(some)})"
         )
-    some = [s for s in strips if s.get("fwhm") and disagree(s["fwhm"], s["recorded_fwhm"])]
-    if some:
-        by_echoes, recorded = some[0]["fwhm"], some[0]["recorded_fwhm"]
-        lines.append(
-            f"the system pulse is {by_echoes:.2f} ns wide by the echoes, {recorded:.2f} ns by the recorded outgoing "
-            f"pulses: look at info --waveforms, and fix it by pulse.width ({_names(some)})"
-        )
+    lines += pulse_remarks(strips)
     some = [s for s in strips if (s["lag1"] or 0.0) > params.white_noise and s["inflation"] >= INFLATED]
     if some:
         worst = max(some, key=lambda s: s["lag1"])
@@ -117,6 +122,35 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
             f"({_names(some)})"
         )
     return lines + place_remarks(strips)
+
+
+def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Where the echoes' pulse is not the recorded one, or not the echoes': of ``name`` and ``channels``."""
+    known = [(s, c) for s in strips for c in s.get("channels", ())]
+    lines = []
+    some = [(s, c) for s, c in known if not c["outgoing"] and disagree(c["fwhm"], c["recorded_fwhm"])]
+    if some:
+        _, worst = max(some, key=lambda one: abs(math.log(one[1]["fwhm"] / one[1]["recorded_fwhm"])))
+        lines.append(
+            f"the system pulse is {worst['fwhm']:.2f} ns wide by the echoes, {worst['recorded_fwhm']:.2f} ns by the "
+            f"recorded outgoing pulses{_channel_words(worst)}: look at info --waveforms, and fix it by pulse.width "
+            f"({_names(_once(s for s, _ in some))})"
+        )
+    some = [(s, c) for s, c in known if c["outgoing"]]
+    if some:
+        one = some[0][1]
+        lines.append(
+            f"the echoes show no pulse that they share: the recorded outgoing one of {one['fwhm']:.2f} ns is taken"
+            f"{_channel_words(one)} ({_names(_once(s for s, _ in some))})"
+        )
+    return lines
+
+
+def _channel_words(channel: Mapping[str, Any]) -> str:
+    """Which channel, where one is known."""
+    if channel["sample_spacing"] is None:
+        return ""
+    return f" (channel of {channel['sample_spacing']:g} ns samples up to {channel['saturation']:g} DN)"
 
 
 def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -162,17 +196,14 @@ def _once(strips: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> None:
     """`QualityError` naming the strip that is furthest beyond a bound; nothing where the user accepts it."""
     bounds = (
-        ("implausible_share", "implausible", params.max_implausible, "implausible", "echoes are implausible"),
-        (
-            "unmatched_returns_share",
-            "returns_without_echo",
-            params.max_unmatched_returns,
-            "unmatched_returns",
-            "returns have no echo",
-        ),
+        ("unreadable", "unreadable_packets", "returns have a waveform that cannot be read", WHOLE),
+        ("poor", "poor", "fitted echoes fit poorly", LOOK),
+        ("implausible", "implausible", "echoes are implausible", LOOK),
+        ("unmatched_returns", "returns_without_echo", "returns have no echo", LOOK),
     )
     listed = list(strips)
-    for share, count, most, key, words in bounds:
+    for kind, count, words, hint in bounds:
+        share, most = f"{kind}_share", getattr(params, f"max_{kind}")
         beyond = [s for s in listed if s[share] is not None and s[share] > most and s[count] >= params.least]
         if beyond and not params.accept:
             worst = max(beyond, key=lambda s: s[share])
@@ -180,10 +211,9 @@ def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> No
             raise QualityError(
                 f"more {words} than a sound survey has",
                 where=f"{worst['name']}{others}",
-                expected=f"at most {_percent(most)} (plausibility.max_{key})",
+                expected=f"at most {_percent(most)} (plausibility.max_{kind})",
                 got=f"{worst[count]:,}, {_percent(worst[share])}",
-                do="look at the waveforms (fwclass info --waveforms); a higher decompose.detection leaves weak echoes "
-                "out; --accept-implausible (plausibility.accept=true) takes them as they are",
+                do=f"{hint}; --accept-implausible (plausibility.accept=true) takes them as they are",
             )
 
 

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from fwclass.decompose.envelope import Envelope
-from fwclass.decompose.params import FEWEST, DecomposeParams
+from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.place_estimate import join_runs, measure_placement, sample_runs
 from fwclass.decompose.placement import Placement, describe_placement
 from fwclass.decompose.plausible import UNKNOWN, Surroundings
 from fwclass.decompose.pulse_estimate import PulseParams, describe, estimate_pulse, join_samples, sample_pulses
+from fwclass.decompose.pulse_sample import outgoing_of
 from fwclass.decompose.quiet import QuietNoise, quiet_noise, with_correlated_noise
-from fwclass.decompose.recorded_pulse import recorded_widths
+from fwclass.decompose.recorded_pulse import channel_pulses, recorded_pulse
 from fwclass.decompose.signal_noise import with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
@@ -148,20 +149,18 @@ def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams)
     """The system's pulse and the receiver of a strip, from a sample of its waveforms; the envelope of its returns."""
     parts, inputs, directory = here.parts("read"), here.inputs, here.directory
     strip, pulses = int(here.part), int(inputs.meta("index", here.part)["pulses"])
-    samples, recorded = [], [np.empty(0)]
+    samples, outgoing = [], []
     for part in parts:
         waves = waveforms_of(part, inputs, returns=False)
         samples.append(sample_pulses(waves, strip, pulses, params))
-        recorded.append(recorded_widths(waves, samples[-1].pulses["pulse"]))
-    widths = np.concatenate(recorded)
-    sampled, noise, pulse = (
-        sum(s.pulses.rows for s in samples),
-        UNKNOWN.noise,
-        SystemPulse.gaussian(params.fallback_width),
-    )
+        sent = np.isin(waves.pulses["pulse"], samples[-1].pulses["pulse"]) & (np.diff(waves.outgoing_offsets) > 0)
+        outgoing.append(outgoing_of(waves, np.flatnonzero(sent)))
+    sampled, noise = sum(s.pulses.rows for s in samples), UNKNOWN.noise
+    pulse, recorded = SystemPulse.gaussian(params.fallback_width), None
     if samples:
         sample = join_samples(samples)
-        pulse = with_correlated_noise(estimate_pulse(sample, params), sample, fit)
+        recorded = recorded_pulse(join_samples(outgoing), params)
+        pulse = with_correlated_noise(estimate_pulse(sample, params, recorded), sample, fit)
         pulse = with_signal_noise(pulse, sample, fit)
     write_json(directory / PULSE_FILE, pulse.to_json())
     if sampled:
@@ -174,7 +173,7 @@ def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams)
     return {
         "pulse": describe(pulse),
         "noise": max((c.noise for c in pulse.channels), default=None),
-        "recorded_fwhm": float(np.median(widths)) if len(widths) >= FEWEST else None,
+        "channels": channel_pulses(pulse, recorded),
         "sampled": sampled,
         **noise.told,
     }

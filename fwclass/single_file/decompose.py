@@ -142,10 +142,16 @@ def _summary(table: Table, read_from: str) -> list[str]:
 def _pulse_words(pulse: SystemPulse) -> str:
     facts = describe(pulse)
     origin = f"from {pulse.echoes:,} echoes" if pulse.echoes else "not measured: too few bright single echoes"
+    origin = f"from {pulse.outgoing:,} recorded outgoing pulses" if pulse.outgoing else origin
     noise = ", ".join(f"{c.noise:.2f}" for c in pulse.channels)
     error = f"{facts['shape_error']:.2%}" if pulse.shape_error > 0.0 else "below the noise"
     told = f"system pulse: {pulse.shape}, {pulse.fwhm:.2f} ns wide ({origin}), shape error {error}"
-    return told + (f"; noise {noise} DN" if noise else "")
+    own = "".join(
+        f"; {c.pulse.fwhm:.2f} ns of samples up to {c.saturation:g} DN each {c.sample_spacing:g} ns"
+        for c in pulse.channels
+        if c.pulse
+    )
+    return told + own + (f"; noise {noise} DN" if noise else "")
 
 
 def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Path | None) -> tuple[Table, list[str]]:

@@ -15,7 +15,6 @@ from fwclass.decompose.fitting import fit_waveforms
 from fwclass.decompose.params import DecomposeParams, PulseParams
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.quiet import quiet_noise, with_correlated_noise
-from fwclass.decompose.recorded_pulse import disagree, recorded_widths
 from fwclass.decompose.signal_noise import with_signal_noise
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.errors import InputError
@@ -161,28 +160,3 @@ def test_noise_that_grows_with_the_signal(base, params, growth):
         wide, _ = wm.fixed(8000, [75.0], width=width * wm.PULSE_WIDTH, first=30.0, seed=18, **(noise | {"noise": 1.3}))
         split = fit_waveforms(wide, params, pulse).count > 1
         assert at_most(split.mean(), len(split), 0.004)
-
-
-def outgoing(width, spacing=1.0, n=40, samples=60):
-    """Pulses whose outgoing pulse is a Gaussian of `width` [ns] at a place of its own, on a level of 7 DN."""
-    t = spacing * np.arange(samples)
-    at = 0.5 * samples * spacing + np.random.default_rng(1).uniform(-0.5, 0.5, n)
-    shape = [np.rint(7.0 + 150.0 * np.exp(-0.5 * ((t - a) * wm.FWHM / width) ** 2)).astype(np.uint8) for a in at]
-    waves = wm.waves_of([np.full(20, 7, np.uint8)] * n, spacing=spacing)
-    return replace(waves, outgoing=np.concatenate(shape), outgoing_offsets=samples * np.arange(n + 1))
-
-
-@pytest.mark.parametrize(("width", "spacing"), [(4.1, 1.0), (6.5, 2.0), (2.0, 0.5)])
-def test_recorded_pulses_tell_their_width(width, spacing):
-    waves = outgoing(width, spacing)
-    assert abs(np.median(recorded_widths(waves, np.arange(40))) - width) < 0.03 * width
-    assert len(recorded_widths(waves, np.arange(7))) == 7
-    full = replace(waves, pulses=waves.pulses.with_columns({"saturation": np.full(40, 100.0)}))
-    assert len(recorded_widths(full, np.arange(40))) == 0, "at the digitiser's limit"
-    flat = replace(waves, outgoing=np.full(len(waves.outgoing), 9, np.uint8))
-    assert len(recorded_widths(flat, np.arange(40))) == 0
-
-
-def test_another_width_than_recorded_is_told():
-    assert not disagree(4.4, 4.59) and not disagree(4.0, None)
-    assert disagree(2.05, 4.09) and disagree(7.6, 6.5) and disagree(27.6, 6.53)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
-from fwclass.decompose.fitting import EDGE, OVERLAPPING, POOR, SATURATED, model_of, reached_limits
+from fwclass.decompose.fitting import EDGE, OVERLAPPING, POOR, SATURATED, model_of, pulses_of, reached_limits
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
@@ -296,7 +296,8 @@ def _segment(seen: Seen, row: int, system: SystemPulse) -> dict[str, NDArray]:
     samples = seen.waves.samples[seen.waves.offsets[row] : seen.waves.offsets[row + 1]].astype(np.float64)
     spacing, start = float(pulses["sample_spacing"][row]), float(pulses["segment_start"][row])
     n, finer = len(samples), FINER if len(samples) <= FINE_SAMPLES else 1
-    total, curves = model_of(fits, row, (n - 1) * finer + 1 if n else 0, spacing / finer, system)
+    kinds, kind = pulses_of(seen.waves, system)
+    total, curves = model_of(fits, row, (n - 1) * finer + 1 if n else 0, spacing / finer, kinds[kind[row]])
     end = np.full(1, np.nan)
     return {
         "time": start + np.arange(n) * spacing,
@@ -311,7 +312,8 @@ def _segment(seen: Seen, row: int, system: SystemPulse) -> dict[str, NDArray]:
 
 
 def _pulse_words(pulse: SystemPulse) -> str:
-    kind = "Gaussian" if pulse.shape == "gaussian" else f"measured on {pulse.echoes:,} echoes"
+    on = f"{pulse.outgoing:,} outgoing pulses" if pulse.outgoing else f"{pulse.echoes:,} echoes"
+    kind = "Gaussian" if pulse.shape == "gaussian" else f"measured on {on}"
     return f"system's pulse {pulse.fwhm:.2f} ns ({kind})"
 
 
