@@ -56,7 +56,7 @@ def with_signal_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposePar
             matters = growth * height > NOTICED * channel.noise**2
             channels.append(replace(channel, growth=growth if matters else 0.0))
             errors.append(math.sqrt(error))
-        tried = replace(tried, channels=tuple(channels), shape_error=max(errors))
+        tried = replace(tried, channels=tuple(channels), shape_error=min(max(errors), 1.0))
         if not any(c.growth > 0.0 or c.phi for c in channels):
             return pulse
     return tried

@@ -46,7 +46,7 @@ PROBES = 5
 """Tiles, about, whose beams are held against the trajectory before any range is taken from it."""
 
 
-KNOW_THE_SENSOR = (".pls", ".parquet", ".csv")
+KNOW_THE_SENSOR = (".pls", ".parquet", ".csv", "_fullwave.txt")
 """Sources that may tell how far the sensor was end so."""
 
 

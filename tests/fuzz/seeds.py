@@ -7,6 +7,7 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
+import heliosmaker
 import lasmaker
 import numpy as np
 import plsmaker
@@ -218,6 +219,9 @@ def raw_seeds(folder: Path) -> list[Seed]:
     told = {"crs": "EPSG:32632", "spacing_ns": "1.0"}
     text = rawmaker.write_csv(folder / "a.csv", table | {"channel": np.zeros(12)}, told).read_bytes()
     made = [Seed("csv", "a.csv", {"a.csv": text}, (), ("a.csv",))]
+    heliosmaker.survey(folder / "a_fullwave.txt", pulses=9)
+    name = "a_fullwave.txt"
+    made.append(Seed("helios", name, {name: (folder / name).read_bytes()}, (), (name,)))
     for name, more in (("parquet", {}), ("plain", {"compression": "none", "use_dictionary": False})):
         data = rawmaker.write_parquet(folder / "a.parquet", table, told, **more).read_bytes()
         fields = tuple(Field("a.parquet", len(data) - k, w) for k in range(8, 900, 3) for w in (1, 4))
