@@ -33,6 +33,8 @@ OUTLIER = 3.0
 """Echoes that leave this many times what those of their height do hide another one."""
 SURE = 3.0
 """Standard errors that the growth must reach to be believed; it is a sum over samples that also hold other faults."""
+ABSURD = 0.2
+"""A shape that is off by so much is none, and what is left beside it tells nothing, as in samples without noise."""
 NOTICED = 0.1
 """Share of the noise's variance that the growth must reach at the median echo's height to matter."""
 
@@ -56,9 +58,12 @@ def with_signal_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposePar
             by, left, height = echoes
             growth, error = _told_apart(by, left, np.array([channel.growth, own.shape_error**2, 1.0]))
             matters = growth * height > NOTICED * channel.noise**2
-            pulse_of_its_own = channel.pulse and replace(channel.pulse, shape_error=math.sqrt(error))
-            shared += [] if channel.pulse else [math.sqrt(error)]
-            channels.append(replace(channel, growth=growth if matters else 0.0, pulse=pulse_of_its_own))
+            error = math.sqrt(error)
+            if error > ABSURD:
+                return pulse
+            own_pulse = channel.pulse and replace(channel.pulse, shape_error=error)
+            shared += [] if channel.pulse else [error]
+            channels.append(replace(channel, growth=growth if matters else 0.0, pulse=own_pulse))
         tried = replace(tried, channels=tuple(channels), shape_error=max(shared, default=tried.shape_error))
         if not any(c.growth > 0.0 or c.phi for c in channels):
             return pulse

@@ -26,7 +26,7 @@ from fwclass.paths import name_fault
 from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.quantities import quantities_of
-from fwclass.read.source import Source, open_source
+from fwclass.read.source import BeamSource, Source, open_source
 from fwclass.read.stage import as_told, check_source, read_cloud
 from fwclass.run.part import Name
 from fwclass.run.runner import Runner
@@ -228,6 +228,8 @@ def _true_bounds(source: Source) -> tuple[float, ...]:
     if isinstance(source, PulseSource):
         given = np.array(source.bounds)
         return source.bounds if np.isfinite(given).all() and (given[3:5] > given[:2]).any() else pulse_bounds(source)
+    if isinstance(source, BeamSource):
+        return source.bounds
     low, high = source.bounds[:3], source.bounds[3:]
     cloud = read_cloud(source.path, 0, min(source.n_points, LOOKED_AT))
     points = [cloud[n] for n in "xyz"]

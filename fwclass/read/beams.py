@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.read.beam_source import turned
 from fwclass.read.packets import References, judge
 from fwclass.read.pls_waves import Samplings, find, read_records, waves_of
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.pulsewaves import RETURNING
-from fwclass.read.source import PulseSource, Source, las_of
+from fwclass.read.source import BeamSource, PulseSource, Source, las_of
 
 Floats = NDArray[np.float64]
 
@@ -142,6 +143,11 @@ def _first_samples(source: Source) -> tuple[Floats, Floats]:
         row, first = np.unique(parts.pulse, return_index=True)
         step, time = found.step[row], found.time[row]
         place = found.anchor[row] - parts.begin[first, None] * step
+    elif isinstance(source, BeamSource):
+        rows = turned(source.layout.read(0, last), source)
+        rows = rows.take(rows.fault == 0)
+        step, time, place = rows.step, rows.time, rows.ends()[0]
+        row = np.arange(len(rows))
     else:
         las = las_of(source)
         with PointReader(las) as reader:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import visible
 from fwclass.formats.flat import flat_faults
+from fwclass.read.beam_info import beam_rows_info, describe_beam_rows
 from fwclass.read.beams import beam_fault
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, looked_into
@@ -19,7 +20,7 @@ from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.polygons import is_polygon_file
 from fwclass.read.polygons_info import describe_polygons, polygon_info
 from fwclass.read.quantities import WORDS, quantities_of
-from fwclass.read.source import PulseSource, las_of, open_source
+from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
 
 Z_MARGIN = 100.0
 """A point is a z outlier this far [m], plus the spread of the middle 98 %, beyond that middle."""
@@ -77,9 +78,11 @@ def info(path: str | Path) -> dict[str, Any]:
     InputError
         The file cannot be read.
     """
-    if is_polygon_file(path):
+    if is_polygon_file(path) and not is_beam_file(path):
         return polygon_info(Path(path))
     opened = open_source(path)
+    if isinstance(opened, BeamSource):
+        return beam_rows_info(opened)
     return pulse_info(opened) if isinstance(opened, PulseSource) else _las_info(las_of(opened))
 
 
@@ -230,14 +233,22 @@ def describe(found: dict[str, Any]) -> str:
         ("CRS", f"{crs['name']}" + (f" (EPSG:{crs['epsg']})" if crs["epsg"] else "") if crs else "none"),
         ("bounds", _bounds_text(found["bounds"])),
         ("GPS time", "{:.3f} to {:.3f} s".format(*found["gps_time"]) if found["gps_time"] else "none"),
-        *(describe_pulses(found) if "pulses" in found else _describe_points(found)),
+        *_describe_rest(found),
     ]
     lines = [f"{name:<12} {visible(text)}" for name, text in rows]
     lines += [f"  ! {visible(fault)}" for fault in found["faults"]] or ["  no faults found"]
     return "\n".join(lines)
 
 
+def _describe_rest(found: dict[str, Any]) -> list[tuple[str, str]]:
+    if "rows" in found:
+        return describe_beam_rows(found)
+    return describe_pulses(found) if "pulses" in found else _describe_points(found)
+
+
 def _format_text(found: dict[str, Any]) -> str:
+    if "format" in found:
+        return str(found["format"])
     if "pulses" in found:
         return f"PulseWaves {found['version']}"
     kind = "COPC" if found["copc"] else "LAZ" if found["compressed"] else "LAS"

@@ -6,6 +6,9 @@ from pathlib import Path
 
 from fwclass.errors import InputError
 from fwclass.read.base import Source as Source
+from fwclass.read.beam_formats import PARQUET, open_beam_file
+from fwclass.read.beam_formats import is_beam_file as is_beam_file
+from fwclass.read.beam_source import BeamSource as BeamSource
 from fwclass.read.las import LasSource as LasSource
 from fwclass.read.las import open_las
 from fwclass.read.pulsewaves import PulseSource as PulseSource
@@ -21,6 +24,8 @@ def open_source(path: str | Path) -> Source:
         No file of a known format, empty, cut short, or a header that contradicts the file.
     """
     path = Path(path)
+    if path.suffix.lower() in PARQUET or is_beam_file(path):
+        return open_beam_file(path)
     return open_pls(path) if is_pulse_file(path) else open_las(path)
 
 
@@ -33,5 +38,5 @@ def las_of(source: Source) -> LasSource:
         where=source.path,
         expected="a LAS, LAZ or COPC file",
         got=source.path.name,
-        do="decompose it first: fwclass decompose IN.pls OUT.laz",
+        do=f"decompose it first: fwclass decompose {source.path.name} OUT.laz",
     )

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from fwclass.read.beam_read import check_beam_rows, index_beam_rows, read_beam_rows
 from fwclass.read.beams import check_beams
 from fwclass.read.las_read import check_las, index_las, read_las
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
 from fwclass.read.points import PointReader, coordinates, gps_times
-from fwclass.read.source import PulseSource, Source, las_of
+from fwclass.read.source import BeamSource, PulseSource, Source, las_of
 from fwclass.read.source import open_source as open_source
 from fwclass.read.spans import Span
 from fwclass.schema import Table
@@ -33,6 +34,8 @@ def check_source(source: Source, params: ReadParams) -> None:
     source = as_told(source, params)
     if isinstance(source, PulseSource):
         check_pls(source)
+    elif isinstance(source, BeamSource):
+        check_beam_rows(source)
     else:
         check_las(las_of(source), params)
     check_beams(source)
@@ -49,17 +52,21 @@ def index_source(source: Source, params: ReadParams) -> list[Span]:
     source = as_told(source, params)
     if isinstance(source, PulseSource):
         return index_pls(source, params.chunk_pulses)
+    if isinstance(source, BeamSource):
+        return index_beam_rows(source, params.chunk_pulses)
     return index_las(las_of(source), params)
 
 
 def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
     """Returns of `span` in file order, and the waveforms of its pulses that have usable samples.
 
-    See `las_read.read_las` and `pls_read.read_pls`.
+    See `las_read.read_las`, `pls_read.read_pls` and `beam_read.read_beam_rows`.
     """
     source = as_told(source, params)
     if isinstance(source, PulseSource):
         return read_pls(source, span)
+    if isinstance(source, BeamSource):
+        return read_beam_rows(source, span)
     return read_las(las_of(source), span, params)
 
 

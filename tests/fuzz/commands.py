@@ -118,7 +118,10 @@ def _info(folder: Path) -> list[Case]:
 
 def _waved(folder: Path) -> list[Seed]:
     wanted = ("f4", "f5", "f9", "f10")
-    return [s for s in seeds.las_seeds(folder / "las") if s.name.startswith(wanted)] + seeds.pls_seeds(folder / "pls")
+    return [s for s in seeds.las_seeds(folder / "las") if s.name.startswith(wanted)] + [
+        *seeds.pls_seeds(folder / "pls"),
+        *seeds.raw_seeds(folder / "raw"),
+    ]
 
 
 def _waveforms(folder: Path) -> list[Case]:
@@ -137,7 +140,15 @@ def _ground(folder: Path) -> list[Case]:
 def _features(folder: Path) -> list[Case]:
     names = "zc,height_range_c100,planarity_r100,density_c100,echo_ratio_r100,planarity_k20"
     words = ("features", "{}", "o.parquet", "--features", names, "--skip-missing")
-    return given([*_clouds(folder), *seeds.pls_seeds(folder / "pls"), *seeds.text_seeds(folder)], *words)
+    return given(
+        [
+            *_clouds(folder),
+            *seeds.pls_seeds(folder / "pls"),
+            *seeds.raw_seeds(folder / "raw"),
+            *seeds.text_seeds(folder),
+        ],
+        *words,
+    )
 
 
 def _model(folder: Path) -> dict[str, Seed]:

@@ -7,9 +7,11 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
+import heliosmaker
 import lasmaker
 import numpy as np
 import plsmaker
+import rawmaker
 from mutate import Field, Files
 
 
@@ -207,6 +209,23 @@ def pls_seeds(folder: Path) -> list[Seed]:
         found += [(len(data) - k, w) for k in range(8, 100, 4) for w in (4, 8)]
         fields = [("a.pls", at, w) for at, w in found] + [("a.wvs", at, w) for at in range(0, 160, 2) for w in (1, 2)]
         made.append(_taken(own, name, "a.pls", fields))
+    return made
+
+
+def raw_seeds(folder: Path) -> list[Seed]:
+    """Raw waveforms as text and as Parquet."""
+    folder.mkdir(parents=True, exist_ok=True)
+    table = rawmaker.scene(pulses=12, n=40).columns()
+    told = {"crs": "EPSG:32632", "spacing_ns": "1.0"}
+    text = rawmaker.write_csv(folder / "a.csv", table | {"channel": np.zeros(12)}, told).read_bytes()
+    made = [Seed("csv", "a.csv", {"a.csv": text}, (), ("a.csv",))]
+    heliosmaker.survey(folder / "a_fullwave.txt", pulses=9)
+    name = "a_fullwave.txt"
+    made.append(Seed("helios", name, {name: (folder / name).read_bytes()}, (), (name,)))
+    for name, more in (("parquet", {}), ("plain", {"compression": "none", "use_dictionary": False})):
+        data = rawmaker.write_parquet(folder / "a.parquet", table, told, **more).read_bytes()
+        fields = tuple(Field("a.parquet", len(data) - k, w) for k in range(8, 900, 3) for w in (1, 4))
+        made.append(Seed(name, "a.parquet", {"a.parquet": data}, fields))
     return made
 
 

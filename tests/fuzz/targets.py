@@ -177,6 +177,7 @@ TARGETS = {
     "laz": Target(seeds.laz_seeds, _points, share=6),
     "copc": Target(seeds.copc_seeds, _points, share=5),
     "pulsewaves": Target(seeds.pls_seeds, _pulses, times=400, share=10),
+    "raw": Target(seeds.raw_seeds, _pulses, times=2000, share=6),
     "model": Target(seeds.model_seeds, _model, share=8),
     "conf": Target(seeds.conf_seeds, _conf, times=2000, share=0.4),
     "text": Target(seeds.text_seeds, _text, share=16),

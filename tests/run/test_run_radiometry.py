@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from plsmaker import survey as pulsewaves
+from rawmaker import scene, write_parquet
 from runmaker import walk
 
 from fwclass import conf
@@ -128,3 +129,21 @@ def test_pulsewaves_go_the_whole_road(finished, tmp_path):
     found = echoes(tmp_path / "run")
     assert (found["range"] > 0).all() and (found["classification"] > 0).all()
     assert not list((tmp_path / "run" / "laz").glob("strips/*"))
+
+
+@pytest.mark.slow
+def test_raw_waveforms_go_the_whole_road(finished, tmp_path):
+    """A Parquet file of waveforms, classified by a given forest, as PulseWaves are."""
+    told = {"crs": "EPSG:25832", "spacing_ns": "1.0"}
+    write_parquet(tmp_path / "a.parquet", scene(pulses=400).columns("unit", "sensor"), told)
+    settings = (
+        "survey.sources=[a.parquet]",
+        "survey.trajectory.files=[]",
+        f"survey.model={finished[0] / 'model'}",
+        "survey.reference={kind: none}",
+    )
+    road, report = walk(tmp_path, tmp_path / "run", *settings)
+    assert not road.failures
+    assert report["counts"]["pulses"] == 400 <= report["counts"]["echoes_in_tiles"]
+    found = echoes(tmp_path / "run")
+    assert np.abs(np.median(found["range"]) - 600.0) < 30.0 and (found["classification"] > 0).all()

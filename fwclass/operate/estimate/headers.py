@@ -16,7 +16,7 @@ from fwclass.graph.tiling import CLOUD_ROWS
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
-from fwclass.read.source import PulseSource, Source, open_source
+from fwclass.read.source import BeamSource, PulseSource, Source, open_source
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -159,7 +159,7 @@ def facts_of(source: Source) -> SourceFacts:
             got=f"[{xmin:g}, {ymin:g}, {xmax:g}, {ymax:g}]",
             do="export the file again; `fwclass run` reads all its points to find out, a plan does not",
         )
-    pulses = source.n_records if isinstance(source, PulseSource) else 0
+    pulses = source.n_records if isinstance(source, PulseSource | BeamSource) else 0
     waves = source.has_waves and source.waves.kind != "none"
     box = Box(xmin, ymin, xmax + 0.001, ymax + 0.001)
     return SourceFacts(source.path, source.n_points, pulses, waves, source.waves.available if waves else 0, box)

@@ -20,7 +20,7 @@ from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.cloud import read_point_cloud
-from fwclass.read.source import Source, open_source
+from fwclass.read.source import Source, is_beam_file, open_source
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
 from fwclass.schema import IDENTITY, Table
@@ -82,7 +82,7 @@ def read_echoes(path: Path, columns: Iterable[str], settings: tuple[str, ...], c
     InputError
         A file that cannot be read, is empty, or does not count in metres.
     """
-    if is_text(path) or not path.is_file():
+    if (is_text(path) and not is_beam_file(path)) or not path.is_file():
         return _of_text(path, crs)
     return _of_source(open_source(path), (*PLACE, *columns, *FOR_RADIOMETRY), settings, crs, tell)
 

@@ -1,0 +1,98 @@
+"""Files whose rows are waveforms with a beam each: which format they are, and what they say of themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fwclass.errors import InputError
+from fwclass.read.base import WaveStore
+from fwclass.read.beam_source import TOP, BeamSource, bounds_of, census_of
+from fwclass.read.helios import LEVELS, is_helios, open_helios
+from fwclass.read.raw_csv import is_raw_csv, open_raw_csv
+from fwclass.read.raw_parquet import is_raw_parquet, open_raw_parquet
+from fwclass.units import QUANTUM
+
+PARQUET, TEXTS = (".parquet", ".geoparquet"), (".csv", ".txt", ".tsv")
+"""Names of such files end so."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A format's own part of a source: how its rows are read, and what it says for all of them.
+
+    `levels` : counts that the range of samples which are no whole numbers is laid out in, at most.
+    """
+
+    kind: str
+    layout: Any
+    crs: Any
+    saturation: float | None
+    standard: bool
+    notes: tuple[tuple[str, str], ...]
+    faults: tuple[str, ...]
+    levels: float = TOP - 1.0
+
+
+def is_beam_file(path: str | Path) -> bool:
+    """A file of waveforms with a beam each, by its ending and what it holds."""
+    path = Path(path)
+    ending = path.suffix.lower()
+    if not path.is_file():
+        return False
+    return is_helios(path) or (ending in PARQUET and is_raw_parquet(path)) or (ending in TEXTS and is_raw_csv(path))
+
+
+def _opened(path: Path) -> Opened:
+    if is_helios(path):
+        found = open_helios(path)
+        bins = f"{found.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * found.bin_ns:g} there and back"
+        no_crs = "no usable CRS: name one in the configuration"
+        return Opened("HELIOS++ full waveforms", found, None, None, False, (("bins", bins),), (no_crs,), LEVELS)
+    raw, settings = open_raw_parquet(path) if path.suffix.lower() in PARQUET else open_raw_csv(path)
+    faults: list[str] = []
+    crs = settings.system(path, faults)
+    kind = "raw waveforms, " + ("Parquet" if path.suffix.lower() in PARQUET else "text")
+    notes = (("direction", raw.direction),)
+    return Opened(kind, raw, crs, settings.saturation, settings.standard, notes, tuple(faults))
+
+
+def open_beam_file(path: Path) -> BeamSource:
+    """Look at such a file, in one pass over all of it.
+
+    Raises
+    ------
+    InputError
+        Damaged, without the columns that are needed, or with a row that is none.
+    """
+    opened = _opened(path)
+    census = census_of(path, opened.layout)
+    if census.rows != opened.layout.n_rows:
+        raise InputError(
+            "the file changed, or counts wrongly", where=path, expected=f"{opened.layout.n_rows} rows", got=census.rows
+        )
+    scaling = census.scaling(opened.saturation, opened.levels)
+    steps = () if scaling.exact else (("samples", f"counted in steps of {scaling.step:.6g} from {scaling.low:.6g} on"),)
+    size = path.stat().st_size
+    return BeamSource(
+        path=path,
+        size=size,
+        version=(1, 0),
+        compressed=False,
+        n_points=0,
+        n_records=census.rows,
+        point_format=-1,
+        bounds=bounds_of(census),
+        scales=(QUANTUM, QUANTUM, QUANTUM),
+        offsets=(0.0, 0.0, 0.0),
+        crs=opened.crs,
+        waves=WaveStore("internal", path, 0, size),
+        standard_gps_time=opened.standard,
+        faults=(*opened.faults, *(() if census.rows else ("the file has no rows",))),
+        kind=opened.kind,
+        notes=(*(opened.notes if census.rows else ()), *steps),
+        census=census,
+        scaling=scaling,
+        layout=opened.layout,
+    )

@@ -1,0 +1,177 @@
+"""Raw waveforms as a table: which columns and settings there are, and how they become beams.
+
+Columns: `x`, `y`, `z` a place on the beam [m]; `dx`, `dy`, `dz` the beam's direction, away from the sensor; `samples` a
+list of numbers; `spacing_ns` (or one for the file in its metadata). They may be followed by `begin_ns`, when the first
+sample was taken, after the light passed the place (0 where it is the place of the first sample; the two-way time where
+it is the sensor); `range_m` from the sensor to the place (0 at the sensor); `gps_time` [s]; `pulse`, where several
+rows, which follow each other, are segments or channels of one; `channel`; `outgoing`, samples of the emitted pulse, and
+`outgoing_begin_ns`, when the first of them was taken.
+
+Metadata: `crs`, `spacing_ns`, `saturation` (highest sample), `standard_gps_time` (true: GPS seconds less 10^9).
+
+The direction's length says what it is per: about 0.15 per nanosecond (metres), 1 a unit vector, or 0.15 times the
+spacing per sample.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from fwclass.errors import InputError
+from fwclass.read.beam_source import SPACINGS, SPEEDS, BeamRows, Ragged
+from fwclass.units import METRES_PER_NS
+
+PLACE, DIRECTION = ("x", "y", "z"), ("dx", "dy", "dz")
+LISTS = ("samples", "outgoing")
+OPTIONAL = ("spacing_ns", "begin_ns", "range_m", "gps_time", "pulse", "channel", "outgoing", "outgoing_begin_ns")
+REQUIRED = (*PLACE, *DIRECTION, "samples")
+KEYS = ("crs", "spacing_ns", "saturation", "standard_gps_time")
+
+PER_NS, UNIT, PER_SAMPLE = "metres per nanosecond", "a unit vector", "metres per sample"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the metadata say: `spacing` [ns] and `saturation` or None, `standard` time, `crs` as text or ""."""
+
+    spacing: float | None
+    saturation: float | None
+    standard: bool
+    crs: str
+
+    @classmethod
+    def of(cls, told: Mapping[str, str], path: Path) -> Settings:
+        spacing, saturation = (_number(told, key, path) for key in ("spacing_ns", "saturation"))
+        if spacing is not None and not SPACINGS[0] <= spacing <= SPACINGS[1]:
+            raise InputError(
+                "no scanner samples like this",
+                where=f"{path}: metadata spacing_ns",
+                expected=f"nanoseconds, {SPACINGS[0]:g} to {SPACINGS[1]:g}",
+                got=f"{spacing:g}",
+                do="give the time between two samples in nanoseconds",
+            )
+        if saturation is not None and not saturation > 0.0:
+            raise InputError(
+                "this is no highest sample", where=f"{path}: metadata saturation", got=f"{saturation:g}",
+                expected="a number above 0, in the unit of the samples",
+            )  # fmt: skip
+        return cls(spacing, saturation, told.get("standard_gps_time", "").lower() in ("true", "1"), told.get("crs", ""))
+
+    def system(self, path: Path, faults: list[str]) -> Any:
+        """The coordinate system, or None."""
+        if not self.crs:
+            faults.append("no usable CRS: name one in the configuration")
+            return None
+        try:
+            crs = CRS.from_user_input(self.crs)
+        except CRSError:
+            raise InputError(
+                "this is not a coordinate system",
+                where=f"{path}: metadata crs",
+                expected="for example EPSG:25832",
+                got=self.crs[:80],
+            ) from None
+        if crs.is_geographic:
+            faults.append("the CRS is in degrees: project the file to metres first")
+        return crs
+
+
+def _number(told: Mapping[str, str], key: str, path: Path) -> float | None:
+    if key not in told:
+        return None
+    try:
+        value = float(told[key])
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError("this is no number", where=f"{path}: metadata {key}", expected="a number", got=told[key][:80])
+    return value
+
+
+def check_columns(names: list[str], settings: Settings, path: Path) -> None:
+    """`InputError` naming the columns that are missing or there twice."""
+    missing = [n for n in REQUIRED if n not in names]
+    if "spacing_ns" not in names and settings.spacing is None:
+        missing.append("spacing_ns (or that in the metadata)")
+    if missing:
+        raise InputError(
+            "columns of raw waveforms are missing",
+            where=path,
+            expected=", ".join((*REQUIRED, "spacing_ns")),
+            got=f"no {', '.join(missing)}; there are {', '.join(names[:20])}",
+            do="name the columns as docs/waveforms.md does",
+        )
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        raise InputError("a column is there twice", where=path, got=", ".join(twice), do="remove one of them")
+
+
+def kind_of_direction(direction: NDArray[np.float64], spacing: NDArray[np.float64], path: Path) -> str:
+    """`PER_NS`, `UNIT` or `PER_SAMPLE`, by the median length of the first rows' directions; `PER_NS` of no rows."""
+    with np.errstate(all="ignore"):
+        length = np.sqrt((direction**2).sum(axis=1))
+    sound = np.isfinite(length) & np.isfinite(spacing) & (length > 0.0)
+    if not sound.any():
+        return PER_NS
+    middle, step = float(np.median(length[sound])), float(np.median(spacing[sound]))
+    for kind, expected in ((PER_NS, METRES_PER_NS), (UNIT, 1.0), (PER_SAMPLE, METRES_PER_NS * step)):
+        if SPEEDS[0] <= middle / expected <= SPEEDS[1]:
+            return kind
+    raise InputError(
+        "the directions of the beams have a length that means nothing",
+        where=f"{path}: dx, dy, dz",
+        expected=f"{METRES_PER_NS:.4f} (metres per nanosecond), 1 (a unit vector), or "
+        f"{METRES_PER_NS * step:.4g} (metres per sample of {step:g} ns)",
+        got=f"{middle:.6g} in the middle",
+        do="give directions in one of these; light travels 0.15 m there and back in a nanosecond",
+    )
+
+
+def beam_rows(
+    numbers: Mapping[str, NDArray[np.float64]],
+    lists: Mapping[str, Ragged],
+    settings: Settings,
+    direction: str,
+    first: int,
+) -> BeamRows:
+    """Rows from columns (n,); `first` is the number of the first one in its file."""
+    n = len(numbers["x"])
+    nothing = np.full(n, np.nan)
+
+    def column(name: str, otherwise: float) -> NDArray[np.float64]:
+        return numbers[name] if name in numbers else np.full(n, otherwise)
+
+    def whole(name: str, otherwise: NDArray[np.int64]) -> NDArray[np.int64]:
+        with np.errstate(invalid="ignore"):
+            return np.nan_to_num(numbers[name], nan=-1.0).astype(np.int64) if name in numbers else otherwise
+
+    spacing = column("spacing_ns", math.nan if settings.spacing is None else settings.spacing)
+    away = np.stack([numbers[name] for name in DIRECTION], axis=1)
+    with np.errstate(all="ignore"):
+        if direction == UNIT:
+            away = away * (METRES_PER_NS / np.sqrt((away**2).sum(axis=1, keepdims=True)))
+        elif direction == PER_SAMPLE:
+            away = away / spacing[:, None]
+    return BeamRows(
+        pulse=whole("pulse", np.arange(first, first + n)),
+        anchor=np.stack([numbers[name] for name in PLACE], axis=1),
+        step=-away,
+        begin=column("begin_ns", 0.0),
+        anchor_range=column("range_m", math.nan),
+        spacing=spacing,
+        time=numbers.get("gps_time", nothing),
+        channel=whole("channel", np.zeros(n, np.int64)),
+        samples=lists["samples"],
+        outgoing=lists.get("outgoing", Ragged.none(n)),
+        outgoing_begin=numbers.get("outgoing_begin_ns", nothing),
+        unusable=np.zeros(n, np.bool_),
+    )

@@ -1,0 +1,174 @@
+"""Raw waveforms as Parquet: a row a waveform, see `raw_columns`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.read.beam_source import LONGEST, BeamRows, Ragged
+from fwclass.read.raw_columns import (
+    LISTS,
+    OPTIONAL,
+    PER_NS,
+    REQUIRED,
+    Settings,
+    beam_rows,
+    check_columns,
+    kind_of_direction,
+)
+
+MAGIC = b"PAR1"
+BLOCK = 2_000
+"""Rows that are held at a time."""
+
+FEWEST_BYTES = 1 / 2000
+"""A number takes at least so many bytes of a file, on average: samples of a receiver cannot be packed closer."""
+
+Lists = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
+
+
+def is_raw_parquet(path: Path) -> bool:
+    """A Parquet file with a column of samples; polygons have none."""
+    try:
+        with path.open("rb") as stream:
+            if stream.read(4) != MAGIC:
+                return False
+        with pq.ParquetFile(path) as file:
+            return "samples" in file.schema_arrow.names
+    except (OSError, pa.ArrowException):
+        return False
+
+
+@dataclass(frozen=True)
+class ParquetLayout:
+    """The columns of a file; `groups` are the rows at which its row groups begin, and behind the last their number."""
+
+    path: Path
+    settings: Settings
+    columns: tuple[str, ...]
+    direction: str
+    groups: tuple[int, ...]
+
+    @property
+    def n_rows(self) -> int:
+        return self.groups[-1]
+
+    def blocks(self) -> Iterator[BeamRows]:
+        yield from self._rows(range(len(self.groups) - 1))
+
+    def read(self, first: int, last: int) -> BeamRows:
+        held = [g for g in range(len(self.groups) - 1) if self.groups[g] < last and self.groups[g + 1] > first]
+        parts, at = [], self.groups[held[0]] if held else 0
+        for rows in self._rows(held):
+            low, high = max(first - at, 0), min(last - at, len(rows))
+            if low < high:
+                parts.append(rows.take(slice(low, high)))
+            at += len(rows)
+            if at >= last:
+                break
+        empty = beam_rows({n: np.empty(0) for n in REQUIRED}, {"samples": Ragged.none(0)}, self.settings, PER_NS, 0)
+        return BeamRows.joined(parts) if parts else empty
+
+    def _rows(self, groups: range | list[int]) -> Iterator[BeamRows]:
+        if not groups:
+            return
+        first = self.groups[groups[0]]
+        try:
+            with pq.ParquetFile(self.path) as file:
+                batches = file.iter_batches(BLOCK, row_groups=list(groups), columns=self.columns, use_threads=False)
+                for batch in batches:
+                    numbers = {n: _numbers(batch.column(n)) for n in self.columns if n not in LISTS}
+                    lists = {n: _ragged(batch.column(n)) for n in LISTS if n in self.columns}
+                    yield beam_rows(numbers, lists, self.settings, self.direction, first)
+                    first += batch.num_rows
+        except (pa.ArrowException, OSError) as fault:
+            raise _damaged(self.path, fault) from None
+
+
+def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
+    """Look at schema and counts; `InputError` for what is no table of waveforms, or counts more than it can hold."""
+    try:
+        with pq.ParquetFile(path) as file:
+            schema, meta = file.schema_arrow, file.metadata
+            rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
+            values = sum(
+                meta.row_group(g).column(c).num_values
+                for g in range(meta.num_row_groups)
+                for c in range(meta.num_columns)
+            )
+    except (pa.ArrowException, OSError) as fault:
+        raise _damaged(path, fault) from None
+    told = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
+    settings = Settings.of(told, path)
+    check_columns(list(schema.names), settings, path)
+    for name in (n for n in schema.names if n in (*REQUIRED, *OPTIONAL)):
+        kind = schema.field(name).type
+        nested = any(test(kind) for test in Lists)
+        inner = kind.value_type if nested else kind
+        if nested != (name in LISTS) or not (pa.types.is_integer(inner) or pa.types.is_floating(inner)):
+            raise InputError(
+                "a column has a type that it cannot have",
+                where=f"{path}: column {name}",
+                expected="lists of whole numbers or floats" if name in LISTS else "numbers",
+                got=str(kind),
+                do="write the column again",
+            )
+    size = path.stat().st_size
+    if min([*rows, 0]) < 0 or sum(rows) * FEWEST_BYTES > size or values * FEWEST_BYTES > size:
+        raise InputError(
+            "the file counts more than it can hold",
+            where=path,
+            expected=f"numbers of {size} bytes",
+            got=f"{sum(rows)} rows, {values} numbers",
+            do="the file is damaged; write it again",
+        )
+    columns = tuple(n for n in (*REQUIRED, *OPTIONAL) if n in schema.names)
+    groups = tuple(np.concatenate([[0], np.cumsum(rows)]).astype(int).tolist())
+    return ParquetLayout(path, settings, columns, _direction(path, columns, settings), groups), settings
+
+
+def _direction(path: Path, columns: tuple[str, ...], settings: Settings) -> str:
+    wanted = [n for n in ("dx", "dy", "dz", "spacing_ns") if n in columns]
+    try:
+        with pq.ParquetFile(path) as file:
+            batch = next(file.iter_batches(BLOCK, columns=wanted, use_threads=False), None)
+            if batch is None:
+                return kind_of_direction(np.empty((0, 3)), np.empty(0), path)
+            numbers = {n: _numbers(batch.column(n)) for n in wanted}
+    except (pa.ArrowException, OSError) as fault:
+        raise _damaged(path, fault) from None
+    spacing = numbers.get("spacing_ns", np.full(batch.num_rows, settings.spacing or np.nan))
+    return kind_of_direction(np.stack([numbers[n] for n in ("dx", "dy", "dz")], axis=1), spacing, path)
+
+
+def _numbers(column: pa.Array) -> NDArray[np.float64]:
+    return np.asarray(column.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy(zero_copy_only=False))
+
+
+def _ragged(column: pa.Array) -> Ragged:
+    """Lists; a missing one is empty, a missing number NaN. Lists beyond `LONGEST` stay, so that they are counted."""
+    lengths = np.asarray(pc.list_value_length(column).fill_null(0).to_numpy(zero_copy_only=False), np.int64)
+    flat = column.flatten()
+    if pa.types.is_floating(flat.type) or flat.null_count:
+        values = np.asarray(flat.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy(zero_copy_only=False))
+    else:
+        values = np.asarray(flat.to_numpy(zero_copy_only=False))
+    return Ragged(values, np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64))
+
+
+def _damaged(path: Path, fault: Exception) -> InputError:
+    return InputError(
+        "the Parquet file cannot be read",
+        where=path,
+        expected=f"a table with lists of at most {LONGEST} samples",
+        got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
+        do="it is cut short or damaged; write it again",
+    )
