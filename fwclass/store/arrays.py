@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.cost import counted
+
 CHUNK = 1 << 18
 """Values of a chunk of a flat array; a shard holds the whole array of a part."""
 
@@ -23,6 +25,7 @@ def _layout(array: NDArray) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return chunks, shards
 
 
+@counted("writing")
 def write_arrays(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[str, Any] | None = None) -> None:
     """Write named arrays as one Zarr group at `path`."""
     import zarr
@@ -35,6 +38,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[
         group.create_array(name, data=np.ascontiguousarray(array), chunks=chunks, shards=shards, compressors=codec)
 
 
+@counted("reading")
 def read_arrays(path: Path, names: Iterable[str] | None = None) -> tuple[dict[str, NDArray], dict[str, Any]]:
     """The named arrays (all) of the group at `path`, and its attributes."""
     import zarr

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from fwclass.cost import counted
 from fwclass.errors import StoreError
 from fwclass.formats.arrow import arrow_array, numpy_values
 from fwclass.grid import Box
@@ -33,6 +34,7 @@ def to_arrow(table: Table) -> pa.Table:
     return pa.Table.from_arrays([arrow_array(v) for v in table.values()], schema=pa.schema(fields))
 
 
+@counted("writing")
 def write_table(path: Path, table: Table, row_group: int = ROW_GROUP) -> None:
     """Write `table` to `path` (which the caller stages)."""
     floats = [n for n in table if table[n].dtype.kind == "f"]
@@ -77,12 +79,14 @@ def open_parquet(path: Path) -> pq.ParquetFile:
         ) from fault
 
 
+@counted("reading")
 def row_groups(path: Path, box: Box | None) -> list[int]:
     """Row groups of the table at `path` that may hold rows inside `box`."""
     with open_parquet(path) as file:
         return _groups_touching(file, box)
 
 
+@counted("reading")
 def read_table(path: Path, columns: Iterable[str] | None = None, groups: list[int] | None = None) -> Table:
     """The table at `path`: chosen columns (all), chosen row groups (all)."""
     with open_parquet(path) as file:
@@ -103,6 +107,7 @@ def read_table(path: Path, columns: Iterable[str] | None = None, groups: list[in
     return Table({n: numpy_values(arrow.column(n)) for n in names})
 
 
+@counted("writing")
 def write_groups(path: Path, table: Table, offsets: Iterable[int]) -> None:
     """Write `table` with one row group per run of rows ``offsets[k]:offsets[k + 1]``."""
     arrow = to_arrow(table)
