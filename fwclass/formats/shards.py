@@ -71,7 +71,7 @@ def write_node(path: Path, node: dict[str, Any]) -> None:
 
 
 def read_shard(path: Path) -> NDArray | None:
-    """The array in `path`, None for none, or one of another layout; `DamagedError` for a shard that does not hold it."""
+    """The array in `path`, None for none or one of another layout; `DamagedError` for a shard that does not hold it."""
     try:
         node = json.loads((path / "zarr.json").read_text(encoding="utf-8"))
         shape, kind = tuple(map(int, node["shape"])), str(node["data_type"])
