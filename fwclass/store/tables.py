@@ -6,6 +6,7 @@ Coordinates in metres that are whole millimetres, as all are, are stored as such
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,26 +77,38 @@ def write_table(path: Path, table: Table, row_group: int = ROW_GROUP) -> None:
     pq.write_table(arrow, path, row_group_size=row_group, **_encoding(arrow))
 
 
-def _groups_touching(file: pq.ParquetFile, box: Box | None) -> list[int]:
-    """Row groups whose x, y statistics meet `box`."""
-    metadata = file.metadata
-    groups = list(range(metadata.num_row_groups))
-    names = file.schema_arrow.names
-    if box is None or "x" not in names:
-        return groups
-    at_x, at_y = names.index("x"), names.index("y")
-    unit_x, unit_y = (_quantum(file.schema_arrow.field(i)) or 1.0 for i in (at_x, at_y))
-    kept = []
-    for g in groups:
-        sx, sy = (metadata.row_group(g).column(i).statistics for i in (at_x, at_y))
-        unknown = sx is None or sy is None or not (sx.has_min_max and sy.has_min_max)
-        if unknown:
-            kept.append(g)
-            continue
-        west, south, east, north = sx.min * unit_x, sy.min * unit_y, sx.max * unit_x, sy.max * unit_y
-        if Box(west, south, east + 1e-9, north + 1e-9).grown(0.001).touches(box):
-            kept.append(g)
-    return kept
+@dataclass(frozen=True)
+class Group:
+    """A row group: its rows, and the box that they lie in, None where that is not known."""
+
+    rows: int
+    box: Box | None
+
+    def touches(self, box: Box | None) -> bool:
+        """It may hold rows inside `box`."""
+        return box is None or self.box is None or self.box.touches(box)
+
+
+@counted("reading")
+def groups_of(path: Path) -> tuple[Group, ...]:
+    """The row groups of the table at `path`."""
+    with open_parquet(path) as file:
+        return tuple(_group(file, g) for g in range(file.metadata.num_row_groups))
+
+
+def _group(file: pq.ParquetFile, number: int) -> Group:
+    """A row group with the box of its x, y statistics."""
+    about, schema = file.metadata.row_group(number), file.schema_arrow
+    if "x" not in schema.names or "y" not in schema.names:
+        return Group(about.num_rows, None)
+    sides = []
+    for at in (schema.names.index("x"), schema.names.index("y")):
+        told, unit = about.column(at).statistics, _quantum(schema.field(at)) or 1.0
+        if told is None or not told.has_min_max:
+            return Group(about.num_rows, None)
+        sides.append((told.min * unit, told.max * unit + 1e-9))
+    (west, east), (south, north) = sides
+    return Group(about.num_rows, Box(west, south, east, north).grown(0.001))
 
 
 def _quantum(field: pa.Field) -> float | None:
@@ -118,11 +131,9 @@ def open_parquet(path: Path) -> pq.ParquetFile:
         ) from fault
 
 
-@counted("reading")
 def row_groups(path: Path, box: Box | None) -> list[int]:
     """Row groups of the table at `path` that may hold rows inside `box`."""
-    with open_parquet(path) as file:
-        return _groups_touching(file, box)
+    return [k for k, group in enumerate(groups_of(path)) if group.touches(box)]
 
 
 @counted("reading")
