@@ -1,11 +1,11 @@
 """A whole run, stage by stage: where its seconds, its processor time and its bytes go.
 
     python tests/bench/bench_run.py [--survey city-1200m] [--strips DIR] [--size M] [--out DIR] [--root TREE] [--loop]
-    python tests/bench/bench_run.py --table RUN [--beside RUN]
+    python tests/bench/bench_run.py --table RUN [--before RUN]
 
-Simulates the survey, unless its strips are given, runs it on two workers (`--loop`: none), and prints the table of
-docs/performance.md from the receipts. With `--table` that of a run that is there, `--beside` another's sums with the
-ratio. `--root` runs the program of another checkout; one from before receipts had a `cost` shows seconds alone.
+Simulates the survey, unless its strips are given, runs it on two workers (`--loop`: none), and prints a table by stage
+from the receipts. With `--table` that of a run that is there; with `--before` the one of docs/performance.md, of both
+runs. `--root` runs the program of another checkout; one from before receipts had a `cost` shows seconds alone.
 """
 
 from __future__ import annotations
@@ -84,6 +84,35 @@ def table(run: Path) -> dict[str, float]:
     return {**sums, "echoes": rows}
 
 
+def compared(before: Path, after: Path) -> None:
+    """Print both runs stage by stage, as Markdown; writing is with flushing and digests, computing is what is left."""
+    names = ("CPU s", "of it system", "read s", "compute s", "write s", "MB")
+    print("| stage | parts | " + " | ".join(names) + " |\n|---|---:|" + "---:|" * len(names))
+    runs = [_figures(by_stage(run)) for run in (before, after)]
+    for name in runs[1]:
+        old, new = runs[0].get(name, {}), runs[1][name]
+        cells = [f"{old[n]:.1f} → {new[n]:.1f}" if old else f"{new[n]:.1f}" for n in names]
+        print(f"| {name} | {new['parts']:.0f} | " + " | ".join(cells) + " |")
+
+
+def _figures(stages: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Of every stage, and of all, what the table shows."""
+    shown = {}
+    for name, s in stages.items():
+        reading, writing = s["reading"] + s["checking"], s["writing"] + s["keeping"]
+        shown[name] = {
+            "parts": s["parts"],
+            "CPU s": s["user"] + s["system"],
+            "of it system": s["system"],
+            "read s": reading,
+            "compute s": s["seconds"] - reading - writing,
+            "write s": writing,
+            "MB": s["bytes"] / 1e6,
+        }
+    everything = {n: sum(one[n] for one in shown.values()) for n in next(iter(shown.values()))}
+    return {**shown, "all": everything}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--survey", default="city-1200m")
@@ -93,14 +122,13 @@ def main() -> None:
     parser.add_argument("--root", type=Path, default=ROOT)
     parser.add_argument("--loop", action="store_true")
     parser.add_argument("--table", type=Path)
-    parser.add_argument("--beside", type=Path)
+    parser.add_argument("--before", type=Path)
     chosen = parser.parse_args()
     if chosen.table is not None:
-        sums = table(chosen.table)
-        if chosen.beside is not None:
-            other = table(chosen.beside)
-            names = ("seconds", "user", "system", "bytes", "faults", "checking")
-            print(", ".join(f"{n} {sums[n] / max(other[n], 1e-9):.2f}" for n in names), "of the other's")
+        if chosen.before is None:
+            table(chosen.table)
+        else:
+            compared(chosen.before, chosen.table)
         return
     with tempfile.TemporaryDirectory() as scratch:
         base = chosen.out or Path(scratch)
