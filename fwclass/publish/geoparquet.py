@@ -12,6 +12,7 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
+from fwclass.cost import counted
 from fwclass.formats.arrow import arrow_array
 from fwclass.lazy_module import LazyModule
 from fwclass.publish.files import whole
@@ -60,6 +61,7 @@ def write_geoparquet(table: Table, path: Path, crs: pyproj.CRS | None, params: P
     return write_geoparquet_parts([table], bounds_of(table) if table.rows else None, path, crs, params)
 
 
+@counted("writing")
 def write_geoparquet_parts(
     parts: Iterable[Table], bounds: Bounds | None, path: Path, crs: pyproj.CRS | None, params: PublishParams
 ) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
+from fwclass.cost import counted
 from fwclass.errors import InputError
 from fwclass.formats.extra_bytes import ExtraByte, descriptor, extra_bytes, extra_size, packed, published
 from fwclass.formats.las_bytes import EXTRA_BYTES, HEADER_SIZE, POINT_SIZE, WKT
@@ -50,6 +51,7 @@ def without_reflectance(table: Table) -> Table:
     return table.select([name for name in table if name != "reflectance"])
 
 
+@counted("writing")
 def write_tile_laz(
     table: Table, path: Path, crs: pyproj.CRS | None, params: PublishParams, *, standard_time: bool = False
 ) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.cost import counted
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.extra_bytes import ExtraByte, extended, extra_bytes, extra_size, names_of, packed
 from fwclass.formats.las_bytes import (
@@ -40,6 +41,7 @@ LEGACY_MAX = 31
 """Highest class code of point formats 0 to 5: five bits, beside three flags."""
 
 
+@counted("writing")
 def write_strip_laz(
     source: Path,
     output: Path,

@@ -32,6 +32,7 @@ from tornado.ioloop import IOLoop
 from fwclass import compiling
 from fwclass.errors import FwclassError
 from fwclass.isolation import kernel_cache
+from fwclass.memory import give_back, keep_freed
 from fwclass.run.in_flight import InFlight
 from fwclass.run.limit import ended_after
 from fwclass.run.lost import Losses, cause_of
@@ -87,6 +88,7 @@ def _at_worker(
     compiling.tellers[:] = [lambda begins: worker.log_event(topic, {"worker": worker.address, "compiling": begins})]
     with ended_after(seconds) if math.isfinite(seconds) else nullcontext():
         outcome = execute(location, task, tuple(upstream), split)
+    give_back(worker.memory_manager.memory_limit)
     worker.log_event(topic, {"key": worker.get_current_task(), "outcome": asdict(outcome)})
     return outcome
 
@@ -150,6 +152,7 @@ class Unheeding(WorkerPlugin):  # type: ignore[misc]
 
     def setup(self, worker: object) -> None:
         steady()
+        keep_freed()  # before there are threads with memory of their own
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -16,6 +16,7 @@ from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays
 from fwclass.store.cells import CELLS, Within
+from fwclass.store.kept import groups_touching, read_kept
 from fwclass.store.remote_file import Location, local
 from fwclass.store.run_store import Store
 from fwclass.store.tables import read_table, row_groups
@@ -139,7 +140,7 @@ class PartInputs:
         for stage in {base, *columns.values()}:
             self._check(stage, part, [n for n, s in columns.items() if s == stage])
         self._check_rows(part, base, box)
-        groups = row_groups(self._store.path(base, part, TABLE), box)
+        groups = groups_touching(self._store.path(base, part, TABLE), box)
         by_stage: dict[str, list[str]] = {}
         for name, stage in columns.items():
             by_stage.setdefault(stage, []).append(name)
@@ -148,9 +149,10 @@ class PartInputs:
             mine += [n for n in ("x", "y") if n not in mine]
         arrays: dict[str, NDArray] = {}
         for stage, names in by_stage.items():
-            arrays |= dict(read_table(self._store.path(stage, part, TABLE), names, groups))
-        table = Table({n: arrays[n] for n in arrays})
-        return table if box is None else table.take(box.contains(table["x"], table["y"]))
+            arrays |= dict(read_kept(self._store.path(stage, part, TABLE), names, groups))
+        if box is None:
+            return Table({n: v.copy() for n, v in arrays.items()})  # stages may write to it, the next reader sees it
+        return Table(arrays).take(box.contains(arrays["x"], arrays["y"]))
 
     def chunk(self, tile: Tile, halo: float, columns: Mapping[str, str], present: Iterable[str]) -> Chunk:
         """The overlapping chunk of `tile`: its rows and its neighbours' within `halo` [m], in canonical order."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fwclass.errors import FwclassError, full_or, interrupted, system_error
+from fwclass.memory import keep_freed
 from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.logs import Value, attempted, log_path
 from fwclass.store.cells import Within, digest_within
@@ -124,6 +125,7 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
     if broken:
         return Outcome(*task.name, "blocked", message=f"{broken[0].stage}/{broken[0].part} {broken[0].status}")
     single_thread()
+    keep_freed()
     key = ""
     began = time.perf_counter()
     try:

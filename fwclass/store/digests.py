@@ -6,6 +6,7 @@ import os
 import threading
 from pathlib import Path
 
+from fwclass.cost import counted
 from fwclass.errors import DamagedError, StoreError
 from fwclass.store.atomic import file_digest
 
@@ -32,7 +33,8 @@ def digest_now(path: Path | str) -> str:
     now = looks(path)
     if known is not None and known[0] == now:
         return known[1]
-    digest = file_digest(Path(path))
+    with counted("checking"):
+        digest = file_digest(Path(path))
     _remember(str(path), now, digest)
     return digest
 

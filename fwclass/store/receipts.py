@@ -34,6 +34,7 @@ class Receipt:
         directory.
     meta : plain data that later parts or the report need (rows, counts, faults).
     seconds, peak_mib : cost of making it; `keeping` of the seconds went into flushing, digests and renames.
+    cost : what else it took (`fwclass.cost`); nothing in receipts of before that.
     version : of the stage's code; None in receipts of before it was recorded.
     params : digest of the parameters, which lie in ``store/params/<digest>.json``; empty in receipts of before that.
     libraries : digest of what it was made with, in ``store/libraries/<digest>.json``; empty in receipts of before that.
@@ -50,6 +51,7 @@ class Receipt:
     seconds: float = 0.0
     peak_mib: float = 0.0
     keeping: float = 0.0
+    cost: Mapping[str, float] = field(default_factory=dict)
     version: int | None = None
     params: str = ""
     libraries: str = ""
@@ -105,8 +107,8 @@ class Receipt:
             return "a key or a digest that is none"
         if self.place not in ("store", "deliver", "run"):
             return f"place {str(self.place)[:80]!r}"
-        if not all(isinstance(m, Mapping) for m in (self.inputs, self.outputs, self.meta)):
-            return "inputs, outputs or meta that are no objects"
+        if not all(isinstance(m, Mapping) for m in (self.inputs, self.outputs, self.meta, self.cost)):
+            return "inputs, outputs, meta or cost that are no objects"
         for name, facts in self.outputs.items():
             if relative_fault(name):
                 return f"output {name[:80]!r}: {relative_fault(name)}"

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from fwclass.cost import since, spent
 from fwclass.errors import StoreError
 from fwclass.store.atomic import digest_of, file_digest, files_below, staged
 from fwclass.store.digests import remember
@@ -55,7 +56,7 @@ class RemoteStore(RemoteReader):
                 where=self.where,
                 do="fwclass simulate CONF --out DIR, copy DIR to object storage, and set survey.directory to it",
             )
-        began = time.perf_counter()
+        began, before = time.perf_counter(), spent()
         old = self._held(stage, part)
         with self._marked(stage, part), staged(self.root / "store" / "staging", stage, part) as directory:
             meta = dict(work(directory))
@@ -80,7 +81,9 @@ class RemoteStore(RemoteReader):
             )
             self._upload(receipt, directory)
         ended = time.perf_counter()
-        receipt = replace(receipt, seconds=round(ended - began, 4), keeping=round(ended - worked, 4))
+        receipt = replace(
+            receipt, seconds=round(ended - began, 4), keeping=round(ended - worked, 4), cost=since(before)
+        )
         self._check_token()
         receipt = self._written(receipt, old[1] if old else None)
         self._clear(receipt, old[0] if old else None)

@@ -21,6 +21,7 @@ from typing import Any
 
 import psutil
 
+from fwclass.cost import since, spent
 from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import below, name_fault
 from fwclass.store.atomic import (
@@ -197,7 +198,7 @@ class Store:
         directory, one rename each. `version` and `params` are what `key` was made of; they are kept
         so that it can be told later why a part is stale.
         """
-        began = time.perf_counter()
+        began, before = time.perf_counter(), spent()
         own, old = self._part(stage, part), self.receipt(stage, part)
         with staged(self.directory / "staging", stage, part) as directory, watched(directory) as check:
             meta = dict(work(directory))
@@ -226,6 +227,7 @@ class Store:
             digest=digest_of_outputs(outputs, meta),
             seconds=round(time.perf_counter() - began, 4),
             keeping=round(time.perf_counter() - worked, 4),
+            cost=since(before),
             peak_mib=round(peak_mib(), 1),
             version=version,
             params=self._keep_params(params),

@@ -1,18 +1,25 @@
-"""Tables as Parquet: one file per part, columns described, 64 k row groups, same bytes for the same rows."""
+"""Tables as Parquet: one file per part, columns described, 64 k row groups, same bytes for the same rows.
+
+Coordinates in metres that are whole millimetres, as all are, are stored as such: half the bytes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fwclass.cost import counted
 from fwclass.errors import StoreError
 from fwclass.formats.arrow import arrow_array, numpy_values
 from fwclass.grid import Box
 from fwclass.lazy_module import LazyModule
 from fwclass.schema import Table, column
+from fwclass.units import QUANTUM
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -22,50 +29,97 @@ else:
 
 ROW_GROUP = 65_536
 
+_QUANTUM, _MILLIMETRES = b"quantum", str(QUANTUM).encode()
+"""Metadata of a field: its whole numbers times this are the values."""
+
 
 def to_arrow(table: Table) -> pa.Table:
     """An Arrow table with unit, meaning and source of every column as field metadata."""
-    fields = []
+    fields, arrays = [], []
     for name in table:
         c = column(name)
-        about = {"unit": c.unit, "meaning": c.meaning, "source": c.source}
-        fields.append(pa.field(name, pa.from_numpy_dtype(np.dtype(c.dtype)), nullable=False, metadata=about))
-    return pa.Table.from_arrays([arrow_array(v) for v in table.values()], schema=pa.schema(fields))
+        about: dict[str | bytes, str | bytes] = {"unit": c.unit, "meaning": c.meaning, "source": c.source}
+        whole = _whole_millimetres(table[name]) if c.unit == "m" and c.dtype == "f8" else None
+        if whole is not None:
+            about[_QUANTUM] = _MILLIMETRES
+        arrays.append(arrow_array(table[name] if whole is None else whole))
+        fields.append(pa.field(name, arrays[-1].type, nullable=False, metadata=about))
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields))
 
 
+def _whole_millimetres(metres: NDArray[np.float64]) -> NDArray[np.int64] | None:
+    """Values as whole millimetres, None unless these give back every bit of all."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        whole = np.rint(metres / QUANTUM).astype(np.int64)
+    back = whole * QUANTUM
+    return whole if np.array_equal(back.view(np.int64), metres.view(np.int64)) else None
+
+
+def _encoding(arrow: pa.Table) -> Mapping[str, Any]:
+    """How columns are written: fractions by byte planes, whole numbers by their differences, codes by dictionary."""
+    kinds = {f.name: f.type for f in arrow.schema}
+    encoding = {n: "BYTE_STREAM_SPLIT" for n, kind in kinds.items() if pa.types.is_floating(kind)}
+    wide = (n for n, kind in kinds.items() if pa.types.is_integer(kind) and kind.bit_width >= 32)
+    encoding |= dict.fromkeys(wide, "DELTA_BINARY_PACKED")
+    return {
+        "compression": "zstd",
+        "compression_level": 1,
+        "use_dictionary": [n for n in kinds if n not in encoding],
+        "column_encoding": encoding or None,
+        "write_statistics": True,
+    }
+
+
+@counted("writing")
 def write_table(path: Path, table: Table, row_group: int = ROW_GROUP) -> None:
     """Write `table` to `path` (which the caller stages)."""
-    floats = [n for n in table if table[n].dtype.kind == "f"]
-    integers = [n for n in table if table[n].dtype.kind in "iu" and table[n].dtype.itemsize >= 4]
-    encoding = dict.fromkeys(floats, "BYTE_STREAM_SPLIT") | dict.fromkeys(integers, "DELTA_BINARY_PACKED")
-    rest = [n for n in table if n not in encoding]
-    pq.write_table(
-        to_arrow(table),
-        path,
-        row_group_size=row_group,
-        compression="zstd",
-        compression_level=1,
-        use_dictionary=rest,
-        column_encoding=encoding or None,
-        write_statistics=True,
-    )
+    arrow = to_arrow(table)
+    pq.write_table(arrow, path, row_group_size=row_group, **_encoding(arrow))
 
 
-def _groups_touching(file: pq.ParquetFile, box: Box | None) -> list[int]:
-    """Row groups whose x, y statistics meet `box`."""
-    metadata = file.metadata
-    groups = list(range(metadata.num_row_groups))
-    names = file.schema_arrow.names
-    if box is None or "x" not in names:
-        return groups
-    at_x, at_y = names.index("x"), names.index("y")
-    kept = []
-    for g in groups:
-        sx, sy = (metadata.row_group(g).column(i).statistics for i in (at_x, at_y))
-        unknown = sx is None or sy is None or not (sx.has_min_max and sy.has_min_max)
-        if unknown or Box(sx.min, sy.min, sx.max + 1e-9, sy.max + 1e-9).grown(0.001).touches(box):
-            kept.append(g)
-    return kept
+@dataclass(frozen=True)
+class Group:
+    """A row group: its rows, and the box that they lie in, None where that is not known."""
+
+    rows: int
+    box: Box | None
+
+    def touches(self, box: Box | None) -> bool:
+        """It may hold rows inside `box`."""
+        return box is None or self.box is None or self.box.touches(box)
+
+
+@counted("reading")
+def groups_of(path: Path) -> tuple[Group, ...]:
+    """The row groups of the table at `path`."""
+    with open_parquet(path) as file:
+        return tuple(_group(file, g) for g in range(file.metadata.num_row_groups))
+
+
+def _group(file: pq.ParquetFile, number: int) -> Group:
+    """A row group with the box of its x, y statistics."""
+    about, schema = file.metadata.row_group(number), file.schema_arrow
+    if "x" not in schema.names or "y" not in schema.names:
+        return Group(about.num_rows, None)
+    sides = []
+    for at in (schema.names.index("x"), schema.names.index("y")):
+        told, unit = about.column(at).statistics, _quantum(schema.field(at)) or 1.0
+        if told is None or not told.has_min_max:
+            return Group(about.num_rows, None)
+        sides.append((told.min * unit, told.max * unit + 1e-9))
+    (west, east), (south, north) = sides
+    return Group(about.num_rows, Box(west, south, east, north).grown(0.001))
+
+
+def _quantum(field: pa.Field) -> float | None:
+    """What a field's whole numbers are to be taken times, None for one that holds the values themselves."""
+    text = (field.metadata or {}).get(_QUANTUM)
+    return float(text) if text is not None else None
+
+
+def _values(column: pa.ChunkedArray, field: pa.Field) -> NDArray:
+    values, quantum = numpy_values(column), _quantum(field)
+    return values if quantum is None else values * quantum
 
 
 def open_parquet(path: Path) -> pq.ParquetFile:
@@ -79,10 +133,10 @@ def open_parquet(path: Path) -> pq.ParquetFile:
 
 def row_groups(path: Path, box: Box | None) -> list[int]:
     """Row groups of the table at `path` that may hold rows inside `box`."""
-    with open_parquet(path) as file:
-        return _groups_touching(file, box)
+    return [k for k, group in enumerate(groups_of(path)) if group.touches(box)]
 
 
+@counted("reading")
 def read_table(path: Path, columns: Iterable[str] | None = None, groups: list[int] | None = None) -> Table:
     """The table at `path`: chosen columns (all), chosen row groups (all)."""
     with open_parquet(path) as file:
@@ -100,13 +154,14 @@ def read_table(path: Path, columns: Iterable[str] | None = None, groups: list[in
         if not wanted:
             return Table.empty(names)
         arrow = file.read_row_groups(wanted, columns=names, use_threads=False)
-    return Table({n: numpy_values(arrow.column(n)) for n in names})
+    return Table({n: _values(arrow.column(n), arrow.schema.field(n)) for n in names})
 
 
+@counted("writing")
 def write_groups(path: Path, table: Table, offsets: Iterable[int]) -> None:
     """Write `table` with one row group per run of rows ``offsets[k]:offsets[k + 1]``."""
     arrow = to_arrow(table)
     bounds = [int(o) for o in offsets]
-    with pq.ParquetWriter(path, arrow.schema, compression="zstd", compression_level=1) as writer:
+    with pq.ParquetWriter(path, arrow.schema, **_encoding(arrow)) as writer:
         for low, high in zip(bounds[:-1], bounds[1:], strict=True):
             writer.write_table(arrow.slice(low, high - low), row_group_size=max(high - low, 1))

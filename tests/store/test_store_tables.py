@@ -9,9 +9,10 @@ import pytest
 
 from fwclass.errors import InputError, StoreError
 from fwclass.formats.arrow import arrow_array, numpy_values
-from fwclass.grid import Box
+from fwclass.grid import Box, quantised
 from fwclass.model import FORMAT, LEAF, Forest
 from fwclass.schema import Table
+from fwclass.store import tables
 from fwclass.store.arrays import read_arrays, write_arrays
 from fwclass.store.models import load_forest, save_model
 from fwclass.store.tables import open_parquet, read_table, row_groups, write_groups, write_table
@@ -171,3 +172,40 @@ def test_arrow_and_back_by_buffers_is_what_arrow_itself_gives(dtype):
         got = numpy_values(column)
         assert got.dtype == values.dtype
         np.testing.assert_array_equal(got, column.to_numpy().astype(dtype))
+
+
+def echoes_of_a_tile(n=20_000, seed=3):
+    r = np.random.default_rng(seed)
+    x, y = (quantised(low + 100.0 * r.random(n)) for low in (512_300.0, 5_403_700.0))
+    order = np.lexsort((y // 2, x // 2))
+    return Table({"x": x[order], "y": y[order], "z": quantised(300.0 + r.random(n))})
+
+
+def test_whole_millimetres_take_half_the_bytes_and_lose_no_bit(tmp_path, monkeypatch):
+    rows = echoes_of_a_tile()
+    write_table(tmp_path / "whole", rows)
+    equal(read_table(tmp_path / "whole"), rows)
+    monkeypatch.setattr(tables, "_whole_millimetres", lambda metres: None)
+    write_table(tmp_path / "plain", rows)
+    equal(read_table(tmp_path / "plain"), rows)
+    assert (tmp_path / "whole").stat().st_size < 0.55 * (tmp_path / "plain").stat().st_size
+    box = Box(512_310.0, 5_403_710.0, 512_315.0, 5_403_715.0)
+    for name in ("whole", "plain"):
+        write_table(tmp_path / name, rows, row_group=1000)
+    assert row_groups(tmp_path / "whole", box) == row_groups(tmp_path / "plain", box) != list(range(20))
+
+
+@pytest.mark.parametrize("odd", [np.nan, np.inf, -0.0, 1e300, 512_300.0005, np.nextafter(512_300.0, np.inf)])
+def test_coordinates_that_are_no_whole_millimetres_keep_every_bit(tmp_path, odd):
+    rows = echoes_of_a_tile(100)
+    x = rows["x"].copy()
+    x[50] = odd
+    write_table(tmp_path / "t", rows.with_columns({"x": x}))
+    assert read_table(tmp_path / "t")["x"].tobytes() == x.tobytes()
+
+
+def test_groups_are_encoded_as_tables_are(tmp_path):
+    rows = echoes_of_a_tile()
+    write_groups(tmp_path / "groups", rows, [0, 5000, 20_000])
+    write_table(tmp_path / "table", rows)
+    assert (tmp_path / "groups").stat().st_size < 1.1 * (tmp_path / "table").stat().st_size

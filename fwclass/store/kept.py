@@ -1,0 +1,97 @@
+"""Columns of tables that this process has just read: a tile is read for itself, for its neighbours, stage after stage.
+
+What is kept goes by the file's path, size and times, as its digest does; the least lately read goes first.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.cost import counted
+from fwclass.grid import Box
+from fwclass.schema import Table
+from fwclass.store.digests import Looks, looks
+from fwclass.store.tables import Group, groups_of, read_table
+
+MOST = 64 << 20
+"""Bytes of columns that a process keeps: six columns of three rows of tiles in a survey 2 km wide, at 4 echoes/m²."""
+
+FILES = 4096
+"""Files whose row groups are remembered."""
+
+File = tuple[str, Looks]
+
+_columns: OrderedDict[tuple[File, int, str], NDArray] = OrderedDict()
+_groups: OrderedDict[File, tuple[Group, ...]] = OrderedDict()
+_held = 0
+_guard = threading.Lock()
+
+
+def groups_touching(path: Path, box: Box | None) -> list[int]:
+    """As `tables.row_groups`."""
+    return [k for k, group in enumerate(_groups_in((str(path), looks(path)))) if group.touches(box)]
+
+
+@counted("reading")
+def read_kept(path: Path, columns: Iterable[str], groups: list[int]) -> Table:
+    """As `tables.read_table`; the columns are not to be written to."""
+    file, names = (str(path), looks(path)), list(columns)
+    rows = [_groups_in(file)[g].rows for g in groups]
+    with _guard:
+        there = {n: [_columns.get((file, g, n)) for g in groups] for n in names}
+        for name, pieces in there.items():
+            for g, piece in zip(groups, pieces, strict=True):
+                if piece is not None:
+                    _columns.move_to_end((file, g, name))
+    found = {n: [p for p in pieces if p is not None] for n, pieces in there.items()}
+    lacking = [n for n in names if len(found[n]) < len(groups)]
+    if lacking:
+        table = read_table(path, lacking, groups)
+        ends = np.cumsum(rows)[:-1]
+        found |= {n: np.split(table[n], ends) for n in lacking}
+        if 4 * sum(table[n].nbytes for n in lacking) <= MOST:  # else it would take the place of all others
+            _keep(file, groups, {n: found[n] for n in lacking})
+    if not groups:
+        return Table.empty(names)
+    return Table({n: found[n][0] if len(groups) == 1 else np.concatenate(found[n]) for n in names})
+
+
+def _groups_in(file: File) -> tuple[Group, ...]:
+    with _guard:
+        known = _groups.get(file)
+    if known is None:
+        known = groups_of(Path(file[0]))
+        with _guard:
+            _groups[file] = known
+            if len(_groups) > FILES:
+                _groups.popitem(last=False)
+    return known
+
+
+def _keep(file: File, groups: list[int], columns: dict[str, list[NDArray]]) -> None:
+    global _held
+    with _guard:
+        for name, pieces in columns.items():
+            for group, piece in zip(groups, pieces, strict=True):
+                one = piece if piece.base is None and len(groups) == 1 else piece.copy()
+                one.setflags(write=False)
+                before = _columns.pop((file, group, name), None)
+                _columns[file, group, name] = one
+                _held += one.nbytes - (before.nbytes if before is not None else 0)
+        while _held > MOST:
+            _held -= _columns.popitem(last=False)[1].nbytes
+
+
+def forget_all() -> None:
+    """Keep nothing."""
+    global _held
+    with _guard:
+        _columns.clear()
+        _groups.clear()
+        _held = 0

@@ -1,0 +1,81 @@
+"""What is kept of tables is what would be read, of the file that lies there now, and no more than may be kept."""
+
+import numpy as np
+import pytest
+
+from fwclass.grid import Box, quantised
+from fwclass.schema import Table
+from fwclass.store import kept
+from fwclass.store.tables import read_table, row_groups, write_table
+
+
+@pytest.fixture(autouse=True)
+def _nothing_kept():
+    kept.forget_all()
+    yield
+    kept.forget_all()
+
+
+def rows_of(n=3000, seed=0):
+    r = np.random.default_rng(seed)
+    x = np.sort(quantised(100.0 * r.random(n)))
+    return Table({"x": x, "y": quantised(r.random(n)), "pulse": np.arange(n), "ground": r.random(n) < 0.5})
+
+
+def equal(a, b):
+    assert list(a) == list(b)
+    assert all(a[n].dtype == b[n].dtype and a[n].tobytes() == b[n].tobytes() for n in a)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_was_asked_before_the_answer_is_that_of_the_file(tmp_path, seed, monkeypatch):
+    r = np.random.default_rng(seed)
+    monkeypatch.setattr(kept, "MOST", 20_000)  # some stay, some go
+    paths = [tmp_path / name for name in "abc"]
+    for k, path in enumerate(paths):
+        write_table(path, rows_of(seed=k), row_group=500)
+    for _ in range(100):
+        path, names = paths[r.integers(3)], r.permutation(["x", "y", "pulse", "ground"])[: r.integers(1, 5)].tolist()
+        groups = np.flatnonzero(r.random(6) < 0.4).tolist()
+        equal(kept.read_kept(path, names, groups), read_table(path, names, groups))
+        held = sum(v.nbytes for v in kept._columns.values())
+        assert kept._held == held <= kept.MOST
+    box = Box(20.0, 0.0, 40.0, 1.0)
+    assert kept.groups_touching(paths[0], box) == row_groups(paths[0], box) != list(range(6))
+
+
+def test_what_is_kept_is_not_read_again(tmp_path, monkeypatch):
+    path = tmp_path / "t"
+    write_table(path, rows_of(), row_group=500)
+    first = kept.read_kept(path, ["x", "pulse"], [0, 1, 2])
+    monkeypatch.setattr(kept, "read_table", None)
+    equal(kept.read_kept(path, ["pulse", "x"], [1, 2]), first.select(["pulse", "x"]).take(np.arange(500, 1500)))
+
+
+def test_a_file_that_was_replaced_is_read_anew(tmp_path):
+    path = tmp_path / "t"
+    write_table(path, rows_of(seed=1))
+    kept.read_kept(path, ["x"], [0])
+    write_table(tmp_path / "u", rows_of(seed=2))
+    (tmp_path / "u").replace(path)
+    equal(kept.read_kept(path, ["x"], [0]), rows_of(seed=2).select(["x"]))
+
+
+def test_nobody_writes_to_what_others_read(tmp_path):
+    path = tmp_path / "t"
+    write_table(path, rows_of())
+    kept.read_kept(path, ["x"], [0])["x"][0] = -1.0  # what it read itself
+    again = kept.read_kept(path, ["x"], [0])
+    equal(again, rows_of().select(["x"]))
+    with pytest.raises(ValueError, match="read-only"):
+        again["x"][0] = 1.0
+
+
+def test_a_table_too_large_to_keep_takes_no_place(tmp_path, monkeypatch):
+    path, large = tmp_path / "t", tmp_path / "large"
+    write_table(path, rows_of(10))
+    write_table(large, rows_of(3000))
+    kept.read_kept(path, ["x"], [0])
+    monkeypatch.setattr(kept, "MOST", 24_000)
+    equal(kept.read_kept(large, ["x"], [0]), rows_of(3000).select(["x"]))
+    assert len(kept._columns) == 1
