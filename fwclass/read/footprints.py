@@ -290,7 +290,7 @@ def _named(
 
 def _same_length(path: Path, group: Any, names: Mapping[str, str], shots: int) -> None:
     for key, name in names.items():
-        held = _data(path, group, name, 2 if len(group[name].shape) == 2 else 1)
+        held = _data(path, group, name)
         if held.shape[0] != shots and not (key in ("rx", "tx") and len(held.shape) == 1):
             raise InputError(
                 "data sets are not equally long", where=f"{path}: {name}", expected=f"{shots} shots", got=held.shape[0]
