@@ -120,7 +120,8 @@ class _Shots:
         if name not in self.names:
             return np.full(self.last - self.first, otherwise)
         held = _data(self.path, self.group, self.names[name])
-        return np.asarray(held[self.first : self.last], np.float64)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(held[self.first : self.last], np.float64)
 
     def place(self, which: str) -> Floats:
         """Longitude, latitude, height (n, 3); NaN for what cannot be one."""
@@ -160,7 +161,8 @@ class _Shots:
             low, high = int(at[full].min()), int((at + size)[full].max())
             if high - low <= 4 * len(values) + 1_000_000:
                 places = np.arange(ends[-1]) + np.repeat(at - low - ends[:-1], size)
-                values = np.asarray(held[low:high], np.float64)[places]
+                with np.errstate(invalid="ignore"):  # signalling NaN of a damaged file
+                    values = np.asarray(held[low:high], np.float64)[places]
             else:
                 for k in full.tolist():
                     values[ends[k] : ends[k + 1]] = held[at[k] : at[k] + size[k]]
