@@ -26,7 +26,7 @@ from fwclass.paths import name_fault
 from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.quantities import quantities_of
-from fwclass.read.source import BeamSource, Source, open_source
+from fwclass.read.source import BeamSource, Source, open_source, refuse_other_system
 from fwclass.read.stage import as_told, check_source, read_cloud
 from fwclass.run.part import Name
 from fwclass.run.runner import Runner
@@ -249,6 +249,7 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
     given = given_crs(config.survey.crs, "survey.crs")
     for source in opened:
         refuse_source(source, given or source.crs)
+        refuse_other_system(source, given)
     if config.survey.crs is not None and given is None:
         return None
     systems: dict[str, Path] = {}

@@ -9,6 +9,7 @@ from typing import Any
 from fwclass.errors import InputError
 from fwclass.read.base import WaveStore
 from fwclass.read.beam_source import TOP, BeamSource, bounds_of, census_of
+from fwclass.read.footprints import is_footprints, open_footprints
 from fwclass.read.helios import LEVELS, is_helios, open_helios
 from fwclass.read.raw_csv import is_raw_csv, open_raw_csv
 from fwclass.read.raw_parquet import is_raw_parquet, open_raw_parquet
@@ -41,7 +42,9 @@ def is_beam_file(path: str | Path) -> bool:
     ending = path.suffix.lower()
     if not path.is_file():
         return False
-    return is_helios(path) or (ending in PARQUET and is_raw_parquet(path)) or (ending in TEXTS and is_raw_csv(path))
+    if is_helios(path) or is_footprints(path):
+        return True
+    return (ending in PARQUET and is_raw_parquet(path)) or (ending in TEXTS and is_raw_csv(path))
 
 
 def _opened(path: Path) -> Opened:
@@ -50,6 +53,9 @@ def _opened(path: Path) -> Opened:
         bins = f"{found.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * found.bin_ns:g} there and back"
         no_crs = "no usable CRS: name one in the configuration"
         return Opened("HELIOS++ full waveforms", found, None, None, False, (("bins", bins),), (no_crs,), LEVELS)
+    if is_footprints(path):
+        shots, kind, system, told = open_footprints(path)
+        return Opened(kind, shots, system, None, False, tuple(told), ())
     raw, settings = open_raw_parquet(path) if path.suffix.lower() in PARQUET else open_raw_csv(path)
     faults: list[str] = []
     crs = settings.system(path, faults)

@@ -31,6 +31,9 @@ LATEST = 1e7
 LONGEST = 100_000
 """Samples of a waveform at most."""
 
+LARGEST = 1e15
+"""No sample is larger, whatever its unit."""
+
 TOP = 65_535
 """Highest sample that is kept [DN]."""
 
@@ -143,14 +146,14 @@ class BeamRows:
         """(n,) codes of `FAULTS`; of several the first."""
         with np.errstate(all="ignore"):
             length = np.sqrt((self.step**2).sum(axis=1)) / METRES_PER_NS
-            sums = self.samples.per_row(np.add, 0.0)
+            least, most = self.samples.per_row(np.minimum, 0.0), self.samples.per_row(np.maximum, 0.0)
             sane = (
                 np.isfinite(self.anchor).all(axis=1) & (np.abs(self.anchor) < 1e8).all(axis=1),
                 (length >= SPEEDS[0]) & (length <= SPEEDS[1]),
                 (self.spacing >= SPACINGS[0]) & (self.spacing <= SPACINGS[1]),
                 np.abs(self.begin) <= LATEST,
                 self.samples.lengths > 0,
-                np.isfinite(sums),
+                (least > -LARGEST) & (most < LARGEST),
                 self.samples.lengths <= LONGEST,
                 ~self.unusable,
             )

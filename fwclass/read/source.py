@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from fwclass.errors import InputError
 from fwclass.read.base import Source as Source
 from fwclass.read.beam_formats import PARQUET, open_beam_file
 from fwclass.read.beam_formats import is_beam_file as is_beam_file
 from fwclass.read.beam_source import BeamSource as BeamSource
+from fwclass.read.footprints import FootprintLayout
 from fwclass.read.las import LasSource as LasSource
 from fwclass.read.las import open_las
 from fwclass.read.pulsewaves import PulseSource as PulseSource
@@ -40,3 +42,17 @@ def las_of(source: Source) -> LasSource:
         got=source.path.name,
         do=f"decompose it first: fwclass decompose {source.path.name} OUT.laz",
     )
+
+
+def refuse_other_system(source: Source, crs: Any) -> None:
+    """`InputError` where a user names another system than the one that `source`, in degrees, was brought into."""
+    if crs is None or not isinstance(source, BeamSource) or not isinstance(source.layout, FootprintLayout):
+        return
+    if not crs.equals(source.crs, ignore_axis_order=True) and crs.to_2d().to_epsg() != source.crs.to_epsg():
+        raise InputError(
+            "the file is in degrees, and is brought into the zone of its shots",
+            where=source.path,
+            expected=source.crs.name,
+            got=crs.name,
+            do="leave --crs (survey.crs) out, or name that system",
+        )

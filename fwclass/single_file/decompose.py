@@ -21,7 +21,7 @@ from fwclass.graph.survey import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
 from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
-from fwclass.read.source import open_source
+from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.trajectory import in_survey_time, read_trajectory
 from fwclass.schema import Table
@@ -77,6 +77,7 @@ def decompose_file(
     opened = open_source(source)
     system = given_crs(crs, "--crs") if crs is not None else opened.crs
     refuse_source(opened, system)
+    refuse_other_system(opened, system)
     check_source(opened, params["read"])
     fit: DecomposeParams = params["decompose"]
     with strip_of(opened, settings) as strip:

@@ -20,7 +20,7 @@ from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.cloud import read_point_cloud
-from fwclass.read.source import Source, is_beam_file, open_source
+from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
 from fwclass.schema import IDENTITY, Table
@@ -104,6 +104,7 @@ def _of_text(path: Path, crs: Any) -> FileEchoes:
 def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
     crs = crs if crs is not None else source.crs
     refuse_source(source, crs)
+    refuse_other_system(source, crs)
     _check_metres(linear_units(crs, getattr(source, "header", None), source.path), crs, source.path)
     read = conf.section("read", settings)
     check_source(source, read)
