@@ -26,6 +26,8 @@ SPARED = 4
 """One of so many samples of a waveform may be spent on foretelling the others."""
 LONGEST = 64
 """Samples after which noise has forgotten itself."""
+AT_A_TIME = 4_000
+"""Waveforms that one call of the kernel fits, some tenths of a second: between two calls an interrupt is heeded."""
 
 
 @dataclass(frozen=True)
@@ -92,24 +94,26 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     for rows, step, channel, order in _alike(spacing, lengths, channel_of, channels, fits_spacing(pulse, spacing)):
         noise = channel.autoregression.shorter(order) if channel else WHITE
         look = lookup(pulse, step, params.narrowest, params.widest, noise)
-        echoes = _room(len(rows) * most)
-        total = fit_all(
-            waves.wide,
-            waves.offsets,
-            rows,
-            top,
-            values,
-            channel_of,
-            _kind(noise, channel.growth if channel else 0.0),
-            _settings(params, pulse, step, look),
-            most,
-            int(lengths[rows].max()),
-            look,
-            count,
-            *row_values,
-            echoes,
-        )
-        parts.append(_in_ns(echoes, total, float(step)))
+        for first in range(0, len(rows), AT_A_TIME):
+            some = rows[first : first + AT_A_TIME]
+            echoes = _room(len(some) * most)
+            total = fit_all(
+                waves.wide,
+                waves.offsets,
+                some,
+                top,
+                values,
+                channel_of,
+                _kind(noise, channel.growth if channel else 0.0),
+                _settings(params, pulse, step, look),
+                most,
+                int(lengths[some].max()),
+                look,
+                count,
+                *row_values,
+                echoes,
+            )
+            parts.append(_in_ns(echoes, total, float(step)))
     return _gathered(count, row_values, parts, params, pulse)
 
 
