@@ -15,4 +15,6 @@ class LazyModule:
     def __getattr__(self, attribute: str) -> Any:
         if attribute.startswith("__"):  # asked by those who look at any object, as pickle does
             raise AttributeError(attribute)
-        return getattr(importlib.import_module(self._name), attribute)
+        value = getattr(importlib.import_module(self._name), attribute)
+        setattr(self, attribute, value)  # looked up once
+        return value

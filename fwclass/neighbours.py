@@ -141,6 +141,8 @@ def _nearest(px, py, pz, x, y, z, start, occupied, ncols, nrows, cell, limit, fo
                 first, behind = np.searchsorted(occupied, first), np.searchsorted(occupied, behind)
             for j in range(start[first], start[behind]):
                 dx, dy, dz = x[j] - px[i], y[j] - py[i], z[j] - pz[i]
+                if abs(dz) > limit:  # its square may be more than a whole number holds
+                    continue
                 d = dx * dx + dy * dy + dz * dz
                 if d < best:
                     best, at = d, j
@@ -242,6 +244,8 @@ def _nearest_of_ties(px, py, pz, x, y, z, order, start, occupied, ncols, nrows, 
                 first, behind = np.searchsorted(occupied, first), np.searchsorted(occupied, behind)
             for j in range(start[first], start[behind]):
                 dx, dy, dz = x[j] - px[i], y[j] - py[i], z[j] - pz[i]
+                if abs(dz) > cell:
+                    continue
                 d = dx * dx + dy * dy + dz * dz
                 if d <= best and d <= cell * cell:
                     own_row, own_col, own = (y[j] + y0) // limit, (x[j] + x0) // limit, order[j]

@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, what goes where, and messages instead of tracebacks."""
 
 import json
+import shutil
 import struct
 
 import laspy
@@ -213,3 +214,20 @@ def test_a_run_on_echoes_without_waveforms_and_its_threshold(tmp_path, small):
     source = laspy.read(small)
     np.testing.assert_array_equal(strip.X, source.X)
     assert set(np.unique(strip.classification)) <= {2, 6}
+
+
+def test_info_of_a_directory_is_that_of_its_files(small, tmp_path):
+    folder = tmp_path / "strips"
+    folder.mkdir()
+    ended = process("info", folder)
+    assert ended.returncode == 1 and "without files of points" in ended.stderr and "Traceback" not in ended.stderr
+    for name in ("b.las", "a.LAS"):
+        shutil.copy(small, folder / name)
+    (folder / "notes.txt").write_text("x")
+    (folder / "report.json").write_text("{}")
+    (folder / "below.las").mkdir()
+    ended = process("info", folder, "--json")
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout) == [
+        json.loads(process("info", folder / n, "--json").stdout) for n in ("a.LAS", "b.las")
+    ]

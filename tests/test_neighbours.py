@@ -165,3 +165,11 @@ def test_equal_points_stand_for_one():
     found, distance = nearest_within(queries, among, 1.0)
     assert (found == 0).all()
     np.testing.assert_allclose(distance, np.sqrt(3e-6))
+
+
+@pytest.mark.parametrize("many", [1, 3000])
+def test_heights_whose_square_no_whole_number_holds_are_far(many):
+    """2^32 mm squared is 0 in 64 bits."""
+    among = (np.zeros(many), np.zeros(many), np.full(many, 2**32 / 1000))
+    row, distance = nearest_within((np.zeros(1), np.zeros(1), np.zeros(1)), among, 1.0)
+    assert row[0] == -1 and np.isnan(distance[0])

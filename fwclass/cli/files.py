@@ -37,7 +37,7 @@ def info(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """What files hold: formats, packets, descriptors, CRS, classes, and what is wrong with them.
+    """What files, or those of a directory, hold: formats, packets, descriptors, CRS, classes, and what is wrong.
 
     With --waveforms: chosen pulses of one file with their fitted echoes, and the echoes that its vendor's returns miss.
     """
@@ -67,10 +67,11 @@ def _info_waveforms(
 
 
 def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
-    from fwclass.read.info import describe
+    from fwclass.read.info import describe, files_in
     from fwclass.read.info import info as facts_of
 
     facts, faults = [], []
+    files = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
     for path in files:
         try:
             facts.append(facts_of(path))

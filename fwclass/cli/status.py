@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
 from fwclass.cli.base import JSON, PATH, RUN, SET, cli, little_garbage
 from fwclass.cli.runner import open_runner, tell_failures
-from fwclass.errors import PARTIAL, ConfigError, nearest, visible
+from fwclass.errors import PARTIAL, ConfigError, StoreError, nearest, visible
 
 TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
 AOI = click.option("--aoi", type=PATH, metavar="FILE", help="Only tiles that the polygons of FILE share area with.")
@@ -136,6 +136,20 @@ def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: 
     click.echo(f"{only} {told}", err=True)
 
 
+def _verify_alone(location: Any, fault: StoreError, as_json: bool) -> NoReturn:
+    """Verify what lies in a run that does not tell what it was asked for."""
+    from fwclass.operate.status import verify as verifying
+    from fwclass.store.run_location import open_store
+
+    verified = verifying.verify(open_store(location, read_only=True, lists=True))
+    click.echo(f"fwclass: {fault}", err=True)
+    if as_json:
+        click.echo(json.dumps(verified.as_data(), indent=1))
+    else:
+        click.echo("\n".join(verifying.rows(verified)) or verifying.SOUND)
+    sys.exit(PARTIAL)
+
+
 @cli.command()
 @click.argument("conf_or_run", metavar="CONF|RUN", type=RUN)
 @click.option("--out", type=RUN, help="With CONF: the run directory (default: runs/<survey>).")
@@ -176,7 +190,12 @@ def status(
                 do=f"for another configuration: fwclass status CONF --out {conf_or_run} --set …",
             )
         location = run_at(conf_or_run)
-        request = Request.kept(open_store(location, read_only=True), own_file(workflow))
+        try:
+            request = Request.kept(open_store(location, read_only=True), own_file(workflow))
+        except StoreError as fault:
+            if not verify:
+                raise
+            _verify_alone(location, fault, as_json)
         config = configuration.load(request.conf, request.settings)
     else:
         if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():

@@ -26,6 +26,8 @@ SPARED = 4
 """One of so many samples of a waveform may be spent on foretelling the others."""
 LONGEST = 64
 """Samples after which noise has forgotten itself."""
+AT_A_TIME = 4_000
+"""Waveforms that one call of the kernel fits, some tenths of a second: between two calls an interrupt is heeded."""
 
 
 @dataclass(frozen=True)
@@ -88,28 +90,31 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     top = reached_limits(waves, pulse)
     count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
     lengths = np.diff(waves.offsets)
-    parts = []
+    parts, samples = [], waves.wide
     for rows, step, channel, order in _alike(spacing, lengths, channel_of, channels, pulse):
         noise, own = channel.autoregression.shorter(order) if channel else WHITE, pulse.of(channel)
         look = lookup(own, step, params.narrowest, params.widest, noise)
-        echoes = _room(len(rows) * most)
-        total = fit_all(
-            waves.wide,
-            waves.offsets,
-            rows,
-            top,
-            values,
-            channel_of,
-            _kind(noise, channel.growth if channel else 0.0),
-            _settings(params, own, step, look),
-            most,
-            int(lengths[rows].max()),
-            look,
-            count,
-            *row_values,
-            echoes,
-        )
-        parts.append(_in_ns(echoes, total, float(step), widths_of(own, params.narrowest, params.widest)))
+        widths = widths_of(own, params.narrowest, params.widest)
+        for first in range(0, len(rows), AT_A_TIME):
+            some = rows[first : first + AT_A_TIME]
+            echoes = _room(len(some) * most)
+            total = fit_all(
+                samples,
+                waves.offsets,
+                some,
+                top,
+                values,
+                channel_of,
+                _kind(noise, channel.growth if channel else 0.0),
+                _settings(params, own, step, look),
+                most,
+                int(lengths[some].max()),
+                look,
+                count,
+                *row_values,
+                echoes,
+            )
+            parts.append(_in_ns(echoes, total, float(step), widths))
     return _gathered(count, row_values, parts)
 
 

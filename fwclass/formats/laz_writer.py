@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from fwclass.formats.las_bytes import AT_FORMAT, AT_OFFSET
 
+COUNTS = (107, 131), (247, 375)
+"""Bytes of a header with the number of points, in all and by return: as before LAS 1.4, and of LAS 1.4."""
+
 
 def assemble(block: bytes, records: list[bytes], gap: bytes = b"") -> bytes:
     """Header block and records of an uncompressed file, with offset and count set to fit."""
@@ -35,7 +38,7 @@ class LazWriter:
 
     def __init__(self, file: BinaryIO, head: bytes) -> None:
         self.file, self.head = file, head
-        self.zipper = laszip.LasZipper(file, head)
+        self.zipper = laszip.LasZipper(file, _uncounted(head))
 
     def write(self, points: NDArray[np.uint8]) -> None:
         if points.size:
@@ -53,6 +56,15 @@ class LazWriter:
         self.file.write(whole)
         self.file.seek(end)
         return end
+
+
+def _uncounted(head: bytes) -> bytes:
+    """`head` without counts of points, which LASzip takes itself: it refuses ones that contradict each other."""
+    cleared = bytearray(head)
+    (length,) = struct.unpack_from("<H", head, 94)
+    for first, end in COUNTS:
+        cleared[first : min(end, length)] = bytes(max(0, min(end, length) - first))
+    return bytes(cleared)
 
 
 class LasWriter:

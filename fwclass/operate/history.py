@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import socket
@@ -40,6 +41,18 @@ WORDS = {
     INTERRUPTED: "interrupted",
 }
 REFUSED, RUNNING = "refused", "running"
+
+_KINDS = {
+    "why": dict,
+    "parts": dict,
+    "told": dict,
+    "settings": list,
+    "tiles": list,
+    "exit_code": int,
+    "generation": int,
+    "seconds": int | float,
+}
+"""What the values of a line are, where they are there."""
 
 COUNTED = ("computed", "skipped", "failed", "blocked")
 
@@ -206,10 +219,12 @@ def past_run(location: RunLocation, name: str) -> dict[str, Any] | None:
 
 
 def _joined(lines: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Runs, each of all its lines."""
+    """Runs, each of all its lines; a line whose values are of other kinds is damaged, and passed over."""
     found: dict[str, dict[str, Any]] = {}
     for line in lines:
         name = str(line.get("id"))
+        if any(not isinstance(line.get(word), kind | None) for word, kind in _KINDS.items()):
+            continue
         if line.get("record") in ("begin", "end", "told"):
             found[name] = {**found.get(name, {}), **{k: v for k, v in line.items() if k != "record"}}
     return [run for run in found.values() if "began" in run]
@@ -247,7 +262,7 @@ def _row(run: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _took(seconds: Any) -> str:
-    if not isinstance(seconds, (int, float)):
+    if not isinstance(seconds, (int, float)) or not math.isfinite(seconds):
         return "-"
     if seconds < 100:
         return f"{seconds:.1f} s"

@@ -114,7 +114,10 @@ def _verify_extended(head: LasHead, made: LasHead, packets: Packets) -> None:
             copy.seek(b.start)
             for at in range(0, a.end - a.start, BLOCK):
                 size = min(BLOCK, a.end - a.start - at)
-                _same(made.path, f"extended record {a.user} {a.number}", source.read(size), copy.read(size))
+                part = source.read(size)
+                _same(made.path, f"extended record {a.user} {a.number}", part, copy.read(size))
+                if not part:  # it states more bytes than the file has
+                    break
 
 
 def _same(copy: Path, what: str, wanted: bytes, got: bytes) -> None:

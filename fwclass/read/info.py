@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.errors import visible
+from fwclass.errors import InputError, visible
+from fwclass.formats import vector
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beam_info import beam_rows_info, describe_beam_rows
 from fwclass.read.beams import beam_fault
@@ -17,7 +18,7 @@ from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, looked_into
 from fwclass.read.pls_info import describe_pulses, pulse_info
 from fwclass.read.points import PointReader, coordinates, gps_times
-from fwclass.read.polygons import is_polygon_file
+from fwclass.read.polygons import PARQUET, is_polygon_file
 from fwclass.read.polygons_info import describe_polygons, polygon_info
 from fwclass.read.quantities import WORDS, quantities_of
 from fwclass.read.source import BeamSource, PulseSource, is_beam_file, las_of, open_source
@@ -26,6 +27,8 @@ Z_MARGIN = 100.0
 """A point is a z outlier this far [m], plus the spread of the middle 98 %, beyond that middle."""
 
 _MAX_RETURN = 16
+
+_ENDINGS = {".las", ".laz", ".pls", *PARQUET, *vector.FORMATS} - {".json"}
 
 
 @dataclass
@@ -65,6 +68,22 @@ class _Tally:
             refs = References.of(points)
             self.packets += np.bincount(looked_into(source, refs), minlength=len(FAULTS))
             self.descriptors += np.bincount(refs.descriptor, minlength=256)
+
+
+def files_in(directory: Path) -> tuple[Path, ...]:
+    """Files of a directory, not of those below, that `info` knows by their endings; `InputError` where there is none.
+
+    `.json` is not taken for polygons here: most such files are something else.
+    """
+    found = tuple(sorted(p for p in directory.iterdir() if p.suffix.lower() in _ENDINGS and p.is_file()))
+    if not found:
+        raise InputError(
+            "a directory without files of points, pulses or polygons",
+            where=directory,
+            expected=f"names that end in {', '.join(sorted(_ENDINGS))}",
+            do="name the files, or the directory that they lie in",
+        )
+    return found
 
 
 def info(path: str | Path) -> dict[str, Any]:

@@ -12,6 +12,13 @@ from fwclass.run.part import Name
 
 _lock = threading.Lock()
 _deadlines: dict[object, float] = {}
+_warnings: dict[object, tuple[float, Callable[[str], None], str]] = {}
+_watcher: threading.Thread | None = None
+_looks_at = 0.0
+_sooner = threading.Event()
+
+IDLE = 3600.0
+"""Seconds between two looks where no part is under way."""
 
 
 @contextmanager
@@ -50,10 +57,38 @@ def warned_after(seconds: float, name: Name, say: Callable[[str], None]) -> Iter
         f"{'/'.join(name)} has taken longer than run.part_hours ({seconds / 3600:g} h), and goes on: a worker would be "
         "ended (--workers 1)"
     )
-    timer = threading.Timer(seconds, say, (text,))
-    timer.daemon = True
-    timer.start()
+    own = object()
+    with _lock:
+        _warnings[own] = time.monotonic() + seconds, say, text
+        _watch(_warnings[own][0])
     try:
         yield
     finally:
-        timer.cancel()
+        with _lock:
+            _warnings.pop(own, None)
+
+
+def _watch(deadline: float) -> None:
+    """Have `_watcher` look at this time or before: one thread for all parts, as a thread takes longer to begin than
+    many a part."""
+    global _watcher, _looks_at
+    if _watcher is None or not _watcher.is_alive():
+        _looks_at = deadline
+        _watcher = threading.Thread(target=_warn, name="part-limit", daemon=True)
+        _watcher.start()
+    elif deadline < _looks_at:
+        _sooner.set()
+
+
+def _warn() -> None:
+    global _looks_at
+    while True:
+        now = time.monotonic()
+        with _lock:
+            over = [own for own, (deadline, _, _) in _warnings.items() if deadline <= now]
+            told = [_warnings.pop(own) for own in over]
+            _looks_at = min((deadline for deadline, _, _ in _warnings.values()), default=now + IDLE)
+            _sooner.clear()
+        for _, say, text in told:
+            say(text)
+        _sooner.wait(max(0.0, _looks_at - time.monotonic()))

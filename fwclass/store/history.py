@@ -90,7 +90,7 @@ def _lines(root: Path) -> Iterator[dict[str, Any]]:
             continue
         with stream:
             for text in stream:
-                with contextlib.suppress(json.JSONDecodeError):
+                with contextlib.suppress(ValueError, RecursionError):
                     found = json.loads(text)
                     if isinstance(found, dict):
                         yield found

@@ -109,7 +109,7 @@ class RemoteStore(RemoteReader):
         except LostRace:
             self.forget((receipt.stage, receipt.part))
             twin = self._held(receipt.stage, receipt.part)
-            if twin is None or (twin[0].key, twin[0].digest) != (receipt.key, receipt.digest):
+            if twin is None or twin[0] is None or (twin[0].key, twin[0].digest) != (receipt.key, receipt.digest):
                 raise
             return twin[0]
         self._remember((receipt.stage, receipt.part), receipt, made, data)

@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Self
 
-from fwclass.errors import StoreError
+from fwclass.errors import DamagedError, StoreError
 from fwclass.store.atomic import digest_of, file_digest
 from fwclass.store.objects import Held, Mark, Objects, Wanted, objects_at
 from fwclass.store.params import StoreParams
@@ -64,14 +64,15 @@ class Remote:
 
 @dataclass
 class Seen:
-    """What a store has seen of its receipts; with a list of all objects, what is not in it is not there."""
+    """What a store has seen of its receipts, None for a damaged one; with a list of all objects, what is not in it is
+    not there."""
 
-    receipts: OrderedDict[Name, tuple[Receipt, Mark, int] | None] = field(default_factory=OrderedDict)
+    receipts: OrderedDict[Name, tuple[Receipt | None, Mark, int] | None] = field(default_factory=OrderedDict)
     bytes: int = 0
     listed: dict[str, Held] | None = None
     renewed: set[Name] = field(default_factory=set)
 
-    def keep(self, name: Name, found: tuple[Receipt, Mark, int] | None) -> None:
+    def keep(self, name: Name, found: tuple[Receipt | None, Mark, int] | None) -> None:
         """Remember a part's receipt (with its mark and size) or that there is none, and forget what is too much."""
         self.forget(name)
         self.receipts[name] = found
@@ -131,10 +132,12 @@ class RemoteReader(Store):
         return {held.key: held for held in self.objects.list("store")} if listed is None else listed
 
     def receipt(self, stage: str, part: str) -> Receipt | None:
+        """As `Store.receipt`."""
         found = self._held(stage, part)
         return found[0] if found else None
 
-    def _held(self, stage: str, part: str) -> tuple[Receipt, Mark] | None:
+    def _held(self, stage: str, part: str) -> tuple[Receipt | None, Mark] | None:
+        """The object of the receipt; None for none, no receipt in it where it is damaged."""
         self.look_up([(stage, part)])
         found = self._seen.receipts[stage, part]
         return found[:2] if found else None
@@ -158,8 +161,12 @@ class RemoteReader(Store):
                 self._seen.keep(name, None)
             else:
                 key = key_of_receipt(*name)
-                receipt = _receipt_of(found[0], key, self.where / key)
-                self._remember(name, receipt, found[1], found[0])
+                try:
+                    receipt = _receipt_of(found[0], key, self.where / key)
+                except DamagedError:
+                    self._seen.keep(name, (None, found[1], len(found[0])))
+                else:
+                    self._remember(name, receipt, found[1], found[0])
 
     def _remember(self, name: Name, receipt: Receipt, mark: Mark, data: bytes) -> None:
         """What was just read or written of a part, and of its files if it is younger than the list."""
@@ -315,7 +322,7 @@ def _receipt_of(data: bytes, key: str, where: object) -> Receipt:
     try:
         receipt = Receipt.from_json(json.loads(data), where)
     except (ValueError, TypeError, RecursionError) as fault:
-        raise StoreError("not a receipt", where=where, got=fault, do="remove the object") from fault
+        raise DamagedError("not a receipt", where=where, got=fault, do="remove the object") from fault
     if key_of_receipt(receipt.stage, receipt.part) != key:
         raise StoreError(
             "a receipt of another part", where=where, got=f"{receipt.stage}/{receipt.part}", do="remove the object"

@@ -5,6 +5,7 @@ Coordinates in metres that are whole millimetres, as all are, are stored as such
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,14 @@ ROW_GROUP = 65_536
 
 _QUANTUM, _MILLIMETRES = b"quantum", str(QUANTUM).encode()
 """Metadata of a field: its whole numbers times this are the values."""
+
+MANY_GROUPS = 64
+"""Footers of tables with so many row groups are kept: each of thousands of tiles reads one group of the same table."""
+
+KEPT_FOOTERS = 8 << 20
+"""Bytes of footers that a process keeps; parsed they take some ten times as much."""
+
+_footers: OrderedDict[str, tuple[tuple[int, ...], pq.FileMetaData]] = OrderedDict()
 
 
 def to_arrow(table: Table) -> pa.Table:
@@ -124,11 +133,28 @@ def _values(column: pa.ChunkedArray, field: pa.Field) -> NDArray:
 
 def open_parquet(path: Path) -> pq.ParquetFile:
     try:
-        return pq.ParquetFile(path)
+        now, known = _looks(path), _footers.get(str(path))
+        if known is not None and known[0] == now:
+            return pq.ParquetFile(path, metadata=known[1])
+        file = pq.ParquetFile(path)
+        if file.metadata.num_row_groups >= MANY_GROUPS:
+            _keep_footer(str(path), now, file.metadata)
+        return file
     except (OSError, pa.ArrowInvalid) as fault:
         raise StoreError(
             "a table of the store cannot be read", where=path, got=fault, do="remove its part's directory and run again"
         ) from fault
+
+
+def _looks(path: Path) -> tuple[int, ...]:
+    facts = path.stat()
+    return facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns
+
+
+def _keep_footer(path: str, now: tuple[int, ...], footer: pq.FileMetaData) -> None:
+    _footers[path] = now, footer
+    while len(_footers) > 1 and sum(f.serialized_size for _, f in _footers.values()) > KEPT_FOOTERS:
+        _footers.popitem(last=False)
 
 
 def row_groups(path: Path, box: Box | None) -> list[int]:

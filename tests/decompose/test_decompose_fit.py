@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ import wavemaker as wm
 from lasmaker import FWHM, digitise, gaussian
 from scipy.optimize import curve_fit
 
+from fwclass.decompose import fitting
 from fwclass.decompose.fitting import SATURATED, Fits, fit_waveforms, model_of
 from fwclass.decompose.least_squares import evaluate, fit, fit_one, moments, place
 from fwclass.decompose.params import DecomposeParams
@@ -261,3 +262,16 @@ def test_long_waveforms_make_no_more_false_echoes(base):
     params = params_of(base)
     known = SystemPulse("gaussian", 3.5, channels=(Channel(1.0, 255.0, 10.0, 0.05, 1.5, 18.0, 255.0),))
     assert fit_waveforms(waves, params, known).count.sum() <= 3
+
+
+def test_calls_of_the_kernel_change_nothing_and_are_short(base, monkeypatch):
+    """An interrupt is heeded between two of them."""
+    waveforms = noisy(50, [(80.0, 20.0, 3.5), (40.0, 45.0, 4.0)], seed=5) + noisy(7, [(60.0, 11.0, 3.5)], length=30)
+    once = fitted(waveforms, params_of(base))
+    sizes, real = [], fitting.fit_all
+    monkeypatch.setattr(fitting, "AT_A_TIME", 8)
+    monkeypatch.setattr(fitting, "fit_all", lambda *words: sizes.append(len(words[2])) or real(*words))
+    again = fitted(waveforms, params_of(base))
+    assert sum(sizes) == 57 and max(sizes) == 8
+    for field in fields(Fits):
+        np.testing.assert_array_equal(getattr(once, field.name), getattr(again, field.name))

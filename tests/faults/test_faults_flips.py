@@ -209,3 +209,16 @@ def test_a_copy_on_this_host_that_rots_is_fetched_again(tmp_path, monkeypatch):
         path = store.path("one", "a", "made")
         flip(path)
         assert store.path("one", "a", "made").read_bytes() == b"sound" * 100
+
+
+def test_a_run_that_lost_its_words_is_verified_all_the_same(copy):
+    """`run.json` says what was asked for; what was made is held to its digests without it."""
+    (copy / "store" / "run.json").write_text('{"conf": ')
+    ended = fwclass("status", copy, "--verify")
+    assert ended.returncode == 3 and "run.json" in ended.stderr and "have the bytes that were written" in ended.stdout
+    part = next((copy / "store" / "height").glob("*/*/table.parquet"))
+    part.chmod(0o644)
+    flip(part)
+    ended = fwclass("status", copy, "--verify", "--json")
+    assert ended.returncode == 3 and json.loads(ended.stdout)["damaged"][0]["stage"] == "height"
+    assert fwclass("status", copy).returncode == 1

@@ -70,7 +70,10 @@ class Server:
         from commands import cases_of
 
         every = list(cases_of(command).values())
-        for case in {c.seed.name: c for c in (*every[:4], every[-1])}.values() if len(every) > 2 else every[:1]:
+        some = (
+            (*every[:4], every[-1], *(c for c in every if "compressed" in c.seed.name)) if len(every) > 2 else every[:1]
+        )
+        for case in {c.seed.name: c for c in some}.values():
             laid(self._folder, {**case.fixed, **case.seed.files})
             self._main(case.words, self._folder.parent)
 

@@ -15,6 +15,7 @@ from fwclass.grid import Window
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.fill import filled
 from fwclass.ground.raster.lattice import lowest
+from fwclass.ground.terrain import nearest
 from fwclass.ground.terrain import terrain as terrain_module
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.ground.terrain.dsm import disk, without_pepper
@@ -459,3 +460,41 @@ def test_parameters_that_cannot_be_are_refused(changes, name):
 def test_cells_of_another_size_are_refused():
     with pytest.raises(ValueError, match=r"terrain\.cell"):
         made([], [], [], core=Window(2.0, 0, 0, 5, 5))
+
+
+@pytest.mark.parametrize("most", [1, 10, 10**9])
+def test_nearest_ground_is_the_same_in_a_crowd(monkeypatch, most):
+    """Of the tree for crowded cells and of the walk over cells, against all distances; few places, so that many tie."""
+    monkeypatch.setattr(nearest, "CROWDED", most)
+    rng = np.random.default_rng(most % 7)
+    gx, gy = rng.integers(0, 40, (2, 900)) * 0.05 + 3.0
+    gz = rng.normal(100.0, 1.0, 900).round(3)
+    px, py = rng.integers(0, 160, (2, 500)) * 0.05
+    pz = np.full(500, 110.0)
+    above = nearest.nearest_height((gx, gy, gz), (px, py, pz), Window(1.0, 0, 0, 8, 8), 8.0)
+    square = (np.rint(gx * 1000)[:, None] - np.rint(px * 1000)) ** 2 + (
+        np.rint(gy * 1000)[:, None] - np.rint(py * 1000)
+    ) ** 2
+    lowest = np.where(square == square.min(axis=0), gz[:, None], np.inf).min(axis=0)
+    assert (above == pz - lowest).all()
+
+
+def test_a_crowd_of_ground_points_takes_no_walk_over_all_of_them(monkeypatch):
+    met = []
+    monkeypatch.setattr(nearest, "_nearest", lambda *words: met.append(words))
+    rng = np.random.default_rng(2)
+    x, y, z = rng.uniform(0, 0.5, 50_000).round(3), rng.uniform(0, 0.5, 50_000).round(3), np.zeros(50_000)
+    above = nearest.nearest_height((x, y, z), (x, y, z + 3.0), Window(1.0, 0, 0, 1, 1), 5.0)
+    assert not met and (above == 3.0).all()
+
+
+def test_equal_distances_of_more_places_than_are_looked_at(monkeypatch):
+    monkeypatch.setattr(nearest, "CROWDED", 1)
+    legs = [(a, b) for a, b in ((25, 0), (7, 24), (15, 20), (20, 15), (24, 7), (0, 25))]
+    ring = np.array(sorted({(s * a, t * b) for a, b in legs for s in (1, -1) for t in (1, -1)}), float)
+    z = np.arange(len(ring), 0, -1.0)
+    place = 0.5 + ring.T / 1000
+    above = nearest.nearest_height(
+        (*place, z), (np.array([0.5]), np.array([0.5]), np.array([50.0])), Window(1.0, 0, 0, 1, 1), 5.0
+    )
+    assert len(ring) == 20 and above[0] == 49.0

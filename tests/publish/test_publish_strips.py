@@ -365,3 +365,22 @@ def test_faulty_real_files(shared_data: Path, params: PublishParams, tmp_path: P
         n = laspy.open(source).header.point_count
         made = write_strip_laz(source, tmp_path / f"{source.stem}.laz", new_classes(n), None, params)
         assert made["waveforms"] in said and made["points"] == n
+
+
+def test_counts_that_contradict_each_other_are_no_matter_to_the_writer(tmp_path: Path) -> None:
+    """LASzip refuses to begin with such a header."""
+    las = laspy.LasData(laspy.LasHeader(point_format=1, version="1.4"))
+    las.x = las.y = las.z = np.arange(9.0)
+    las.write(tmp_path / "a.las")
+    data = bytearray((tmp_path / "a.las").read_bytes())
+    struct.pack_into("<5I", data, 111, 60, 1, 2, 3, 4)
+    struct.pack_into("<15Q", data, 255, *[0] * 15)
+    (tmp_path / "a.las").write_bytes(data)
+    (start,) = struct.unpack_from("<I", data, 96)
+    with (tmp_path / "b.laz").open("w+b") as file:
+        writer = LazWriter(file, bytes(data[:start]))
+        writer.write(np.frombuffer(data[start:], np.uint8))
+        writer.finish()
+    written = (tmp_path / "b.laz").read_bytes()
+    assert written[107:227] == bytes(data[107:227])
+    assert np.array_equal(laspy.read(tmp_path / "b.laz").X, las.X)

@@ -130,3 +130,26 @@ def test_a_history_that_cannot_be_written_stops_no_run(tmp_path, capsys):
 
 def test_words_of_signals():
     assert word_of(-9) == "killed by SIGKILL" and word_of(2) == "configuration" and word_of(77) == "failed"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        b"[" * 100_000,
+        b'{"id": 1' + b"0" * 5000 + b"}",
+        b"\xff\x00\xfe",
+        b'{"record": "end", "id": "x", "began": "now", "word": "done", "parts": [1], "exit_code": 0}',
+        b'{"record": "end", "id": "x", "began": "now", "word": "done", "why": "it", "tiles": 3}',
+        b'{"record": "end", "id": "x", "began": "now", "word": "done", "settings": 7}',
+        b'{"record": "end", "id": "x", "began": "now", "word": "done", "seconds": Infinity}',
+    ],
+)
+def test_a_damaged_line_hides_no_other(tmp_path, damage):
+    for _ in range(2):
+        with recorded(tmp_path, request(tmp_path)) as entry:
+            entry.begin(None)
+        with (tmp_path / "store" / history.NAME).open("ab") as stream:
+            stream.write(damage + b"\n")
+    runs = past_runs(tmp_path)
+    assert [run["exit_code"] for run in runs if run["id"] != "x"] == [0, 0]
+    assert table(runs).count("manual") == 2

@@ -61,6 +61,20 @@ def test_the_plain_loop_says_so(tmp_path):
     assert len(said) == 1
 
 
+def test_one_thread_watches_all_parts():
+    said, before = [], threading.active_count()
+    for k in range(50):
+        with warned_after(3600.0, ("one", str(k)), said.append):
+            assert threading.active_count() <= before + 1
+    heard = threading.Event()
+    with (
+        warned_after(3600.0, ("one", "long"), said.append),
+        warned_after(0.01, ("one", "short"), lambda _: heard.set()),
+    ):
+        assert heard.wait(30.0), "a sooner end was not seen"
+    assert not said
+
+
 def test_a_part_that_was_ended_is_not_tried_again(tmp_path: Path):
     losses = Losses(tmp_path, retries=5)
     (tmp_path / "store" / "staging" / "x" / "one" / "a").mkdir(parents=True)

@@ -209,3 +209,27 @@ def test_groups_are_encoded_as_tables_are(tmp_path):
     write_groups(tmp_path / "groups", rows, [0, 5000, 20_000])
     write_table(tmp_path / "table", rows)
     assert (tmp_path / "groups").stat().st_size < 1.1 * (tmp_path / "table").stat().st_size
+
+
+def test_the_footer_of_many_groups_is_parsed_once_and_again_when_the_table_is_another(tmp_path, monkeypatch):
+    whole, path = table(1000), tmp_path / "t"
+    write_groups(path, whole, range(0, 1001, 5))
+    parsed, real = [], tables.pq.ParquetFile
+    monkeypatch.setattr(
+        tables.pq, "ParquetFile", lambda path, **more: parsed.append(more.get("metadata")) or real(path, **more)
+    )
+    for group in range(200):
+        equal(read_table(path, None, [group]), whole.take(np.arange(5 * group, 5 * group + 5)))
+    assert parsed.count(None) == 1
+    other = whole.take(np.arange(1000)[::-1])
+    write_groups(path, other, range(0, 1001, 5))
+    equal(read_table(path, None, [3]), other.take(np.arange(15, 20)))
+    assert parsed.count(None) == 2
+
+
+def test_footers_that_are_kept_are_bounded(tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, "KEPT_FOOTERS", 1)
+    for name in "abc":
+        write_groups(tmp_path / name, table(1000), range(0, 1001, 5))
+        read_table(tmp_path / name, None, [0])
+    assert list(tables._footers) == [str(tmp_path / "c")]

@@ -5,11 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.kernel import kernel
-from fwclass.neighbours import sort_by_cell
+from fwclass.neighbours import CROWDED, sort_by_cell
+
+AT_A_TIME = 10_000
+"""Points that one call looks from: between two calls an interrupt is heeded."""
+
+TIES = 8
+"""So many of the nearest are looked at for those at one distance; where all of them are, for all."""
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
@@ -32,8 +39,47 @@ def nearest_height(ground: Points, asked: Points, window: Window, max_gap: float
     # a ground point is anywhere in its cell, and so is the point that asks
     rings = math.ceil(max_gap / window.cell + math.sqrt(2.0)) + 1
     floor = np.empty(len(px))
-    _nearest(gx[order], gy[order], ground[2][order], start, window.ncols, window.nrows, mm, rings, px, py, floor)
+    if np.diff(start).max(initial=0) > CROWDED:
+        _among_crowds(gx, gy, ground[2], px, py, rings, mm, floor)
+    else:
+        gx, gy, gz = gx[order], gy[order], ground[2][order]
+        for first in range(0, len(px), AT_A_TIME):
+            part = slice(first, first + AT_A_TIME)
+            _nearest(gx, gy, gz, start, window.ncols, window.nrows, mm, rings, px[part], py[part], floor[part])
     return asked[2] - floor
+
+
+def _among_crowds(
+    x: NDArray[np.int64],
+    y: NDArray[np.int64],
+    z: NDArray[np.float64],
+    px: NDArray[np.int64],
+    py: NDArray[np.int64],
+    rings: int,
+    cell: int,
+    out: NDArray[np.float64],
+) -> None:
+    """As `_nearest` where cells hold many points: of those at one place the lowest, in a tree. Squares of distances are
+    whole numbers, so that what is equally near is known exactly."""
+    order = np.lexsort((z, y, x))
+    new = np.append(True, (np.diff(x[order]) != 0) | (np.diff(y[order]) != 0))
+    x, y, z = (values[order[new]] for values in (x, y, z))
+    tree = scipy.spatial.cKDTree(np.stack([x, y], axis=1).astype(np.float64))
+    most = min(TIES, len(x))
+    for first in range(0, len(px), AT_A_TIME):
+        qx, qy = px[first : first + AT_A_TIME], py[first : first + AT_A_TIME]
+        _, indices = tree.query(np.stack([qx, qy], axis=1).astype(np.float64), k=list(range(1, most + 1)))
+        near = np.asarray(indices)
+        square = (x[near] - qx[:, None]) ** 2 + (y[near] - qy[:, None]) ** 2
+        best = square.min(axis=1)
+        height = np.where(square == best[:, None], z[near], np.inf).min(axis=1)
+        for i in np.flatnonzero(square.max(axis=1) == best) if most < len(x) else ():
+            some = np.array(tree.query_ball_point((qx[i], qy[i]), math.sqrt(best[i]) + 0.5))
+            equal = (x[some] - qx[i]) ** 2 + (y[some] - qy[i]) ** 2 == best[i]
+            height[i] = z[some[equal]].min()
+        at = near[:, 0]
+        away = np.maximum(np.abs(x[at] // cell - qx // cell), np.abs(y[at] // cell - qy // cell))
+        out[first : first + AT_A_TIME] = np.where(away <= rings, height, np.nan)
 
 
 @kernel

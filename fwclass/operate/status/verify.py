@@ -18,6 +18,8 @@ from fwclass.run.part import Name
 from fwclass.store.receipts import Receipt
 from fwclass.store.run_store import Store
 
+SOUND = "all files of all parts, and of the generation that is shown, have the bytes that were written"
+
 LISTED = 100
 """Damaged files of a generation that are named; the others are counted."""
 
@@ -121,5 +123,5 @@ def rows(verified: Verified) -> list[str]:
 def as_text(verified: Verified, request: Request) -> str:
     """What is damaged, what was made from it, and what to do."""
     if verified.sound:
-        return "all files of all parts, and of the generation that is shown, have the bytes that were written"
+        return SOUND
     return "\n".join([*rows(verified), f"to have all of it made again, and delivered: {request.command()} --verify"])
