@@ -91,7 +91,11 @@ def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
 @click.argument("output", type=PATH)
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
 @click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights: the geoid's height.")
-@click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
+@click.option(
+    "--crs",
+    metavar="EPSG:CODE",
+    help="The coordinate system, instead of what the file names; files in degrees, or geocentric, are brought into it.",
+)
 @SET
 @OVERWRITE
 @ACCEPT_IMPLAUSIBLE

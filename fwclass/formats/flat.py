@@ -106,7 +106,7 @@ def refuse_unless_flat(
             where=where,
             expected="a projected coordinate system in metres: every distance here is a length, and z is up",
             got=f"{crs.name}; {x}, {y}, {z}" if crs is not None else f"no coordinate system named; {x}, {y}, {z}",
-            do="reproject the file first (for example with PDAL's filters.reprojection)"
+            do="reproject the file first (for example with PDAL's filters.reprojection, or fwclass decompose --crs)"
             + (", or name the system that its metres are in" if crs is None else "")
             + ("; naming a system (--crs, survey.crs) transforms nothing" if _named(crs) else ""),
         )
@@ -122,4 +122,4 @@ def flat_faults(source: Placed, low: Sequence[float], high: Sequence[float]) -> 
     kind = not_flat(source.crs, low, high, max(source.scales[:2]))
     if not kind or (source.crs is not None and source.crs.is_geographic):
         return []
-    return [f"{words(kind, source.crs)}: reproject the file to metres first"]
+    return [f"{words(kind, source.crs)}: reproject the file to metres first, or decompose it with --crs"]

@@ -46,6 +46,7 @@ class Source(ABC):
     waves : where the samples are.
     standard_gps_time : times count from the GPS epoch (less 10^9 s), not from the start of a week.
     faults : what is wrong with the file, as sentences for the user.
+    target : the projected system that its places and beams are brought into as they are read; None: as they are.
     mirrored : the horizontal parts of its beams are to be turned round.
     """
 
@@ -64,6 +65,7 @@ class Source(ABC):
     standard_gps_time: bool
     faults: tuple[str, ...]
     mirrored: bool = False
+    target: str | None = None
 
     @property
     @abstractmethod

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from fwclass.errors import InputError
+from fwclass.formats.projected import project_beams
 from fwclass.read.beam_source import turned
 from fwclass.read.packets import References, judge
 from fwclass.read.pls_waves import Samplings, find, read_records, waves_of
@@ -157,6 +159,8 @@ def _first_samples(source: Source) -> tuple[Floats, Floats]:
         row = usable[np.sort(np.unique(refs.offset[usable], return_index=True)[1])]
         step, time = refs.step[row], gps_times(las, points)[row]
         place = np.stack(coordinates(las, points), axis=1)[row] + refs.location[row, None] * step
+    if source.target is not None and len(place):
+        place, step = project_beams(source.crs, CRS.from_user_input(source.target), place, step, source.path)
     order = np.argsort(time, kind="stable")
     speed = np.linalg.norm(step, axis=1, keepdims=True)
     return (place[order], -(step / speed)[order]) if len(row) else nothing

@@ -18,10 +18,13 @@ class ReadParams(Params):
     max_span_points : points of the longest span that memory allows.
     missing_packets : ``error`` stops at a file that declares waveforms none of which can be read; ``keep`` takes
         its returns as echoes.
+    project_to : projected system (EPSG:…, or WKT) that places and beams of files in degrees, or geocentric, are brought
+        into; null: such files are refused.
     mirror_beams : turn the horizontal parts of all beams round, which old converters stored with the wrong sign.
     """
 
     chunk_pulses: int = Field(gt=0, le=100_000_000)
     max_span_points: int = Field(gt=0, le=2_000_000_000)
     missing_packets: Literal["error", "keep"]
+    project_to: str | None
     mirror_beams: bool

@@ -13,6 +13,7 @@ from fwclass.read.las_read import check_las, index_las, read_las
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
 from fwclass.read.points import PointReader, coordinates, gps_times
+from fwclass.read.projection import projected
 from fwclass.read.source import BeamSource, PulseSource, Source, las_of
 from fwclass.read.source import open_source as open_source
 from fwclass.read.spans import Span
@@ -22,8 +23,10 @@ from fwclass.waveforms import Waveforms
 
 
 def as_told(source: Source, params: ReadParams) -> Source:
-    """`source` as the settings have it read: with its beams turned round where `params.mirror_beams`."""
-    return replace(source, mirrored=params.mirror_beams)
+    """`source` as the settings have it read: with its beams turned round where `params.mirror_beams`, brought into
+    `params.project_to` where it is in degrees or geocentric."""
+    flat = source.crs is None or not (source.crs.is_geographic or source.crs.is_geocentric)
+    return replace(source, mirrored=params.mirror_beams, target=None if flat else params.project_to)
 
 
 def check_source(source: Source, params: ReadParams) -> None:
@@ -64,10 +67,12 @@ def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
     """
     source = as_told(source, params)
     if isinstance(source, PulseSource):
-        return read_pls(source, span)
-    if isinstance(source, BeamSource):
-        return read_beam_rows(source, span)
-    return read_las(las_of(source), span, params)
+        waves = read_pls(source, span)
+    elif isinstance(source, BeamSource):
+        waves = read_beam_rows(source, span)
+    else:
+        waves = read_las(las_of(source), span, params)
+    return waves if source.target is None else projected(waves, source, source.target)
 
 
 def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Table:

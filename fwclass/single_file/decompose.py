@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from fwclass.graph.survey import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
 from fwclass.radiometry.stage import RadiometryParams, calibrate, check_pointing, overlap, pointing_error, radiometry
+from fwclass.read.projection import to_project
 from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.trajectory import in_survey_time, read_trajectory
@@ -70,13 +72,18 @@ def decompose_file(
     `settings` are ``section.key=value`` of `SECTIONS`. The echoes of the whole file are held in memory. Where
     something tells how far the sensor was (`trajectory`, ``radiometry.platform_altitude``, the format itself), the
     echoes carry range, incidence, cross-section, backscatter and reflectance. `undulation` [m] is taken from the
-    trajectory's heights; `crs` replaces the one that the file names.
+    trajectory's heights; `crs` replaces the one that the file names, and is what its places and beams are brought into
+    where that one is in degrees or geocentric.
     """
     refuse_existing(output, overwrite)
     params = _params(settings)
     opened = open_source(source)
     system = given_crs(crs, "--crs") if crs is not None else opened.crs
-    refuse_source(opened, system)
+    if to_project(opened, system):
+        settings += (f"read.project_to={json.dumps(crs)}",)
+        params = _params(settings)
+    else:
+        refuse_source(opened, system)
     refuse_other_system(opened, system)
     check_source(opened, params["read"])
     fit: DecomposeParams = params["decompose"]

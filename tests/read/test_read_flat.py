@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 
+import laspy
 import numpy as np
 import pytest
 from commandline import fwclass
 from lasmaker import survey, write_las
-from pyproj import CRS
+from pyproj import CRS, Transformer
 
 from fwclass.formats.flat import DEGREES, GEOCENTRIC, not_flat
 
@@ -62,14 +63,22 @@ def test_every_command_that_measures_refuses(tmp_path, kind):
 def test_naming_a_projected_system_turns_no_degrees_into_metres(tmp_path, kind):
     """1000 footprints were written to 64 places, a thousandth of a degree apart."""
     path, _ = write(tmp_path, kind)
-    ended = fwclass("decompose", path, tmp_path / "out.laz", "--crs", "EPSG:32631")
-    assert ended.returncode == 1 and "look" in ended.stderr and "transforms nothing" in ended.stderr, ended.stderr
     (tmp_path / "t.yaml").write_text(CONFIG)
     ended = fwclass(
         "run", tmp_path / "t.yaml", "--set", "survey.crs=EPSG:32631", "--out", tmp_path / "r", "--workers", 0
     )
     assert ended.returncode == 1 and "transforms nothing" in ended.stderr, ended.stderr
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.las", "t.yaml"]
+    ended = fwclass("decompose", path, tmp_path / "out.laz", "--crs", "EPSG:32631")
+    if "without" in kind:
+        assert ended.returncode == 1 and "look" in ended.stderr and "transforms nothing" in ended.stderr, ended.stderr
+        return
+    las = laspy.read(tmp_path / "out.laz")
+    way = Transformer.from_crs(4326 if kind == "degrees" else 4978, 32631, always_xy=True)
+    there = np.stack(way.transform(*KINDS[kind][0].T), axis=1)[:, :2]
+    assert ended.returncode == 0 and len(las) == 200
+    off = [np.hypot(*(there - place).T).min() for place in np.stack([las.x, las.y], axis=1)]
+    assert max(off) < 0.01
 
 
 @pytest.mark.parametrize("kind", KINDS)

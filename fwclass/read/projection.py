@@ -1,0 +1,52 @@
+"""Sources in degrees, or counted from the middle of the earth, brought into a projected system as they are read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from fwclass.formats.flat import GEOCENTRIC, HIGHEST, LONGEST, not_flat
+from fwclass.formats.projected import project, project_beams
+from fwclass.read.base import Source
+from fwclass.waveforms import Waveforms
+
+AXES = "xyz"
+
+
+def to_project(source: Source, crs: Any) -> bool:
+    """Whether `source` names a system that is not flat, and `crs`, which the user names, is one that is.
+
+    Where its header's bounds cannot be of the system that it names, the user corrects it.
+    """
+    own = source.crs
+    if own is None or crs is None or not crs.is_projected or not (own.is_geographic or own.is_geocentric):
+        return False
+    low, high = source.bounds[:3], source.bounds[3:]
+    if not np.isfinite(source.bounds).all():
+        return True
+    if own.is_geocentric:
+        return not_flat(None, low, high) == GEOCENTRIC
+    return max(map(abs, (low[0], high[0]))) <= LONGEST and max(map(abs, (low[1], high[1]))) <= HIGHEST
+
+
+def projected(waves: Waveforms, source: Source, target: str) -> Waveforms:
+    """`waves` of `source` in the system `target` (`project` says what becomes of heights).
+
+    Beams are turned where their first sample lies, near what they hit: from the sensor on, the earth curves.
+    """
+    crs, pulses, returns = CRS.from_user_input(target), waves.pulses, waves.returns
+    anchor, step = (np.stack([pulses[f"{n}_{a}"] for a in AXES], axis=1).astype(float) for n in ("anchor", "step"))
+    late = (pulses["anchor_time"].astype(np.float64) - pulses["segment_start"])[:, None]
+    place, turned = project_beams(source.crs, crs, anchor + late * step, step, source.path)
+    anchor = place - late * turned
+    there = project(source.crs, crs, np.stack([returns[a] for a in AXES], axis=1), source.path)
+    columns = {f"anchor_{a}": anchor[:, k] for k, a in enumerate(AXES)}
+    columns |= {f"step_{a}": turned[:, k] for k, a in enumerate(AXES)}
+    return replace(
+        waves,
+        pulses=pulses.with_columns(columns),
+        returns=returns.with_columns({a: there[:, k] for k, a in enumerate(AXES)}),
+    )

@@ -1,0 +1,82 @@
+"""Files in degrees, or geocentric, brought into a projected system: places of echoes against a truth that pyproj made
+point by point."""
+
+from __future__ import annotations
+
+import laspy
+import numpy as np
+import pytest
+from commandline import fwclass
+from lasmaker import METRES_PER_NS, digitise, gaussian, write_las
+from plsmaker import Descriptor as PulseDescriptor
+from plsmaker import Pulse, Sampling, write_pls
+from pyproj import CRS, Transformer
+
+UTM = "EPSG:32633"
+
+
+def truth(n=300, seed=1, height=600.0):
+    """Ground places on a slope and the sensor's, in UTM 33."""
+    rng = np.random.default_rng(seed)
+    x = 640_000.0 + np.arange(n) * 0.7
+    ground = np.stack([x, 5_400_000.0 + rng.uniform(-150.0, 150.0, n), np.zeros(n)], axis=1)
+    ground[:, 2] = 240.0 + 0.02 * (ground[:, 0] - x[0])
+    sensor = np.stack([x, np.full(n, 5_400_000.0), np.full(n, 240.0 + height)], axis=1)
+    return ground, sensor
+
+
+def converted(places, system):
+    way = Transformer.from_crs(CRS(32633).to_3d(), CRS.from_user_input(system), always_xy=True)
+    return np.stack(way.transform(*places.T), axis=1)
+
+
+def in_degrees(path, ground, sensor):
+    """A LAS file in degrees: steps of the beam are degrees, and metres in z, a nanosecond."""
+    n = len(ground)
+    up = (sensor - ground) / np.linalg.norm(sensor - ground, axis=1, keepdims=True)
+    here, there = converted(ground, 4979), converted(ground + 10.0 * up, 4979)
+    step = (there - here) / (10.0 / METRES_PER_NS)
+    rng = np.random.default_rng(2)
+    at = rng.uniform(24.0, 26.0, n)
+    waves = [digitise(gaussian(60, [(120.0, t, 3.5)], 10.0) + rng.normal(0, 1.0, 60)) for t in at]
+    return write_las(
+        path, here, waveforms=waves, pulse=np.arange(n), location=at, step=step, scale=1e-8,
+        gps_time=1e-4 * np.arange(n), keys={1024: 2, 2048: 4326},
+    )  # fmt: skip
+
+
+def geocentric(path, ground, sensor):
+    """A Pulse file that counts from the middle of the earth."""
+    here, there = converted(sensor, 4978), converted(ground, 4978)
+    rng = np.random.default_rng(3)
+    pulses = []
+    for k, (a, b) in enumerate(zip(np.round(here, 3), there, strict=True)):
+        time = np.linalg.norm(b - a) / METRES_PER_NS
+        begin = np.floor(time - 20.0)
+        y = gaussian(60, [(150.0, time - begin, 3.5)], 10.0) + rng.normal(0, 1.0, 60)
+        pulses.append(Pulse(a, b - a, [[(begin, digitise(y))]], time=1000.0 + 1e-4 * k))
+    return write_pls(path, pulses, {1: PulseDescriptor([Sampling()])}, keys={1024: 3, 2048: 4978})
+
+
+@pytest.mark.parametrize(("write", "name"), [(in_degrees, "a.las"), (geocentric, "a.pls")])
+def test_echoes_lie_where_the_truth_is_in_the_system_that_is_named(tmp_path, write, name):
+    ground, sensor = truth()
+    path = write(tmp_path / name, ground, sensor)
+    refused = fwclass("decompose", path, tmp_path / "o.laz")
+    assert refused.returncode == 1 and "fwclass decompose --crs" in refused.stderr
+    ended = fwclass("decompose", path, tmp_path / "o.laz", "--crs", UTM)
+    assert ended.returncode == 0, ended.stderr
+    las = laspy.read(tmp_path / "o.laz")
+    assert las.header.parse_crs().to_epsg() == 32633
+    places = np.stack([las.x, las.y, las.z], axis=1)
+    assert 300 <= len(places) <= 303
+    off = np.array([np.linalg.norm(places - there, axis=1).min() for there in ground])
+    assert np.median(off) < 0.01 and np.quantile(off, 0.99) < 0.02
+
+
+@pytest.mark.parametrize(("crs", "words"), [("EPSG:4326", "in degrees"), ("EPSG:2263", "one of metres on a plane")])
+def test_a_system_that_is_none_of_metres_is_refused(tmp_path, crs, words):
+    path = in_degrees(tmp_path / "a.las", *truth(60))
+    ended = fwclass("decompose", path, tmp_path / "o.laz", "--crs", crs)
+    assert ended.returncode == 1 and words in ended.stderr and "Traceback" not in ended.stderr
+    assert not (tmp_path / "o.laz").exists()
