@@ -54,7 +54,7 @@ def test_a_large_process_gives_back_and_a_small_one_keeps():
     plain = {n: v for n, v in os.environ.items() if not n.startswith("MALLOC_")}
     done = subprocess.run([sys.executable, "-c", text], env=plain, capture_output=True, text=True, check=True)
     before, small, after = map(int, done.stdout.split())
-    assert small == before > 400 << 20
+    assert before > 400 << 20 and abs(small - before) < 1 << 20  # a page of its own may come in between
     assert after < before - (350 << 20)
 
 

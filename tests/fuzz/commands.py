@@ -225,7 +225,7 @@ def trajectories() -> list[Seed]:
 
 def _decompose(folder: Path) -> list[Case]:
     waved = _waved(folder)
-    plain = given(waved, "decompose", "{}", "o.laz")
+    plain = given(waved, "decompose", "{}", "o.laz", "--accept-implausible")
     own = folder / "flown"
     own.mkdir(parents=True)
     lasmaker.survey(own / "a.las", pulses=8, n_samples=40, where="internal", seed=STEEP)
