@@ -100,7 +100,7 @@ class PlausibilityParams(Params):
     max_implausible : share of the echoes that returns could explain.
     max_unmatched_returns : share of the returns without an echo within `decompose.vendor_tolerance`.
     max_poor : share of the fitted echoes that fit poorly, misfit above `decompose.poor_misfit`.
-    max_unreadable : share of the returns whose waveform cannot be read.
+    max_unreadable : share of the returns (of the pulses in a file without) whose waveform cannot be read.
     least : echoes, or returns, of that kind below which nothing is refused.
     accept : deliver all the same, and end as if nothing were wrong; it is still told.
     """

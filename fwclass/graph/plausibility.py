@@ -10,6 +10,7 @@ from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
 from fwclass.decompose.system_pulse import disagree
 from fwclass.errors import QualityError
+from fwclass.read.beam_source import DAMAGED
 from fwclass.units import METRES_PER_NS
 
 TOLD_FROM = 0.1
@@ -24,10 +25,12 @@ INFLATED = 1.1
 OFFSET = 0.05
 """ns between fitted times and the vendor's locations from which it is told: 7 mm."""
 
-UNREADABLE = ("packet past the end", "packet cut short", "compressed packet damaged, or another file's")
-"""Faults of reading that a file of packets shows which is cut off, damaged, or another's."""
+UNREADABLE = ("packet past the end", "packet cut short", "compressed packet damaged, or another file's", *DAMAGED)
+"""Faults of reading that a file shows which is cut off, damaged, another's, or exported wrongly."""
 
-WHOLE = "copy the packet file again, or take the one that belongs to these points"
+WHOLE = (
+    "copy the waveforms again, or take those that belong to these points; fwclass info --waveforms counts the faults"
+)
 LOOK = (
     "look at the waveforms (fwclass info --waveforms); a higher decompose.detection leaves weak echoes out, and "
     "samples that no pulse explains may be stored wrongly"
@@ -50,9 +53,11 @@ def of_strip(
     noise: Mapping[str, Any],
     places: Mapping[str, Any] | None = None,
     faults: Mapping[str, int] | None = None,
+    pulses: int = 0,
 ) -> dict[str, Any]:
     """One strip for report.json: counts of echoes and returns, shares of them, what its noise is like, how its echoes
-    were placed (`placement.describe_placement`), and how many of its packets cannot be read, of its `faults`."""
+    were placed (`placement.describe_placement`), and how many of its packets cannot be read, of its `faults`: a share
+    of its `pulses` where it has no returns."""
     checked = counts["checked"] if returns else 0
     unreadable = sum((faults or {}).get(name, 0) for name in UNREADABLE)
     return {
@@ -66,7 +71,8 @@ def of_strip(
         "places": places,
         "poor_share": counts["poor"] / counts["fitted"] if counts["fitted"] else None,
         "unreadable_packets": unreadable,
-        "unreadable_share": unreadable / returns if returns else None,
+        "unreadable_share": unreadable / (returns or pulses) if returns or pulses else None,
+        "pulses": pulses,
     }
 
 
@@ -100,11 +106,10 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
         )
     some = [s for s in strips if (s["unreadable_share"] or 0.0) > TOLD_FROM]
     if some:
-        lost, returns = _sums(some, "unreadable_packets", "returns")
-        lines.append(
-            f"{lost:,} of {returns:,} returns ({_percent(lost / returns)}) have a waveform that cannot be read, and "
-            f"lie where their vendor has them: is the packet file whole? ({_names(some)})"
-        )
+        lines += [
+            _unreadable_words([s for s in some if s["returns"]], "returns"),
+            _unreadable_words([s for s in some if not s["returns"]], "pulses"),
+        ]
     some = [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]
     if some:
         poor, fitted = _sums(some, "poor", "fitted")
@@ -121,7 +126,7 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
             f"{params.detection:g} standard deviations is in truth {params.detection / worst['inflation']:.1f} "
             f"({_names(some)})"
         )
-    return lines + place_remarks(strips)
+    return [*filter(None, lines), *place_remarks(strips)]
 
 
 def pulse_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -185,6 +190,18 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
+def _unreadable_words(strips: Sequence[Mapping[str, Any]], what: str) -> str:
+    """`what` : "returns" or "pulses", of `strips` that all have such."""
+    if not strips:
+        return ""
+    lost, rows = _sums(strips, "unreadable_packets", what)
+    then = "lie where their vendor has them: is the packet file whole?" if what == "returns" else "are left out"
+    return (
+        f"{lost:,} of {rows:,} {what} ({_percent(lost / rows)}) have a waveform that cannot be read, and {then} "
+        f"({_names(strips)})"
+    )
+
+
 def _sums(strips: Iterable[Mapping[str, Any]], *keys: str) -> list[int]:
     return [sum(s[key] for s in strips) for key in keys]
 
@@ -196,7 +213,7 @@ def _once(strips: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
 def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> None:
     """`QualityError` naming the strip that is furthest beyond a bound; nothing where the user accepts it."""
     bounds = (
-        ("unreadable", "unreadable_packets", "returns have a waveform that cannot be read", WHOLE),
+        ("unreadable", "unreadable_packets", "waveforms cannot be read", WHOLE),
         ("poor", "poor", "fitted echoes fit poorly", LOOK),
         ("implausible", "implausible", "echoes are implausible", LOOK),
         ("unmatched_returns", "returns_without_echo", "returns have no echo", LOOK),

@@ -18,7 +18,7 @@ from fwclass.decompose.plausible import added
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.layout import Layout, Survey
-from fwclass.graph.plausibility import of_strip, receiver_facts, remarks
+from fwclass.graph.plausibility import UNREADABLE, of_strip, receiver_facts, remarks
 from fwclass.graph.rasters import Mosaic
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
@@ -266,15 +266,22 @@ def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, A
     counts: dict[str, list[dict[str, int]]] = {}
     for receipt in _made(runner, "decompose"):
         counts.setdefault(receipt.part.split("-")[0], []).append(receipt.meta["plausibility"])
-    returns, faults = Counter[str](), dict[str, Counter[str]]()
+    returns, pulses, faults = Counter[str](), Counter[str](), dict[str, Counter[str]]()
     for receipt in _made(runner, "read"):
         part = receipt.part.split("-")[0]
         returns[part] += receipt.meta["returns"]
+        pulses[part] += receipt.meta["waveforms"] + sum(receipt.meta["faults"].get(name, 0) for name in UNREADABLE)
         faults.setdefault(part, Counter()).update(receipt.meta["faults"])
     parts = [(s.path.stem, f"{s.number:05d}") for s in survey.strips]
     strips = [
         of_strip(
-            name, returns[part], added(counts[part]), receiver_facts(noise[part]), places.get(part), faults.get(part)
+            name,
+            returns[part],
+            added(counts[part]),
+            receiver_facts(noise[part]),
+            places.get(part),
+            faults.get(part),
+            pulses[part],
         )
         for name, part in parts
         if part in noise and part in counts

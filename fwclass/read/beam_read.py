@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.linear_units import linear_units
 from fwclass.read.beam_source import FAULTS, BeamRows, BeamSource, Ragged, turned
 from fwclass.read.layout import SLACK, join_rows
 from fwclass.read.spans import Span
@@ -19,7 +20,17 @@ BAD_OUTGOING = "outgoing pulses that are saturated, left out"
 
 
 def check_beam_rows(source: BeamSource) -> None:
-    """`InputError` if `source` has rows and none can be used."""
+    """`InputError` if `source` has rows and none can be used, or its places are not in metres as its beams are."""
+    if source.crs is not None and not (source.crs.is_geographic or source.crs.is_geocentric):
+        units = linear_units(source.crs, None, source.path)
+        if not units.metres:
+            raise InputError(
+                "the places are not in metres",
+                where=source.path,
+                expected="places and beams of one unit, metres, in a projected system of metres",
+                got=units.told,
+                do="bring the places into such a system first, and name it in the file",
+            )
     counts = source.census.faults
     if counts.sum() == 0 or counts[0]:
         return

@@ -50,6 +50,9 @@ FAULTS = (
 )
 """What a row lacks; the index is the code in `BeamRows.fault`."""
 
+DAMAGED = FAULTS[1:-1]
+"""Those of a row that should be whole."""
+
 LIMITS = tuple(2.0**bits - 1.0 for bits in range(8, 17))
 """Highest values of digitisers [DN]."""
 

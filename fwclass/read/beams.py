@@ -84,6 +84,8 @@ def check_beams(source: Source) -> None:
             expected="beams of neighbouring pulses that meet above the ground, where the sensor was",
             do=mends
             if HORIZONTAL in wrong
+            else "export the file again, with vectors that run from the sensor down to the ground"
+            if isinstance(source, BeamSource)
             else "export the file again, with vectors that point from the target up to the sensor",
         )
 
@@ -96,7 +98,8 @@ def beam_fault(source: Source) -> str:
         return ""
     wrong = next((words for words, turned in TURNED.items() if meeting(place, turned(beam)).sound), "")
     if not wrong:
-        return ""
+        up = float((beam[:, 2] > 0.0).mean()) if len(beam) else 0.0
+        return f"{100 * up:.0f} % of the beams run up, not down to the ground" if up >= MOST else ""
     side = "below" if wrong == HORIZONTAL else "behind"
     where = f"{-found.away:.0f} m {side} the ground" if found.meet and found.away < 0.0 else "nowhere"
     return f"the beams of neighbouring pulses meet {where}: {wrong}"

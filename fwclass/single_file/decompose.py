@@ -105,7 +105,10 @@ def decompose_file(
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
     shown = delivered if params["radiometry"].calibrates else without_reflectance(delivered)
     write_tile_laz(shown, output, system, params["publish"], standard_time=opened.standard_gps_time)
-    near, judged = fit.vendor_tolerance, of_strip(source.stem, opened.n_points, counts, noise, places, faults)
+    near, judged = (
+        fit.vendor_tolerance,
+        of_strip(source.stem, opened.n_points, counts, noise, places, faults, opened.n_records),
+    )
     lone = judged["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"
     rows = [

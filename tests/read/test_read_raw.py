@@ -7,10 +7,11 @@ import json
 import laspy
 import numpy as np
 import pytest
-from commandline import fwclass
+from commandline import fwclass, process
 from rawmaker import GROUND, HALF_LIGHT, scene, write_csv, write_parquet
 
 from fwclass.errors import InputError
+from fwclass.read.info import info
 from fwclass.read.stage import ReadParams, check_source, index_source, open_source, read_span
 
 TOLD = {"crs": "EPSG:32632", "spacing_ns": "1.0"}
@@ -215,3 +216,32 @@ def test_bad_samples_of_a_text(tmp_path, cell):
 def test_one_pulse(tmp_path):
     las, places, _ = echoes(write_parquet(tmp_path / "a.parquet", scene(pulses=1).columns(), TOLD))
     assert len(las.x) == 1 and np.linalg.norm(places - scene(pulses=1).place) < 0.05
+
+
+def test_places_in_feet_are_refused(tmp_path):
+    path = write_csv(tmp_path / "a.csv", scene().columns(), {"crs": "EPSG:2277", "spacing_ns": "1.0"})
+    with pytest.raises(InputError, match="not in metres"):
+        check_source(open_source(path), PARAMS)
+
+
+def test_beams_that_run_up_are_refused_and_told(tmp_path):
+    columns = scene().columns()
+    columns |= {name: -columns[name] for name in ("dx", "dy", "dz")}
+    rng = np.random.default_rng(4)  # places that no sensor had: the beams meet nowhere, whatever their sign
+    columns |= {name: columns[name] + rng.uniform(-300.0, 300.0, len(columns[name])) for name in ("x", "y")}
+    path = write_csv(tmp_path / "a.csv", columns, {"crs": "EPSG:32632", "spacing_ns": "1.0"})
+    with pytest.raises(InputError, match="run up"):
+        check_source(open_source(path), PARAMS)
+    assert any("run up" in fault for fault in info(path)["faults"])
+
+
+def test_rows_that_cannot_be_used_end_with_exit_code_4(tmp_path):
+    columns = scene(pulses=600).columns()
+    columns["x"][:200] = np.nan
+    path = write_csv(tmp_path / "a.csv", columns, {"crs": "EPSG:32632", "spacing_ns": "1.0"})
+    ended = process("decompose", path, tmp_path / "o.laz")
+    assert ended.returncode == 4, ended.stderr
+    assert "200 of 600 pulses (33.3 %)" in ended.stderr + ended.stdout
+    assert "200, 33.3 %" in ended.stderr
+    assert (tmp_path / "o.laz").exists()
+    assert process("decompose", path, tmp_path / "p.laz", "--accept-implausible").returncode == 0
