@@ -65,6 +65,8 @@ class FeaturesParams(Params):
     pulse_reach : echoes of a pulse further apart in plan are not compared [m].
     dense_cell, dense_echoes, dense_step : cubes of this edge [m] with more echoes than this are dense: there one echo
         counts in every small cube of edge `dense_step` [m], which divides `dense_cell`.
+    dense_column, dense_in_column : columns of this edge [m], a multiple of `dense_cell`, of which more echoes than this
+        would count are dense, too: see `features.dense`.
     """
 
     also: tuple[str, ...]
@@ -78,6 +80,8 @@ class FeaturesParams(Params):
     dense_cell: float = Field(ge=0.001, le=10)
     dense_echoes: int = Field(ge=1, le=1_000_000)
     dense_step: float = Field(ge=0.001, le=10)
+    dense_column: float = Field(ge=0.001, le=10)
+    dense_in_column: int = Field(ge=1, le=1_000_000)
 
     @field_validator("optimal_radii")
     @classmethod
@@ -88,8 +92,10 @@ class FeaturesParams(Params):
 
     @model_validator(mode="after")
     def _whole_cubes(self) -> FeaturesParams:
-        if abs(self.dense_cell / self.dense_step - round(self.dense_cell / self.dense_step)) > 1e-9:
-            raise ValueError("dense_step must divide dense_cell")
+        for part, whole in (("dense_step", "dense_cell"), ("dense_cell", "dense_column")):
+            ratio = getattr(self, whole) / getattr(self, part)
+            if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9:
+                raise ValueError(f"{part} must divide {whole}")
         return self
 
 
@@ -205,6 +211,6 @@ class Asked:
         return float(max(reach))
 
     def halo(self, params: FeaturesParams) -> float:
-        """What a tile reads around it [m]: an echo's small cube (`dense_step`) and the cubes that its neighbours lie in
-        are looked at whole."""
-        return self.reach(params) + params.dense_cell + params.dense_step
+        """What a tile reads around it [m]: an echo's column and those that its neighbours lie in are looked at
+        whole."""
+        return self.reach(params) + 2 * params.dense_column

@@ -104,7 +104,7 @@ def test_one_echo_of_every_small_cube_counts_and_speaks_for_it():
 @pytest.mark.parametrize("blob", [(5.0, 5.0), (4.8, 5.2)])
 def test_one_tile_is_many_tiles_with_halo_to_the_bit(size, blob):
     table = crowded(1500, blob)
-    one, halo, seen = features(whole(table), NAMES, PARAMS), Asked.of(NAMES).reach(PARAMS), 0
+    one, halo, seen = features(whole(table), NAMES, PARAMS), Asked.of(NAMES).halo(PARAMS), 0
     for tile in TileGrid(size).touching(Box(EAST - 1, NORTH - 1, EAST + 11, NORTH + 11)):
         near = np.flatnonzero(tile.box.grown(halo).contains(table["x"], table["y"]))
         core = np.flatnonzero(tile.box.contains(table["x"][near], table["y"][near]))
@@ -137,7 +137,8 @@ def test_the_densest_place_is_told_whatever_the_tiles():
     table = crowded()
     crowd = Crowd.of_parts([crowd_facts(whole(table), PARAMS)])
     _, cube, held = np.unique(cubes(table, 100), axis=0, return_inverse=True, return_counts=True)
-    assert crowd.most == held.max() and crowd.echoes == (held[cube.ravel()] > PARAMS.dense_echoes).sum()
+    assert crowd.cubes.most == held.max() and crowd.cubes.echoes == (held[cube.ravel()] > PARAMS.dense_echoes).sum()
+    assert crowd.columns is None
     parts = []
     for tile in TileGrid(1.3).touching(Box(EAST, NORTH, EAST + 10, NORTH + 10)):
         near = np.flatnonzero(tile.box.grown(0.2).contains(table["x"], table["y"]))
@@ -145,6 +146,68 @@ def test_the_densest_place_is_told_whatever_the_tiles():
         parts.append(crowd_facts(Chunk(table.take(near), core, tile), PARAMS))
     assert Crowd.of_parts(parts) == crowd
     assert Crowd.of_parts([None, None]) is None
+
+
+def tower(n=5000, low=4.8, high=5.2, tall=15.0, seed=4):
+    """Even ground of 10 m, and `n` echoes one above the other, in no dense cube: across columns, tiles and cells."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0, 10, (2, 600))
+    tx, ty = rng.uniform(low, high, (2, n))
+    mixed = rng.permutation(n + 600)
+    z = np.concatenate([0.05 * x, rng.uniform(0, tall, n)])
+    return table_of(*(values[mixed] for values in (np.concatenate([x, tx]), np.concatenate([y, ty]), z)))
+
+
+FEW = PARAMS.model_copy(update={"dense_in_column": 100})
+
+
+def test_of_columns_the_smallest_cubes_that_leave_no_more_count():
+    """Against a slow reading of the rule, column by column."""
+    table = tower()
+    thin = thinned(whole(table), FEW)
+    place, owner = cubes(table, 1), np.arange(table.rows)
+    for column in np.unique(place[:, :2] // 200, axis=0):
+        rows = np.flatnonzero((place[:, :2] // 200 == column).all(axis=1))
+        step, first, of = 1, np.arange(len(rows)), np.arange(len(rows))
+        while len(first) > FEW.dense_in_column:
+            step = 50 if step == 1 else 2 * step
+            _, first, of = np.unique(place[rows] // step, axis=0, return_index=True, return_inverse=True)
+        owner[rows] = rows[first[of.ravel()]]
+    assert (owner != np.arange(table.rows)).sum() > 3000
+    np.testing.assert_array_equal(thin.chunk.table["pulse"], np.unique(owner))
+    np.testing.assert_array_equal(thin.chunk.table["pulse"][thin.chunk.core][thin.source], owner)
+    held = np.unique(place[:, :2] // 200, axis=0, return_counts=True)[1]
+    crowd = Crowd.of_parts([crowd_facts(whole(table), FEW)])
+    assert crowd.cubes is None
+    assert crowd.columns.most == held.max() and crowd.columns.echoes == held[held > FEW.dense_in_column].sum()
+    assert "columns of 0.2 m" in crowd.text(FEW)
+
+
+@pytest.mark.parametrize("size", [5.0, 1.3])
+def test_dense_columns_are_the_same_in_one_tile_and_in_many(size):
+    table = tower(2500, 4.7, 5.3)
+    one, halo, seen = features(whole(table), NAMES, FEW), Asked.of(NAMES).halo(FEW), 0
+    parts = []
+    for tile in TileGrid(size).touching(Box(EAST - 1, NORTH - 1, EAST + 11, NORTH + 11)):
+        near = np.flatnonzero(tile.box.grown(halo).contains(table["x"], table["y"]))
+        core = np.flatnonzero(tile.box.contains(table["x"][near], table["y"][near]))
+        if len(core):
+            chunk, seen = Chunk(table.take(near), core, tile), seen + len(core)
+            parts.append(crowd_facts(chunk, FEW))
+            for name, values in features(chunk, NAMES, FEW).items():
+                np.testing.assert_array_equal(values, one[name][near[core]], err_msg=name)
+    assert seen == table.rows
+    assert Crowd.of_parts(parts) == Crowd.of_parts([crowd_facts(whole(table), FEW)])
+
+
+def test_a_column_never_counts_with_more_however_tall():
+    """A million echoes in 1 m2, 15 m and 10 km tall: no cylinder sees more than its columns may hold."""
+    rng = np.random.default_rng(6)
+    for tall in (15.0, 10_000.0):
+        x, y, z = rng.uniform(0, 1, (3, 1_000_000))
+        kept = thinned(whole(table_of(x, y, z * tall)), PARAMS).chunk.table
+        held = np.unique(cubes(kept, 200)[:, :2], axis=0, return_counts=True)[1]
+        assert held.max() <= PARAMS.dense_in_column
 
 
 def test_features_of_a_file_tell_it(tmp_path):
