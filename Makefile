@@ -44,6 +44,7 @@ bench: $(READY)
 	for file in tests/bench/bench_*.py; do echo "== $$file"; $(PY) $$file; done
 
 fuzz: $(READY)
+	$(PY) -m pytest -n auto -m hypothesis --hypothesis-profile default
 	$(PY) tests/fuzz/long.py --inputs 100000
 	$(PY) tests/fuzz/long.py --inputs 100000 --commands --cover
 

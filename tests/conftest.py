@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
+from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
@@ -18,6 +19,8 @@ import tiers  # noqa: E402
 from fwclass.isolation import kernel_cache  # noqa: E402
 
 kernel_cache()  # one for all processes of the suite, also where the user has none
+settings.register_profile("same", derandomize=True)
+settings.load_profile("same")  # the same examples every time; `make fuzz` draws others
 
 
 @pytest.hookimpl(optionalhook=True)

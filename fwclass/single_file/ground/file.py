@@ -89,7 +89,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     check_packets(cloud, job.output, job.overwrite)
     shown = shown_points(cloud, job.keep_classes, job.use_flagged)
     if job.rasters:
-        check_extent(cloud, shown, terrain.cell)
+        check_extent(cloud, shown, terrain.cell, publish.cog_block)
     measured: dict[str, Any] = {}
     compiled = compiling.spent()
     if job.adapt is not None:

@@ -26,24 +26,28 @@ NO_LIGHT = 0
 """Value of a cell of the relief without terrain; the others have 1 to 255."""
 
 FREE_CELLS = 1 << 20
-"""So many cells a raster may always have: 1 km x 1 km at 1 m."""
+"""So many cells the tiles of a raster may always have: 1 km x 1 km at 1 m."""
 
 CELLS_PER_POINT = 1 << 12
 """Beyond `FREE_CELLS`, so many for every point: twelve times as sparse as 0.3/m2 in cells of 0.1 m."""
 
 
-def check_extent(cloud: PointCloud, shown: NDArray[np.bool_], cell: float) -> None:
-    """`InputError` if rasters of `cell` [m] over the shown points would be absurdly large; it tells of stray points."""
+def check_extent(cloud: PointCloud, shown: NDArray[np.bool_], cell: float, tile: int = 1) -> None:
+    """`InputError` if rasters of `cell` [m] over the shown points would be absurdly large; it tells of stray points.
+
+    A raster that is written costs whole tiles of `tile` x `tile` cells: one of 2 x 100 000 cells has 196 of 512 x 512.
+    """
     rows = np.flatnonzero(shown)
     if not len(rows):
         return
     try:
         window = window_over(cloud.x[rows], cloud.y[rows], cell, "terrain.cell")
+        whole = f", in whole tiles of {tile} x {tile}" if tile > 1 else ""
         most = max(FREE_CELLS, CELLS_PER_POINT * len(rows))
-        if math.prod(window.shape) > most:
+        if math.prod(-(-n // tile) * tile for n in window.shape) > most:
             raise InputError(
                 "the raster would be empty but for a few cells",
-                expected=f"at most {most:,} cells for {len(rows):,} points",
+                expected=f"at most {most:,} cells for {len(rows):,} points{whole}",
                 got=f"{window.ncols:,} x {window.nrows:,} cells of {cell:g} m",
             )
     except InputError as fault:
