@@ -144,18 +144,37 @@ def scheduler(place: Path, workers: int) -> Iterator[tuple[subprocess.Popen[byte
 def kill_workers(run: Run, root: Path, times: int, parts: int, seed: int) -> int:
     """Kill one worker after the other at random moments, spread over a run of so many parts; how many died of it.
 
-    Each while a part is being made and nothing is delivered: the test fails where the run ends before.
+    Each while a part is being made and nothing is delivered: the test fails where the run ends before. Of two workers
+    with one part between them the older dies, for the other may be one that has just begun.
     """
     rng, killed = random.Random(seed), 0  # noqa: S311
     for k in range(times):
         run.until(lambda done=k * parts // (times + 4): receipts(root) > done)
         time.sleep(rng.uniform(0.0, 0.4))
-        run.until(lambda: Store(root).under_way() and run.workers())
-        victim = rng.choice(run.workers())
+        held: list[psutil.Process] = []
+        run.until(lambda held=held: _hold(run, held) and (Store(root).under_way() or _go_on(held)))
+        all_have_one = len(Store(root).under_way()) >= len(held)
+        victim = rng.choice(held) if all_have_one else min(held, key=psutil.Process.create_time)
         assert not (root / "current").exists() and victim.status() != psutil.STATUS_ZOMBIE
         victim.kill()
+        _go_on(held)
         killed += gone([victim], 30.0)
     return killed
+
+
+def _hold(run: Run, held: list[psutil.Process]) -> bool:
+    """Stop all workers, so that what they are at can be seen; whether there are any."""
+    held[:] = run.workers()
+    for worker in held:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            worker.suspend()
+    return bool(held)
+
+
+def _go_on(held: list[psutil.Process]) -> None:
+    for worker in held:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            worker.resume()
 
 
 def receipts(root: Path) -> int:
