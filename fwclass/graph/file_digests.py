@@ -11,6 +11,7 @@ from fwclass.errors import DamagedError
 from fwclass.store.external_file import ExternalFile, digested
 from fwclass.store.remote_file import Location, RemoteFile, seen_as
 from fwclass.store.run_store import Store
+from fwclass.store.seal import sealed, unsealed
 
 _INPUTS = "inputs.json"
 _SAVED_EVERY = 30.0
@@ -53,7 +54,7 @@ class Digests:
     def save(self) -> None:
         """Remember what is new; called when all files are known, and now and then before."""
         if self._changed and not self._read_only:
-            self._store.keep(_INPUTS, self._known)
+            self._store.keep(_INPUTS, sealed(self._known))
         self._changed, self._saved = False, time.monotonic()
 
     def _digest(self, path: Path, size: int) -> str:
@@ -65,8 +66,7 @@ class Digests:
 def _remembered(store: Store) -> dict[str, Any]:
     """What was remembered; nothing where that is damaged, and all files are read again."""
     try:
-        known = store.recall(_INPUTS)
-    except DamagedError:
+        known = unsealed(store.recall(_INPUTS) or {})
+    except (DamagedError, TypeError, ValueError):
         return {}
-    usable = isinstance(known, dict) and all(isinstance(v, list) and len(v) >= 3 for v in known.values())
-    return known if usable else {}
+    return known if all(isinstance(v, list) and len(v) >= 3 for v in known.values()) else {}

@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fwclass.errors import ConfigError, StoreError
+from fwclass.errors import ConfigError, DamagedError, StoreError
 from fwclass.store.run_store import Store
+from fwclass.store.seal import sealed, unsealed
 from fwclass.store.url import Url
 
 _KEPT = "run.json"
@@ -81,7 +82,7 @@ class Request:
 
     def keep(self, store: Store) -> None:
         """Write it into the run (the holder of the lock calls this)."""
-        store.keep(_KEPT, {n: v for n, v in asdict(self).items() if n != "root"})
+        store.keep(_KEPT, sealed({n: v for n, v in asdict(self).items() if n != "root"}))
 
     @classmethod
     def kept(cls, store: Store, own: str | None = None) -> Request:
@@ -99,6 +100,7 @@ class Request:
                 f"fwclass status CONF --out {shlex.quote(str(where))}",
             )
         try:
+            found = unsealed(found)
             tiles, aoi = found["tiles"], found["aoi"]
             root = str(where if isinstance(where, Url) else where.resolve())
             workflow = str(found["workflow"])
@@ -118,8 +120,8 @@ class Request:
                 None if tiles is None else _words(tiles),
                 None if aoi is None else str(aoi),
             )
-        except (KeyError, TypeError) as fault:
-            raise StoreError(
+        except (KeyError, TypeError, ValueError) as fault:
+            raise DamagedError(
                 "not the words of a run", where=f"{where}/store/{_KEPT}", got=fault, do="remove the file"
             ) from fault
 

@@ -24,13 +24,13 @@ from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import below
 from fwclass.store.atomic import bytes_digest, digest_of, file_digest, files_below, read_json, sync, write_text
 from fwclass.store.digests import check_file
+from fwclass.store.seal import sealed, unsealed
 from fwclass.store.url import Url
 
 CURRENT = "current"
 MANIFEST = "manifest.json"
 _FACTS = "generation.json"
 _PENDING = ".pending"
-_SEAL = "seal"
 
 Manifest = Mapping[str, Mapping[str, Any]]
 """``bytes`` and ``digest`` of every file of a generation, by its path there; on object storage also its ``e_tag``."""
@@ -274,16 +274,13 @@ def facts_of(number: int, whole: bool, digest: str, manifest: str, files: int) -
         "fwclass": __version__,
         "manifest": bytes_digest(manifest.encode()),
     }
-    return {**facts, _SEAL: digest_of(facts)}
+    return sealed(facts)
 
 
 def generation_of(facts: Any, path: Path, where: object) -> Generation:
     """The generation that its own file tells of; `DamagedError` where it tells none, or was changed since."""
     try:
-        plain = dict(facts)
-        seal = plain.pop(_SEAL, None)  # those of before there were manifests have none
-        if seal is not None and seal != digest_of(plain):
-            raise ValueError("it was changed after it was written")
+        plain = unsealed(facts)
         manifest = str(plain.get("manifest", ""))
         return Generation(int(plain["number"]), path, bool(plain["whole"]), str(plain["digest"]), manifest)
     except (KeyError, TypeError, ValueError) as fault:

@@ -11,11 +11,11 @@ from typing import Any
 from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import name_fault, relative_fault
 from fwclass.store.atomic import digest_of
+from fwclass.store.seal import sealed, unsealed
 
 FORMAT = 1
 
 _DIGEST = re.compile(r"[0-9A-Za-z_]{1,64}")
-_SEAL = "seal"
 _LINE = json.JSONEncoder(sort_keys=True, allow_nan=False)
 
 
@@ -67,8 +67,8 @@ class Receipt:
     def to_text(self) -> str:
         """JSON, a field a line, with a digest of itself."""
         plain = {f.name: getattr(self, f.name) for f in fields(self)}
-        sealed = {**plain, _SEAL: digest_of(plain)}
-        return "{\n" + ",\n".join(f'"{name}": {_LINE.encode(sealed[name])}' for name in sorted(sealed)) + "\n}\n"
+        lines = sealed(plain)
+        return "{\n" + ",\n".join(f'"{name}": {_LINE.encode(lines[name])}' for name in sorted(lines)) + "\n}\n"
 
     @classmethod
     def from_json(cls, value: Any, where: object) -> Receipt:
@@ -77,13 +77,9 @@ class Receipt:
         `DamagedError` for what is no receipt, or not the one that was written.
         """
         try:
-            plain = dict(value)
-            seal = plain.pop(_SEAL, None)  # receipts of before they were sealed have none
-            receipt, sealed = cls(**plain), digest_of(plain)
+            receipt = cls(**unsealed(value))
         except (TypeError, ValueError) as fault:
             raise DamagedError("not a receipt", where=where, got=fault, do="remove the file") from fault
-        if seal is not None and seal != sealed:
-            raise DamagedError("a receipt was changed after it was written", where=where, do="remove the file")
         if receipt.format != FORMAT:
             raise StoreError(
                 "a receipt of another version of the store",

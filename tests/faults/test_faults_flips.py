@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shlex
@@ -14,7 +15,9 @@ from faultmaker import SMALL
 from objectstore import quick, serving, used
 from runmaker import delivered, walk
 
-from fwclass.errors import DamagedError
+from fwclass.errors import DamagedError, StoreError
+from fwclass.graph.file_digests import Digests
+from fwclass.operate.request import Request
 from fwclass.operate.status.verify import remove, verify
 from fwclass.store.remote_read import Remote
 from fwclass.store.run_location import open_store
@@ -222,3 +225,26 @@ def test_a_run_that_lost_its_words_is_verified_all_the_same(copy):
     ended = fwclass("status", copy, "--verify", "--json")
     assert ended.returncode == 3 and json.loads(ended.stdout)["damaged"][0]["stage"] == "height"
     assert fwclass("status", copy).returncode == 1
+
+
+def test_no_flipped_bit_of_what_a_run_remembers_is_believed(tmp_path):
+    """`run.json` and `inputs.json`: most flips leave sound JSON, of another configuration or of other digests."""
+    store = Store(tmp_path)
+    kept = Request("a.yaml", str(tmp_path), ("tile.size=50",), tiles=("1_1",))
+    kept.keep(store)
+    source = tmp_path / "a.las"
+    source.write_bytes(b"points")
+    digests = Digests(store)
+    known = digests.of([source])
+    digests.save()
+    for name in ("run.json", "inputs.json"):
+        path = tmp_path / "store" / name
+        whole = path.read_bytes()
+        for bit in range(8 * len(whole)):
+            data = bytearray(whole)
+            data[bit // 8] ^= 1 << bit % 8
+            path.write_bytes(data)
+            with contextlib.suppress(StoreError):
+                assert Request.kept(store) == kept
+            assert Digests(store).of([source]) == known
+        path.write_bytes(whole)

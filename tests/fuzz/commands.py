@@ -291,6 +291,8 @@ def _ran() -> Files:
     """The small survey, run into `r`; links of the run directory are left out."""
     from commandline import fwclass
 
+    from fwclass.store.seal import sealed, unsealed
+
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "c.yaml").write_text(SURVEY.replace("size: 20.0", "size: 5.0"))
@@ -298,7 +300,8 @@ def _ran() -> Files:
         ended = fwclass("run", "c.yaml", "--out", "r", "--workers", 0, cwd=folder)
         assert ended.returncode == 0, ended.stderr
         request = folder / "r" / "store" / "run.json"
-        request.write_text(json.dumps({**json.loads(request.read_text()), "conf": "c.yaml"}))
+        words = unsealed(json.loads(request.read_text()))
+        request.write_text(json.dumps(sealed({**words, "conf": "c.yaml"})))
         found = {}
         for base, _, names in os.walk(folder):
             for path in (Path(base) / n for n in names):
