@@ -61,4 +61,4 @@ def filled(X: NDArray[np.float32], model: Model) -> int:
     return int(np.isnan(X).sum()) if isinstance(model, Machine) else 0
 
 
-CLASSIFY = Computation(name="classify", version=2, writes=("classification", "confidence", "entropy"))
+CLASSIFY = Computation(name="classify", version=3, writes=("classification", "confidence", "entropy"))

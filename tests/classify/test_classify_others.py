@@ -5,7 +5,7 @@ import pytest
 from tolerances import FLOAT64_UNIT
 
 from fwclass.classify.boosted import probabilities, raw_scores
-from fwclass.classify.machines import pair_decisions, votes_and_shares
+from fwclass.classify.machines import double_decisions, votes_and_shares
 from fwclass.classify.shares import answer, entropy
 from fwclass.errors import InputError
 from fwclass.model import FORMAT, LEAF, Boosted, KernelMachine, LinearMachine
@@ -92,7 +92,7 @@ def test_pair_decisions_are_the_sums_of_libsvm(n):
             mine, yours = slice(ends[i], ends[i + 1]), slice(ends[j], ends[j + 1])
             d = k[:, mine] @ model.dual[j - 1, mine] + k[:, yours] @ model.dual[i, yours]
             expected.append(d + model.bias[len(expected)])
-    np.testing.assert_allclose(pair_decisions(X, model), np.stack(expected, axis=1), atol=FLOAT64_UNIT)
+    np.testing.assert_allclose(double_decisions(ready, model), np.stack(expected, axis=1), atol=FLOAT64_UNIT)
 
 
 def test_two_classes_share_by_the_logistic():

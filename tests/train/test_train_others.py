@@ -9,7 +9,7 @@ import yaml
 from tolerances import FLOAT32_UNIT, FLOAT64_UNIT
 
 from fwclass.classify.boosted import probabilities, raw_scores
-from fwclass.classify.machines import linear_scores, pair_decisions
+from fwclass.classify.machines import double_decisions, linear_scores
 from fwclass.classify.shares import answer
 from fwclass.errors import ConfigError, InputError
 from fwclass.model import ClassDef
@@ -98,7 +98,7 @@ def test_the_kernel_machine_is_scikit_learns(n):
     peer = svm.SVC(C=3.0, gamma=0.4, decision_function_shape="ovo").fit(ready(made.X), made.y)
     winner, shares = answer(X, model)
     np.testing.assert_array_equal(winner, peer.predict(ready(X)))
-    decisions = pair_decisions(X, model)
+    decisions = double_decisions(model.preparation(X), model)
     theirs = peer.decision_function(ready(X))
     np.testing.assert_allclose(-decisions[:, 0] if n == 2 else decisions, theirs, atol=1e-6)
     np.testing.assert_allclose(shares.sum(axis=1), 1, atol=FLOAT64_UNIT)
