@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fwclass.model import FORMAT, LEAF, Boosted, Forest, KernelMachine, LinearMachine
+from fwclass.model import FORMAT, LEAF, Boosted, Forest, KernelMachine, LinearMachine, TwoLayer
 
 NAMES = ("zc", "width")
 
@@ -32,3 +32,14 @@ def models():
             np.arange(8.0).reshape(4, 2), np.ones((2, 4)), np.zeros(3), np.array([1, 2, 1]), np.array([0.5]), card()
         ),
     }
+
+
+def two_layers(seed=1, within=1.5):
+    """A forest of three classes, and a machine between the first two by one wide feature and one of the forest's."""
+    coarse, r = models()["forest"], np.random.default_rng(seed)
+    if seed != 1:
+        coarse.threshold[:] += np.float32(seed)
+    names = ["eigenvalue_1_r90", "width"]
+    own = {**card(2), "features": names}
+    fine = KernelMachine(r.normal(size=(5, 2)), r.normal(size=(1, 5)), np.zeros(1), np.array([2, 3]), np.ones(1), own)
+    return TwoLayer(coarse, fine, {**card(), "kind": "two-layer", "refine": {"within": within}})

@@ -16,6 +16,16 @@ from fwclass.graph.radiometry import (
     MEASURE_RADIOMETRY,
     READ_TRAJECTORY,
 )
+from fwclass.graph.refine import (
+    ANSWER_COARSE,
+    CLASSIFY_REFINED,
+    DRAW_BOUNDARY,
+    MERGE_BOUNDARY,
+    TRAIN_COARSE_BASELINE,
+    TRAIN_COARSE_FOREST,
+    TRAIN_FINE,
+    WIDEN_BOUNDARY,
+)
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
 from fwclass.graph.survey import SIMULATE
@@ -64,11 +74,20 @@ classification = Workflow(
         WEIGH_FEATURES,
         TRAIN_FOREST,
         TRAIN_BASELINE,
+        # of two layers: the first one's answers, and what the second learns where classes meet
+        TRAIN_COARSE_FOREST,
+        TRAIN_COARSE_BASELINE,
+        ANSWER_COARSE,
+        DRAW_BOUNDARY,
+        MERGE_BOUNDARY,
+        TRAIN_FINE,
+        WIDEN_BOUNDARY,
         COUNT_LABELS,
         COUNT_SAMPLES,
         # classes, how good they are, and what is delivered
         CLASSIFY_ECHOES,
         CLASSIFY_THINNED,
+        CLASSIFY_REFINED,
         COUNT_CONFUSION,
         ASSESS,
         DELIVER_TILE,

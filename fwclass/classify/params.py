@@ -2,13 +2,65 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
+
 from fwclass.stage import Params
+
+FURTHEST = 100.0
+"""m, no feature and no boundary reaches further."""
+
+
+class RefineParams(Params):
+    """A second layer, which answers again where two classes meet; numbers stand in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    between : names of the two classes; empty: no second layer.
+    within : an echo of the one class with an answer of the other as near as this is at their boundary [m].
+    method : its classifier, as of `train.method`.
+    features : shares of the eigenvalues in spheres of `scales` alone, or with what the first layer decides by.
+    scales : radii of the spheres [m].
+    rows : it learns from rows of both classes near their boundary, or from anywhere in the training areas.
+    samples_per_class : rows that it learns from, at most.
+    """
+
+    between: tuple[str, ...]
+    within: float = Field(gt=0, le=FURTHEST)
+    method: Literal["forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting"]
+    features: Literal["shares", "shares+coarse"]
+    scales: tuple[Annotated[float, Field(ge=0.01, le=FURTHEST)], ...] = Field(min_length=1, max_length=50)
+    rows: Literal["boundary", "anywhere"]
+    samples_per_class: int = Field(ge=1, le=100_000_000)
+
+    @field_validator("between")
+    @classmethod
+    def _a_pair(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        if names and (len(names) != 2 or names[0] == names[1]):
+            raise ValueError("two different classes are wanted, as in [building, vegetation], or [] for none")
+        return names
+
+    @field_validator("scales")
+    @classmethod
+    def _rising(cls, scales: tuple[float, ...]) -> tuple[float, ...]:
+        if any(b <= a for a, b in zip(scales, scales[1:], strict=False)):
+            raise ValueError("radii must rise")
+        if any(abs(100 * s - round(100 * s)) > 1e-6 for s in scales):
+            raise ValueError("radii must be whole centimetres")
+        return scales
+
+    @property
+    def shares(self) -> tuple[str, ...]:
+        """Names of the features at all scales."""
+        return tuple(f"eigenvalue_{k}_r{round(100 * s)}" for s in self.scales for k in (1, 2, 3))
 
 
 class ClassifyParams(Params):
-    """What is written; everything that decides comes from the model.
+    """What is written, and the second layer; everything else that decides comes from the model.
 
     `probabilities`: the share of every class too, in columns ``probability_<code>``.
     """
 
     probabilities: bool
+    refine: RefineParams

@@ -89,6 +89,10 @@ RESULTS = (
     ),
     # classes
     Column("reference", "u1", "", "reference class code; 0 is none"),
+    Column("coarse_class", "u1", "", "class code given by the first of two layers"),
+    Column("coarse_confidence", "f4", "", "share of the class in the first of two layers", low=0, high=1),
+    Column("coarse_entropy", "f4", "", "entropy of the shares in the first of two layers", low=0, high=1),
+    Column("boundary", "bool", "", "the echo lies where two classes meet, and the second of two layers answers"),
     Column("classification", "u1", "", "class code given by the model"),
     Column(
         "confidence",

@@ -180,6 +180,22 @@ def _check(config: Config) -> None:
             got=f"{config.publish.class_cell:g} m",
             do="make them larger, or the blocks smaller",
         )
+    for name in config.classify.refine.between:
+        if name not in names:
+            raise ConfigError(
+                f"no class is called {name!r}",
+                where=f"{where}: classify.refine.between",
+                expected=", ".join(names),
+                got=name,
+                do=nearest(name, names),
+            )
+    if config.classify.refine.between and config.thin.rate < 1.0:
+        raise ConfigError(
+            "a thinned run has no second layer: the features at a boundary would be those of few echoes",
+            where=f"{where}: classify.refine, thin.rate",
+            got=f"thin.rate {config.thin.rate:g}",
+            do="--set thin.rate=1, or --set classify.refine.between=[]",
+        )
     weights = config.train.class_weights
     for name in weights if isinstance(weights, Mapping) else ():
         if name not in names:

@@ -10,6 +10,7 @@ import numpy as np
 
 from fwclass.classify.stage import CLASSIFY, classify, filled, probability_columns
 from fwclass.errors import InputError
+from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
@@ -65,7 +66,7 @@ def classified(here: StageInputs, names: tuple[str, ...], probabilities: bool, m
         tables.append(classify(X, used, probabilities))
         missing += filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
-    return table, {"codes": _codes(table), "filled": missing}
+    return table, {"codes": codes_of(table), "filled": missing}
 
 
 def followed(
@@ -85,10 +86,10 @@ def followed(
     others = tuple(core[n][~own] for n in _PLACE)
     near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
     table = answer.take(near)
-    return table, {"codes": _codes(table), "filled": filled(X, used), "asked": int(own.sum())}
+    return table, {"codes": codes_of(table), "filled": filled(X, used), "asked": int(own.sum())}
 
 
-def _codes(table: Table) -> dict[str, int]:
+def codes_of(table: Table) -> dict[str, int]:
     codes, counts = np.unique(table["classification"], return_counts=True)
     return {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
 
@@ -98,11 +99,11 @@ def _asked(plan: Plan) -> Mapping[str, Any]:
     return {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
 
 
-def _own_model(plan: Plan, part: Any) -> tuple[Name, ...]:
+def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:
     return () if plan.model else (("train", "model"),)
 
 
-def _given_model(plan: Plan, part: Any) -> tuple[Location, FileDigests] | None:
+def given_model(plan: Plan, part: Any) -> tuple[Location, FileDigests] | None:
     return (plan.model[0], (ExternalFile("model", plan.model[1]),)) if plan.model else None
 
 
@@ -117,13 +118,13 @@ CLASSIFY_ECHOES = Stage(
     "tile",
     "echo",
     classified,
-    when=lambda plan: not thins(plan.config),
+    when=lambda plan: not thins(plan.config) and fine_layer(plan) is None,
     arguments=_asked,
     own=lambda plan: plan.names,
     writes=classes_written,
     after=("train",),
-    needs=_own_model,
-    source=_given_model,
+    needs=own_model,
+    source=given_model,
 )
 CLASSIFY_THINNED = Stage(
     CLASSIFY.name,
@@ -137,6 +138,6 @@ CLASSIFY_THINNED = Stage(
     writes=classes_written,
     halo=lambda plan: plan.config.thin.reach,
     after=("train",),
-    needs=_own_model,
-    source=_given_model,
+    needs=own_model,
+    source=given_model,
 )

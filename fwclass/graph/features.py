@@ -28,10 +28,10 @@ def featured(here: StageInputs, params: FeaturesParams, names: tuple[str, ...]) 
         rows.append(these)
         crowds.append(crowd_facts(chunk, params))
     crowded = Crowd.of_parts(crowds)
-    return _joined(tables, rows), ({"dense": crowded.told()} if crowded else {})
+    return tile_table(tables, rows), ({"dense": crowded.told()} if crowded else {})
 
 
-def _joined(pieces: list[Table], rows: list[NDArray[np.int64]]) -> Table:
+def tile_table(pieces: list[Table], rows: list[NDArray[np.int64]]) -> Table:
     """A tile's rows in their order, from pieces of which each has `rows`."""
     if len(pieces) == 1:
         return pieces[0]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
+from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.model_fit import computed
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.graph.thin import sampled_columns
@@ -152,12 +153,17 @@ def trains(plan: Plan) -> bool:
     return plan.config.survey.model is None
 
 
-def _forest(plan: Plan) -> bool:
+def forest_learns(plan: Plan) -> bool:
+    """The run trains a forest of our own; of two layers as the first."""
     return trains(plan) and plan.config.train.method == "forest"
 
 
+def _one_layer(plan: Plan) -> bool:
+    return trains(plan) and fine_layer(plan) is None
+
+
 def _importances(plan: Plan) -> bool:
-    return _forest(plan) and bool(plan.config.train.importance_repeats)
+    return forest_learns(plan) and bool(plan.config.train.importance_repeats)
 
 
 @dataclass(frozen=True)
@@ -173,18 +179,24 @@ def _batches(plan: Plan) -> list[_Batch]:
     return [_Batch(f"{k:05d}", min(TREES_PER_PART, trees - k)) for k in range(0, trees, TREES_PER_PART)]
 
 
-def _growing(plan: Plan) -> Mapping[str, Any]:
+def growing(plan: Plan) -> Mapping[str, Any]:
+    """What the stages that learn get besides."""
     config = plan.config
     return {"names": config.features_asked, "params": config.train, "classes": config.classes}
 
 
-def _computed(plan: Plan) -> Mapping[str, Any]:
+def parameters_of(plan: Plan, names: tuple[str, ...]) -> Mapping[str, Any]:
+    """What the values of the features `names` depend on (`computed`)."""
     config = plan.config
-    return computed(config.features_asked, config.features, config.ground.method, plan.layout.quantities)
+    return computed(names, config.features, config.ground.method, plan.layout.quantities)
+
+
+def _computed(plan: Plan) -> Mapping[str, Any]:
+    return parameters_of(plan, plan.config.features_asked)
 
 
 _NOT_OF_A_TREE = frozenset({"trees", "importance_repeats"})
-_NOT_OF_THE_SAMPLE = frozenset(TrainParams.model_fields) - {"seed", "samples_per_class"}
+NOT_OF_THE_SAMPLE = frozenset(TrainParams.model_fields) - {"seed", "samples_per_class"}
 
 DRAW_SAMPLE = Stage(
     TRAIN_SAMPLE.name,
@@ -194,8 +206,8 @@ DRAW_SAMPLE = Stage(
     sampled,
     when=trains,
     parts=training_tiles,
-    arguments=lambda plan: {**_growing(plan), "areas": plan.config.areas.boxes("train")},
-    silent=_NOT_OF_THE_SAMPLE,
+    arguments=lambda plan: {**growing(plan), "areas": plan.config.areas.boxes("train")},
+    silent=NOT_OF_THE_SAMPLE,
     own=lambda plan: (*IDENTITY_AND_PLACE, *plan.config.features_asked, *sampled_columns(plan), "reference"),
 )
 MERGE_SAMPLE = Stage(
@@ -205,8 +217,8 @@ MERGE_SAMPLE = Stage(
     "row",
     merged,
     when=trains,
-    arguments=_growing,
-    silent=_NOT_OF_THE_SAMPLE,
+    arguments=growing,
+    silent=NOT_OF_THE_SAMPLE,
     after=("sample",),
     needs=lambda plan, part: [(TRAIN_SAMPLE.name, t.key) for t in training_tiles(plan)],
 )
@@ -216,9 +228,9 @@ GROW_TREES = Stage(
     "survey",
     "tree_row",
     grown,
-    when=_forest,
+    when=forest_learns,
     parts=_batches,
-    arguments=_growing,
+    arguments=growing,
     silent=_NOT_OF_A_TREE,
     each=lambda plan, batch: {"count": batch.count},
     after=("training",),
@@ -248,9 +260,9 @@ TRAIN_FOREST = Stage(
     "survey",
     "tree_row",
     trained,
-    when=_forest,
+    when=lambda plan: _one_layer(plan) and forest_learns(plan),
     parts=lambda plan: ("model",),
-    arguments=lambda plan: {**_growing(plan), "computed": _computed(plan)},
+    arguments=lambda plan: {**growing(plan), "computed": _computed(plan)},
     after=("training", "trees", "importance"),
     needs=lambda plan, part: [
         ("training", "all"),
@@ -265,9 +277,9 @@ TRAIN_BASELINE = Stage(
     "survey",
     "row",
     fitted,
-    when=lambda plan: trains(plan) and plan.config.train.method != "forest",
+    when=lambda plan: _one_layer(plan) and not forest_learns(plan),
     parts=lambda plan: ("model",),
-    arguments=lambda plan: {**_growing(plan), "compare": plan.config.compare, "computed": _computed(plan)},
+    arguments=lambda plan: {**growing(plan), "compare": plan.config.compare, "computed": _computed(plan)},
     after=("training",),
     needs=lambda plan, part: (("training", "all"),),
     where="deliver",

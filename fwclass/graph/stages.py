@@ -23,6 +23,16 @@ from fwclass.graph.radiometry import (
     MEASURE_RADIOMETRY,
     READ_TRAJECTORY,
 )
+from fwclass.graph.refine import (
+    ANSWER_COARSE,
+    CLASSIFY_REFINED,
+    DRAW_BOUNDARY,
+    MERGE_BOUNDARY,
+    TRAIN_COARSE_BASELINE,
+    TRAIN_COARSE_FOREST,
+    TRAIN_FINE,
+    WIDEN_BOUNDARY,
+)
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
 from fwclass.graph.stage import Plan, Stage, named
@@ -58,10 +68,17 @@ LEARNING = (
     WEIGH_FEATURES,
     TRAIN_FOREST,
     TRAIN_BASELINE,
+    TRAIN_COARSE_FOREST,
+    TRAIN_COARSE_BASELINE,
+    ANSWER_COARSE,
+    DRAW_BOUNDARY,
+    MERGE_BOUNDARY,
+    TRAIN_FINE,
+    WIDEN_BOUNDARY,
     COUNT_LABELS,
     COUNT_SAMPLES,
 )
-CLASSIFYING = (CLASSIFY_ECHOES, CLASSIFY_THINNED)
+CLASSIFYING = (CLASSIFY_ECHOES, CLASSIFY_THINNED, CLASSIFY_REFINED)
 JUDGING = (COUNT_CONFUSION, ASSESS)
 DELIVERY = (DELIVER_TILE, DELIVER_STRIP, MAP_CLASSES, DELIVER_RASTERS)
 STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY)
@@ -136,7 +153,7 @@ def check_order(plan: Plan, stages: Iterable[Stage]) -> None:
 
 def check_features(config: Config, names: Iterable[str], where: object, stages: Iterable[Stage] = STAGES) -> None:
     """`ConfigError` for a feature that no stage writes, or that would tell the forest the answer or the place."""
-    labels, classes = {LABEL_BY_CLOUD.name}, {CLASSIFY_ECHOES.name}
+    labels, classes = {LABEL_BY_CLOUD.name}, {CLASSIFY_ECHOES.name, ANSWER_COARSE.name, WIDEN_BOUNDARY.name}
     of_stages = providers(Plan(config), stages)
     known = {n: s for n, s in of_stages.items() if n not in NO_FEATURE and s not in labels | classes}
     for name in names:

@@ -9,9 +9,10 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.area_of_interest import Area
+from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.label import READ_POLYGONS
 from fwclass.graph.layout import Layout, Strip
-from fwclass.graph.model_fit import check_model
+from fwclass.graph.model_fit import check_computed, check_model
 from fwclass.graph.outputs import DELIVER_TILE
 from fwclass.graph.quantities import check_learned, joint
 from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by, has_pointing
@@ -23,6 +24,7 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, TO_TILES, check_features, graph_of, providers
 from fwclass.graph.survey import SIMULATE, check_widths, gather
 from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
+from fwclass.model import TwoLayer
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
 from fwclass.store.models import load_model, model_digest
@@ -41,7 +43,17 @@ def given_model(config: Config) -> tuple[Location, str] | None:
     if is_url(config.survey.model):
         place = directory_outside(url_of(config.survey.model, f"{config.path}: survey.model"), config.store)
     path = local(place)
-    check_model(load_model(path), config, path)
+    model = load_model(path)
+    check_model(model, config, path)
+    if isinstance(model, TwoLayer):
+        check_computed(model.fine, config.features, path)
+        if config.thin.rate < 1.0:
+            raise ConfigError(
+                "a thinned run has no second layer, and the model has one",
+                where=path,
+                got=f"thin.rate {config.thin.rate:g}",
+                do="--set thin.rate=1, or give its first layer alone: the model's directory `coarse`",
+            )
     return place, model_digest(path)
 
 
@@ -51,7 +63,11 @@ def deciding(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
     names = load_model(local(model[0])).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features", stages)
     check_features(config, config.features.also, f"{config.path}: features.also", stages)
+    if model is None and config.classify.refine.between:
+        check_features(config, config.classify.refine.shares, f"{config.path}: classify.refine.scales", stages)
     plan = Plan(config, names, tuple(dict.fromkeys((*names, *config.features.also))), model)
+    if model and (layer := fine_layer(plan)):
+        check_features(config, layer.names, model[0], stages)
     return replace(plan, providers=providers(plan, stages))
 
 

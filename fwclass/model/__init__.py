@@ -8,10 +8,12 @@ from fwclass.model.boosted import Boosted, scores_of
 from fwclass.model.forest import Forest, Tree, assemble
 from fwclass.model.machines import KernelMachine, LinearMachine, Machine, Preparation
 from fwclass.model.matrix import sample_matrix
+from fwclass.model.two_layer import LAYERS, TwoLayer
 
 __all__ = [
     "FORMAT",
     "KINDS",
+    "LAYERS",
     "LEAF",
     "Boosted",
     "ClassDef",
@@ -22,6 +24,7 @@ __all__ = [
     "Model",
     "Preparation",
     "Tree",
+    "TwoLayer",
     "assemble",
     "class_index",
     "code_index",
@@ -29,5 +32,5 @@ __all__ = [
     "scores_of",
 ]
 
-KINDS: dict[str, type[Model]] = {m.kind: m for m in (Forest, Boosted, LinearMachine, KernelMachine)}
+KINDS: dict[str, type[Model]] = {m.kind: m for m in (Forest, Boosted, LinearMachine, KernelMachine, TwoLayer)}
 """Every kind of model, by the name that its card has."""

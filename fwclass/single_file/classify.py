@@ -21,7 +21,7 @@ from fwclass.graph.model_fit import check_computed, check_names, ground_note
 from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
 from fwclass.ground.blocks import blocks_of
-from fwclass.model import ClassDef, Model, sample_matrix
+from fwclass.model import ClassDef, Model, TwoLayer, sample_matrix
 from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
@@ -38,6 +38,7 @@ from fwclass.single_file.features.echoes import (
 )
 from fwclass.single_file.ground.output import LAS, check_output
 from fwclass.single_file.ground.steps import Tell, quiet
+from fwclass.single_file.refine import refine
 from fwclass.stage import Chunk
 from fwclass.store.models import load_model
 
@@ -97,7 +98,13 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     codes = legal_codes(job, model, source)
     asked = Asked.of(n for n in model.features if is_feature(n))
     found = _echoes(job, model, asked, tell)
-    made, without, medians, dense = _classified(found.table, model, asked, job.settings, tell)
+    first = model.coarse if isinstance(model, TwoLayer) else model
+    made, without, medians, dense = _classified(found.table, first, asked, job.settings, tell)
+    boundary = None
+    if isinstance(model, TwoLayer):
+        check_computed(model.fine, params := conf.section("features", job.settings), job.model)
+        made, more = refine(found.table, made, model, params, conf.section("tile", job.settings).size, tell)
+        boundary, medians = more["boundary"], medians + more["filled"]
     tell("writing")
     rows = _row_of_point(found, job.source)
     classes = codes[made["classification"][rows]]
@@ -117,6 +124,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "confidence": float(made["confidence"].mean()),
         "without_value": without,
         "filled": medians,
+        "boundary": boundary,
         "waveforms": wrote.get("wdp"),
         "notes": [*found.told, *dense, *notes, *(str(n) for n in wrote.get("notes", ()))],
         "seconds": round(time.perf_counter() - began, 3),
@@ -204,7 +212,9 @@ def _check_merged(table: NDArray[np.uint8], model: Model) -> None:
 def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEchoes:
     """The file's echoes with every column that the model decides by but the features of a neighbourhood."""
     tell("reading")
-    needed = (*model.features, *asked.reads)
+    fine = model.fine.features if isinstance(model, TwoLayer) else ()
+    wide = Asked.of(n for n in fine if is_feature(n))
+    needed = (*model.features, *fine, *asked.reads, *wide.reads)
     notes: tuple[str, ...] = ()
     found = read_echoes(job.source, needed, job.settings, given_crs(job.crs, "--crs"), tell)
     links = found.links
@@ -289,6 +299,8 @@ def describe(made: dict[str, Any]) -> str:
         ),
         f"mean confidence {made['confidence']:.2f}",
     ]
+    if made["boundary"] is not None:
+        lines.append(f"{made['boundary']:,} echoes where two classes meet were answered by the second layer")
     lines += [f"no value: {name} of {n:,} echoes" for name, n in made["without_value"].items()]
     if made["filled"]:
         lines.append(f"{made['filled']:,} missing values were filled with the medians of the training rows")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.model import FORMAT, KINDS, Forest, Model
+from fwclass.model import FORMAT, KINDS, LAYERS, Forest, Model, TwoLayer
 from fwclass.paths import open_regular
 from fwclass.store.atomic import digest_of, file_digest, files_below
 
@@ -21,13 +21,18 @@ _CARD_LIMIT = 1 << 24
 """Bytes of a card; one of 127 features has some ten thousand."""
 _NPY = b"\x93NUMPY\x01\x00"
 """What numpy writes for arrays without fields."""
-_DECIDES = ("format", "kind", "features", "classes", "params", "computed", "preparation")
+_DECIDES = ("format", "kind", "features", "classes", "params", "computed", "preparation", "refine", "layers")
 """Keys of the card without which the arrays mean nothing, or something else."""
 
 
 def save_model(directory: Path, model: Model) -> None:
-    """Write `model` into `directory`, which is made."""
+    """Write `model` into `directory`, which is made; of two layers each into a directory below it."""
     directory.mkdir(parents=True, exist_ok=True)
+    if isinstance(model, TwoLayer):
+        for name in LAYERS:
+            save_model(directory / name, getattr(model, name))
+        layers = {name: _card(directory / name / CARD)["digest"] for name in LAYERS}
+        model = TwoLayer(model.coarse, model.fine, {**model.card, "layers": layers})
     for name in model.layout:
         np.save(directory / f"{name}.npy", getattr(model, name), allow_pickle=False)
     card = {**model.card, "kind": model.kind}
@@ -48,6 +53,8 @@ def load_model(directory: Path) -> Model:
     try:
         card = _card(directory / CARD)
         cls = KINDS[card["kind"]]
+        if cls is TwoLayer:
+            return _two_layers(directory, card)
         arrays = {name: _array(directory / f"{name}.npy", *of) for name, of in cls.layout.items()}
         model: Model = cls(**arrays, card=card)  # type: ignore[call-arg]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
@@ -59,6 +66,29 @@ def load_model(directory: Path) -> Model:
             do="train again, or copy the whole model directory",
         ) from fault
     model.check(directory)
+    _check_whole(directory, card, arrays)
+    return model
+
+
+def _two_layers(directory: Path, card: dict[str, Any]) -> Model:
+    """A model of two layers, each of which lies in a directory below."""
+    digests = {}
+    for name in LAYERS:
+        of_layer = _card(directory / name / CARD)
+        if of_layer["kind"] == TwoLayer.kind:
+            raise ValueError(f"its layer {name!r} has layers of its own")
+        digests[name] = of_layer.get("digest")
+    coarse, fine = (load_model(directory / name) for name in LAYERS)
+    model = TwoLayer(coarse, fine, card)
+    model.check(directory)
+    if card.get("layers") != digests:
+        card = {**card, "digest": "of other layers"}
+    _check_whole(directory, card, {})
+    return model
+
+
+def _check_whole(directory: Path, card: dict[str, Any], arrays: Mapping[str, NDArray]) -> None:
+    """`InputError` unless card and arrays were written together."""
     if card.get("digest") != _digest(card, arrays):
         raise InputError(
             "the model's card and arrays do not belong together",
@@ -67,7 +97,6 @@ def load_model(directory: Path) -> Model:
             got="a card without digest" if "digest" not in card else "a card or an array that was changed since",
             do="copy the whole model directory again, or train again",
         )
-    return model
 
 
 def load_forest(directory: Path) -> Forest:

@@ -40,7 +40,7 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     made |= {"ambiguous": 0, "remarks": []}
     if assess:
         names, layout = config.features_asked, tested_layout(plan.layout)
-        tasks += tasks_of(replace(plan, tiled=layout), (*CLASSIFYING, *JUDGING))
+        tasks += tasks_of(plan, CLASSIFYING) + tasks_of(replace(plan, tiled=layout), JUDGING)
         require_all(runner, ancestors(tasks, [("assess", "all")]))
         judged = runner.store.receipt("assess", "all")
         found = judged.meta["accuracy"] if judged else None

@@ -1,25 +1,29 @@
 """Models of every kind on disk: what is written is what is read, and a stranger's bytes run nothing."""
 
 import json
+import shutil
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from modelmaker import NAMES, card, models
+from modelmaker import NAMES, card, models, two_layers
 
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
-from fwclass.model import FORMAT, KINDS, LEAF, Boosted, KernelMachine
+from fwclass.model import FORMAT, KINDS, LEAF, Boosted, KernelMachine, TwoLayer
 from fwclass.store.models import load_forest, load_model, save_model
+
+ONE_LAYER = sorted(set(KINDS) - {TwoLayer.kind})
 
 
 def test_every_kind_is_tried():
-    assert set(models()) == set(KINDS)
+    assert set(models()) == set(ONE_LAYER)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ONE_LAYER)
 def test_a_model_round_trips(tmp_path, kind):
     made = models()[kind]
     save_model(tmp_path / "m", made)
@@ -30,7 +34,7 @@ def test_a_model_round_trips(tmp_path, kind):
     assert sorted(p.suffix for p in (tmp_path / "m").iterdir()) == [".json", *[".npy"] * len(made.layout)]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ONE_LAYER)
 def test_damaged_models_are_refused_or_answer(tmp_path, kind):
     """Any byte of any file set to any of a few values: loading refuses, or gives a model that answers."""
     save_model(tmp_path / "m", models()[kind])
@@ -55,7 +59,7 @@ def test_damaged_models_are_refused_or_answer(tmp_path, kind):
 
 
 @pytest.mark.parametrize("length", ["99999999999", str(1 << 32)])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ONE_LAYER)
 def test_a_header_that_promises_more_than_there_is_allocates_nothing(tmp_path, kind, length):
     save_model(tmp_path / "m", models()[kind])
     name, (dtype, dimensions) = next(iter(models()[kind].layout.items()))
@@ -67,7 +71,7 @@ def test_a_header_that_promises_more_than_there_is_allocates_nothing(tmp_path, k
         load_model(tmp_path / "m")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ONE_LAYER)
 def test_a_pickled_array_is_not_loaded(tmp_path, kind):
     save_model(tmp_path / "m", models()[kind])
     name = next(iter(models()[kind].layout))
@@ -134,7 +138,7 @@ def test_a_machine_without_a_sound_preparation_is_refused(tmp_path, kind, ready)
         {"digest": []},
     ],
 )
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ONE_LAYER)
 def test_card_and_arrays_belong_together(tmp_path, kind, change):
     """Whatever decides cannot be edited by accident; remarks can."""
     save_model(tmp_path / "m", models()[kind])
@@ -145,7 +149,7 @@ def test_card_and_arrays_belong_together(tmp_path, kind, change):
         load_model(tmp_path / "m")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ONE_LAYER)
 def test_an_array_of_another_model_is_refused(tmp_path, kind):
     save_model(tmp_path / "m", models()[kind])
     name = {"forest": "threshold", "boosting": "threshold", "linear-svm": "weights", "rbf-svm": "vectors"}[kind]
@@ -243,3 +247,80 @@ def test_any_shapes_are_a_sound_machine_or_an_error(rows, columns, duals, counts
     except InputError:
         return
     assert columns == 2 and shares.shape == (2, n) and (winner < n).all()
+
+
+def test_two_layers_round_trip(tmp_path):
+    made = two_layers()
+    save_model(tmp_path / "m", made)
+    found = load_model(tmp_path / "m")
+    assert isinstance(found, TwoLayer) and found.pair == made.pair and found.within == 1.5
+    assert found.wide == ("eigenvalue_1_r90",) and found.card["layers"].keys() == {"coarse", "fine"}
+    for layer in ("coarse", "fine"):
+        for name in getattr(made, layer).layout:
+            np.testing.assert_array_equal(getattr(getattr(found, layer), name), getattr(getattr(made, layer), name))
+    assert load_model(tmp_path / "m" / "coarse").features == NAMES, "a layer is a model by itself"
+
+
+def test_damaged_layers_are_refused(tmp_path):
+    """Any byte of any file of either layer set to another: loading refuses, or only a remark has changed."""
+    save_model(tmp_path / "m", two_layers())
+    refused = 0
+    for path in sorted(p for p in (tmp_path / "m").rglob("*") if p.is_file()):
+        good = path.read_bytes()
+        for at in range(0, len(good), 11):
+            path.write_bytes(good[:at] + bytes([good[at] ^ 3]) + good[at + 1 :])
+            try:
+                load_model(tmp_path / "m")
+            except InputError:
+                refused += 1
+        path.write_bytes(good[: len(good) // 2])
+        with pytest.raises(InputError):
+            load_model(tmp_path / "m")
+        path.write_bytes(good)
+    assert refused > 100
+    load_model(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    ("layer", "told"), [("coarse", "do not belong together"), ("fine", "do not belong together"), (None, "not a model")]
+)
+def test_a_layer_of_another_model_or_none_is_refused(tmp_path, layer, told):
+    save_model(tmp_path / "m", two_layers())
+    if layer is None:
+        shutil.rmtree(tmp_path / "m" / "fine")
+    else:
+        other = two_layers(seed=2)
+        shutil.rmtree(tmp_path / "m" / layer)
+        save_model(tmp_path / "m" / layer, getattr(other, layer))
+    with pytest.raises(InputError, match=told):
+        load_model(tmp_path / "m")
+
+
+def test_a_layer_with_layers_is_refused_without_following_it(tmp_path):
+    save_model(tmp_path / "m", two_layers())
+    save_model(tmp_path / "m" / "fine", two_layers())
+    with pytest.raises(InputError, match="layers of its own"):
+        load_model(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"refine": None}, "how near a boundary is"),
+        ({"refine": {"within": -1.0}}, "is none"),
+        ({"refine": {"within": "wide"}}, "how near a boundary is"),
+        ({"features": ["zc"]}, "other features or classes"),
+    ],
+)
+def test_a_card_of_two_layers_that_cannot_be_is_refused(change, told):
+    made = two_layers()
+    with pytest.raises(InputError, match=told):
+        TwoLayer(made.coarse, made.fine, {**made.card, **change}).check()
+
+
+def test_a_second_layer_names_classes_of_the_first():
+    made = two_layers()
+    alien = [{"name": "c0", "code": 2, "codes": [2]}, {"name": "boat", "code": 77, "codes": [77]}]
+    fine = replace(made.fine, card={**made.fine.card, "classes": alien})
+    with pytest.raises(InputError, match="boat"):
+        TwoLayer(made.coarse, fine, made.card).check()

@@ -1,0 +1,342 @@
+"""The stages of a second layer: first answers, where two classes meet, wide features there, what it learns from, and
+the answers of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from fwclass.classify.params import RefineParams
+from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refined
+from fwclass.classify.stage import CLASSIFY, classify, filled
+from fwclass.errors import InputError
+from fwclass.features.params import Asked, FeaturesParams
+from fwclass.features.stage import FEATURES, features
+from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
+from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, own_model
+from fwclass.graph.features import tile_table
+from fwclass.graph.fine_layer import FineLayer, fine_layer
+from fwclass.graph.learn import (
+    MODEL,
+    NOT_OF_THE_SAMPLE,
+    SAMPLE,
+    TRAIN_BASELINE,
+    TRAIN_FOREST,
+    forest_learns,
+    load_sample,
+    parameters_of,
+    stamped,
+    trains,
+)
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.model import ClassDef, TwoLayer, sample_matrix
+from fwclass.run.part import Name
+from fwclass.schema import Table, canonical_key
+from fwclass.stage import Chunk
+from fwclass.store.arrays import write_arrays
+from fwclass.store.models import load_model, save_model
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.stage import VERSION as BASELINE_VERSION
+from fwclass.train.baselines.stage import train_other
+from fwclass.train.params import TrainParams
+from fwclass.train.sample import Sample, review
+from fwclass.train.stage import TRAIN, TRAIN_SAMPLE, candidates, grow_trees, merge, train
+
+TRAIN_COARSE, ANSWERED = "train-coarse", "coarse"
+DRAWN, MERGED = "refine-sample", "refine-training"
+_PLACE = ("x", "y", "z")
+
+
+def answered(here: StageInputs, names: tuple[str, ...], model: str | None) -> Made:
+    """The first layer's answers of a tile."""
+    if model is None:
+        used = model_at(
+            here.inputs.path(TRAIN_COARSE, "model", MODEL), here.inputs.digest(TRAIN_COARSE, "model"), False
+        )
+    else:
+        both = model_at(here.file(), model, True)
+        used = both.coarse if isinstance(both, TwoLayer) else both
+    missing, tables = 0, []
+    for rows in here.cuts():
+        X = sample_matrix(rows, used.features, here.part)
+        made = classify(X, used)
+        tables.append(Table(dict(zip(COARSE, (made[n] for n in CLASSIFY.writes), strict=True))))
+        missing += filled(X, used)
+    return tables[0] if len(tables) == 1 else Table.concat(tables), {"filled": missing}
+
+
+def widened(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Made:
+    """Which echoes of a tile are at the boundary, and wide features of those alone, NaN for the others."""
+    tables, rows = [], []
+    for these, chunk in here.chunks():
+        at = at_boundary(chunk, layer.pair, layer.within)
+        made = {name: np.full(len(at), np.nan, np.float32) for name in layer.wide}
+        if at.any() and layer.wide:
+            some = features(Chunk(chunk.table, chunk.core[at], chunk.tile), layer.wide, params)
+            for name in layer.wide:
+                made[name][at] = some[name]
+        tables.append(Table({BOUNDARY: at, **made}))
+        rows.append(these)
+    table = tile_table(tables, rows)
+    return table, {"rows": table.rows, "boundary": int(table[BOUNDARY].sum())}
+
+
+def drawn(
+    here: StageInputs,
+    layer: FineLayer,
+    areas: Any,
+    params: FeaturesParams,
+    classes: tuple[ClassDef, ...],
+    rows: str,
+    drawing: TrainParams,
+) -> Made:
+    """The rows of a tile that the second layer may learn from, with all that it decides by."""
+    chunk, own = here.chunk(), here.own_rows()
+    inside = within(own, areas)
+    if rows == "boundary":
+        inside &= at_boundary(chunk, layer.pair, layer.within)
+    key = canonical_key(own)
+    known = Table({"z": np.zeros(own.rows, np.float32)})  # which rows have a value is not known before it is computed
+    sample = candidates(known, own["reference"], key, inside, drawing, classes)
+    order = np.argsort(key)
+    chosen = order[np.searchsorted(key[order], sample.key)]
+    made = own.take(chosen)
+    if layer.wide:
+        made = made.with_columns(
+            features(Chunk(chunk.table, chunk.core[chosen], chunk.tile), layer.wide, params).select(layer.wide)
+        )
+    X = sample_matrix(made, layer.names, here.part)
+    sample = Sample(layer.names, X, sample.y, sample.key, sample.hash, sample.eligible, sample.bare)
+    write_arrays(here.directory / SAMPLE, sample.arrays())
+    return {"rows": sample.rows}
+
+
+def merged(here: StageInputs, layer: FineLayer, rows: str, drawing: TrainParams, classes: tuple[ClassDef, ...]) -> Made:
+    """The sample of all tiles; refused where the two classes do not meet in the training areas."""
+    tiles = here.parts(DRAWN)
+    parts = (load_sample(here.inputs, DRAWN, t, layer.names) for t in tiles)
+    sample = merge(parts, drawing) if tiles else None
+    if sample is None or (sample.counts == 0).any():
+        lacking = classes[int(np.argmin(sample.counts))].name if sample else classes[0].name
+        near = f" near a boundary of {classes[0].name} and {classes[1].name}" if rows == "boundary" else ""
+        raise InputError(
+            f"the second layer has no training rows of class {lacking!r}{near}",
+            where="classify.refine, training areas",
+            expected="labelled echoes of both classes",
+            got="none"
+            if sample is None
+            else ", ".join(f"{c.name} {n}" for c, n in zip(classes, sample.counts.tolist(), strict=True)),
+            do="--set classify.refine.rows=anywhere, or no second layer: --set classify.refine.between=[]",
+        )
+    write_arrays(here.directory / SAMPLE, sample.arrays())
+    return {"rows": sample.rows, "counts": sample.counts.tolist()}
+
+
+def fitted(
+    here: StageInputs,
+    layer: FineLayer,
+    params: TrainParams,
+    compare: CompareParams,
+    refine: RefineParams,
+    classes: tuple[ClassDef, ...],
+    computed: Mapping[str, Any],
+) -> Made:
+    """The second layer, and both as one model, delivered as the run's."""
+    coarse = load_model(here.inputs.path(TRAIN_COARSE, "model", MODEL))
+    sample, without = _with_values(load_sample(here.inputs, MERGED, "all", layer.names))
+    params = params.model_copy(update={"method": refine.method, "samples_per_class": refine.samples_per_class})
+    fine: Any = fit_layer(sample, params, compare, classes)
+    if without:
+        fine.card["notes"].append(f"no training row has a value of {', '.join(without)}: left out")
+    fine = stamped(fine, computed)
+    card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
+    both = TwoLayer(coarse, fine, {**card, "kind": TwoLayer.kind, "refine": refine.model_dump(mode="json")})
+    both.check("a newly trained model")
+    save_model(here.directory / MODEL, both)
+    return {"card": dict(both.card), "fine": dict(fine.card), "trees": None}
+
+
+def _with_values(sample: Sample) -> tuple[Sample, list[str]]:
+    """The sample without features that no row has a value of, and these."""
+    some = [bool(np.isfinite(values).any()) for values in sample.X.T]
+    names = tuple(n for n, one in zip(sample.features, some, strict=True) if one)
+    kept = (sample.X[:, some], sample.y, sample.key, sample.hash, sample.eligible, sample.bare)
+    return Sample(names, *kept), [n for n in sample.features if n not in names]
+
+
+def fit_layer(sample: Sample, params: TrainParams, compare: CompareParams, classes: tuple[ClassDef, ...]) -> Any:
+    """A classifier of any kind, by ``train.method``."""
+    if params.method != "forest":
+        return train_other(sample, params, compare, classes, params.method)
+    review(sample, classes)
+    return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
+
+
+def both_answered(
+    here: StageInputs, layer: FineLayer, names: tuple[str, ...], probabilities: bool, model: str | None
+) -> Made:
+    """Answers of both layers for a tile."""
+    if model is None:
+        used = model_at(here.inputs.path("train", "model", MODEL), here.inputs.digest("train", "model"), False)
+    else:
+        used = model_at(here.file(), model, True)
+    if not isinstance(used, TwoLayer):
+        raise InputError("the model has one layer", where=here.part, do="run the same again: it was changed")
+    tables, missing = [], 0
+    for rows in here.cuts():
+        X = sample_matrix(rows.take(np.flatnonzero(rows[BOUNDARY])), used.fine.features, here.part)
+        coarse = classify(sample_matrix(rows, used.features, here.part), used.coarse, True) if probabilities else None
+        tables.append(refined(rows, X, used, coarse))
+        missing += filled(X, used.fine)
+    table = tables[0] if len(tables) == 1 else Table.concat(tables)
+    return table, {"codes": codes_of(table), "filled": missing}
+
+
+def _has(plan: Plan) -> bool:
+    return fine_layer(plan) is not None
+
+
+def _learns(plan: Plan) -> bool:
+    return trains(plan) and _has(plan)
+
+
+def _layer(plan: Plan) -> FineLayer:
+    layer = fine_layer(plan)
+    if layer is None:
+        raise InputError("the run has no second layer", where="classify.refine")
+    return layer
+
+
+def _pair(plan: Plan) -> tuple[ClassDef, ...]:
+    codes = _layer(plan).pair
+    return tuple(next(c for c in plan.config.classes if c.code == code) for code in codes)
+
+
+def _coarse_model(plan: Plan, part: Any) -> tuple[Name, ...]:
+    return () if plan.model else ((TRAIN_COARSE, "model"),)
+
+
+def _wide_reads(plan: Plan) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((*_PLACE, COARSE[0], *Asked.of(_layer(plan).wide).reads)))
+
+
+def _drawn_by(plan: Plan) -> Mapping[str, Any]:
+    refine = plan.config.classify.refine
+    drawing = plan.config.train.model_copy(update={"samples_per_class": refine.samples_per_class})
+    return {"rows": refine.rows, "drawing": drawing}
+
+
+TRAIN_COARSE_FOREST = replace(
+    TRAIN_FOREST, name=TRAIN_COARSE, when=lambda plan: _learns(plan) and forest_learns(plan), where="store"
+)
+TRAIN_COARSE_BASELINE = replace(
+    TRAIN_BASELINE, name=TRAIN_COARSE, when=lambda plan: _learns(plan) and not forest_learns(plan), where="store"
+)
+ANSWER_COARSE = Stage(
+    ANSWERED,
+    CLASSIFY.version,
+    "tile",
+    "echo",
+    answered,
+    when=_has,
+    arguments=lambda plan: {"names": plan.names, "model": plan.model[1] if plan.model else None},
+    own=lambda plan: plan.names,
+    writes=COARSE,
+    after=(TRAIN_COARSE,),
+    needs=_coarse_model,
+    source=given_model,
+    cells=True,
+)
+DRAW_BOUNDARY = Stage(
+    DRAWN,
+    1000 * FEATURES.version + TRAIN_SAMPLE.version,
+    "tile",
+    "echo",
+    drawn,
+    when=_learns,
+    parts=training_tiles,
+    arguments=lambda plan: {
+        "layer": _layer(plan),
+        "areas": plan.config.areas.boxes("train"),
+        "params": plan.config.features,
+        "classes": _pair(plan),
+        **_drawn_by(plan),
+    },
+    silent=NOT_OF_THE_SAMPLE | {"also"},
+    reads=_wide_reads,
+    own=lambda plan: (*IDENTITY_AND_PLACE, "reference", *(n for n in _layer(plan).names if n not in _layer(plan).wide)),
+    halo=lambda plan: _layer(plan).halo(plan),
+)
+MERGE_BOUNDARY = Stage(
+    MERGED,
+    TRAIN_SAMPLE.version,
+    "survey",
+    "row",
+    merged,
+    when=_learns,
+    arguments=lambda plan: {"layer": _layer(plan), "classes": _pair(plan), **_drawn_by(plan)},
+    silent=NOT_OF_THE_SAMPLE,
+    after=(DRAWN,),
+    needs=lambda plan, part: [(DRAWN, t.key) for t in training_tiles(plan)],
+)
+TRAIN_FINE = Stage(
+    TRAIN.name,
+    1000 * BASELINE_VERSION + TRAIN.version,
+    "survey",
+    "row",
+    fitted,
+    when=_learns,
+    parts=lambda plan: ("model",),
+    arguments=lambda plan: {
+        "layer": _layer(plan),
+        "params": plan.config.train,
+        "compare": plan.config.compare,
+        "refine": plan.config.classify.refine,
+        "classes": _pair(plan),
+        "computed": parameters_of(plan, _layer(plan).names),
+    },
+    after=(MERGED, TRAIN_COARSE),
+    needs=lambda plan, part: ((MERGED, "all"), (TRAIN_COARSE, "model")),
+    where="deliver",
+)
+WIDEN_BOUNDARY = Stage(
+    REFINE.name,
+    1000 * FEATURES.version + REFINE.version,
+    "tile",
+    "echo",
+    widened,
+    when=_has,
+    arguments=lambda plan: {"layer": _layer(plan), "params": plan.config.features},
+    silent=frozenset({"also"}),
+    reads=_wide_reads,
+    writes=lambda plan: (BOUNDARY, *_layer(plan).wide),
+    halo=lambda plan: _layer(plan).halo(plan),
+    after=(ANSWERED,),
+)
+CLASSIFY_REFINED = Stage(
+    CLASSIFY.name,
+    CLASSIFY.version,
+    "tile",
+    "echo",
+    both_answered,
+    when=_has,
+    arguments=lambda plan: {
+        "layer": _layer(plan),
+        "names": plan.names,
+        "probabilities": plan.config.classify.probabilities,
+        "model": plan.model[1] if plan.model else None,
+    },
+    own=lambda plan: (
+        *COARSE,
+        BOUNDARY,
+        *_layer(plan).names,
+        *(plan.names if plan.config.classify.probabilities else ()),
+    ),
+    writes=classes_written,
+    after=("train", REFINE.name),
+    needs=own_model,
+    source=given_model,
+)
