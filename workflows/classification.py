@@ -7,7 +7,15 @@ from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
-from fwclass.graph.learn import DRAW_SAMPLE, GROW_TREES, MERGE_SAMPLE, TRAIN_BASELINE, TRAIN_FOREST, WEIGH_FEATURES
+from fwclass.graph.learn import (
+    DRAW_SAMPLE,
+    GROW_TREES,
+    MERGE_SAMPLE,
+    TRAIN_BASELINE,
+    TRAIN_FOREST,
+    TRY_MACHINES,
+    WEIGH_FEATURES,
+)
 from fwclass.graph.outputs import DELIVER_RASTERS, DELIVER_STRIP, DELIVER_TILE, MAP_CLASSES
 from fwclass.graph.radiometry import (
     CALIBRATE_STRIPS,
@@ -73,6 +81,7 @@ classification = Workflow(
         GROW_TREES,
         WEIGH_FEATURES,
         TRAIN_FOREST,
+        TRY_MACHINES,
         TRAIN_BASELINE,
         # of two layers: the first one's answers, and what the second learns where classes meet
         TRAIN_COARSE_FOREST,

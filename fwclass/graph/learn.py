@@ -12,18 +12,20 @@ from numpy.typing import NDArray
 from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.fine_layer import fine_layer
+from fwclass.graph.machine_search import MACHINE_SEARCH, gathered, judge, searches, spatial, trials
 from fwclass.graph.model_fit import computed
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.graph.thin import sampled_columns
-from fwclass.grid import Box
+from fwclass.grid import Box, millimetres
 from fwclass.model import ClassDef, Model, Tree
 from fwclass.run.inputs import PartInputs
-from fwclass.schema import canonical_key
+from fwclass.schema import Table, canonical_key
 from fwclass.store.arrays import write_arrays
 from fwclass.store.models import save_model
-from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.params import CompareParams, RbfSvmParams
+from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.stage import VERSION as BASELINE_VERSION
-from fwclass.train.baselines.stage import train_other
+from fwclass.train.baselines.stage import machine_weights, train_other
 from fwclass.train.importance import drops
 from fwclass.train.sample import Sample, review
 from fwclass.train.stage import (
@@ -56,9 +58,16 @@ def sampled(
     inside = within(table, areas)
     if "sampled" in table:  # a thinned run
         inside &= table["sampled"]
-    sample = candidates(table.select(names), table["reference"], canonical_key(table), inside, params, classes)
+    sample = candidates(
+        table.select(names), table["reference"], canonical_key(table), inside, params, classes, places(table)
+    )
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows}
+
+
+def places(table: Table) -> NDArray[np.int64]:
+    """x and y (rows, 2) in whole millimetres."""
+    return np.stack([millimetres(table["x"]), millimetres(table["y"])], axis=1).astype(np.int64)
 
 
 def merged(here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...]) -> Made:
@@ -135,12 +144,35 @@ def fitted(
     compare: CompareParams,
     classes: tuple[ClassDef, ...],
     computed: Mapping[str, Any],
+    block: float,
+    gap: float,
 ) -> Made:
     """The classifier that ``train.method`` names where it is no forest, delivered as the run's model."""
-    sample = merged_sample(here.inputs, names)
-    model: Model = stamped(train_other(sample, params, compare, classes, params.method), computed)
+    sample, places = merged_sample(here.inputs, names), spatial(block, gap)
+    found, parts = None, here.parts(MACHINE_SEARCH)
+    if parts:
+        found = gathered(here.inputs, parts, sample, compare.rbf_svm, places)
+    made = train_other(sample, params, compare, classes, params.method, places, found)
+    model: Model = stamped(made, computed)
     save_model(here.directory / MODEL, model)
     return {"card": dict(model.card), "trees": None}
+
+
+def tried(
+    here: StageInputs,
+    names: tuple[str, ...],
+    params: TrainParams,
+    classes: tuple[ClassDef, ...],
+    machine: RbfSvmParams,
+    scaling: str,
+    block: float,
+    gap: float,
+    trial: tuple[float, float, int],
+) -> Made:
+    """How often the machine of one (C, gamma, fold) is right."""
+    sample, places = merged_sample(here.inputs, names), spatial(block, gap)
+    weights = machine_weights(fewer(sample, machine.max_rows, places.edge), params, classes)
+    return judge(here, sample, trial, machine, scaling, weights, places)
 
 
 def stamped(model: Any, computed: Mapping[str, Any]) -> Any:
@@ -193,6 +225,11 @@ def parameters_of(plan: Plan, names: tuple[str, ...]) -> Mapping[str, Any]:
 
 def _computed(plan: Plan) -> Mapping[str, Any]:
     return parameters_of(plan, plan.config.features_asked)
+
+
+def _squares(plan: Plan) -> Mapping[str, Any]:
+    """What folds of a machine's search lie apart by."""
+    return {"block": plan.config.select.block, "gap": plan.config.select.gap}
 
 
 _NOT_OF_A_TREE = frozenset({"trees", "importance_repeats"})
@@ -271,6 +308,25 @@ TRAIN_FOREST = Stage(
     ],
     where="deliver",
 )
+TRY_MACHINES = Stage(
+    MACHINE_SEARCH,
+    BASELINE_VERSION,
+    "survey",
+    "row",
+    tried,
+    when=lambda plan: trains(plan) and searches(plan),
+    parts=trials,
+    arguments=lambda plan: {
+        **growing(plan),
+        "machine": plan.config.compare.rbf_svm,
+        "scaling": plan.config.compare.scaling,
+        **_squares(plan),
+    },
+    each=lambda plan, trial: {"trial": (trial.c, trial.gamma, trial.fold)},
+    silent=frozenset(TrainParams.model_fields) - {"class_weights", "seed", "samples_per_class"} | {"c", "gamma"},
+    after=("training",),
+    needs=lambda plan, trial: (("training", "all"),),
+)
 TRAIN_BASELINE = Stage(
     TRAIN.name,
     BASELINE_VERSION,
@@ -279,8 +335,13 @@ TRAIN_BASELINE = Stage(
     fitted,
     when=lambda plan: _one_layer(plan) and not forest_learns(plan),
     parts=lambda plan: ("model",),
-    arguments=lambda plan: {**growing(plan), "compare": plan.config.compare, "computed": _computed(plan)},
-    after=("training",),
-    needs=lambda plan, part: (("training", "all"),),
+    arguments=lambda plan: {
+        **growing(plan),
+        "compare": plan.config.compare,
+        "computed": _computed(plan),
+        **_squares(plan),
+    },
+    after=("training", MACHINE_SEARCH),
+    needs=lambda plan, part: (("training", "all"), *((MACHINE_SEARCH, t.key) for t in trials(plan) if searches(plan))),
     where="deliver",
 )

@@ -28,9 +28,11 @@ from fwclass.graph.learn import (
     forest_learns,
     load_sample,
     parameters_of,
+    places,
     stamped,
     trains,
 )
+from fwclass.graph.machine_search import spatial
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.run.part import Name
@@ -100,7 +102,7 @@ def drawn(
         inside &= at_boundary(chunk, layer.pair, layer.within)
     key = canonical_key(own)
     known = Table({"z": np.zeros(own.rows, np.float32)})  # which rows have a value is not known before it is computed
-    sample = candidates(known, own["reference"], key, inside, drawing, classes)
+    sample = candidates(known, own["reference"], key, inside, drawing, classes, places(own))
     order = np.argsort(key)
     chosen = order[np.searchsorted(key[order], sample.key)]
     made = own.take(chosen)
@@ -109,7 +111,7 @@ def drawn(
             features(Chunk(chunk.table, chunk.core[chosen], chunk.tile), layer.wide, params).select(layer.wide)
         )
     X = sample_matrix(made, layer.names, here.part)
-    sample = Sample(layer.names, X, sample.y, sample.key, sample.hash, sample.eligible, sample.bare)
+    sample = Sample(layer.names, X, sample.y, sample.key, sample.hash, sample.eligible, sample.bare, sample.place)
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows}
 
@@ -143,12 +145,14 @@ def fitted(
     refine: RefineParams,
     classes: tuple[ClassDef, ...],
     computed: Mapping[str, Any],
+    block: float,
+    gap: float,
 ) -> Made:
     """The second layer, and both as one model, delivered as the run's."""
     coarse = load_model(here.inputs.path(TRAIN_COARSE, "model", MODEL))
     sample, without = _with_values(load_sample(here.inputs, MERGED, "all", layer.names))
     params = params.model_copy(update={"method": refine.method, "samples_per_class": refine.samples_per_class})
-    fine: Any = fit_layer(sample, params, compare, classes)
+    fine: Any = fit_layer(sample, params, compare, classes, block, gap)
     if without:
         fine.card["notes"].append(f"no training row has a value of {', '.join(without)}: left out")
     fine = stamped(fine, computed)
@@ -163,14 +167,16 @@ def _with_values(sample: Sample) -> tuple[Sample, list[str]]:
     """The sample without features that no row has a value of, and these."""
     some = [bool(np.isfinite(values).any()) for values in sample.X.T]
     names = tuple(n for n, one in zip(sample.features, some, strict=True) if one)
-    kept = (sample.X[:, some], sample.y, sample.key, sample.hash, sample.eligible, sample.bare)
+    kept = (sample.X[:, some], sample.y, sample.key, sample.hash, sample.eligible, sample.bare, sample.place)
     return Sample(names, *kept), [n for n in sample.features if n not in names]
 
 
-def fit_layer(sample: Sample, params: TrainParams, compare: CompareParams, classes: tuple[ClassDef, ...]) -> Any:
+def fit_layer(
+    sample: Sample, params: TrainParams, compare: CompareParams, classes: tuple[ClassDef, ...], block: float, gap: float
+) -> Any:
     """A classifier of any kind, by ``train.method``."""
     if params.method != "forest":
-        return train_other(sample, params, compare, classes, params.method)
+        return train_other(sample, params, compare, classes, params.method, spatial(block, gap))
     review(sample, classes)
     return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
 
@@ -297,6 +303,8 @@ TRAIN_FINE = Stage(
         "refine": plan.config.classify.refine,
         "classes": _pair(plan),
         "computed": parameters_of(plan, _layer(plan).names),
+        "block": plan.config.select.block,
+        "gap": plan.config.select.gap,
     },
     after=(MERGED, TRAIN_COARSE),
     needs=lambda plan, part: ((MERGED, "all"), (TRAIN_COARSE, "model")),

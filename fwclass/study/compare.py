@@ -14,11 +14,13 @@ from fwclass.conf import Config
 from fwclass.graph.areas import tested
 from fwclass.graph.layout import Layout
 from fwclass.graph.learn import merged_sample
+from fwclass.graph.machine_search import spatial
 from fwclass.model import ClassDef, Model, assemble, class_index, sample_matrix
 from fwclass.run.inputs import PartInputs
 from fwclass.store.run_store import Store
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
+from fwclass.train.baselines.search import BY_PULSES, Places
 from fwclass.train.baselines.stage import train_other
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
@@ -30,11 +32,18 @@ WARM_ROWS = 200
 _PLACE = dict.fromkeys(("x", "y"), "tile")
 
 
-def fit(method: str, sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef]) -> Model:
+def fit(
+    method: str,
+    sample: Sample,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: Sequence[ClassDef],
+    places: Places = BY_PULSES,
+) -> Model:
     """A classifier of any kind; the forest without what is measured besides (out-of-bag accuracy, importance)."""
     if method == "forest":
         return assemble(grow_trees(sample, classes, 0, params.trees, params), card(sample, classes, params))
-    return train_other(sample, params, compare, classes, method)
+    return train_other(sample, params, compare, classes, method, places)
 
 
 def timed(work: Callable[[], Any]) -> tuple[float, Any]:
@@ -52,14 +61,14 @@ def compared(
     Times are CPU seconds of one thread: of training, and of classifying from ready features. Plain data.
     """
     inputs, names, classes = PartInputs(store), config.features_asked, config.classes
-    sample = merged_sample(inputs, names)
+    sample, places = merged_sample(inputs, names), spatial(config.select.block, config.select.gap)
     models: dict[str, Model] = {}
     spent: dict[str, list[float]] = {}
     for method in methods:
         say(f"training     {method}")
         warm = fit(method, fewer(sample, WARM_ROWS), config.train, config.compare, classes)
         answer(sample.X[:64], warm)
-        seconds, models[method] = timed(lambda m=method: fit(m, sample, config.train, config.compare, classes))  # type: ignore[misc]
+        seconds, models[method] = timed(lambda m=method: fit(m, sample, config.train, config.compare, classes, places))  # type: ignore[misc]
         spent[method] = [seconds, 0.0]
     matrices = {m: np.zeros((len(classes), len(classes)), np.int64) for m in methods}
     columns = {**layout.columns(names), **_PLACE, "reference": "label"}

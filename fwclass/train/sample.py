@@ -14,7 +14,7 @@ from fwclass.hashing import hashed
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.schema import Table
 
-_ARRAYS = ("X", "y", "key", "hash", "eligible", "bare")
+_ARRAYS = ("X", "y", "key", "hash", "eligible", "bare", "place")
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Sample:
     hash : uint64 (rows,), random number of the key; the smallest of a class are kept.
     eligible : int64 (classes,), labelled rows that the sample was drawn from.
     bare : int64 (classes,), labelled rows without any feature value, which never train; empty where not counted.
+    place : int64 (rows, 2), x and y in whole millimetres; (0, 2) where not known.
     """
 
     features: tuple[str, ...]
@@ -39,6 +40,7 @@ class Sample:
     hash: NDArray[np.uint64]
     eligible: NDArray[np.int64]
     bare: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    place: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), np.int64))
 
     @property
     def rows(self) -> int:
@@ -51,7 +53,7 @@ class Sample:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the names, keys, classes and values of the rows."""
+        """SHA-256 of the names, keys, classes and values of the rows; where they lie follows from the keys."""
         made = hashlib.sha256("\n".join(self.features).encode())
         for array in (self.key, self.y, self.X):
             made.update(np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes())
@@ -68,7 +70,8 @@ class Sample:
     def take(self, rows: NDArray) -> Sample:
         """The same sample with only `rows` (index or mask)."""
         drawn = (self.X[rows], self.y[rows], self.key[rows], self.hash[rows])
-        return Sample(self.features, *drawn, self.eligible, self.bare)
+        place = self.place[rows] if len(self.place) else self.place
+        return Sample(self.features, *drawn, self.eligible, self.bare, place)
 
 
 def draw(
@@ -79,6 +82,7 @@ def draw(
     classes: Sequence[ClassDef],
     per_class: int,
     seed: int,
+    place: NDArray[np.int64] | None = None,
 ) -> Sample:
     """Of every class the `per_class` labelled rows inside the training areas with the smallest hashes.
 
@@ -98,7 +102,8 @@ def draw(
     drawn = hashed(seed, key)
     kept = _smallest(y, drawn, len(classes), per_class)
     X = sample_matrix(features.take(rows[kept]), names, "training rows")
-    return _sorted(Sample(names, X, y[kept], key[kept], drawn[kept], eligible, bare))
+    there = np.empty((0, 2), np.int64) if place is None else place[rows[kept]]
+    return _sorted(Sample(names, X, y[kept], key[kept], drawn[kept], eligible, bare, there))
 
 
 def join(samples: Iterable[Sample], per_class: int) -> Sample:
@@ -127,6 +132,7 @@ def _union(parts: Sequence[Sample]) -> Sample:
         np.concatenate([p.hash for p in parts]),
         np.sum([p.eligible for p in parts], axis=0),
         np.sum([p.bare for p in parts], axis=0),
+        np.concatenate([p.place for p in parts]),
     )
 
 

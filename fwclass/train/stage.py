@@ -32,6 +32,7 @@ def candidates(
     inside: NDArray[np.bool_],
     params: TrainParams,
     classes: Sequence[ClassDef],
+    place: NDArray[np.int64] | None = None,
 ) -> Sample:
     """The rows of one tile that may train.
 
@@ -42,8 +43,9 @@ def candidates(
     key : uint64 (rows,), `schema.canonical_key` of the rows.
     inside : bool (rows,), the row lies in a training area.
     classes : the classes in the order of the votes.
+    place : int64 (rows, 2), x and y in whole millimetres, where the sample is to know.
     """
-    return draw(features, reference, key, inside, classes, params.samples_per_class, params.seed)
+    return draw(features, reference, key, inside, classes, params.samples_per_class, params.seed, place)
 
 
 def merge(samples: Iterable[Sample], params: TrainParams) -> Sample:
@@ -163,7 +165,7 @@ def train(
     return assemble(trees, written)
 
 
-TRAIN_SAMPLE = Computation(name="sample", version=2)
+TRAIN_SAMPLE = Computation(name="sample", version=3)
 TRAIN_TREES = Computation(name="trees", version=1)
 TRAIN_IMPORTANCE = Computation(name="importance", version=1)
 TRAIN = Computation(name="train", version=3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -82,26 +82,22 @@ def _svc(c: float, gamma: float, weights: dict[int, float] | None) -> Any:
     )
 
 
-def search(
+def judged(
     X: NDArray[np.float64],
     y: Labels,
-    fold: NDArray[np.int64],
-    c: Sequence[float],
-    gamma: Sequence[float],
+    learns: NDArray[np.bool_],
+    asked: NDArray[np.bool_],
+    c: float,
+    gamma: float,
     weights: dict[int, float] | None,
-) -> list[tuple[float, float, float]]:
-    """(c, gamma, share of right rows) of every pair, each row judged by the machine that did not see its fold."""
-    made = []
+) -> int:
+    """How many of the rows `asked` the machine of the rows `learns` answers right; 0 where these are of one class."""
+    if len(np.unique(y[learns])) < 2 or not asked.any():
+        return 0
+    known = {k: w for k, w in weights.items() if (y[learns] == k).any()} if weights else None
     with _one_thread():
-        for one in c:
-            for width in gamma:
-                right = 0
-                for k in np.unique(fold):
-                    out = fold == k
-                    if len(np.unique(y[~out])) > 1:
-                        right += int((_svc(one, width, weights).fit(X[~out], y[~out]).predict(X[out]) == y[out]).sum())
-                made.append((one, width, right / len(y)))
-    return made
+        svm = _svc(c, gamma, known).fit(X[learns], y[learns])
+        return int((svm.predict(X[asked]) == y[asked]).sum())
 
 
 def sklearn_forest(

@@ -22,8 +22,10 @@ class LinearSvmParams(Params):
 class RbfSvmParams(Params):
     """Machine with Gaussian kernel, every class against every other.
 
-    `c` and `gamma`: values tried; of several the pair that is right most often in `folds` folds of the sample.
+    `c` and `gamma`: values tried; of several the pair that is right most often in `folds` folds of the sample that lie
+    apart (blocks and gap of the section `select`), of equally good ones the smoother.
     `max_rows`, `search_rows`: rows of the sample that train, and that the search looks at.
+    `trim`: rows whose nearest other row has another class are dropped (`train.trim`), once or until none is left.
     """
 
     c: tuple[Positive, ...] = Field(min_length=1, max_length=100)
@@ -31,6 +33,7 @@ class RbfSvmParams(Params):
     folds: int = Field(ge=2, le=20)
     max_rows: int = Field(ge=2, le=1_000_000)
     search_rows: int = Field(ge=2, le=1_000_000)
+    trim: Literal["none", "nearest", "repeated"]
 
 
 class BoostingParams(Params):

@@ -28,8 +28,11 @@ def _median(column: NDArray[np.float32]) -> float:
     return float(np.median(known.astype(np.float64))) if len(known) else 0.0
 
 
-def fewer(sample: Sample, rows: int) -> Sample:
-    """At most `rows` rows: of every class those with the smallest hashes, all classes alike as far as they reach."""
+def fewer(sample: Sample, rows: int, edge: float = 0.0) -> Sample:
+    """At most `rows` rows: of every class those with the smallest hashes, all classes alike as far as they reach.
+
+    With `edge`, and where the sample knows its places, all squares of that edge [m] alike, too, as far as they reach.
+    """
     if sample.rows <= rows:
         return sample
     counts = np.sort(sample.counts[sample.counts > 0])
@@ -42,8 +45,22 @@ def fewer(sample: Sample, rows: int) -> Sample:
     keep = []
     for c in range(len(sample.eligible)):
         mine = np.flatnonzero(sample.y == c)
-        keep.append(mine[np.argsort(sample.hash[mine], kind="stable")[: max(1, each)]])
+        mine = mine[np.argsort(sample.hash[mine], kind="stable")]
+        if edge and len(sample.place):
+            mine = mine[np.argsort(_turn(sample.place[mine], edge), kind="stable")]
+        keep.append(mine[: max(1, each)])
     return sample.take(np.sort(np.concatenate(keep)))
+
+
+def _turn(place: NDArray[np.int64], edge: float) -> NDArray[np.int64]:
+    """How many rows before it lie in the same square of `edge` [m], for every row."""
+    _, square = np.unique(place // round(1000 * edge), axis=0, return_inverse=True)
+    square = square.ravel()
+    order = np.argsort(square, kind="stable")
+    first = np.searchsorted(square[order], square[order])
+    turn = np.empty(len(square), np.int64)
+    turn[order] = np.arange(len(square)) - first
+    return turn
 
 
 def pieces(sample: Sample, folds: int) -> NDArray[np.int64]:

@@ -6,31 +6,43 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass import __version__
 from fwclass.hashing import seeded
 from fwclass.model import FORMAT, Boosted, ClassDef, KernelMachine, LinearMachine, Model, Preparation, assemble
 from fwclass.train.baselines import fit
 from fwclass.train.baselines.params import CompareParams
-from fwclass.train.baselines.prepare import fewer, pieces, preparation
+from fwclass.train.baselines.prepare import fewer, preparation
+from fwclass.train.baselines.search import BY_PULSES, Places, looked_at, search
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, review
+from fwclass.train.trim import trimmed
 from fwclass.train.weights import whole_weights
 
 METHODS = ("forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting")
 """Classifiers, by the name that ``train.method`` takes."""
 
-VERSION = 1
+VERSION = 2
 """Raised whenever the same sample and parameters would give another model."""
 
 
 def train_other(
-    sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], method: str
+    sample: Sample,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: Sequence[ClassDef],
+    method: str,
+    places: Places = BY_PULSES,
+    found: Mapping[str, Any] | None = None,
 ) -> Model:
     """The classifier `method` (one of `METHODS` but the forest), trained on `sample` by scikit-learn.
 
     Support vector machines fill missing values with the median of the training rows, and the card says how many; trees
     have a side for them. Class weights are those of ``train.class_weights``.
+
+    `places`: how the RBF SVM thins its rows and folds those of its search; `found`: what that search gave (`searched`),
+    where it was made before.
 
     Raises
     ------
@@ -40,7 +52,9 @@ def train_other(
         The sample cannot be trained on.
     """
     notes = review(sample, classes)
-    return {"linear-svm": _linear, "rbf-svm": _rbf, "sklearn-forest": _forest, "boosting": _boosting}[method](
+    if method == "rbf-svm":
+        return _rbf(sample, params, compare, classes, _card(sample, params, classes, method, notes), places, found)
+    return {"linear-svm": _linear, "sklearn-forest": _forest, "boosting": _boosting}[method](
         sample, params, compare, classes, _card(sample, params, classes, method, notes)
     )
 
@@ -62,7 +76,7 @@ def _card(
     }
 
 
-def _weights(sample: Sample, params: TrainParams, classes: Sequence[ClassDef]) -> dict[int, float] | None:
+def machine_weights(sample: Sample, params: TrainParams, classes: Sequence[ClassDef]) -> dict[int, float] | None:
     """Weight of every class by its index, None where all weigh the same; the mean row weighs 1."""
     whole = whole_weights(params.class_weights, sample.counts, [c.name for c in classes])
     if len(set(whole.tolist())) == 1:
@@ -88,37 +102,54 @@ def _linear(
     sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], card: dict[str, Any]
 ) -> Model:
     made, svm = _prepared(sample, compare, card), compare.linear_svm
-    weights, bias, notes = fit.linear_svm(made(sample.X), sample.y, svm, _weights(sample, params, classes))
+    weights, bias, notes = fit.linear_svm(made(sample.X), sample.y, svm, machine_weights(sample, params, classes))
     card["params"] |= svm.model_dump(mode="json")
     card["notes"] += notes
     return _checked(LinearMachine(weights, bias, card))
 
 
 def _rbf(
-    sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], card: dict[str, Any]
+    sample: Sample,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: Sequence[ClassDef],
+    card: dict[str, Any],
+    places: Places = BY_PULSES,
+    found: Mapping[str, Any] | None = None,
 ) -> Model:
-    svm, whole = compare.rbf_svm, sample.rows
-    sample = fewer(sample, svm.max_rows)
+    svm, whole, all_rows = compare.rbf_svm, sample.rows, sample
+    sample = fewer(sample, svm.max_rows, places.edge)
     if sample.rows < whole:
+        alike = f", alike by class and by squares of {places.edge:g} m" if places.edge and len(sample.place) else ""
         card["notes"].append(
-            f"the RBF SVM trained on {sample.rows:,} of {whole:,} rows: its time grows with their square "
+            f"the RBF SVM trained on {sample.rows:,} of {whole:,} rows{alike}: its time grows with their square "
             "(compare.rbf_svm.max_rows)"
         )
         card["samples"] = [int(n) for n in sample.counts]
-    made, weights = _prepared(sample, compare, card), _weights(sample, params, classes)
+    made, weights = _prepared(sample, compare, card), machine_weights(sample, params, classes)
     c, gamma = svm.c[0], svm.gamma[0]
     if len(svm.c) * len(svm.gamma) > 1:
-        looked = fewer(sample, svm.search_rows)
-        fold = pieces(looked, svm.folds)
-        tried = fit.search(made(looked.X), looked.y, fold, svm.c, svm.gamma, weights)
-        c, gamma, _ = max(tried, key=lambda one: one[2])
-        card["search"] = {
-            "rows": looked.rows,
-            "folds": svm.folds,
-            "tried": [{"c": a, "gamma": b, "accuracy": share} for a, b, share in tried],
-        }
-    card["params"] |= {"c": c, "gamma": gamma}
-    return _checked(KernelMachine(**fit.rbf_svm(made(sample.X), sample.y, c, gamma, weights), card=card))
+        looked = looked_at(all_rows, svm, places.edge)
+        found = found or search(looked, places.folding(looked, svm.folds), svm, compare.scaling, weights)
+        c, gamma = found["c"], found["gamma"]
+        card["search"] = {n: found[n] for n in ("rows", "folds", "blocks", "tried")}
+        card["notes"] += [found["note"]] if found["note"] else []
+    card["params"] |= {"c": c, "gamma": gamma, "trim": svm.trim}
+    X, y = made(sample.X), sample.y
+    kept, whole_classes = trimmed(X, y, svm.trim)
+    if svm.trim != "none":
+        card |= _told_of_trimming(kept, y, whole_classes, classes, card)
+    return _checked(KernelMachine(**fit.rbf_svm(X[kept], y[kept], c, gamma, weights), card=card))
+
+
+def _told_of_trimming(
+    kept: NDArray[np.bool_], y: NDArray[np.uint8], whole: Sequence[int], classes: Sequence[ClassDef], card: Any
+) -> dict[str, Any]:
+    """What the card says of trimming: rows that went, per class, and classes that stay untrimmed."""
+    went = np.bincount(y[~kept], minlength=len(classes))
+    notes = [f"{int(went.sum()):,} of {len(y):,} training rows lie among those of another class and were trimmed"]
+    notes += [f"every row of class {classes[k].name!r} lies among those of others: it stays untrimmed" for k in whole]
+    return {"trimmed": {c.name: int(n) for c, n in zip(classes, went, strict=True)}, "notes": [*card["notes"], *notes]}
 
 
 def _forest(
@@ -134,7 +165,7 @@ def _forest(
         "random_state": seeded(params.seed) % (1 << 32),
     }
     card["params"] |= settings
-    weights = _weights(sample, params, classes)
+    weights = machine_weights(sample, params, classes)
     trees, impure = fit.sklearn_forest(sample.X, sample.y, {**settings, "class_weight": weights})
     if impure:
         card["notes"].append(f"{impure:,} leaves are not pure; each votes for its largest class")
@@ -145,7 +176,7 @@ def _boosting(
     sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], card: dict[str, Any]
 ) -> Model:
     card["params"] |= compare.boosting.model_dump(mode="json")
-    weights = _weights(sample, params, classes)
+    weights = machine_weights(sample, params, classes)
     arrays = fit.boosting(sample.X, sample.y, compare.boosting, seeded(params.seed), weights)
     return _checked(Boosted(**arrays, card=card))
 
