@@ -99,7 +99,34 @@ class _Xiong(_Paper):
     thinning: _Thinning
 
 
-_MODELS: dict[str, type[_Paper]] = {"fan2013": _Fan, "xiong2018": _Xiong}
+class _Two(_Printed):
+    building: float
+    vegetation: float
+
+
+class _Combination(_Two):
+    artificial: float
+
+
+class _Algorithm(_Combination):
+    overall: float
+    ground: float
+    seconds: float
+
+
+class _Ranked(_Printed):
+    kept: list[str]
+    dropped: list[str]
+
+
+class _Shi(_Paper):
+    combinations: dict[str, _Combination]
+    boundary: dict[str, _Two]
+    algorithms: dict[str, _Algorithm]
+    fscore: _Ranked
+
+
+_MODELS: dict[str, type[_Paper]] = {"fan2013": _Fan, "shi2019": _Shi, "xiong2018": _Xiong}
 
 
 def paper(name: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from fwclass.conf.papers import checked, paper
 from fwclass.errors import ConfigError
 from fwclass.publish.papers import plots, tables
 from fwclass.publish.papers.page import _claims
-from fwclass.study.papers import fan_claims, xiong_claims
+from fwclass.study.papers import fan_claims, shi_claims, xiong_claims
 from fwclass.study.papers.claims import of_gain
 from fwclass.study.papers.xiong import importances, radii
 
@@ -45,9 +45,10 @@ def test_survivors_of_xiong_are_the_26_that_it_names() -> None:
 def test_every_printed_claim_is_tested() -> None:
     assert list(paper("fan2013")["claims"]) == list(fan_claims.CLAIMS)
     assert list(paper("xiong2018")["claims"]) == list(xiong_claims.CLAIMS)
+    assert list(paper("shi2019")["claims"]) == list(shi_claims.CLAIMS)
 
 
-@pytest.mark.parametrize("name", ["fan2013", "xiong2018"])
+@pytest.mark.parametrize("name", ["fan2013", "shi2019", "xiong2018"])
 def test_a_text_cut_at_its_comma_is_refused(name: str) -> None:
     """`{claim: Trees below, buildings above, figure: x}` is the key "buildings above" with null in YAML."""
     printed = paper(name)
@@ -245,7 +246,7 @@ def test_plots_draw_what_is_missing_as_nothing_and_repeat_to_the_byte() -> None:
 
 
 def test_the_papers_are_shipped() -> None:
-    for name in ("fan2013", "xiong2018"):
+    for name in ("fan2013", "shi2019", "xiong2018"):
         template = Path(plots.__file__).with_name(f"{name}.html.j2")
         assert template.is_file()
         assert paper(name)["doi"].startswith("10.")

@@ -258,3 +258,58 @@ def test_a_survey_that_has_little_of_what_a_paper_has_gets_its_page(
     lacking = {"zc_alone", "steps", "split", "waveform", "tree_ratio", "height_statistics", "echoes", "nh_first"}
     assert {verdicts[n] for n in lacking & set(verdicts)} == {"not comparable"}
     assert (tmp_path / f"{name}.html").read_text().count("not comparable") >= 4
+
+
+SHI = (
+    "survey.features=[height_above_ground, height_variance_r100, pulse_intensity_variance, echo_ratio_r100]",
+    "features.also=[inclination_r100, plane_std_r100]",
+    "papers.more_classes=[]",
+    "train.method=rbf-svm",
+    "terrain.height=nearest",
+    "compare.scaling=minmax",
+    "compare.rbf_svm.c=[1.0, 10.0]",
+    "compare.rbf_svm.folds=2",
+    "compare.rbf_svm.trim=nearest",
+    "classify.refine.between=[building, vegetation]",
+    "classify.refine.features=shares",
+    "classify.refine.scales=[0.6, 1.5, 3]",
+    "classify.refine.samples_per_class=300",
+)
+
+
+@pytest.fixture(scope="module")
+def shi_run(survey, tmp_path_factory):
+    root = tmp_path_factory.mktemp("shi") / "run"
+    runner, report = follow("shi2019", survey, root, *SHI)
+    assert not runner.failures, runner.failures
+    return root, json.loads((root / "shi2019.json").read_text()), report
+
+
+@pytest.mark.slow
+def test_shi_figures_belong_together(shi_run, survey):
+    root, facts, report = shi_run
+    assert list(facts["steps"]) == ["without_heights", "svm_all", "svm", "nn_svm"]
+    assert facts["steps"]["nn_svm"]["vectors"] < facts["steps"]["svm"]["vectors"]
+    layers = facts["layers"]
+    assert layers["fine"]["confusion"] == report["accuracy"]["confusion"], "the page judges what the run delivers"
+    inside = np.array(layers["fine"]["confusion"]) - np.array(layers["fine_boundary"]["confusion"])
+    before = np.array(layers["coarse"]["confusion"]) - np.array(layers["coarse_boundary"]["confusion"])
+    np.testing.assert_array_equal(inside, before)
+    assert {n for n, _ in facts["fscores"]} == set(
+        [*SHI[0].split("[")[1][:-1].split(", "), "inclination_r100", "plane_std_r100"]
+    )
+    page = (root / "shi2019.html").read_text()
+    assert "What each step brings" in page and "Where the two classes meet" in page
+    search = json.loads((root / "model" / "coarse" / "card.json").read_text())["search"]
+    assert len(search["tried"]) == 2 and search["folds"] == 2
+
+
+@pytest.mark.slow
+def test_shi_run_again_makes_nothing(shi_run, survey):
+    runner, _ = follow("shi2019", survey, shi_run[0], *SHI)
+    assert {o.status for o in runner.outcomes.values()} == {"skipped"}
+
+
+def test_shi_needs_a_second_layer(survey, tmp_path):
+    with pytest.raises(ConfigError, match="second layer"):
+        follow("shi2019", survey, tmp_path, *SHI, "classify.refine.between=[]")

@@ -17,7 +17,7 @@ from fwclass.graph.areas import tested
 from fwclass.graph.learn import SAMPLE
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
 from fwclass.hashing import hashed
-from fwclass.model import ClassDef, Forest, Model, Tree, class_index, sample_matrix
+from fwclass.model import ClassDef, Forest, KernelMachine, Model, Tree, class_index, sample_matrix
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import canonical_key
 from fwclass.store.arrays import write_arrays
@@ -132,6 +132,7 @@ def learned(
         "notes": list(card.get("notes", ())),
         "out_of_bag": bag.get("accuracy"),
         "nodes": len(model.feature) if isinstance(model, Forest) else None,
+        "vectors": len(model.vectors) if isinstance(model, KernelMachine) else None,
         "params": told,
     }
 

@@ -1,0 +1,128 @@
+"""Shi 2019: what its page shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fwclass.publish.papers.tables import difference, matrices, ours, rows_table, seconds_of, share
+from fwclass.publish.sections import number
+
+TITLES = {
+    "without_heights": "SVM without heights above the ground",
+    "svm_all": "SVM, all features",
+    "svm": "SVM, the features kept",
+    "nn_svm": "NN-SVM, the features kept",
+    "coarse": "the run's first layer",
+    "fine": "both layers",
+}
+
+
+def shi_view(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """What the template shows besides what all papers have."""
+    names = [c["name"] for c in facts["classes"]]
+    layers = facts["layers"]
+    return {
+        "facts": _facts(facts),
+        "names": names,
+        "rows": rows_table(facts["rows"]),
+        "refine": facts["refine"],
+        "ground": facts["ground"],
+        "heights": facts["heights"],
+        "scaling": facts["scaling"],
+        "ladder": [_step(k, v, names, facts) for k, v in facts["steps"].items()]
+        + [_layer(k, names, facts) for k in ("coarse", "fine") if layers[k]],
+        "paper_table": [{"name": k, **v} for k, v in facts["printed"]["combinations"].items()],
+        "boundary": _boundary(facts),
+        "algorithms": [_algorithm(k, v) for k, v in facts["printed"]["algorithms"].items()],
+        "fscores": [
+            (n, f"{v:.3f}", "kept" if _base(n) in facts["printed"]["fscore"]["kept"] else "dropped")
+            for n, v in facts["fscores"]
+        ],
+        "tables": [
+            {"title": TITLES[k], **matrices(layers[k], facts["classes"], None)} for k in ("coarse", "fine") if layers[k]
+        ],
+        "blocks": layers["blocks"],
+        "gains": {k: _gain(v) for k, v in layers["gains"].items()},
+        "whole": facts["whole"] and {**ours(facts["whole"]), "area": facts["whole"]["area"]},
+    }
+
+
+def _base(name: str) -> str:
+    head, _, end = name.rpartition("_r")
+    return head if end.isdigit() else name
+
+
+def _facts(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    printed, fine = facts["printed"]["algorithms"]["proposed"], facts["layers"]["fine"]
+    first, second = facts["layers"]["coarse_boundary"], facts["layers"]["fine_boundary"]
+    told = [("overall, ours", "–" if fine is None else f"{ours(fine)['overall_accuracy']} %")]
+    told.append(("overall, Shi 2019", f"{printed['overall']} %"))
+    for name in facts["refine"]["between"]:
+        k = None if first is None else first["classes"].index(name)
+        value = "–" if k is None else f"{share(first['iou'][k])} → {share(second['iou'][k])} %"
+        told.append((f"{name} at the boundary, IoU", value))
+    return told
+
+
+def _classes(made: Mapping[str, Any], names: Sequence[str]) -> list[dict[str, str]]:
+    return [
+        {"iou": share(made["iou"][k]), "producers": share(made["producers_accuracy"][k])} for k in range(len(names))
+    ]
+
+
+def _step(key: str, made: Mapping[str, Any], names: Sequence[str], facts: Mapping[str, Any]) -> dict[str, Any]:
+    times = facts["times"][key]
+    pair = next((p for p in facts["differences"] if p.startswith(f"{key}/")), None)
+    gain = difference(facts["differences"][pair]) if pair else None
+    return {
+        "title": TITLES[key],
+        **ours(made),
+        "features": len(made["features"]),
+        "vectors": number(made["vectors"]),
+        "classes": _classes(made, names),
+        "gain": gain["overall_accuracy"] if gain else "",
+        "gain_span": gain["overall_accuracy_span"] if gain else "",
+        "train": seconds_of(times["train"]),
+        "test": seconds_of(times["test"]),
+    }
+
+
+def _layer(key: str, names: Sequence[str], facts: Mapping[str, Any]) -> dict[str, Any]:
+    made, gain = facts["layers"][key], facts["layers"]["gains"]["all"]
+    told = difference(gain) if key == "fine" and gain else None
+    return {
+        "title": TITLES[key],
+        **ours(made),
+        "features": "–",
+        "vectors": "–",
+        "classes": _classes(made, names),
+        "gain": told["overall_accuracy"] if told else "",
+        "gain_span": told["overall_accuracy_span"] if told else "",
+        "train": "–",
+        "test": "–",
+    }
+
+
+def _boundary(facts: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Table 2: both layers at the boundary, by class."""
+    first, second = facts["layers"]["coarse_boundary"], facts["layers"]["fine_boundary"]
+    if first is None:
+        return None
+    total, every = sum(map(sum, second["confusion"])), sum(map(sum, facts["layers"]["fine"]["confusion"]))
+    rows = []
+    for name in facts["refine"]["between"]:
+        k = first["classes"].index(name)
+        printed = [facts["printed"]["boundary"][layer].get(name, "–") for layer in ("coarse", "fine")]
+        values = [[share(one[key][k]) for one in (first, second)] for key in ("iou", "producers_accuracy")]
+        rows.append({"name": name, "iou": values[0], "producers": values[1], "paper": printed})
+    return {"echoes": number(total), "share": share(total / max(1, every)), "rows": rows}
+
+
+def _algorithm(key: str, printed: Mapping[str, Any]) -> dict[str, Any]:
+    titles = {"svm": "SVM", "nn_svm": "NN-SVM", "proposed": "proposed"}
+    return {"title": titles[key], **printed}
+
+
+def _gain(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    return {**difference(made), "blocks": made["blocks"], "caution": made["caution"]} if made else None

@@ -1,0 +1,234 @@
+"""Shi 2019: what heights, selection, trimming and the fine layer each bring, and our figures as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass import __version__
+from fwclass.assess.intervals import FIGURES, caution, difference, intervals
+from fwclass.assess.stage import figures
+from fwclass.conf import Config
+from fwclass.errors import ConfigError
+from fwclass.graph.areas import tested
+from fwclass.graph.layout import Layout, needs_of
+from fwclass.graph.learn import SAMPLE
+from fwclass.graph.refine import ANSWERED
+from fwclass.grid import Box, Tile, millimetres, whole_millimetres
+from fwclass.model import ClassDef, class_index
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Name, Task
+from fwclass.select.search import f_scores
+from fwclass.store.receipts import Receipt
+from fwclass.study.papers.claims import judged
+from fwclass.study.papers.shi_claims import CLAIMS
+from fwclass.study.papers.variants import VERSION, Variant, changed, learn_tasks, time_tasks
+from fwclass.study.papers.work import cautioned
+from fwclass.train.sample import Sample
+
+HEIGHT = "height_above_ground"
+WITHOUT, ALL, SVM, TRIMMED = "without_heights", "svm_all", "svm", "nn_svm"
+LAYERS = ("coarse", "fine", "coarse_boundary", "fine_boundary")
+Made = Mapping[Name, Receipt]
+
+_COLUMNS = {
+    **dict.fromkeys(("x", "y"), "tile"),
+    "reference": "label",
+    "coarse_class": ANSWERED,
+    "boundary": "refine",
+    "classification": "classify",
+}
+
+
+def require_layers(config: Config) -> None:
+    """`ConfigError` without a second layer."""
+    if not config.classify.refine.between:
+        raise ConfigError(
+            "--workflow shi2019 tells what a second layer brings, and there is none",
+            where=f"{config.path}: classify.refine.between",
+            expected="two classes",
+            got="[]",
+            do='--set "classify.refine.between=[building, vegetation]"',
+        )
+
+
+def variants(config: Config, names: tuple[str, ...]) -> tuple[Variant, ...]:
+    """The steps of the ladder below the second layer; `names` are all features of the paper."""
+    four = config.features_asked
+    return (
+        changed(config, WITHOUT, [n for n in names if n != HEIGHT], method="rbf-svm"),
+        changed(config, ALL, names, method="rbf-svm"),
+        changed(config, SVM, four, method="rbf-svm"),
+        changed(config, TRIMMED, four, method="rbf-svm"),
+    )
+
+
+def comparisons(found: Sequence[Variant]) -> list[tuple[Variant, Variant]]:
+    """Every step against the one before."""
+    return list(zip(found[1:], found[:-1], strict=True))
+
+
+def trimming(config: Config, one: Variant) -> Config:
+    """The settings that a variant learns by: all but the last are untrimmed."""
+    trim = (
+        (config.compare.rbf_svm.trim if config.compare.rbf_svm.trim != "none" else "nearest")
+        if one.name == TRIMMED
+        else "none"
+    )
+    svm = config.compare.rbf_svm.model_copy(update={"trim": trim})
+    return replace(config, compare=config.compare.model_copy(update={"rbf_svm": svm}))
+
+
+def ladder_tasks(config: Config, names: tuple[str, ...], found: Sequence[Variant]) -> list[Task]:
+    """Models of all steps and their answers."""
+    return [task for one in found for task in learn_tasks(trimming(config, one), names, [one])]
+
+
+def clock_tasks(config: Config, names: tuple[str, ...], found: Sequence[Variant]) -> list[Task]:
+    """How long each step trains and answers."""
+    return [task for one in found for task in time_tasks(trimming(config, one), names, [one])]
+
+
+def layer_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
+    """Answers of both layers on the test echoes of every tile, and the F-scores of `names` on the training rows."""
+    config, classes = layout.config, layout.config.classes
+    train, test = config.areas.boxes("train"), config.areas.boxes("test")
+    params = {
+        "areas": config.areas.model_dump(mode="json"),
+        "classes": [c.plain() for c in classes],
+        "block": config.papers.block,
+    }
+    made = []
+    for tile in layout.tiles:
+        work = partial(layered, tile, classes, train, test, config.areas.gap, config.papers.block)
+        made.append(Task("paper-layers", tile.key, VERSION, params, work, needs=needs_of(_COLUMNS, (tile.key,))))
+    ranks = partial(ranked, names)
+    asked = {"features": list(names)}
+    made.append(Task("paper-fscore", "all", VERSION, asked, ranks, needs=(("paper-training", "all"),)))
+    return made
+
+
+def layered(
+    tile: Tile,
+    classes: tuple[ClassDef, ...],
+    train: tuple[Box, ...],
+    test: tuple[Box, ...],
+    gap: float,
+    edge: float,
+    inputs: PartInputs,
+    directory: Path,
+) -> dict[str, Any]:
+    """Confusion of both layers in every square of `edge` [m], over all test echoes and over those at the boundary."""
+    table = inputs.rows(tile.key, _COLUMNS)
+    index = class_index(table["reference"], classes)
+    rows = np.flatnonzero(tested(table, train, test, gap) & (index >= 0))
+    of_code = np.zeros(256, np.int64)
+    of_code[[c.code for c in classes]] = np.arange(len(classes))
+    mm, n = whole_millimetres(edge, "papers.block"), len(classes)
+    square = np.stack([millimetres(table[c][rows]) // mm for c in ("x", "y")], axis=1)
+    squares, place = np.unique(square, axis=0, return_inverse=True)
+    at = table["boundary"][rows]
+
+    def counted(column: str, some: NDArray[np.bool_]) -> list[Any]:
+        said = of_code[table[column][rows]]
+        cell = ((place.ravel() * n + index[rows]) * n + said)[some]
+        return np.bincount(cell, minlength=len(squares) * n * n).reshape(len(squares), n, n).tolist()
+
+    every = np.ones(len(rows), bool)
+    answers = (("coarse_class", every), ("classification", every), ("coarse_class", at), ("classification", at))
+    return {
+        "squares": squares.astype(int).tolist(),
+        **{name: counted(*of) for name, of in zip(LAYERS, answers, strict=True)},
+    }
+
+
+def ranked(names: tuple[str, ...], inputs: PartInputs, directory: Path) -> dict[str, Any]:
+    """F-score of every feature on the training rows."""
+    sample = Sample.from_arrays(names, inputs.arrays("paper-training", "all", SAMPLE)[0])
+    return {"scores": dict(zip(names, f_scores(sample.X, sample.y).tolist(), strict=True))}
+
+
+def layers_of(made: Made, names: Sequence[str], tiles: Sequence[str]) -> dict[str, Any]:
+    """Figures of both layers with intervals, over all test echoes and at the boundary."""
+    squares: dict[tuple[int, int], dict[str, NDArray[np.int64]]] = {}
+    for key in tiles:
+        meta = made["paper-layers", key].meta
+        for k, (a, b) in enumerate(meta["squares"]):
+            held = squares.setdefault((a, b), {n: np.zeros((len(names), len(names)), np.int64) for n in LAYERS})
+            for name in LAYERS:
+                held[name] += np.array(meta[name][k], np.int64)
+    blocks = {name: np.array([s[name] for s in squares.values()]) for name in LAYERS}
+    told: dict[str, Any] = {}
+    for name, of in blocks.items():
+        told[name] = {**figures(of.sum(axis=0), list(names)), "intervals": intervals(of)} if of.any() else None
+    gains = {}
+    for name, first, second in (("all", "coarse", "fine"), ("boundary", "coarse_boundary", "fine_boundary")):
+        gains[name] = _gain(blocks[first], blocks[second]) if blocks[first].any() else None
+    return {**told, "gains": gains, "blocks": len(squares)}
+
+
+def _gain(first: NDArray[np.int64], second: NDArray[np.int64]) -> dict[str, Any] | None:
+    found = difference(first, second)
+    if found is None:
+        return None
+    ends = {f: (found[f]["difference"], *(found[f]["interval"] or (None, None))) for f in FIGURES}
+    spans = {f: dict(zip(("value", "low", "high"), v, strict=True)) for f, v in ends.items()}
+    return {"blocks": found["blocks"], "caution": caution(found["blocks"]), **spans}
+
+
+def facts(
+    config: Config,
+    printed: Mapping[str, Any],
+    report: Mapping[str, Any],
+    names: tuple[str, ...],
+    found: Sequence[Variant],
+    layout: Layout,
+    made: Made,
+) -> dict[str, Any]:
+    """Everything that the page tells, as plain data."""
+    classes = [c.name for c in config.classes]
+    meta = made["paper-training", "all"].meta
+    rows = np.array(made["paper-judged", found[0].name].meta["matrix"]).sum(axis=1).tolist()
+    scores = made["paper-fscore", "all"].meta["scores"]
+    gathered: dict[str, Any] = {
+        "paper": "shi2019",
+        "survey": config.survey.name,
+        "fwclass": __version__,
+        **{k: printed[k] for k in ("citation", "doi", "data", "notes")},
+        "printed": {k: printed[k] for k in ("combinations", "boundary", "algorithms", "fscore")},
+        "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
+        "rows": {name: [int(meta["counts"][k]), int(rows[k])] for k, name in enumerate(classes)},
+        "areas": report["areas"],
+        "whole": report["accuracy"],
+        "refine": config.classify.refine.model_dump(mode="json"),
+        "ground": config.ground.method,
+        "heights": config.terrain.height,
+        "scaling": config.compare.scaling,
+        "steps": {v.name: _step(made, v, classes) for v in found},
+        "differences": {
+            f"{a.name}/{b.name}": cautioned(made["paper-difference", f"{a.name}-{b.name}"].meta)
+            for a, b in comparisons(found)
+        },
+        "layers": layers_of(made, classes, [t.key for t in layout.tiles]),
+        "fscores": sorted(scores.items(), key=lambda one: -one[1]),
+        "times": {v.name: dict(made["paper-time", v.name].meta) for v in found},
+    }
+    return {**gathered, "claims": judged(printed["claims"], CLAIMS, gathered)}
+
+
+def _step(made: Made, one: Variant, names: Sequence[str]) -> dict[str, Any]:
+    answers, model = made["paper-judged", one.name].meta, made["paper-model", one.name].meta
+    return {
+        **figures(np.array(answers["matrix"], np.int64)[: one.classes], list(names)),
+        "intervals": answers["intervals"],
+        "features": list(one.features),
+        "vectors": model["vectors"],
+        "params": model["params"],
+        "notes": model["notes"],
+    }

@@ -1,0 +1,88 @@
+"""What Shi 2019 claims, tested on our figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from fwclass.study.papers.claims import OPEN, Verdict, of_gain, percent, points, spanned, verdict
+
+Facts = Mapping[str, Any]
+NEAR = 0.01
+"""Two accuracies are called much the same up to this difference."""
+
+
+def _gain(pair: str, claimed: float) -> Callable[[Facts], Verdict]:
+    def claim(facts: Facts) -> Verdict:
+        found = facts["differences"][pair]
+        one, (first, second) = found["overall_accuracy"], pair.split("/")
+        steps = facts["steps"]
+        both = [percent(steps[n]["overall_accuracy"]) for n in (second, first)]
+        text = f"{points(one['value'])} points ({both[0]} to {both[1]} overall)"
+        if one["low"] is None:
+            return text, OPEN, "too few blocks for an interval"
+        return text, of_gain(one, claimed), spanned(found)
+
+    return claim
+
+
+def _selection(facts: Facts) -> Verdict:
+    found = facts["differences"]["svm/svm_all"]
+    one = found["overall_accuracy"]
+    return f"{points(one['value'])} points overall", verdict(one["value"] >= -NEAR), spanned(found)
+
+
+def _trimming_time(facts: Facts) -> Verdict:
+    before, after = facts["times"]["svm"], facts["times"]["nn_svm"]
+    vectors = [facts["steps"][n]["vectors"] for n in ("svm", "nn_svm")]
+    text = f"{before['train'] + before['test']:.1f} to {after['train'] + after['test']:.1f} s"
+    why = f"{vectors[0]:,} to {vectors[1]:,} support vectors, {before['test_rows']:,} echoes, one thread"
+    return text, verdict(after["train"] + after["test"] < before["train"] + before["test"]), why
+
+
+def _boundary(name: str) -> Callable[[Facts], Verdict]:
+    def claim(facts: Facts) -> Verdict:
+        first, second = facts["layers"]["coarse_boundary"], facts["layers"]["fine_boundary"]
+        if first is None or name not in first["classes"]:
+            return "–", OPEN, f"no test echo at a boundary, or no class is called {name}"
+        k = first["classes"].index(name)
+        iou = [one["iou"][k] for one in (first, second)]
+        of_class = [one["producers_accuracy"][k] for one in (first, second)]
+        if any(v is None for v in (*iou, *of_class)):
+            return "–", OPEN, f"no test echo at a boundary is {name}"
+        text = f"IoU {percent(iou[0])} to {percent(iou[1])}"
+        return text, verdict(iou[1] > iou[0]), f"producer's accuracy {percent(of_class[0])} to {percent(of_class[1])}"
+
+    return claim
+
+
+def _overall(facts: Facts) -> Verdict:
+    one, paper = facts["layers"]["fine"], facts["printed"]["algorithms"]["proposed"]["overall"]
+    if one is None:
+        return "–", OPEN, "nothing was tested"
+    text = f"{percent(one['overall_accuracy'])}, {one['kappa']:.3f}"
+    return (
+        text,
+        verdict(one["overall_accuracy"] >= paper / 100),
+        "on test areas apart from the training areas; other data",
+    )
+
+
+def _pv(facts: Facts) -> Verdict:
+    order = [name for name, _ in facts["fscores"]]
+    if "pulse_intensity_variance" not in order:
+        return "–", OPEN, "the survey does not compute it"
+    place = order.index("pulse_intensity_variance") + 1
+    return f"place {place} of {len(order)}", verdict(place <= 4), ", ".join(f"{n} {v:.3f}" for n, v in facts["fscores"])
+
+
+CLAIMS: dict[str, Callable[[Facts], Verdict]] = {
+    "heights": _gain("svm_all/without_heights", 0.05),
+    "selection": _selection,
+    "trimming": _gain("nn_svm/svm", 0.076),
+    "trimming_time": _trimming_time,
+    "boundary_building": _boundary("building"),
+    "boundary_vegetation": _boundary("vegetation"),
+    "overall": _overall,
+    "pv_kept": _pv,
+}

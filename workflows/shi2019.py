@@ -1,0 +1,55 @@
+"""Shi 2019 as a run: a coarse and a fine layer, and a page that tells what each of the paper's steps brings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.conf.papers import paper
+from fwclass.graph.area_of_interest import Area
+from fwclass.graph.stage import Plan
+from fwclass.graph.stages import check_features
+from fwclass.graph.walk import until_report, until_tiles
+from fwclass.graph.workflow import Workflow, after_tiles
+from fwclass.run.runner import Runner, require_all
+from fwclass.study.papers import shi
+from fwclass.study.papers.begin import features_like, require_whole
+from fwclass.study.papers.page import deliver
+from fwclass.study.papers.variants import comparison_tasks, data_tasks
+from workflows.classification import classification
+
+NAME = "shi2019"
+
+
+def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
+    """Run all stages, then the ladder of the paper's steps on the test areas; return the run's report.
+
+    `tiles` cannot be chosen: the figures are those of the whole survey.
+    """
+    require_whole(config, tiles, NAME)
+    shi.require_layers(config)
+    printed = paper(NAME)
+    used = config.features_asked
+    computed = (*used, *config.features.also)
+    check_features(config, computed, f"{config.path}: survey.features, features.also")
+    check_features(config, config.classify.refine.shares, f"{config.path}: classify.refine.scales")
+    names = features_like(config, (*printed["fscore"]["kept"], *printed["fscore"]["dropped"]))
+    plan = until_tiles(Plan(config, used, computed), runner)
+    report = until_report(plan, runner, after_tiles(classification.stages))
+    if runner.failures:
+        return report
+    variants = shi.variants(config, names)
+    columns = tuple(dict.fromkeys((*names, *used)))
+    made = dict(require_all(runner, data_tasks(plan.layout, columns) + shi.ladder_tasks(config, columns, variants)))
+    made |= require_all(runner, shi.layer_tasks(plan.layout, columns))
+    made |= require_all(runner, comparison_tasks(config, shi.comparisons(variants)))
+    made |= require_all(runner, shi.clock_tasks(config, columns, variants))
+
+    def page() -> dict[str, Any]:
+        facts = shi.facts(config, printed, report, names, variants, plan.layout, made)
+        return deliver(config, runner, plan.layout, report, facts)
+
+    return runner.tell(page)
+
+
+shi2019 = Workflow(NAME, "Shi 2019: two layers, figures beside the paper's", classification.stages, walk)
