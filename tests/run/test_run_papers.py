@@ -295,9 +295,8 @@ def test_shi_figures_belong_together(shi_run, survey):
     inside = np.array(layers["fine"]["confusion"]) - np.array(layers["fine_boundary"]["confusion"])
     before = np.array(layers["coarse"]["confusion"]) - np.array(layers["coarse_boundary"]["confusion"])
     np.testing.assert_array_equal(inside, before)
-    assert {n for n, _ in facts["fscores"]} == set(
-        [*SHI[0].split("[")[1][:-1].split(", "), "inclination_r100", "plane_std_r100"]
-    )
+    kept = SHI[0].split("[")[1][:-1].split(", ")
+    assert {n for n, _ in facts["fscores"]} == {*kept, "inclination_r100", "plane_std_r100"}
     page = (root / "shi2019.html").read_text()
     assert "What each step brings" in page and "Where the two classes meet" in page
     search = json.loads((root / "model" / "coarse" / "card.json").read_text())["search"]
