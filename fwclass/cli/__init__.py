@@ -9,6 +9,7 @@ import click
 
 from fwclass.cli import (
     ahead,
+    difference,
     draft,
     export,
     features,
@@ -30,6 +31,7 @@ from fwclass.redact import redacted
 __all__ = [
     "ahead",
     "cli",
+    "difference",
     "draft",
     "export",
     "features",
