@@ -21,7 +21,10 @@ def _listed(context: click.Context, parameter: click.Parameter, text: str | None
 @cli.command()
 @click.argument("conf", type=PATH)
 @click.option(
-    "--method", type=click.Choice(["forward", "rffs", "fscore", "thinning"]), required=True, help="How to choose."
+    "--method",
+    type=click.Choice(["forward", "rffs", "fscore", "thinning", "scales"]),
+    required=True,
+    help="How to choose.",
 )
 @click.option("--candidates", metavar="SET|FILE|A,B,…", help="What to choose from (default: survey.features).")
 @click.option(
@@ -61,8 +64,10 @@ def select(
     forward (Fan 2013) adds the best feature again and again, rffs (Xiong 2018) drops the least important, fscore
     (Shi 2019) adds by rank; each set is judged by forests in spatial folds. The file it writes is what
     `--set survey.features=FILE` takes. thinning tells accuracy and time if only a share of the echoes is classified.
+    scales chooses among the radii of a second layer (classify.refine).
     """
     from fwclass import conf as configuration
+    from fwclass.study.scales import scale_selection
     from fwclass.study.select import output
     from fwclass.study.selection import selection
     from fwclass.study.thinning import thinning
@@ -72,7 +77,7 @@ def select(
     names = output.candidates_of(config, candidates)
     if method != "forward" and asked["order"]:
         raise ConfigError("--order belongs to --method forward", where="--order", got=f"--method {method}")
-    if method != "thinning" and len(names) < 2:
+    if method not in ("thinning", "scales") and len(names) < 2:
         raise ConfigError(
             "there is nothing to choose",
             where="--candidates" if candidates else f"{config.path}: survey.features",
@@ -85,6 +90,8 @@ def select(
     with open_runner(root, count, scheduler, config.run) as runner:
         if method == "thinning":
             made = thinning(config, runner, names)
+        elif method == "scales":
+            made = scale_selection(config, runner, asked["pick"])
         else:
             made = selection(config, runner, names, method, **asked)
     output.write(made, path)

@@ -144,3 +144,23 @@ def test_classes_that_do_not_meet_in_the_training_areas_are_told(survey, tmp_pat
         else str(runner.failures)
     )
     assert "near a boundary of building and vegetation" in told
+
+
+@pytest.mark.slow
+def test_scales_are_chosen_on_the_second_layer_s_rows(survey, tmp_path):
+    words = [w for text in (*SETTINGS, f"survey.directory={survey}", *LAYER) for w in ("--set", text)]
+    words += ["--set", "select.block=15", "--set", "select.folds=2", "--set", "select.trees=5", "--workers", "0"]
+    words += ["--set", "classify.refine.rows=anywhere", "--set", "select.timing_echoes=500"]
+    told = fwclass("select", "demo", "--method", "scales", "--out", tmp_path / "r", *words, "--json")
+    made = json.loads(told.stdout)
+    assert 1 <= len(made["scales"]) <= 3 and set(made["scales"]) <= {0.6, 1.5, 3.0}
+    assert [len(s["features"]) for s in made["steps"]] == [1, 2, 3]
+    judged = np.array([[s["accuracy"] for s in made["steps"]]])
+    assert (judged > 0.5).all() and made["sample"]["blocks"] > 2
+    assert "classify.refine.scales=" in told.stderr
+    written = (tmp_path / "r" / "select" / "scales.yaml").read_text()
+    assert "refine" in written and (tmp_path / "r" / "select" / "scales.png").is_file()
+    again = json.loads(
+        fwclass("select", "demo", "--method", "scales", "--out", tmp_path / "r", *words, "--json").stdout
+    )
+    assert again["scales"] == made["scales"]

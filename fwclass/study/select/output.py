@@ -51,7 +51,7 @@ def write(made: Mapping[str, Any], path: Path) -> None:
         text, drawn = setting(made), draw(made)
     else:
         title = f"{made['survey']}: {result.TITLES[made['method']]}"
-        text = result.set_file(made)
+        text = result.scales_file(made) if made["method"] == "scales" else result.set_file(made)
         drawn = draw_selection(result.curve_of(made), made["front"], made["chosen"], title)
     for place, data in ((picture, drawn), (path, text.encode())):
         with whole(place) as beside:

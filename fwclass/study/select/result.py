@@ -17,6 +17,7 @@ TITLES = {
     "forward": "forward selection (Fan 2013)",
     "rffs": "backward elimination by permutation importance (RFFS, Xiong 2018)",
     "fscore": "ranking by F-score (Shi 2019)",
+    "scales": "forward selection of the second layer's scales (Shi 2019)",
 }
 
 PICKS = ("best", "smallest", "cheapest")
@@ -106,6 +107,12 @@ def set_file(made: Mapping[str, Any]) -> str:
     return str(yaml.safe_dump(tree, sort_keys=False, width=110, default_flow_style=None))
 
 
+def scales_file(made: Mapping[str, Any]) -> str:
+    """The chosen scales as settings, which a survey's file can take over."""
+    tree = {"classify": {"refine": {"between": list(made["classes"]), "scales": list(made["scales"])}}}
+    return str(yaml.safe_dump(tree, sort_keys=False, width=110, default_flow_style=None))
+
+
 def describe(made: Mapping[str, Any]) -> str:
     """The curve as a table for a terminal, and what it advises."""
     sample = made["sample"]
@@ -120,6 +127,8 @@ def describe(made: Mapping[str, Any]) -> str:
     lines += [_row(step, made, k in made["front"]) for k, step in enumerate(made["steps"])]
     lines += ["b best, s smallest and c cheapest set as good as the best; * nothing else is as good at less time", ""]
     lines += _advice(made)
+    if made["method"] == "scales":
+        lines.append(f'--set "classify.refine.scales=[{", ".join(f"{s:g}" for s in made["scales"])}]"')
     return "\n".join(lines)
 
 
