@@ -21,6 +21,7 @@ from fwclass.classify.shares import answer
 from fwclass.classify.support_blocks import support_blocks
 from fwclass.model import FORMAT, KernelMachine
 from fwclass.train.baselines.fit import rbf_svm
+from fwclass.train.trim import trimmed
 
 CASES = ((4, 4, 4_000, 10.0, 0.5), (4, 6, 7_000, 10.0, 0.25), (2, 4, 5_000, 100.0, 0.5), (4, 4, 3_500, 1000.0, 1.0))
 """Classes, features, training rows, C, gamma: some 1 600 to 1 900 support vectors."""
@@ -79,12 +80,45 @@ def case(n: int, features: int, learn: int, c: float, gamma: float, rows: int) -
     )
 
 
+def of_trimmed(n: int, features: int, learn: int, c: float, gamma: float, rows: int) -> str:
+    """The machine of trimmed rows beside scikit-learn's of all."""
+    (X, y), (T, truth) = problem(n, features, learn, 1), problem(n, features, rows, 2)
+    wide, fresh = X.astype(np.float64), T.astype(np.float64)
+    plain = {"fill": [0.0] * features, "shift": [0.0] * features, "scale": [1.0] * features}
+    classes = [{"name": str(k), "code": k, "codes": [k]} for k in range(n)]
+    card = {"format": FORMAT, "features": [f"f{k}" for k in range(features)], "classes": classes, "preparation": plain}
+    with threadpool_limits(1):
+        began = time.process_time()
+        kept, _ = trimmed(wide, y, "nearest")
+        model = KernelMachine(**rbf_svm(wide[kept], y[kept], c, gamma, None), card=card)
+        fitted = time.process_time() - began
+        began = time.process_time()
+        peer = SVC(C=c, gamma=gamma).fit(wide, y)
+        fitted_peer = time.process_time() - began
+        right = float((answer(T, model)[0] == truth).mean()), float((peer.predict(fresh) == truth).mean())
+        ours, theirs = least(lambda: answer(T, model), rows), least(lambda: peer.predict(fresh), rows, 2)
+    return (
+        f"{learn} rows of {features} features, trimmed: {len(model.vectors)} support vectors, {ours:.2f} us a row, "
+        f"right {right[0]:.2%}, trained in {fitted:.2f} s; scikit-learn's of all rows {int(peer.n_support_.sum())}, "
+        f"{theirs:.1f} us ({theirs / ours:.1f} x), right {right[1]:.2%}, {fitted_peer:.2f} s"
+    )
+
+
+def of_many(rows: int = 100_000, features: int = 6) -> str:
+    X, y = problem(4, features, rows, 3)
+    began = time.process_time()
+    kept, _ = trimmed(X.astype(np.float64), y, "nearest")
+    return f"trimming {rows} rows of {features} features: {time.process_time() - began:.2f} s, {kept.mean():.1%} stay"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, default=20_000)
     rows = parser.parse_args().rows
     for one in CASES:
         print(case(*one, rows))
+    print(of_trimmed(4, 4, 12_000, 10.0, 0.5, rows))
+    print(of_many())
 
 
 if __name__ == "__main__":
