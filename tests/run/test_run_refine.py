@@ -86,7 +86,7 @@ def test_seams_are_none_and_the_stages_are_compared(survey, refined):
     found = seams(config, refined[0], Asked((50.0, 50.0), config.seams.share, None, None), Silent())
     stages = {s.stage: s for s in found.bounded}
     assert {"coarse", "refine", "classify"} <= set(stages)
-    assert all(s.different == 0 for s in found.bounded)
+    assert all(s.differ == 0 for s in found.bounded)
 
 
 @pytest.mark.slow

@@ -60,13 +60,14 @@ def require_layers(config: Config) -> None:
 
 def variants(config: Config, names: tuple[str, ...]) -> tuple[Variant, ...]:
     """The steps of the ladder below the second layer; `names` are all features of the paper."""
-    four = config.features_asked
-    return (
+    four, squares = config.features_asked, (config.select.block, config.select.gap)
+    made = (
         changed(config, WITHOUT, [n for n in names if n != HEIGHT], method="rbf-svm"),
         changed(config, ALL, names, method="rbf-svm"),
         changed(config, SVM, four, method="rbf-svm"),
         changed(config, TRIMMED, four, method="rbf-svm"),
     )
+    return tuple(replace(one, squares=squares) for one in made)
 
 
 def comparisons(found: Sequence[Variant]) -> list[tuple[Variant, Variant]]:

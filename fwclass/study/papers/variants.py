@@ -35,6 +35,8 @@ class Variant:
     train : its method and parameters; the sample's are those of the configuration.
     classes : how many of `all_classes` it knows, the first.
     rows : so many rows of the sample train it at most; 0 is all.
+    squares : edge of the squares that a machine's rows are thinned and its search is folded by, and their gap [m];
+        None: pieces of consecutive pulses.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Variant:
     train: TrainParams
     classes: int
     rows: int = 0
+    squares: tuple[float, float] | None = None
 
 
 def all_classes(config: Config) -> tuple[ClassDef, ...]:
@@ -114,7 +117,15 @@ def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varia
     made = []
     for one in variants:
         params = facts_of(config, one)
-        common = (names, one.features, one.train, config.compare, all_classes(config)[: one.classes], one.rows)
+        common = (
+            names,
+            one.features,
+            one.train,
+            config.compare,
+            all_classes(config)[: one.classes],
+            one.rows,
+            one.squares,
+        )
         made.append(
             Task(
                 "paper-model",
@@ -142,7 +153,15 @@ def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varian
     """How long every variant trains and answers: parts that nothing reads, to be run when all else is done."""
     made = []
     for one in variants:
-        common = (names, one.features, one.train, config.compare, all_classes(config)[: one.classes], one.rows)
+        common = (
+            names,
+            one.features,
+            one.train,
+            config.compare,
+            all_classes(config)[: one.classes],
+            one.rows,
+            one.squares,
+        )
         needs = (("paper-model", one.name), ("paper-tested", "all"), ("paper-training", "all"))
         made.append(
             Task(
@@ -190,6 +209,8 @@ def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> li
 def facts_of(config: Config, one: Variant) -> dict[str, Any]:
     """What a variant's parts depend on."""
     params = {"train": plain(one.train), "features": list(one.features), "classes": one.classes, "rows": one.rows}
+    if one.squares:
+        params["squares"] = list(one.squares)
     if one.train.method != "forest":
         compare: CompareParams = config.compare
         params["compare"] = plain(compare)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.graph.areas import tested
 from fwclass.graph.learn import SAMPLE
+from fwclass.graph.machine_search import spatial
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
 from fwclass.hashing import hashed
 from fwclass.model import ClassDef, Forest, KernelMachine, Model, Tree, class_index, sample_matrix
@@ -24,6 +26,7 @@ from fwclass.store.arrays import write_arrays
 from fwclass.store.models import load_model, save_model
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
+from fwclass.train.baselines.search import BY_PULSES
 from fwclass.train.baselines.stage import train_other
 from fwclass.train.importance import drops, summary
 from fwclass.train.params import TrainParams
@@ -100,14 +103,21 @@ def sample_for(
     rows = whole.y < classes
     X = np.ascontiguousarray(whole.X[rows][:, at])
     made = Sample(features, X, whole.y[rows], whole.key[rows], whole.hash[rows], whole.eligible[:classes])
+    made = replace(made, place=whole.place[rows]) if len(whole.place) else made
     return fewer(made, most) if most else made
 
 
-def fitted(sample: Sample, params: TrainParams, compare: CompareParams, classes: tuple[ClassDef, ...]) -> Model:
+def fitted(
+    sample: Sample,
+    params: TrainParams,
+    compare: CompareParams,
+    classes: tuple[ClassDef, ...],
+    squares: tuple[float, float] | None = None,
+) -> Model:
     """The classifier that `params.method` names."""
     if params.method == "forest":
         return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
-    return train_other(sample, params, compare, classes, params.method)
+    return train_other(sample, params, compare, classes, params.method, spatial(*squares) if squares else BY_PULSES)
 
 
 def learned(
@@ -117,12 +127,13 @@ def learned(
     compare: CompareParams,
     classes: tuple[ClassDef, ...],
     rows: int,
+    squares: tuple[float, float] | None,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
     """A variant's model."""
     sample = sample_for(inputs, names, features, len(classes), rows)
-    model = fitted(sample, params, compare, classes)
+    model = fitted(sample, params, compare, classes, squares)
     save_model(directory / MODEL, model)
     card = model.card
     bag = card.get("out_of_bag") or {}
@@ -211,6 +222,7 @@ def timed(
     compare: CompareParams,
     classes: tuple[ClassDef, ...],
     rows: int,
+    squares: tuple[float, float] | None,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
@@ -225,7 +237,7 @@ def timed(
     if params.method == "forest":
         grow_trees(sample, classes, 0, params.trees, params)
     else:
-        train_other(sample, params, compare, classes, params.method)
+        fitted(sample, params, compare, classes, squares)
     trained = time.process_time()
     answer(X, model)
     return {
