@@ -28,7 +28,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import reported
 from fwclass.run.runner import Runner, Tally
 from fwclass.store.atomic import read_json, write_json
-from fwclass.store.generations import link
+from fwclass.store.directory import link
 from fwclass.store.receipts import Receipt
 from fwclass.store.url import Url
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import os
 import random
@@ -193,12 +194,28 @@ class Objects:
             if one.size:
                 self._piece(one, stream.fileno(), (0, one.size))
 
+    def digest(self, key: str, size: int) -> str | None:
+        """Digest of an object of `size` bytes, a piece after the other; None where there is none."""
+        state, chunk = hashlib.blake2b(digest_size=16), self.params.chunk_mib * MIB
+        try:
+            for first in range(0, size, chunk):
+                state.update(self._range(key, (first, min(size, first + chunk))))
+        except FileNotFoundError:
+            return None
+        return state.hexdigest()
+
     def _piece(self, one: Wanted, handle: int, piece: tuple[int, int]) -> None:
+        at, data = piece[0], self._range(one.key, piece, one.e_tag)
+        while data:
+            wrote = os.pwrite(handle, data, at)
+            at, data = at + wrote, data[wrote:]
+
+    def _range(self, key: str, piece: tuple[int, int], e_tag: str | None = None) -> memoryview:
+        """Bytes ``[first, end)`` of an object, of the version `e_tag` if that matters."""
         import obstore
         from obstore.exceptions import PreconditionError
 
-        key = one.key
-        options: Any = {"range": piece, **({"if_match": one.e_tag} if one.e_tag else {})}
+        options: Any = {"range": piece, **({"if_match": e_tag} if e_tag else {})}
 
         def read() -> memoryview:
             data = memoryview(obstore.get(self._store, key, options=options).bytes())
@@ -207,13 +224,9 @@ class Objects:
             return data
 
         try:
-            data = self._again(read, key)
+            return self._again(read, key)
         except PreconditionError as fault:
             raise LostRace("an object was changed while it was read", where=self.url / key) from fault
-        at = piece[0]
-        while data:
-            wrote = os.pwrite(handle, data, at)
-            at, data = at + wrote, data[wrote:]
 
     def _again(self, work: Callable[[], T], key: str) -> T:
         """`work`, tried again while it fails for another reason than that the object is (not) there."""
