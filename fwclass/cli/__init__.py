@@ -7,7 +7,7 @@ import sys
 
 import click
 
-from fwclass.cli import ahead, export, features, files, ground, model, plan, schedule, seams, select, status, survey
+from fwclass.cli import ahead, features, files, ground, model, plan, schedule, seams, select, status, survey
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
 from fwclass.isolation import isolate
@@ -16,7 +16,6 @@ from fwclass.redact import redacted
 __all__ = [
     "ahead",
     "cli",
-    "export",
     "features",
     "files",
     "ground",

@@ -58,7 +58,7 @@ def features(
     if source is None or output is None:
         raise click.UsageError("IN and OUT.parquet are wanted, or --list")
     from fwclass.single_file.features.file import FeaturesJob, features_file
-    from fwclass.single_file.features.text import describe
+    from fwclass.single_file.features.listing import describe
     from fwclass.single_file.ground.steps import Steps
 
     with Steps() as steps:

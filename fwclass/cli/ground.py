@@ -85,7 +85,7 @@ def _classify(source: Path, output: Path, as_json: bool, asked: dict[str, Any]) 
 
 def _adapting(asked: dict[str, Any], tell: Any) -> Any:
     """``--auto``; the filter is chosen too where nothing names one."""
-    from fwclass.single_file.ground.adapt import adapting
+    from fwclass.single_file.ground.file import adapting
 
     named = asked["method"] or asked["preset"] or any(s.startswith("ground.method") for s in asked["settings"])
     return adapting(not named, asked["settings"], tell)

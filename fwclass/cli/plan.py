@@ -78,8 +78,7 @@ def plan(
 def _dry_run(made: Any, count: int, root: Path) -> Any:
     """The plan again, by what the fullest tiles took."""
     from fwclass.errors import FwclassError
-    from fwclass.operate.estimate.dry_run import trial
-    from fwclass.operate.estimate.trial import trial_of
+    from fwclass.operate.estimate.trial import trial, trial_of
     from fwclass.operate.estimate.whole import planned
     from fwclass.store.atomic import staged
 

@@ -42,8 +42,7 @@ def seams(
     from fwclass import conf as configuration
     from fwclass.operate.request import Request
     from fwclass.operate.seams.places import shift_of
-    from fwclass.operate.seams.polygons import check_free, write_gpkg
-    from fwclass.operate.seams.summary import as_data, as_text
+    from fwclass.operate.seams.summary import as_data, as_text, check_free, write_gpkg
     from fwclass.operate.seams.walk import Asked
     from fwclass.operate.seams.walk import seams as measured
     from fwclass.run.progress import Display

@@ -65,6 +65,7 @@ def taken(table: Table, chosen: NDArray[np.bool_], train: Sequence[Box], classes
 
 
 def by_class(index: NDArray[np.int16], n: int) -> list[int]:
+    """Rows [count] of each of `n` classes; `index` int16 (rows,), negative for none."""
     return [int(v) for v in np.bincount(index[index >= 0], minlength=n)]
 
 

@@ -47,14 +47,16 @@ class Polygons:
 
     @property
     def parts(self) -> int:
+        """Number of parts."""
         return len(self.code)
 
     def arrays(self) -> dict[str, NDArray]:
-        """What a store keeps; `from_arrays` makes the same again."""
+        """What a store keeps: x, y [m], codes, offsets of rings and parts; `from_arrays` makes the same again."""
         return {n: getattr(self, n) for n in ("x", "y", "ring_start", "part_start", "code", "group")}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> Polygons:
+        """The polygons that `arrays` gave these arrays of."""
         return cls(*(arrays[n] for n in ("x", "y", "ring_start", "part_start", "code", "group")))
 
     @classmethod
@@ -100,7 +102,7 @@ class Polygons:
         )
 
     def take(self, parts: NDArray) -> Polygons:
-        """Only `parts` (index or mask), in the order given."""
+        """Only `parts` (index or mask, (parts,)), in the order given."""
         chosen = np.arange(self.parts)[parts]
         rings = _spread(self.part_start[chosen], self.part_start[chosen + 1])
         points = _spread(self.ring_start[rings], self.ring_start[rings + 1])
@@ -121,7 +123,7 @@ class Polygons:
 
     @classmethod
     def joined(cls, several: Sequence[Polygons]) -> Polygons:
-        """All of `several`, in their order."""
+        """All parts of `several`, in their order."""
         points, rings = (
             np.cumsum([0, *(len(p.x) for p in several)]),
             np.cumsum([0, *(len(p.ring_start) - 1 for p in several)]),

@@ -33,6 +33,7 @@ class Preparation:
         return (np.where(np.isnan(wide), self.fill, wide) - self.shift) / self.scale
 
     def plain(self) -> dict[str, list[float]]:
+        """``fill``, ``shift``, ``scale`` as lists (features,), for the card."""
         return {n: [float(v) for v in getattr(self, n)] for n in ("fill", "shift", "scale")}
 
 
@@ -41,6 +42,7 @@ class Machine(Model):
 
     @property
     def preparation(self) -> Preparation:
+        """How samples are prepared: arrays float64 (features,) of the card."""
         found = self.card["preparation"]
         return Preparation(*(np.array(found[n], np.float64) for n in ("fill", "shift", "scale")))
 

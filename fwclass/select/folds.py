@@ -29,10 +29,11 @@ class Folds:
     blocks: int
 
     def trains(self, fold: int) -> NDArray[np.bool_]:
-        """Rows that the forest of `fold` is grown from."""
+        """bool (rows,): rows that the forest of `fold` is grown from."""
         return np.asarray(~self.near[fold])
 
     def judged(self, fold: int) -> NDArray[np.bool_]:
+        """bool (rows,): rows that `fold` judges."""
         return np.asarray(self.fold == fold)
 
 

@@ -38,7 +38,7 @@ class Search:
 
     @property
     def best(self) -> Score:
-        """The set with the best score, of equals the smallest, then the one with least work."""
+        """The set with the best score, a share; of equals the smallest, then the one with least work."""
         return min((s.score for s in self.steps), key=lambda s: (-s.value, len(s.features), nominal(s.features)))
 
     @property

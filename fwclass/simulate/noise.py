@@ -32,7 +32,7 @@ def mixed(value):  # type: ignore[no-untyped-def]
 
 @kernel
 def draw(key, counter):  # type: ignore[no-untyped-def]
-    """64 random bits number `counter` (any integer) of the stream `key` (uint64)."""
+    """64 random bits (uint64), number `counter` (any integer) of the stream `key` (uint64)."""
     return mixed(key + np.uint64(counter) * GOLDEN)
 
 

@@ -20,8 +20,7 @@ from urllib.parse import unquote, urlsplit
 from fwclass import __version__
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.isolation import outer_environment
-from fwclass.operate.schedule.child import without
-from fwclass.operate.schedule.signals import Signals
+from fwclass.operate.schedule.child import Signals, without
 from fwclass.operate.schedule.ticks import now
 from fwclass.redact import redacted
 

@@ -1,7 +1,8 @@
-"""What `fwclass features --list` shows: every feature with formula, unit and source, and the sets."""
+"""What `fwclass features` says: of a file, and with `--list` every feature with formula, unit and source."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from fwclass.columns import COLUMNS, FEATURES, SCALES, Column
@@ -100,3 +101,34 @@ def _rows(found: list[dict[str, Any]], scales: bool = True) -> list[str]:
         source = f"  [{f['source']}]" if f["source"] else ""
         rows.append(f"  {f['name']:<{name}}  {middle}{f['unit']:<{unit}}  {f['formula']}{source}")
     return rows
+
+
+MANY = 8
+"""So many names are shown."""
+
+
+def describe(made: Mapping[str, Any]) -> str:
+    """The summary of `fwclass features`."""
+    seconds = made["seconds"]
+    compiling = f", {seconds['compiling']:.1f} of them compiling, once" if seconds["compiling"] >= 1.0 else ""
+    lost = made["left_out"]
+    empty = {n: c for n, c in made["without_value"].items() if c == made["echoes"]}
+    echoes, features = _count(made["echoes"], "echo", "echoes"), _count(len(made["features"]), "feature")
+    rows = [
+        f"{made['input']}: {echoes}, {features} of {made['set']}",
+        *made["notes"],
+        f"neighbourhoods reach {made['reach']:g} m; {_count(made['tiles'], 'tile')}",
+        *([f"LEFT OUT, {why}: {_names([n for n in lost if lost[n] == why])}" for why in dict.fromkeys(lost.values())]),
+        *([f"WARNING: no echo has a value of {_names(list(empty))}"] if empty else []),
+        f"{seconds['all']:.1f} s{compiling}",
+        f"written: {made['output']} ({made['bytes'] / 1e6:.1f} MB)",
+    ]
+    return "\n".join(rows)
+
+
+def _count(n: int, one: str, many: str = "") -> str:
+    return f"{n:,} {one if n == 1 else many or f'{one}s'}"
+
+
+def _names(names: list[str]) -> str:
+    return ", ".join(names[:MANY]) + (f" and {len(names) - MANY} more" if len(names) > MANY else "")

@@ -15,9 +15,11 @@ from fwclass import compiling, conf
 from fwclass.errors import InputError
 from fwclass.formats.flat import HIGHEST, LONGEST
 from fwclass.graph.survey import given_crs
+from fwclass.ground.auto import adapted
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
+from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.las import LasSource
 from fwclass.single_file.ground.output import check_output, check_packets, write_points
@@ -243,3 +245,18 @@ def _notes(
 
 def _flat(cloud: PointCloud, shown: NDArray[np.bool_]) -> bool:
     return bool(np.ptp(cloud.z[shown]) == 0.0)
+
+
+def adapting(choose: bool, settings: tuple[str, ...] = (), tell: Tell = quiet) -> Adapt:
+    """What changes parameters to suit a cloud; with `choose` the filter too. `tell` hears how much is tried."""
+    rules: GroundAutoParams = conf.section("ground_auto", settings)
+
+    def adapt(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams) -> tuple[GroundParams, dict[str, Any]]:
+        method = rules.method if choose else params.method
+        tried = len(rules.updates(method))
+        tell(f"measuring, then trying {tried} settings of {method}" if tried else "measuring")
+        points = cloud.x[shown], cloud.y[shown], cloud.z[shown]
+        found, measured = adapted(points, cloud.last[shown], params, rules, None if choose else params.method)
+        return found, measured.plain()
+
+    return adapt

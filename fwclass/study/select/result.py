@@ -8,8 +8,7 @@ from typing import Any
 import yaml
 
 from fwclass import __version__
-from fwclass.select.front import cheapest, front
-from fwclass.select.score import Names
+from fwclass.select.score import Names, cheapest, front
 from fwclass.select.search import Search, Step
 from fwclass.study.select.cost import parts_of
 
