@@ -122,8 +122,8 @@ def most_in_window(start, ncols, nrows, half):  # type: ignore[no-untyped-def]
 
 @kernel
 def slices(start, ncols, nrows, half, most):  # type: ignore[no-untyped-def]
-    """int64: sorted echoes, the first and one past the last among them, between which a walk meets about `most`
-    candidates, however many one cell holds."""
+    """int64 (slices + 1,): sorted echoes, the first and one past the last among them, between which a walk meets about
+    `most` candidates, however many one cell holds."""
     cuts = [np.int64(0)]
     met, reach = 0, len(half) - 1
     for row in range(nrows):

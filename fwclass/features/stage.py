@@ -78,7 +78,7 @@ def without(scales: Mapping[Scale, tuple[str, ...]], base: str) -> dict[Scale, t
 
 
 def named(made: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
-    """Values by base as values by name."""
+    """Values by base, (echoes,) each, as values by name."""
     return {f"{base}_{scale.suffix}": values for base, values in made.items()}
 
 

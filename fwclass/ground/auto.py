@@ -68,7 +68,10 @@ def building_size(measured: Measured, base: GroundParams, rules: GroundAutoParam
 
 
 def changed(params: GroundParams, update: dict[str, float]) -> GroundParams:
-    """`params` with other values in the section of its method."""
+    """`params` with other values, [name in its section: number in that setting's unit], for its method.
+
+    pydantic's `ValidationError` for a value that cannot be.
+    """
     section = section_of(params.method)
     own = getattr(params, section)
     values: dict[str, Any] = own.model_dump()

@@ -31,10 +31,10 @@ def most_runs(ranges: Mapping[str, Values], params: GroundSearchParams) -> int:
 def search(
     ranges: Mapping[str, Values], start: Setting, value: Callable[[Setting], float], params: GroundSearchParams
 ) -> Found:
-    """The setting of greatest `value` that is found from `start`.
+    """The setting, a number for each of `ranges` (ranges,), of greatest `value` that is found from `start`.
 
-    `start` need not lie on the ranges: what it has stays as long as nothing better is found. Of equal values the
-    one tried first wins, and `start` is the very first. `value` may be asked for the same setting again.
+    `start` need not lie on the ranges: what it has stays as long as nothing better is found. Of equal values the one
+    tried first wins, and `start` is the very first. `value` may be asked for the same setting again.
     """
     best, most = start, value(start)
     for point in _grid(ranges, start, params):

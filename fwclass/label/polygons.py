@@ -56,7 +56,7 @@ class Polygons:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> Polygons:
-        """The polygons that `arrays` gave these arrays of."""
+        """The polygons whose `arrays` these are: x, y [m], codes, offsets."""
         return cls(*(arrays[n] for n in ("x", "y", "ring_start", "part_start", "code", "group")))
 
     @classmethod

@@ -23,7 +23,7 @@ def offsets_fault(offsets: NDArray[np.int64], nodes: int) -> str:
 def node_fault(
     feature: NDArray[np.uint16], child: NDArray[np.uint32], offsets: NDArray[np.int64], features: int, classes: int
 ) -> str:
-    """What is wrong with the nodes: every one asks for one of `features`, or is a leaf whose `child` is below
+    """What is wrong with the nodes (nodes,): every one asks for one of `features`, or is a leaf whose `child` is below
     `classes`; children come after their parent in the same tree. "" if nothing is."""
     return _FAULTS[_first_fault(feature, child, offsets, features, classes)]
 

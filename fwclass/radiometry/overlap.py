@@ -59,7 +59,7 @@ class Overlap:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> Overlap:
-        """The record that `arrays` gave these arrays of."""
+        """The record whose `arrays`, int64 (n,) by name, these are."""
         return cls(**{name: np.asarray(arrays[name], np.int64) for name in cls.__dataclass_fields__})
 
 

@@ -113,7 +113,8 @@ def backward(candidates: Names, evaluate: Evaluate, scored: Scored, params: Sele
 def by_fscore(
     candidates: Names, X: NDArray[np.float32], y: NDArray[np.uint8], evaluate: Evaluate, scored: Scored
 ) -> Search:
-    """Add the candidates by falling F-score (Shi 2019, 2.3); the score of every length of the list is told."""
+    """Add the candidates by falling F-score (Shi 2019, 2.3) of X (rows, features), y (rows,); a step for every length
+    of the list."""
     told = dict(zip(candidates, f_scores(X, y).tolist(), strict=True))
     ranks = ranked(told)
     order = [name for name, _ in ranks]

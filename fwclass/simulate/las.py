@@ -51,6 +51,7 @@ class PacketWriter:
         return struct.pack("<H16sHQ32s", 0, b"LASF_Spec", 65535, self.size - WDP_HEADER, b"Waveform Data Packets")
 
     def append(self, samples: NDArray[np.uint16]) -> int:
+        """Write `samples` (samples,) [counts]; the byte offset of the first."""
         first = self.size
         data = samples.astype(self._dtype)
         self._file.write(data.tobytes())

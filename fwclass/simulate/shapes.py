@@ -119,6 +119,8 @@ class Things:
         self.crown_boxes.append(_bounds(turned, length, width, bottom, top))
 
     def arrays(self) -> dict[str, NDArray]:
+        """What `Scene` holds of all things: planes (planes, 4) with offsets by solid, class, albedo and openness of
+        every solid, crowns (crowns, 10) with albedo, boxes (things, 6) [m]."""
         start = np.concatenate([[0], np.cumsum(np.array(self.counts, np.int64))]).astype(np.int64)
         solids = np.array(self.solids, np.float64).reshape(-1, 3)
         return {

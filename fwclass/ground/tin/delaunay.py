@@ -159,8 +159,8 @@ def is_ghost(vertex, t):  # type: ignore[no-untyped-def]
 
 @kernel
 def real_from(vertex, twin, t):  # type: ignore[no-untyped-def]
-    """t, or where t is a ghost the triangle inside its edge of the hull; `twin` (3 triangles,) are the edges' other
-    sides."""
+    """t, or where t is a ghost the triangle inside its edge of the hull; `twin`, int32 (edges,), names the other side
+    of every edge."""
     for k in range(3):
         if vertex[3 * t + k] == GHOST:
             return twin[3 * t + (k + 1) % 3] // 3
