@@ -7,7 +7,21 @@ import sys
 
 import click
 
-from fwclass.cli import ahead, features, files, ground, model, plan, schedule, seams, select, status, survey
+from fwclass.cli import (
+    ahead,
+    difference,
+    draft,
+    features,
+    files,
+    ground,
+    model,
+    plan,
+    schedule,
+    seams,
+    select,
+    status,
+    survey,
+)
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
 from fwclass.isolation import isolate
@@ -16,6 +30,8 @@ from fwclass.redact import redacted
 __all__ = [
     "ahead",
     "cli",
+    "difference",
+    "draft",
     "features",
     "files",
     "ground",
