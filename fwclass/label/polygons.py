@@ -66,7 +66,7 @@ class Polygons:
         `InputError` where a polygon is too large to be one.
         """
         part_code = code[shapes.feature]
-        made = cls(
+        polygons = cls(
             millimetres(shapes.x),
             millimetres(shapes.y),
             shapes.ring_start,
@@ -74,8 +74,8 @@ class Polygons:
             part_code.astype(np.uint8),
             group[shapes.feature],
         )
-        made = made.take(part_code >= 0)
-        low_x, low_y, high_x, high_y = made.bounds
+        polygons = polygons.take(part_code >= 0)
+        low_x, low_y, high_x, high_y = polygons.bounds
         wide = np.flatnonzero(np.maximum(high_x - low_x, high_y - low_y) > WIDEST)
         if len(wide):
             raise InputError(
@@ -85,7 +85,7 @@ class Polygons:
                 got=f"{(high_x - low_x)[wide[0]] / 1e6:.0f} x {(high_y - low_y)[wide[0]] / 1e6:.0f} km",
                 do="check the coordinate system of the polygons (survey.reference.crs)",
             )
-        return made
+        return polygons
 
     @property
     def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

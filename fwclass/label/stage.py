@@ -26,14 +26,14 @@ def from_cloud(chunk: Chunk, cloud: Table, params: LabelParams) -> Table:
     echoes = chunk.table.take(chunk.core)
     at = (echoes["x"], echoes["y"], echoes["z"])
     among = (cloud["x"], cloud["y"], cloud["z"])
-    found = _same_pulse(echoes, cloud, params.max_distance)
-    lacking = found < 0
+    nearest = _same_pulse(echoes, cloud, params.max_distance)
+    lacking = nearest < 0
     if lacking.any():
         rest = (at[0][lacking], at[1][lacking], at[2][lacking])
-        found[lacking], _ = nearest_within(rest, among, params.max_distance)
+        nearest[lacking], _ = nearest_within(rest, among, params.max_distance)
     reference = np.zeros(echoes.rows, np.uint8)
-    hit = found >= 0
-    reference[hit] = cloud["source_class"][found[hit]]
+    hit = nearest >= 0
+    reference[hit] = cloud["source_class"][nearest[hit]]
     return Table({"reference": reference})
 
 
@@ -44,11 +44,11 @@ def _same_pulse(echoes: Table, cloud: Table, limit: float) -> NDArray[np.int64]:
     low = np.searchsorted(times, echoes["gps_time"], "left")
     high = np.searchsorted(times, echoes["gps_time"], "right")
     high = np.where(np.isnan(echoes["gps_time"]), low, high)
-    found = np.full(echoes.rows, -1, np.int64)
+    nearest = np.full(echoes.rows, -1, np.int64)
     _nearest_in_range(
-        echoes["x"], echoes["y"], echoes["z"], cloud["x"], cloud["y"], cloud["z"], order, low, high, limit, found
+        echoes["x"], echoes["y"], echoes["z"], cloud["x"], cloud["y"], cloud["z"], order, low, high, limit, nearest
     )
-    return found
+    return nearest
 
 
 @kernel

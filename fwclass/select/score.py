@@ -121,22 +121,22 @@ SAME = 0.03
 
 def levels(costs: Sequence[float]) -> list[float]:
     """Costs [s] with those that are the same, as far as timings can tell, made equal to the lowest of them."""
-    made, level = [0.0] * len(costs), 0.0
+    levelled, level = [0.0] * len(costs), 0.0
     for k, i in enumerate(sorted(range(len(costs)), key=lambda i: costs[i])):
         if k == 0 or costs[i] > level * (1.0 + SAME):
             level = costs[i]
-        made[i] = level
-    return made
+        levelled[i] = level
+    return levelled
 
 
 def front(values: Sequence[float], costs: Sequence[float]) -> tuple[int, ...]:
     """Indices of the sets that no other one equals at less cost [s] or beats at no more, by rising cost."""
-    found: list[int] = []
+    indices: list[int] = []
     level = levels(costs)
     for i in sorted(range(len(values)), key=lambda i: (level[i], -values[i], i)):
-        if not found or values[i] > values[found[-1]]:
-            found.append(i)
-    return tuple(found)
+        if not indices or values[i] > values[indices[-1]]:
+            indices.append(i)
+    return tuple(indices)
 
 
 def cheapest(scores: Sequence[Score], costs: Sequence[float], best: Score) -> int:

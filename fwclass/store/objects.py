@@ -74,8 +74,8 @@ class Objects:
         import obstore
 
         def read() -> tuple[bytes, Mark]:
-            found = obstore.get(self._store, key)
-            return bytes(found.bytes()), _mark(found.meta)
+            answer = obstore.get(self._store, key)
+            return bytes(answer.bytes()), _mark(answer.meta)
 
         try:
             return self._again(read, key)
@@ -125,12 +125,12 @@ class Objects:
         from obstore.exceptions import AlreadyExistsError, PreconditionError
 
         try:
-            made = self._again(lambda: obstore.put(self._store, key, data, mode=mode, use_multipart=False), key)
-            return _mark(made)
+            result = self._again(lambda: obstore.put(self._store, key, data, mode=mode, use_multipart=False), key)
+            return _mark(result)
         except (AlreadyExistsError, PreconditionError) as fault:
-            found = self.get(key)
-            if found is not None and found[0] == data:
-                return found[1]  # it was ours: an answer was lost on the way and the request sent again
+            present = self.get(key)
+            if present is not None and present[0] == data:
+                return present[1]  # it was ours: an answer was lost on the way and the request sent again
             raise LostRace(
                 "another run wrote here at the same time",
                 where=self.url / key,
@@ -143,9 +143,9 @@ class Objects:
 
         def read() -> list[Held]:
             prefix = below or None
-            found = obstore.list(self._store, prefix, chunk_size=1000)
+            batches = obstore.list(self._store, prefix, chunk_size=1000)
             return [
-                Held(o["path"], o["size"], _mark(o), o["last_modified"].timestamp()) for batch in found for o in batch
+                Held(o["path"], o["size"], _mark(o), o["last_modified"].timestamp()) for batch in batches for o in batch
             ]
 
         yield from self._again(read, below)
