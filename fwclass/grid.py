@@ -132,10 +132,10 @@ class TileGrid:
 
     def tile(self, key: str) -> Tile:
         """The tile of a key (``<column>_<row>``); `ConfigError` for what is no key."""
-        found = _KEY.match(key)
-        if found is None:
+        match = _KEY.match(key)
+        if match is None:
             raise ConfigError("not a tile key", where="tiles", expected="column_row, for example 12_34", got=key)
-        return Tile(int(found[1]), int(found[2]), self.size, self.origin)
+        return Tile(int(match[1]), int(match[2]), self.size, self.origin)
 
     def touching(self, box: Box) -> Iterator[Tile]:
         """Every tile that shares area with `box` [m], by column, then row."""

@@ -62,10 +62,10 @@ def features(
     from fwclass.single_file.ground.steps import Steps
 
     with Steps() as steps:
-        made = features_file(FeaturesJob(source, output, named, settings=settings, **asked), steps.tell)
-    click.echo(describe(made), err=True)
+        summary = features_file(FeaturesJob(source, output, named, settings=settings, **asked), steps.tell)
+    click.echo(describe(summary), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
 
 
 def _list(name: str | None, where: str, as_json: bool) -> None:

@@ -230,15 +230,15 @@ class Schedule:
 
     def _tell_ended(self, record: Mapping[str, Any]) -> None:
         """Webhook and command; how they went is told, and added to the run's history."""
-        told = notify.tell_within(self.config.schedule, record, self.signals, self._beat)
-        if not told:
+        results = notify.tell_within(self.config.schedule, record, self.signals, self._beat)
+        if not results:
             return
-        for kind, facts in told.items():
+        for kind, facts in results.items():
             if not facts["ok"]:
                 self._say(f"{kind} {facts['to']}: {facts['fault']} ({facts['tries']} tries)")
-        self._state.last = {**record, "told": told}
+        self._state.last = {**record, "told": results}
         try:
-            history.append(self.location, {"record": "told", "id": record.get("id"), "told": told})
+            history.append(self.location, {"record": "told", "id": record.get("id"), "told": results})
         except (OSError, StoreError) as fault:
             self._say(f"the history cannot be written: {why_not(fault)}")
 

@@ -37,13 +37,13 @@ def _facts(name: str, record: Column) -> dict[str, Any]:
 
 
 def _set_facts(name: str, where: str = "--list") -> dict[str, Any]:
-    found = feature_set(name, where=where)
+    features = feature_set(name, where=where)
     return {
-        "name": found.name,
-        "size": len(found.features),
-        "about": found.about,
-        "source": found.source,
-        "features": list(found.features),
+        "name": features.name,
+        "size": len(features.features),
+        "about": features.about,
+        "source": features.source,
+        "features": list(features.features),
     }
 
 
@@ -107,21 +107,21 @@ MANY = 8
 """So many names are shown."""
 
 
-def describe(made: Mapping[str, Any]) -> str:
+def describe(summary: Mapping[str, Any]) -> str:
     """The summary of `fwclass features`."""
-    seconds = made["seconds"]
+    seconds = summary["seconds"]
     compiling = f", {seconds['compiling']:.1f} of them compiling, once" if seconds["compiling"] >= 1.0 else ""
-    lost = made["left_out"]
-    empty = {n: c for n, c in made["without_value"].items() if c == made["echoes"]}
-    echoes, features = _count(made["echoes"], "echo", "echoes"), _count(len(made["features"]), "feature")
+    lost = summary["left_out"]
+    empty = {n: c for n, c in summary["without_value"].items() if c == summary["echoes"]}
+    echoes, features = _count(summary["echoes"], "echo", "echoes"), _count(len(summary["features"]), "feature")
     rows = [
-        f"{made['input']}: {echoes}, {features} of {made['set']}",
-        *made["notes"],
-        f"neighbourhoods reach {made['reach']:g} m; {_count(made['tiles'], 'tile')}",
+        f"{summary['input']}: {echoes}, {features} of {summary['set']}",
+        *summary["notes"],
+        f"neighbourhoods reach {summary['reach']:g} m; {_count(summary['tiles'], 'tile')}",
         *([f"LEFT OUT, {why}: {_names([n for n in lost if lost[n] == why])}" for why in dict.fromkeys(lost.values())]),
         *([f"WARNING: no echo has a value of {_names(list(empty))}"] if empty else []),
         f"{seconds['all']:.1f} s{compiling}",
-        f"written: {made['output']} ({made['bytes'] / 1e6:.1f} MB)",
+        f"written: {summary['output']} ({summary['bytes'] / 1e6:.1f} MB)",
     ]
     return "\n".join(rows)
 

@@ -103,10 +103,10 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     classes = classes_of(cloud, flags, job.keep_classes)
     if job.rasters:
         tell("terrain")
-        found = terrain_of(cloud, flags, shown, job.settings)
+        terrains = terrain_of(cloud, flags, shown, job.settings)
     tell("writing")
-    made = write_points(cloud, job.output, classes, publish)
-    rasters = write_rasters(cloud, found, job.rasters, publish) if job.rasters else {}
+    written = write_points(cloud, job.output, classes, publish)
+    rasters = write_rasters(cloud, terrains, job.rasters, publish) if job.rasters else {}
     codes, counts = np.unique(classes, return_counts=True)
     stray = stray_points(cloud, shown)
     return {
@@ -128,8 +128,8 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "crs": cloud.units.told,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
-        "waveforms": made.get("wdp"),
-        "notes": _notes(cloud, shown, flags, stray, made),
+        "waveforms": written.get("wdp"),
+        "notes": _notes(cloud, shown, flags, stray, written),
         "seconds": {
             "filter": round(filtering, 3),
             "compiling": round(compiling.spent() - compiled, 3),
@@ -226,9 +226,9 @@ def unusable(cloud: PointCloud) -> dict[str, int]:
 
 
 def _notes(
-    cloud: PointCloud, shown: NDArray[np.bool_], flags: Flags, stray: NDArray[np.int64], made: dict[str, Any]
+    cloud: PointCloud, shown: NDArray[np.bool_], flags: Flags, stray: NDArray[np.int64], written: dict[str, Any]
 ) -> list[str]:
-    notes = [*made.get("notes", []), *cloud.cut_packets]
+    notes = [*written.get("notes", []), *cloud.cut_packets]
     if looks_like_degrees(cloud):
         notes.append("the coordinates look like degrees, and were taken for metres: reproject the file first")
     if isinstance(cloud.source, LasSource) and cloud.crs is not cloud.source.crs:
@@ -256,7 +256,7 @@ def adapting(choose: bool, settings: tuple[str, ...] = (), tell: Tell = quiet) -
         tried = len(rules.updates(method))
         tell(f"measuring, then trying {tried} settings of {method}" if tried else "measuring")
         points = cloud.x[shown], cloud.y[shown], cloud.z[shown]
-        found, measured = adapted(points, cloud.last[shown], params, rules, None if choose else params.method)
-        return found, measured.plain()
+        suited, measured = adapted(points, cloud.last[shown], params, rules, None if choose else params.method)
+        return suited, measured.plain()
 
     return adapt
