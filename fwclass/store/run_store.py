@@ -115,10 +115,11 @@ class Store:
 
     def damaged(self, receipt: Receipt) -> list[str]:
         """Files of a part that are gone or whose bytes are not those that were written: all of them are read."""
-        unit, sizes = self._files.unit(receipt), self._lookup.sizes(receipt)
-        there = {f"{unit}/{n}": size for n, size in sizes.items() if size == receipt.outputs[n]["bytes"]}
-        digests = self._files.digests(there)
-        return [n for n, facts in receipt.outputs.items() if digests.get(f"{unit}/{n}") != facts["digest"]]
+        unit = self._files.unit(receipt)
+        keys = {name: f"{unit}/{name}" if unit else name for name in receipt.outputs}
+        sizes = self._lookup.sizes(receipt)
+        digests = self._files.digests({keys[n]: s for n, s in sizes.items() if s == receipt.outputs[n]["bytes"]})
+        return [n for n, facts in receipt.outputs.items() if digests.get(keys[n]) != facts["digest"]]
 
     def base(self, receipt: Receipt) -> Path:
         """The directory that the receipt's outputs are relative to."""
