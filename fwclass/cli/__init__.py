@@ -9,6 +9,7 @@ import click
 
 from fwclass.cli import (
     ahead,
+    clean,
     difference,
     draft,
     features,
@@ -29,6 +30,7 @@ from fwclass.redact import redacted
 
 __all__ = [
     "ahead",
+    "clean",
     "cli",
     "difference",
     "draft",
