@@ -7,6 +7,7 @@ from typing import Any
 
 from fwclass.columns import COLUMNS, FEATURES, SCALES, Column
 from fwclass.conf.sets import feature_set, shipped_sets
+from fwclass.errors import visible
 from fwclass.schema import column
 from fwclass.single_file.features.names import ENDS, measured, wanted
 
@@ -115,13 +116,13 @@ def describe(summary: Mapping[str, Any]) -> str:
     empty = {n: c for n, c in summary["without_value"].items() if c == summary["echoes"]}
     echoes, features = _count(summary["echoes"], "echo", "echoes"), _count(len(summary["features"]), "feature")
     rows = [
-        f"{summary['input']}: {echoes}, {features} of {summary['set']}",
+        f"{visible(summary['input'])}: {echoes}, {features} of {summary['set']}",
         *summary["notes"],
         f"neighbourhoods reach {summary['reach']:g} m; {_count(summary['tiles'], 'tile')}",
         *([f"LEFT OUT, {why}: {_names([n for n in lost if lost[n] == why])}" for why in dict.fromkeys(lost.values())]),
         *([f"WARNING: no echo has a value of {_names(list(empty))}"] if empty else []),
         f"{seconds['all']:.1f} s{compiling}",
-        f"written: {summary['output']} ({summary['bytes'] / 1e6:.1f} MB)",
+        f"written: {visible(summary['output'])} ({summary['bytes'] / 1e6:.1f} MB)",
     ]
     return "\n".join(rows)
 
