@@ -7,7 +7,21 @@ import sys
 
 import click
 
-from fwclass.cli import ahead, export, features, files, ground, model, plan, schedule, seams, select, status, survey
+from fwclass.cli import (
+    ahead,
+    export,
+    features,
+    files,
+    ground,
+    model,
+    plan,
+    schedule,
+    seams,
+    select,
+    status,
+    street,
+    survey,
+)
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
 from fwclass.isolation import isolate
@@ -27,6 +41,7 @@ __all__ = [
     "seams",
     "select",
     "status",
+    "street",
     "survey",
 ]
 
