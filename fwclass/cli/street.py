@@ -157,3 +157,26 @@ def run(
     click.echo(f"{describe(made)}\nanswers      {target}", err=True)
     if asked["as_json"]:
         click.echo(json.dumps(made, indent=1))
+
+
+@street.command()
+@click.argument("recording", metavar="REC", type=PATH)
+@click.argument("file", metavar="ANNOTATION", type=PATH)
+@click.option("--out", type=PATH, help="Parquet file that the recording is written to with its labels.")
+@click.option("--preview", type=PATH, help="Directory for pictures of the slices, and of the next one.")
+@click.option("--slice", "slice_", type=click.FloatRange(0.01), default=2.0, help="m of road of the next slice.")
+@CONF
+@SET
+@OVERWRITE
+@JSON
+def annotate(
+    recording: Path, file: Path, conf: Path | None, settings: tuple[str, ...], as_json: bool, **asked: Any
+) -> None:
+    """Label returns by rectangles in slices of road (docs/street.md): check them, show them, go on where they end."""
+    from fwclass.single_file.street.annotate import annotate as work
+    from fwclass.single_file.street.annotate import describe
+
+    made = work(recording, file, params=_config(conf, settings).street, **asked)
+    click.echo(describe(made), err=True)
+    if as_json:
+        click.echo(json.dumps(made, indent=1))

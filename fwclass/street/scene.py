@@ -172,7 +172,8 @@ class _Builder:
         place = np.array([x, y, z]) + out * way * np.array([radius, radius, half])
         if self.chance(0.12):
             place += self.random.normal(0, 0.35, 3)
-        self.clump(CROWN, *map(float, place), self.between(0.08, 0.35), free)
+        x, y, z = map(float, place)
+        self.clump(CROWN, x, y, z, self.between(0.08, 0.35), free)
 
     def _furniture(self, side: float) -> None:
         for x in np.arange(self.between(0, 8), self.params.length, 22.0):
