@@ -241,7 +241,7 @@ def _summary(loop: Loop, latency: Latency, late: int, faults: Counter[str], para
         **loop.track.told(),
         "latency": latency.told(),
         "late": int(late),
-        "stream": dict(faults),
+        "stream": {name: n for name, n in faults.items() if n},
         "neighbourhood": {"most_frames": loop.most, "held": 2 * params.most_frames + 1, "cut": int(loop.cut)},
         "street": params.model_dump(mode="json"),
     }
