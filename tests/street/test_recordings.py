@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from fwclass.street.recording_parquet import write_recording
 from fwclass.street.recordings import open_recording
 
 SCAN = Scan(1081, -2.356, 0.00436, 0.1, 30.0)
-BAG = Path("/work/shared/data/street/sick_lms1xx.bag")
-REAL = next((p for p in (Path(__file__).parents[2] / "../shared/data/street/sick_lms1xx.bag", BAG) if p.exists()), BAG)
 
 
 def taken(frames, **changed):
@@ -24,9 +21,8 @@ def taken(frames, **changed):
     return [p for f in frames if (p := track.take(f)) is not None], track
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="the public bag is not here")
-def test_the_public_bag():
-    made = info(REAL, config("street.speed=null").street)
+def test_the_public_bag(shared_data):
+    made = info(shared_data / "street" / "sick_lms1xx.bag", config("street.speed=null").street)
     assert (made["frames"], made["used"], made["scan"]["beams"]) == (89, 89, 541)
     assert made["missing"]["below range_min"] == 6220
     assert made["returns"] == 48149 - 6220
@@ -35,10 +31,9 @@ def test_the_public_bag():
     assert any("12.9 %" in text for text in made["remarks"])
 
 
-@pytest.mark.skipif(not REAL.exists(), reason="the public bag is not here")
 @pytest.mark.parametrize("share", [0.05, 0.3, 0.7, 0.98])
-def test_a_bag_that_was_cut_is_told(tmp_path, share):
-    data = REAL.read_bytes()
+def test_a_bag_that_was_cut_is_told(tmp_path, shared_data, share):
+    data = (shared_data / "street" / "sick_lms1xx.bag").read_bytes()
     (tmp_path / "cut.bag").write_bytes(data[: int(share * len(data))])
     with pytest.raises(InputError, match="bag"):
         list(open_recording(tmp_path / "cut.bag", SCAN).frames())
