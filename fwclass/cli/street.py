@@ -109,6 +109,7 @@ def classify(
     recording: Path, output: Path, model: Path, conf: Path | None, settings: tuple[str, ...], **asked: Any
 ) -> None:
     """Classify a recording: answers and prescription map in the directory OUT, the bytes of `street run`."""
+    from fwclass.graph.street import trajectory_of
     from fwclass.single_file.street.batch import Work
     from fwclass.single_file.street.batch import classify as work
     from fwclass.single_file.street.online import describe_batch
@@ -122,7 +123,7 @@ def classify(
         tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}-") as beside,
         open_runner(Path(beside), int(count), asked["scheduler"], config.run) as runner,
     ):
-        job = Work(recording.resolve(), model.resolve(), config.street)
+        job = Work(recording.resolve(), model.resolve(), config.street, trajectory_of(config))
         made = work(job, output, runner, config.assess.block)
     click.echo(describe_batch(made, output), err=True)
     if asked["as_json"]:
@@ -148,11 +149,12 @@ def run(
     The source is a recording, - for standard input, or tcp://host:port to listen at (docs/street.md tells the bytes).
     SIGINT ends it cleanly.
     """
+    from fwclass.graph.street import trajectory_of
     from fwclass.single_file.street.online import Run, describe
     from fwclass.single_file.street.online import run as work
 
     config = _config(conf, settings)
-    job = Run(source, model, target, pace == "recorded", asked["overwrite"])
+    job = Run(source, model, target, pace == "recorded", asked["overwrite"], trajectory_of(config))
     made = work(job, config.street, _say)
     click.echo(f"{describe(made)}\nanswers      {target}", err=True)
     if asked["as_json"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,8 +20,9 @@ from fwclass.conf.street import scanner
 from fwclass.errors import ConfigError, InputError
 from fwclass.hashing import hashed
 from fwclass.model import ClassDef, Model, assemble, class_index
+from fwclass.read.trajectory import read_trajectory
 from fwclass.schema import Table
-from fwclass.street.frames import Scan, Track
+from fwclass.street.frames import Frame, Recording, Scan, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.recordings import open_recording
 from fwclass.street.ring import Ring, Seen, feature_names
@@ -105,12 +107,11 @@ class Rows:
         return Rows(self.X[rows], self.codes[rows], self.key[rows], self.place[rows], self.depth[rows])
 
 
-def rows_of(paths: Sequence[Path], params: StreetParams) -> Iterator[Rows]:
+def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Iterator[Rows]:
     """All returns of the recordings, by blocks of frames."""
-    scan = Scan.of(scanner(params.scanner))
     for number, path in enumerate(paths):
         held: list[Rows] = []
-        for at, one in enumerate(seen_frames(path, params, scan)):
+        for at, one in enumerate(seen_frames(path, params, trajectory)):
             held.append(_rows(number, at, one))
             if len(held) == BLOCK:
                 yield joined(held)
@@ -119,10 +120,49 @@ def rows_of(paths: Sequence[Path], params: StreetParams) -> Iterator[Rows]:
             yield joined(held)
 
 
-def seen_frames(path: Path, params: StreetParams, scan: Scan) -> Iterator[Seen]:
+def trajectory_of(config: Config) -> tuple[Path, ...]:
+    """The files of `survey.trajectory`, relative to survey.directory; `ConfigError` for one that is not there."""
+    base = config.path.parent / (config.survey.directory or ".")
+    found = tuple(base / name for name in config.survey.trajectory.files)
+    for path in found:
+        if not path.is_file():
+            raise ConfigError("no such trajectory", where=f"{config.path}: survey.trajectory.files", got=path)
+    return found
+
+
+@dataclass(frozen=True)
+class OnTrajectory:
+    """A recording whose frames are placed along the way of a trajectory: by its length in plan, straight between fixes.
+
+    The trajectory's clock is the frames'. Frames outside its time have no place.
+    """
+
+    recording: Recording
+    files: tuple[Path, ...]
+
+    @property
+    def told(self) -> Mapping[str, Any]:
+        return self.recording.told
+
+    def frames(self) -> Iterator[Frame]:
+        fixes = [read_trajectory(path) for path in self.files]
+        time, x, y = (np.concatenate([f[n] for f in fixes]) for n in ("gps_time", "x", "y"))
+        order = np.argsort(time, kind="stable")
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x[order]), np.diff(y[order])))])
+        for frame in self.recording.frames():
+            yield replace(frame, place=float(np.interp(frame.time, time[order], way, math.nan, math.nan)))
+
+
+def opened(path: Path, params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Recording:
+    """The recording at `path`, placed along a trajectory where there is one."""
+    recording = open_recording(path, Scan.of(scanner(params.scanner)), params.topic)
+    return OnTrajectory(recording, trajectory) if trajectory else recording
+
+
+def seen_frames(path: Path, params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Iterator[Seen]:
     """The frames of a recording with their features."""
     track, ring = Track(params), None
-    for frame in open_recording(path, scan, params.topic).frames():
+    for frame in opened(path, params, trajectory).frames():
         placed = track.take(frame)
         if placed is None:
             continue

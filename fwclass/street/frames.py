@@ -76,7 +76,8 @@ class Frame:
 class Recording(Protocol):
     """A source of frames. `told`: what the source says of itself, plain data."""
 
-    told: Mapping[str, Any]
+    @property
+    def told(self) -> Mapping[str, Any]: ...
 
     def frames(self) -> Iterator[Frame]: ...
 

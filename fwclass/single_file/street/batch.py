@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.street import params_of, told
+from fwclass.graph.street import opened, params_of, told
 from fwclass.model import Model
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -27,7 +27,6 @@ from fwclass.street.answers import ANSWERS, END, Writer, read_answers
 from fwclass.street.frames import Geometry, Placed, Scan, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import segments
-from fwclass.street.recordings import open_recording
 from fwclass.street.ring import Ring
 
 FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 1
@@ -44,6 +43,7 @@ class Work:
     recording: Path
     model: Path
     params: StreetParams
+    trajectory: tuple[Path, ...] = ()
 
 
 def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
@@ -54,7 +54,7 @@ def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
     files: dict[str, BinaryIO] = {}
     kept: tuple[str, ...] = ()
     try:
-        for frame in open_recording(work.recording, scan, work.params.topic).frames():
+        for frame in opened(work.recording, work.params, work.trajectory).frames():
             placed = track.take(frame)
             if placed is None:
                 continue
@@ -129,7 +129,7 @@ def _frames(inputs: PartInputs, meta: Mapping[str, Any], scan: Scan, low: int, h
 def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str, Any]:
     """Classify a recording into `target` (see `output`), judged where it has labels; plain data."""
     model = load_model(work.model)
-    work = Work(work.recording, work.model, params_of(model, work.params, work.model))
+    work = replace(work, params=params_of(model, work.params, work.model))
     about = [str(work.recording), model_digest(work.model), work.params.model_dump(mode="json")]
     first = Task(FRAMES, "all", VERSION, about, partial(read, work))
     meta = require_all(runner, [first])[first.name].meta

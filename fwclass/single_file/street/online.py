@@ -20,7 +20,7 @@ import numpy as np
 from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.street import params_of
+from fwclass.graph.street import opened, params_of
 from fwclass.model import Model
 from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
@@ -31,7 +31,6 @@ from fwclass.street.answers import ANSWERS, END, Answer, Writer, answered
 from fwclass.street.frames import Frame, Scan, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import Prescriber, Segment
-from fwclass.street.recordings import open_recording
 from fwclass.street.ring import Ring, Seen
 
 WARM = 40
@@ -122,6 +121,7 @@ class Run:
     target: Path
     paced: bool
     overwrite: bool
+    trajectory: tuple[Path, ...] = ()
 
 
 def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str, Any]:
@@ -188,7 +188,7 @@ def _source(
     if asked.source.startswith("tcp://"):
         stream = stack.enter_context(listening(asked.source, params.stream, ended, say))
         return stream.frames(), stream
-    recording = open_recording(Path(asked.source), Scan.of(scanner(params.scanner)), params.topic)
+    recording = opened(Path(asked.source), params, asked.trajectory)
     return from_recording(recording, asked.paced, ended), None
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.graph.street import Split, by_model, fitted, judged, recordings_of, rows_of, sample_of
+from fwclass.graph.street import Split, by_model, fitted, judged, recordings_of, rows_of, sample_of, trajectory_of
 from fwclass.single_file.model_directory import check_target, deliver
 from fwclass.store.models import save_model
 from fwclass.street.ring import feature_names
@@ -23,9 +23,9 @@ def train(
     check_target(target, overwrite)
     paths = recordings_of(config, directory)
     params, classes, split = config.street, config.classes, Split.of(config)
-    names = feature_names(params)
+    names, way = feature_names(params), trajectory_of(config)
     say(f"features     {len(names)} of {len(paths)} recordings")
-    sample = sample_of(rows_of(paths, params), names, split, classes, config.train.samples_per_class)
+    sample = sample_of(rows_of(paths, params, way), names, split, classes, config.train.samples_per_class)
     say(f"training     {config.train.method} on {sample.rows} returns")
     model = fitted(sample, params, config.train, config.compare, classes)
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".street-") as beside:
@@ -35,7 +35,7 @@ def train(
     if assess:
         say("assessing    the returns that did not train")
         try:
-            found = judged(rows_of(paths, params), by_model(model), split, classes, config.assess.block)
+            found = judged(rows_of(paths, params, way), by_model(model), split, classes, config.assess.block)
         except ValueError as fault:
             raise InputError("the answers cannot be judged", where=paths[0], got=str(fault)) from fault
         if found["rows"]:

@@ -18,7 +18,6 @@ from fwclass.hashing import hashed
 from fwclass.model import Model, class_index
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
-from fwclass.street.frames import Scan
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_parquet import write_recording
 from fwclass.street.ring import feature_names
@@ -96,7 +95,7 @@ def _lost(inputs: PartInputs, params: StreetParams) -> float:
     for window in ("exact", "paper"):
         here = params.model_copy(update={"window": window})
         rows = []
-        for one in seen_frames(_path(inputs, "main"), here, Scan.of(scanner(here.scanner))):
+        for one in seen_frames(_path(inputs, "main"), here):
             rows.append(one.features[:, 6].copy())
             if len(rows) == WINDOW_FRAMES:
                 break
