@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from fwclass.street.answers import Answer
 from fwclass.street.params import StreetParams
 
-
 STRAY = (2.0, 98.0)
 """% of a segment's crown returns that lie below and above its band: single ones may be wrong."""
 
@@ -23,8 +22,9 @@ class Segment:
 
     Attributes
     ----------
-    side : left or right. begin, end : along the road [m]. low, high : of the crown above the road [m], without
-    the outermost 2 % (`STRAY`). near, far : from the track [m], likewise. returns : of crowns. volume : of the voxels that hold one [m3].
+    side : left or right. begin, end : along the road [m].
+    low, high : of the crown above the road [m], without the outermost 2 % (`STRAY`). near, far : from the track [m],
+        likewise. returns : of crowns. volume : of the voxels that hold one [m3].
     density : returns / volume [1/m3]. speed : of the vehicle [m/s], NaN where it stood.
     nozzle : by which the nozzle trails the scanner [m].
     seconds : until the nozzle is at `begin`, counted from when the last frame of the segment is answered; below 0, the
@@ -113,8 +113,10 @@ class Prescriber:
         begin, end = number * self.params.segment, (number + 1) * self.params.segment
         way = begin + self.params.nozzle - (end + self._reach)
         left = way / speed if speed > 0 else math.nan
-        ends = (float(v) for of in (z, y) for v in np.percentile(of, STRAY))
-        return Segment(side, begin, end, *ends, len(x), volume, len(x) / volume, speed, self.params.nozzle, left)
+        low, high, near, far = (float(v) for of in (z, y) for v in np.percentile(of, STRAY))
+        return Segment(
+            side, begin, end, low, high, near, far, len(x), volume, len(x) / volume, speed, self.params.nozzle, left
+        )
 
 
 def segments(answers: Iterable[Answer], params: StreetParams, crown: int) -> Iterator[Segment]:

@@ -3,7 +3,7 @@
 `python tests/bench/bench_street.py [--frames N] [--vectors N]`: processor milliseconds a frame, as the machine may be
 busy; median, 99 % and 99.9 %. A simulated street at 1 m/s; 1 081 beams at 40 Hz, 541 at 50 Hz.
 
-Spheres: ours with all eleven features; `cKDTree.query_ball_point` of the same frames, neighbour lists alone, and whether
+Spheres: ours with the eleven features; `cKDTree.query_ball_point` of the same frames, neighbour lists alone, and whether
 its counts are ours. Answers: features and SVM of a frame as `fwclass street run` makes them, written to memory; and
 scikit-learn's SVC of the same support vectors on the same rows.
 """
@@ -42,7 +42,7 @@ def spread(values: list[float]) -> str:
 
 
 def drive(name: str, frames: int, extra: tuple[str, ...] = ()):
-    config = conf.load("street-sim", (f"street.scanner={name}", "street_scene.stops=0", *extra))
+    config = conf.load("street-sim", (f"street.scanner={name}", "street_scene.stops=0", "street_scene.sway=0", *extra))
     sheet = scanner(name)
     scene = config.street_scene.model_copy(update={"length": frames * sheet.period * config.street_scene.speed})
     made = list(simulated(scene, sheet, config.street.mounting))
