@@ -110,20 +110,20 @@ def classify(
 ) -> None:
     """Classify a recording: answers and prescription map in the directory OUT, the bytes of `street run`."""
     from fwclass.graph.street import trajectory_of
-    from fwclass.single_file.street.batch import Work
+    from fwclass.single_file.street.batch import Work, check
     from fwclass.single_file.street.batch import classify as work
     from fwclass.single_file.street.online import describe_batch
     from fwclass.single_file.street.output import prepare
 
     config = _config(conf, settings)
     count = config.run.workers if asked["workers"] is None else asked["workers"]
-    output.parent.mkdir(parents=True, exist_ok=True)
+    job = Work(recording.resolve(), model.resolve(), config.street, trajectory_of(config))
+    check(job)
     prepare(output, asked["overwrite"])
     with (
         tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}-") as beside,
         open_runner(Path(beside), int(count), asked["scheduler"], config.run) as runner,
     ):
-        job = Work(recording.resolve(), model.resolve(), config.street, trajectory_of(config))
         made = work(job, output, runner, config.assess.block)
     click.echo(describe_batch(made, output), err=True)
     if asked["as_json"]:

@@ -3,8 +3,8 @@
 `python tests/bench/bench_street.py [--frames N] [--vectors N]`: processor milliseconds a frame, as the machine may be
 busy; median, 99 % and 99.9 %. A simulated street at 1 m/s; 1 081 beams at 40 Hz, 541 at 50 Hz.
 
-Spheres: ours with the eleven features; `cKDTree.query_ball_point` of the same frames, neighbour lists alone, and whether
-its counts are ours. Answers: features and SVM of a frame as `fwclass street run` makes them, written to memory; and
+Spheres: ours with the eleven features; `cKDTree.query_ball_point` of the same frames, neighbour lists alone, and
+whether its counts are ours. Answers: features and SVM of a frame as `fwclass street run` makes them, written to memory; and
 scikit-learn's SVC of the same support vectors on the same rows.
 """
 

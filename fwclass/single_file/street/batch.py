@@ -46,6 +46,12 @@ class Work:
     trajectory: tuple[Path, ...] = ()
 
 
+def check(work: Work) -> None:
+    """`InputError` or `ConfigError` where the model or the recording cannot be used, before anything is written."""
+    params_of(load_model(work.model), work.params, work.model)
+    opened(work.recording, work.params)
+
+
 def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
     """Take the frames of the recording one after the other and keep those that are used, as flat files."""
     scan = Scan.of(scanner(work.params.scanner))

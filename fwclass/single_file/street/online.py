@@ -24,7 +24,7 @@ from fwclass.graph.street import opened, params_of
 from fwclass.model import Model
 from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
-from fwclass.single_file.street.sources import from_recording, listening, standard_input
+from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
 from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
 from fwclass.street.answers import ANSWERS, END, Answer, Writer, answered
@@ -136,6 +136,10 @@ def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[st
     """
     model = load_model(asked.model)
     params = params_of(model, params, asked.model)
+    if asked.source.startswith("tcp://"):
+        place_of(asked.source)
+    elif asked.source != "-":
+        opened(Path(asked.source), params, asked.trajectory)
     prepare(asked.target, asked.overwrite)
     warm(model, params)
     with interruptible() as ended, ExitStack() as stack, without_garbage():

@@ -27,6 +27,9 @@ DRIVE, RECORDING, GRIDS = "street-drive", "drive.parquet", "grids.zarr"
 SHOWN = 400
 """Frames of the pictures, as many as the paper has."""
 
+SINGLE_ROWS = 2000
+"""Rows that train an SVM of one feature: classes that overlap make a support vector of every second row."""
+
 WINDOW_FRAMES = 60
 """Frames on which the paper's window is held against the exact one."""
 
@@ -111,6 +114,9 @@ def single(config: Config, metres: float, feature: int, inputs: PartInputs, dire
     rows = _rows(inputs, "main", params)
     alone = replace(rows, X=np.ascontiguousarray(rows.X[:, feature : feature + 1]))
     chance = Split("random", params.share, config.train.seed, (), 0.0)
+    rbf = config.compare.rbf_svm
+    few = rbf.model_copy(update={"max_rows": min(rbf.max_rows, SINGLE_ROWS), "search_rows": min(rbf.search_rows, 1000)})
+    config = replace(config, compare=config.compare.model_copy(update={"rbf_svm": few}))
     model = _model(config, alone, names[feature : feature + 1], chance, params)
     found = _judged(config, _some(alone, config.papers.test_echoes // 3, config.papers.seed), by_model(model), chance)
     first = alone.take((alone.key >> np.uint64(16)) < np.uint64(SHOWN))
