@@ -9,6 +9,8 @@ import click
 
 from fwclass.cli import (
     ahead,
+    difference,
+    draft,
     export,
     features,
     files,
@@ -30,6 +32,8 @@ from fwclass.redact import redacted
 __all__ = [
     "ahead",
     "cli",
+    "difference",
+    "draft",
     "export",
     "features",
     "files",

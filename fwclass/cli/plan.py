@@ -46,6 +46,7 @@ def plan(
     directory. What cannot fit is refused, with the numbers (exit code 2).
     """
     from fwclass import conf as configuration
+    from fwclass.errors import visible
     from fwclass.graph.survey import check_areas
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
@@ -68,7 +69,7 @@ def plan(
     if count is not None:
         made = _dry_run(made, count, root)
     paths = deliver(made, root)
-    told = "\n".join(f"written     {p}" for p in paths)
+    told = "\n".join(f"written     {visible(p)}" for p in paths)
     click.echo(f"{describe(made)}\n\n{told}", err=as_json)
     if as_json:
         click.echo(json.dumps(plain(made, paths), indent=1))

@@ -101,6 +101,7 @@ class PlausibilityParams(Params):
     max_unmatched_returns : share of the returns without an echo within `decompose.vendor_tolerance`.
     max_poor : share of the fitted echoes that fit poorly, misfit above `decompose.poor_misfit`.
     max_unreadable : share of the returns (of the pulses in a file without) whose waveform cannot be read.
+    max_blank : share of the waveforms whose samples are all 0.
     least : echoes, or returns, of that kind below which nothing is refused.
     accept : deliver all the same, and end as if nothing were wrong; it is still told.
     """
@@ -109,5 +110,6 @@ class PlausibilityParams(Params):
     max_unmatched_returns: float = Field(ge=0.0, le=1.0)
     max_poor: float = Field(ge=0.0, le=1.0)
     max_unreadable: float = Field(ge=0.0, le=1.0)
+    max_blank: float = Field(ge=0.0, le=1.0)
     least: int = Field(ge=0, le=1_000_000_000)
     accept: bool

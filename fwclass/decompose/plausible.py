@@ -17,7 +17,19 @@ from fwclass.waveforms import IMPLAUSIBLE, Waveforms
 
 _FITTED, _VENDOR_KEPT = 0, 16
 
-COUNTS = ("fitted", "checked", "unexplained", "below", "outside", "weak", "implausible", "poor", "returns_without_echo")
+COUNTS = (
+    "fitted",
+    "checked",
+    "unexplained",
+    "below",
+    "outside",
+    "weak",
+    "implausible",
+    "poor",
+    "returns_without_echo",
+    "waveforms",
+    "blank",
+)
 """What `Plausibility.counts` holds, in this order."""
 
 

@@ -74,7 +74,19 @@ def decompose(
         echoes[axis] = quantised(echoes[axis])
     table = Table({name: echoes[name] for name in ECHO_COLUMNS})
     lone = returns_without_echo(waves, table, links, params)
-    return table, links, {**judged, "returns_without_echo": lone}
+    seen, blank = _blank(waves)
+    return table, links, {**judged, "returns_without_echo": lone, "waveforms": seen, "blank": blank}
+
+
+def _blank(waves: Waveforms) -> tuple[int, int]:
+    """How many pulses have samples, and how many of them have none but zeros."""
+    rows = np.flatnonzero(np.diff(waves.offsets) > 0)
+    if len(rows) == 0:
+        return 0, 0
+    highest = np.maximum.reduceat(waves.samples[: waves.offsets[-1]], waves.offsets[rows])
+    pulses = waves.pulses["pulse"][rows]
+    seen = len(np.unique(pulses))
+    return seen, seen - len(np.unique(pulses[highest > 0]))
 
 
 def _judged(
@@ -224,4 +236,4 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
 
 PULSE = Computation(name="pulse", version=5)
 PLACES = Computation(name="places", version=1)
-DECOMPOSE = Computation(name="decompose", version=6, writes=ECHO_COLUMNS)
+DECOMPOSE = Computation(name="decompose", version=7, writes=ECHO_COLUMNS)

@@ -10,7 +10,7 @@ from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
 from fwclass.decompose.system_pulse import disagree
 from fwclass.errors import QualityError
-from fwclass.read.beam_source import DAMAGED
+from fwclass.read import beam_source, pls_waves
 from fwclass.units import METRES_PER_NS
 
 TOLD_FROM = 0.1
@@ -25,7 +25,11 @@ INFLATED = 1.1
 OFFSET = 0.05
 """ns between fitted times and the vendor's locations from which it is told: 7 mm."""
 
-UNREADABLE = ("packet past the end", "packet cut short", "compressed packet damaged, or another file's", *DAMAGED)
+UNREADABLE = (
+    *("packet past the end", "packet cut short", "compressed packet damaged, or another file's"),
+    *pls_waves.DAMAGED,
+    *beam_source.DAMAGED,
+)
 """Faults of reading that a file shows which is cut off, damaged, another's, or exported wrongly."""
 
 WHOLE = (
@@ -70,6 +74,7 @@ def of_strip(
         **noise,
         "places": places,
         "poor_share": counts["poor"] / counts["fitted"] if counts["fitted"] else None,
+        "blank_share": counts["blank"] / counts["waveforms"] if counts["waveforms"] else None,
         "unreadable_packets": unreadable,
         "unreadable_share": unreadable / (returns or pulses) if returns or pulses else None,
         "pulses": pulses,
@@ -110,6 +115,13 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
             _unreadable_words([s for s in some if s["returns"]], "returns"),
             _unreadable_words([s for s in some if not s["returns"]], "pulses"),
         ]
+    some = [s for s in strips if (s["blank_share"] or 0.0) > RARE]
+    if some:
+        blank, seen = _sums(some, "blank", "waveforms")
+        lines.append(
+            f"{blank:,} of {seen:,} pulses ({_percent(blank / seen)}) have nothing but zeros for a waveform, which no "
+            f"receiver records: is the packet file whole? ({_names(some)})"
+        )
     some = [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]
     if some:
         poor, fitted = _sums(some, "poor", "fitted")
@@ -214,6 +226,7 @@ def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> No
     """`QualityError` naming the strip that is furthest beyond a bound; nothing where the user accepts it."""
     bounds = (
         ("unreadable", "unreadable_packets", "waveforms cannot be read", WHOLE),
+        ("blank", "blank", "waveforms are nothing but zeros", WHOLE),
         ("poor", "poor", "fitted echoes fit poorly", LOOK),
         ("implausible", "implausible", "echoes are implausible", LOOK),
         ("unmatched_returns", "returns_without_echo", "returns have no echo", LOOK),

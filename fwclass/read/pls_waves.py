@@ -13,7 +13,7 @@ from fwclass.errors import InputError
 from fwclass.read.packets import VECTOR_RANGE
 from fwclass.read.pls_header import PULSE
 from fwclass.read.points import ZEROS
-from fwclass.read.pulsewaves import RETURNING, WAVES_HEADER, PulseSource, Sampling
+from fwclass.read.pulsewaves import OUTGOING, RETURNING, WAVES_HEADER, PulseSource, Sampling
 from fwclass.read.wave_kernels import CUT_SHORT, NO_WAVES, PAST_END, SEGMENT_COLUMNS, SOUND, TOO_MANY, walk
 from fwclass.units import METRES_PER_NS
 
@@ -37,9 +37,17 @@ FAULTS = (
     "no sane beam vector",
     "no sane duration from the anchor",
     "waveforms missing",
+    "zeros in place of the waveforms",
     "no returning samples",
 )
 """What a pulse lacks; the index is the code in `Found.fault`. The last one is no fault: nothing came back."""
+
+DAMAGED = (*FAULTS[2:4], FAULTS[-2])
+"""Those that a file shows which was not copied whole, or has holes of zeros."""
+
+HOLE = 256
+"""Bytes of zeros where waveforms should be that tell a hole: silent pulses in a row, of a few bytes each, fall short of
+it; file systems leave holes of 512 bytes and more."""
 
 _BY_WALK = {SOUND: 0, NO_WAVES: 1, PAST_END: 2, CUT_SHORT: 3, TOO_MANY: 4}
 SILENT = FAULTS.index("no returning samples")
@@ -88,7 +96,8 @@ class Samplings:
     """All samplings of a file as arrays, and which of them every descriptor has.
 
     `described` (256, 3) and `table` (m, 6) as `wave_kernels.walk` wants them; `state` (256,) is the code of the fault
-    that every pulse of the descriptor has; `unit`, `centre` by descriptor; the others by sampling.
+    that every pulse of the descriptor has; `unit`, `centre`, `sends` (outgoing pulses are recorded) by descriptor; the
+    others by sampling.
     """
 
     described: NDArray[np.int64]
@@ -96,6 +105,7 @@ class Samplings:
     state: NDArray[np.uint8]
     unit: NDArray[np.float64]
     centre: NDArray[np.float64]
+    sends: NDArray[np.bool_]
     kind: NDArray[np.int64]
     channel: NDArray[np.int64]
     scale: NDArray[np.float64]
@@ -107,7 +117,7 @@ class Samplings:
     def of(cls, source: PulseSource) -> Samplings:
         described = np.zeros((256, 3), np.int64)
         state = np.full(256, FAULTS.index("unknown pulse descriptor"), np.uint8)
-        unit, centre = np.ones(256), np.full(256, np.nan)
+        unit, centre, sends = np.ones(256), np.full(256, np.nan), np.zeros(256, np.bool_)
         every: list[Sampling] = []
         for index, d in source.descriptors.items():
             state[index] = FAULTS.index("unusable pulse descriptor") if d.fault else 0
@@ -115,6 +125,7 @@ class Samplings:
                 continue
             described[index] = d.extra_bytes, len(every), len(d.samplings)
             unit[index], centre[index] = d.unit_ns, d.centre
+            sends[index] = any(s.kind == OUTGOING for s in d.samplings)
             every += d.samplings
         table = [
             (s.duration_bits // 8, s.segment_bits // 8, s.length_bits // 8, s.segments, s.samples, s.bits // 8)
@@ -126,6 +137,7 @@ class Samplings:
             state,
             unit,
             centre,
+            sends,
             np.array([s.kind for s in every], np.int64),
             np.array([s.channel for s in every], np.int64),
             np.array([s.scale for s in every], np.float64),
@@ -193,8 +205,20 @@ def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDA
     heard = np.zeros(len(fault), np.bool_)
     heard[segments.pulse[kinds.kind[segments.sampling] == RETURNING]] = True
     fault[(fault == 0) & ~heard] = SILENT
+    rows = np.flatnonzero((fault == SILENT) & kinds.sends[index])
+    fault[rows[_in_hole(data, records["waves"][rows])]] = SILENT - 1
     time = records["time"] * source.header.time_scale + source.header.time_offset
     return Found(time, anchor, step, kinds.centre[index] * kinds.unit[index] * length, fault, segments)
+
+
+def _in_hole(data: NDArray[np.uint8] | None, offset: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether nothing but zeros stands at the offsets of pulses: a sound file has an outgoing pulse there."""
+    if data is None or len(data) < HOLE:
+        return np.zeros(len(offset), np.bool_)
+    runs = np.lib.stride_tricks.sliding_window_view(data, HOLE)
+    inside = offset < len(runs)
+    inside[inside] = ~runs[offset[inside]].any(axis=1)
+    return inside
 
 
 def _walk(

@@ -97,4 +97,4 @@ def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Tab
     )
 
 
-READ = Computation("read", 4)
+READ = Computation("read", 5)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.classify.stage import classify, filled
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
 from fwclass.features.stage import features
@@ -292,4 +292,4 @@ def describe(made: dict[str, Any]) -> str:
     lines += [f"no value: {name} of {n:,} echoes" for name, n in made["without_value"].items()]
     if made["filled"]:
         lines.append(f"{made['filled']:,} missing values were filled with the medians of the training rows")
-    return "\n".join([*lines, f"written: {made['output']}"])
+    return "\n".join([*lines, f"written: {visible(made['output'])}"])

@@ -13,7 +13,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import describe
 from fwclass.decompose.stage import VENDOR_KEPT
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
@@ -118,7 +118,7 @@ def decompose_file(
         *(f"plausibility: {text}" for text in remarks([judged], fit)),
         *notes,
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
-        f"written: {output}",
+        f"written: {visible(output)}",
     ]
     return "\n".join(rows), [judged]
 

@@ -4,8 +4,8 @@
 busy; median, 99 % and 99.9 %. A simulated street at 1 m/s; 1 081 beams at 40 Hz, 541 at 50 Hz.
 
 Spheres: ours with the eleven features; `cKDTree.query_ball_point` of the same frames, neighbour lists alone, and
-whether its counts are ours. Answers: features and SVM of a frame as `fwclass street run` makes them, written to memory; and
-scikit-learn's SVC of the same support vectors on the same rows.
+whether its counts are ours. Answers: features and SVM of a frame as `fwclass street run` makes them, written to memory;
+and scikit-learn's SVC of the same support vectors on the same rows.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from lasmaker import METRES_PER_NS, digitise, gaussian, write_las
 from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, write_pls
 
 from fwclass import conf
+from fwclass.decompose.plausible import COUNTS
 from fwclass.graph.plausibility import of_strip, remarks
 from fwclass.single_file.decompose import decompose_file
 
@@ -120,8 +121,7 @@ def test_chunks_do_not_matter(tmp_path):
 
 
 def test_the_report_names_the_strips():
-    counts = dict.fromkeys(("fitted", "checked", "unexplained", "below", "outside", "weak", "implausible", "poor"), 0)
-    counts["returns_without_echo"] = 0
+    counts = dict.fromkeys(COUNTS, 0)
     channel = {"constant": 1.7, "offsets": [1.2, 1.9], "heights": [20.0, 110.0], "phase": False}
     strips = [
         of_strip(

@@ -11,6 +11,7 @@ import pytest
 import rasterio
 from commandline import fwclass
 from lasmaker import flat_survey, survey
+from plsmaker import survey as pulsewaves
 
 REAL = Path(__file__).resolve().parents[2] / ".." / "shared" / "data" / "waveform"
 CONFIG = """
@@ -74,6 +75,41 @@ def test_a_packet_file_that_is_cut_off_is_told(noisy, tmp_path):
     ended = fwclass("decompose", tmp_path / "a.las", tmp_path / "o.laz")
     assert "451 of 900 returns (50.1 %) have a waveform that cannot be read" in ended.stderr
     assert "is the packet file whole? (a)" in ended.stderr and len(laspy.read(tmp_path / "o.laz")) >= 900
+
+
+def with_hole(source: Path, target: Path, first: float, last: float) -> None:
+    """A copy in which the bytes between two shares of the file are zeros, as a copy that broke off leaves them."""
+    whole = bytearray(source.read_bytes())
+    begin, end = int(len(whole) * first), int(len(whole) * last)
+    whole[begin:end] = bytes(end - begin)
+    target.write_bytes(whole)
+
+
+@pytest.mark.parametrize(("last", "code"), [(0.7, 4), (0.42, 0)])
+def test_a_hole_of_zeros_in_a_packet_file_is_told(noisy, tmp_path, last, code):
+    """Its waveforms are as long as the others and hold nothing; a few are told, many end with 4."""
+    (tmp_path / "a.las").write_bytes(noisy.read_bytes())
+    with_hole(noisy.with_suffix(".wdp"), tmp_path / "a.wdp", 0.4, last)
+    ended = fwclass("decompose", tmp_path / "a.las", tmp_path / "o.laz")
+    assert ended.returncode == code, ended.stderr
+    count = int(900 * (last - 0.4))
+    assert any(f"{n} of 900 pulses" in ended.stderr for n in range(count - 2, count + 1)), ended.stderr
+    assert "have nothing but zeros for a waveform" in ended.stderr
+    assert ("waveforms are nothing but zeros than a sound survey has" in ended.stderr) == (code == 4)
+
+
+@pytest.mark.parametrize("harm", ["hole", "cut"])
+def test_a_pulsewaves_file_whose_waves_are_lost_ends_with_4(tmp_path, harm):
+    """Zeros in a `.wvs` read as pulses without samples, like those of which nothing came back."""
+    source = tmp_path / "a.pls"
+    pulsewaves(source, pulses=300)
+    waves = source.with_suffix(".wvs")
+    if harm == "hole":
+        with_hole(waves, waves, 0.4, 0.7)
+    else:
+        waves.write_bytes(waves.read_bytes()[: int(0.7 * waves.stat().st_size)])
+    ended = fwclass("decompose", source, tmp_path / "o.laz")
+    assert ended.returncode == 4 and "have a waveform that cannot be read" in ended.stderr, ended.stderr
 
 
 def test_ground_of_a_decomposed_file_does_not_see_them(haunted, tmp_path):

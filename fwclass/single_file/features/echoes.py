@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.decompose.params import DecomposeParams
 from fwclass.errors import InputError
-from fwclass.formats.flat import refuse_source
+from fwclass.formats.flat import TAKEN_FOR_METRES, refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.graph.plausibility import of_strip, remarks
 from fwclass.ground.blocks import ground_by_blocks
@@ -97,7 +97,11 @@ def _of_text(path: Path, crs: Any) -> FileEchoes:
     if cloud.classes is not None:
         columns["source_class"] = cloud.classes[rows]
     lost = cloud.points - len(rows)
-    told = (f"{len(rows):,} points", *([f"{lost:,} lines without usable coordinates are left out"] if lost else []))
+    told = (
+        f"{len(rows):,} points",
+        *([f"{lost:,} lines without usable coordinates are left out"] if lost else []),
+        *([TAKEN_FOR_METRES] if cloud.crs is None else []),
+    )
     return FileEchoes(Table(columns), cloud.crs, told)
 
 
@@ -117,6 +121,7 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
         raise InputError("the file has no points and no pulses", where=source.path, do="check the delivery")
     table = Table.concat(tables)
     told = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
+    told += [TAKEN_FOR_METRES] if crs is None else []
     told += remarks([of_strip(source.path.stem, source.n_points, counts, noise)], fit)
     told += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
     if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from fwclass.errors import visible
+
 MANY = 8
 """So many names are shown."""
 
@@ -17,13 +19,13 @@ def describe(made: Mapping[str, Any]) -> str:
     empty = {n: c for n, c in made["without_value"].items() if c == made["echoes"]}
     echoes, features = _count(made["echoes"], "echo", "echoes"), _count(len(made["features"]), "feature")
     rows = [
-        f"{made['input']}: {echoes}, {features} of {made['set']}",
+        f"{visible(made['input'])}: {echoes}, {features} of {made['set']}",
         *made["notes"],
         f"neighbourhoods reach {made['reach']:g} m; {_count(made['tiles'], 'tile')}",
         *([f"LEFT OUT, {why}: {_names([n for n in lost if lost[n] == why])}" for why in dict.fromkeys(lost.values())]),
         *([f"WARNING: no echo has a value of {_names(list(empty))}"] if empty else []),
         f"{seconds['all']:.1f} s{compiling}",
-        f"written: {made['output']} ({made['bytes'] / 1e6:.1f} MB)",
+        f"written: {visible(made['output'])} ({made['bytes'] / 1e6:.1f} MB)",
     ]
     return "\n".join(rows)
 

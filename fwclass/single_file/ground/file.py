@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass import compiling, conf
 from fwclass.errors import InputError
-from fwclass.formats.flat import HIGHEST, LONGEST
+from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
 from fwclass.graph.survey import given_crs
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import Flags
@@ -229,6 +229,8 @@ def _notes(
     notes = [*made.get("notes", []), *cloud.cut_packets]
     if looks_like_degrees(cloud):
         notes.append("the coordinates look like degrees, and were taken for metres: reproject the file first")
+    elif cloud.crs is None and isinstance(cloud.source, LasSource):
+        notes.append(TAKEN_FOR_METRES)
     if isinstance(cloud.source, LasSource) and cloud.crs is not cloud.source.crs:
         notes.append("the output keeps the coordinate system that the input names, not that of --crs")
     if len(stray):

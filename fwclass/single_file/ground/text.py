@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any
 
+from fwclass.errors import visible
 from fwclass.ground.measure import Measured
 from fwclass.ground.measure import table as measured_table
 
@@ -121,4 +122,4 @@ def share(part: int, whole: int) -> str:
 
 def table(rows: list[tuple[str, str]]) -> str:
     """Two columns; a row without a name goes on with the one above."""
-    return "\n".join(f"{name:<16}{text}" for name, text in rows)
+    return "\n".join(f"{name:<16}{visible(text)}" for name, text in rows)
