@@ -241,3 +241,24 @@ def test_the_protocol_is_what_its_description_says():
     assert len(data) == 68 + 4 * 1081
     assert struct.unpack_from("<4sIQd", data) == (b"FWS1", 1081, 3, frame.time)
     assert data[68:] == frame.ranges.tobytes()
+
+
+def test_memory_of_the_loop_does_not_grow():
+    import tracemalloc
+    from dataclasses import replace
+
+    from fwclass.single_file.street.latency import Latency
+    from fwclass.store.models import load_model
+
+    loop = online.Loop(load_model(directory() / "model"), config().street)
+    latency, held = Latency(), []
+    tracemalloc.start()
+    for k in range(700):
+        frame = replace(drive()[k % 100], number=k, time=0.025 * k)
+        for _ in loop.take(frame):
+            latency.add(0.001 * (k % 7))
+        if k in (300, 699):
+            held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert held[1] < 1.05 * held[0]
+    assert latency.told()["frames"] > 600
