@@ -43,12 +43,15 @@ class Box:
 
     @property
     def include(self) -> bool:
+        """It gives a class."""
         return self.kind != "exclude"
 
     def holds(self, y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """bool (n,): the places `y`, `z` [m], (n,), lie inside."""
         return (y >= self.y0) & (y < self.y1) & (z >= self.z0) & (z < self.z1)
 
     def meets(self, other: Box) -> bool:
+        """Some place lies in both."""
         return (
             max(self.begin, other.begin) < min(self.end, other.end)
             and max(self.y0, other.y0) < min(self.y1, other.y1)
@@ -163,5 +166,5 @@ class Labeller:
 
 
 def ended(boxes: Sequence[Box]) -> float | None:
-    """Where the annotation ends: the end of the last slice that has a `rest`; None of none."""
+    """Where the annotation ends [m along the road]: at the end of the last slice that has a `rest`; None of none."""
     return max((b.end for b in boxes if b.kind == "rest"), default=None)

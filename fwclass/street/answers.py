@@ -67,6 +67,7 @@ class Writer:
 
     @property
     def head(self) -> bytes:
+        """What the stream begins with."""
         return bytes(self.schema.serialize())
 
     def frame(self, one: Answer) -> memoryview:

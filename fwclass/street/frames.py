@@ -29,6 +29,7 @@ class Scan:
 
     @classmethod
     def of(cls, scanner: ScannerParams) -> Scan:
+        """The beams of a data sheet [deg], in radians."""
         return cls(
             scanner.beams,
             math.radians(scanner.first_angle),
@@ -77,9 +78,13 @@ class Recording(Protocol):
     """A source of frames. `told`: what the source says of itself, plain data."""
 
     @property
-    def told(self) -> Mapping[str, Any]: ...
+    def told(self) -> Mapping[str, Any]:
+        """Kind, columns or topics, rows: plain data."""
+        ...
 
-    def frames(self) -> Iterator[Frame]: ...
+    def frames(self) -> Iterator[Frame]:
+        """The frames in the source's order; `InputError` where it cannot be read further."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,7 @@ class Geometry:
 
     @classmethod
     def of(cls, scan: Scan, mounting: MountingParams) -> Geometry:
+        """The directions of `scan`'s beams, unit vectors, on a vehicle that carries it so."""
         angle = scan.first + scan.step * np.arange(scan.beams) + math.radians(mounting.roll)
         side = 1.0 if mounting.side == "left" else -1.0
         plane = np.stack([np.zeros(scan.beams), side * np.cos(angle), np.sin(angle)], axis=1)
@@ -128,7 +134,7 @@ class Geometry:
 
     @property
     def reach(self) -> float:
-        """How far frames may be apart along the road for a sphere of radius 1 to touch both."""
+        """How far frames may be apart along the road for a sphere of radius 1 m to touch both [m]."""
         return 1.0 / math.sqrt(1.0 - self.lean**2)
 
 

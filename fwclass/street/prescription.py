@@ -47,6 +47,7 @@ class Segment:
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
+        """Columns, in order."""
         return tuple(f.name for f in fields(cls))
 
     def line(self) -> str:
@@ -76,6 +77,7 @@ class Prescriber:
         self._open = _Open()
 
     def take(self, one: Answer) -> Iterator[Segment]:
+        """The segments that this answer shows to be left."""
         number = math.floor(one.place / self.params.segment)
         if self._number is not None and number != self._number:
             yield from self._closed()
@@ -91,6 +93,7 @@ class Prescriber:
             here.x.append(np.full(int(crown.sum()), one.place))
 
     def rest(self) -> Iterator[Segment]:
+        """The segments that the scanner was in when answers ended."""
         if self._number is not None:
             yield from self._closed()
 

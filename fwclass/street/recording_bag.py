@@ -88,6 +88,7 @@ class BagRecording:
             reader.close()
 
     def frames(self) -> Iterator[Frame]:
+        """As `Recording.frames`."""
         speed = math.nan
         with self._opened() as reader:
             wanted = [c for c in reader.connections if c.topic in (self.topic, self._odometry)]

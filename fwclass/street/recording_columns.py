@@ -44,7 +44,7 @@ def check_columns(names: Iterable[str], path: Path) -> None:
 
 
 def scan_of(numbers: Mapping[str, float], scan: Scan, beams: int) -> Scan:
-    """`scan` with what a frame says itself; an angle that is missing is the recording's."""
+    """`scan` with what a frame says itself; an angle [rad] that is missing is the recording's."""
 
     def told(name: str, other: float) -> float:
         value = numbers.get(name, math.nan)
@@ -68,7 +68,7 @@ def frame_of(
     scan: Scan,
     path: Path | str,
 ) -> Frame:
-    """A frame from one row; `at` is the row's number, `scan` what holds where the row says nothing."""
+    """A frame from one row; `at` is the row's number, `ranges` (beams,) [m], `scan` what holds where the row is silent."""
     if not 0 < len(ranges) <= MOST_BEAMS:
         raise InputError(
             "a frame has no beams, or more than any scanner",

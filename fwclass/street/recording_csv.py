@@ -45,6 +45,7 @@ class CsvRecording:
         self.told: Mapping[str, Any] = {"kind": "CSV", "columns": names}
 
     def frames(self) -> Iterator[Frame]:
+        """As `Recording.frames`."""
         with open_regular(self.path) as stream:
             stream.readline(LONGEST_LINE)
             line, at = 1, 0

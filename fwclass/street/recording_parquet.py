@@ -75,6 +75,7 @@ class ParquetRecording:
         self.told: Mapping[str, Any] = {"kind": "Parquet", "rows": sum(rows), "columns": list(schema.names)}
 
     def frames(self) -> Iterator[Frame]:
+        """As `Recording.frames`."""
         at = 0
         try:
             with pq.ParquetFile(self.path) as file:
@@ -106,6 +107,7 @@ def _list(batch: pa.RecordBatch, name: str, row: int, kind: Any) -> NDArray:
 
 
 def damaged(path: Path, fault: Exception) -> InputError:
+    """The words for a file that Arrow refuses."""
     return InputError(
         "the Parquet file cannot be read",
         where=path,
