@@ -68,7 +68,7 @@ def frame_of(
     scan: Scan,
     path: Path | str,
 ) -> Frame:
-    """A frame from one row; `at` is the row's number, `ranges` (beams,) [m], `scan` what holds where the row is silent."""
+    """A frame from row `at`: `ranges` (beams,) [m], `scan` what holds where the row is silent."""
     if not 0 < len(ranges) <= MOST_BEAMS:
         raise InputError(
             "a frame has no beams, or more than any scanner",
