@@ -21,6 +21,7 @@ from fwclass.cli import (
     seams,
     select,
     status,
+    street,
     survey,
 )
 from fwclass.cli.base import cli
@@ -44,6 +45,7 @@ __all__ = [
     "seams",
     "select",
     "status",
+    "street",
     "survey",
 ]
 
