@@ -18,6 +18,7 @@ from fwclass.graph.radiometry import (
 )
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
+from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
@@ -45,6 +46,8 @@ classification = Workflow(
         # what is known of every echo
         FILTER_GROUND,
         GATHER_GROUND,
+        MAKE_FIRST_TERRAIN,
+        STACK_PULSES,
         MAKE_TERRAIN,
         GATHER_HEIGHT,
         THIN_ECHOES,
@@ -73,6 +76,7 @@ classification = Workflow(
         ASSESS,
         DELIVER_TILE,
         DELIVER_STRIP,
+        DELIVER_STACK,
         MAP_CLASSES,
         DELIVER_RASTERS,
     ),

@@ -16,7 +16,12 @@ ECHOES = (
         low=1,
     ),
     Column("number_of_echoes", "u1", "", "echoes of the pulse; a plausible echo counts those alone", low=1),
-    Column("origin", "u1", "", "0 fitted to a waveform, 1 vendor return without usable packet, 2 read as an echo"),
+    Column(
+        "origin",
+        "u1",
+        "",
+        "0 fitted to a waveform, 1 vendor return without usable packet, 2 read as an echo, 3 shown by several pulses",
+    ),
     # where it is
     Column("x", "f8", "m", "easting in the survey's CRS, whole millimetres"),
     Column("y", "f8", "m", "northing in the survey's CRS, whole millimetres"),
@@ -163,6 +168,23 @@ ECHOES = (
         "u1",
         "",
         "class code of the nearest return of the pulse in the source file; 0 of an implausible echo",
+    ),
+    Column(
+        "stacked_pulses",
+        "u1",
+        "",
+        "pulses whose waveforms show the echo together; none alone does",
+        las="stacked pulses",
+        las_about="that show the echo together",
+    ),
+    Column(
+        "significance",
+        "f4",
+        "",
+        "height of the stacked echo over its standard deviation",
+        low=0,
+        las="significance",
+        las_about="height over its standard deviation",
     ),
     Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
     # returns, as read

@@ -15,7 +15,7 @@ from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sets import feature_set, listed_once
-from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams
+from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams, StackParams
 from fwclass.errors import visible
 from fwclass.features.params import FeaturesParams
 from fwclass.grid import Box
@@ -206,6 +206,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "pulse": PulseParams,
     "decompose": DecomposeParams,
     "plausibility": PlausibilityParams,
+    "stack": StackParams,
     "tile": TileParams,
     "label": LabelParams,
     "ground": GroundParams,
@@ -246,6 +247,7 @@ class Config:
     pulse: PulseParams
     decompose: DecomposeParams
     plausibility: PlausibilityParams
+    stack: StackParams
     tile: TileParams
     label: LabelParams
     ground: GroundParams

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from fwclass.stage import Params
 
@@ -113,3 +113,37 @@ class PlausibilityParams(Params):
     max_blank: float = Field(ge=0.0, le=1.0)
     least: int = Field(ge=0, le=1_000_000_000)
     accept: bool
+
+
+class StackParams(Params):
+    """Parameters of stacking pulses along the terrain; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    enabled : weak ground echoes are looked for, and the terrain is made once more with them.
+    pulses, least : pulses that are added up at most and at least, the nearest ones in plan.
+    radius : none is further from the middle one [m].
+    window : the surface may be off by so much, up and down along the beam [m].
+    clear : a pulse with an echo less than this above the surface, or below it, is not looked at [m].
+    threshold : least height of the sum over its standard deviation.
+    decoy : so far beneath the surface the same is tried where nothing can be [m], to tell how often noise does it.
+    max_false : share of those above which a block's echoes are not given.
+    """
+
+    enabled: bool
+    pulses: int = Field(ge=2, le=49)
+    least: int = Field(ge=2, le=49)
+    radius: float = Field(gt=0.0, le=100.0)
+    window: float = Field(gt=0.0, le=20.0)
+    clear: float = Field(ge=0.0, le=100.0)
+    threshold: float = Field(gt=0.0)
+    decoy: float = Field(gt=0.0, le=100.0)
+    max_false: float = Field(ge=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _apart(self) -> StackParams:
+        if self.least > self.pulses:
+            raise ValueError("least must not exceed pulses")
+        if self.decoy < 2.0 * self.window:
+            raise ValueError("decoy must be at least twice the window: else it sees the surface itself")
+        return self

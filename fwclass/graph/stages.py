@@ -25,6 +25,7 @@ from fwclass.graph.radiometry import (
 )
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
+from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
 from fwclass.graph.stage import Plan, Stage, named
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
@@ -38,6 +39,8 @@ TO_TILES = (READ_POLYGONS, INDEX, *OF_STRIPS, SPLIT_REFERENCE, TILE_ECHOES, TILE
 TO_LABELS = (
     FILTER_GROUND,
     GATHER_GROUND,
+    MAKE_FIRST_TERRAIN,
+    STACK_PULSES,
     MAKE_TERRAIN,
     GATHER_HEIGHT,
     THIN_ECHOES,
@@ -63,7 +66,7 @@ LEARNING = (
 )
 CLASSIFYING = (CLASSIFY_ECHOES, CLASSIFY_THINNED)
 JUDGING = (COUNT_CONFUSION, ASSESS)
-DELIVERY = (DELIVER_TILE, DELIVER_STRIP, MAP_CLASSES, DELIVER_RASTERS)
+DELIVERY = (DELIVER_TILE, DELIVER_STRIP, DELIVER_STACK, MAP_CLASSES, DELIVER_RASTERS)
 STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY)
 """Every stage that any run has; what a run takes is reckoned by this list."""
 

@@ -1,0 +1,157 @@
+"""Echoes of several pulses together, on waveforms written here with numpy alone."""
+
+import numpy as np
+import pytest
+import wavemaker as wm
+
+from fwclass import conf
+from fwclass.decompose.placement import AS_STORED
+from fwclass.decompose.stacking import STACKED, Candidates, Surface, candidates, roughness_of, stacked
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.grid import Box, Window
+from fwclass.schema import Table
+from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
+
+SPEED = wm.METRES_PER_NS
+STEP, SIDE = 0.6, 40
+FIT = conf.section("decompose", ())
+
+
+def params(**changed):
+    return conf.section("stack", tuple(f"stack.{k}={v}" for k, v in changed.items()))
+
+
+def flown(height, ratio, *, seed, noise=1.5, canopy=12.0, rough=0.0, phi=(), slope=0.0, side=SIDE):
+    """Pulses over a wood, `STEP` apart: an echo of the crown at 60 DN, one of the ground `ratio` times the noise.
+
+    Returns waveforms and the true place of the ground (n, 3). The beams are 10 degrees off the vertical."""
+    rng = np.random.default_rng(seed)
+    x0, y0 = (v.ravel() + 0.3 for v in np.meshgrid(STEP * np.arange(side), STEP * np.arange(side)))
+    n, beam = len(x0), np.array([np.sin(0.17), 0.0, -np.cos(0.17)])
+    z0 = height + slope * x0 + rough * rng.standard_normal(n)
+    ground = np.c_[x0, y0, z0]
+    below = (canopy + rng.uniform(-2.0, 2.0, n)) / np.cos(0.17) / SPEED  # ns from crown to ground
+    crown = 20.0 + rng.uniform(0.0, 1.0, n)
+    time = np.c_[crown, crown + below]
+    amplitude = np.c_[np.full(n, 60.0), np.full(n, ratio * noise)]
+    time[:, 1] = np.where(ratio > 0.0, time[:, 1], np.nan)
+    sigma = np.full((n, 2), wm.PULSE_WIDTH / wm.FWHM)
+    made, _ = wm.simulate(amplitude, time, sigma, noise=noise, samples=170, phi=phi, seed=seed)
+    anchor = ground - (below * SPEED)[:, None] * beam
+    columns = {name: np.zeros(n) for name in PULSE_COLUMNS}
+    columns |= {name: made.pulses[name] for name in ("pulse", "sample_spacing", "saturation", "gain")}
+    columns |= {f"anchor_{a}": anchor[:, c] for c, a in enumerate("xyz")}
+    columns |= {f"step_{a}": np.full(n, -SPEED * beam[c]) for c, a in enumerate("xyz")}
+    columns["anchor_time"] = crown
+    waves = Waveforms(Table(columns), Table.empty(RETURN_COLUMNS), made.samples, made.offsets)
+    return waves, ground
+
+
+def surface(height, slope=0.0, off=0.0):
+    window = Window(1.0, -10, -10, 60, 60)
+    x = np.arange(-10, 50) + 0.5
+    return Surface(np.broadcast_to(height + off + slope * x, (60, 60)).astype(np.float32), window)
+
+
+INNER = Box(3.0, 3.0, 21.0, 21.0)
+
+
+def shown(waves, seen, asked, pulse=None, roughness=0.0):
+    box = INNER.grown(asked.radius)
+    found = candidates(waves, 1, seen, box, asked, FIT, pulse or SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
+    return (*stacked(found, INNER, roughness, asked), found)
+
+
+def many(ratio, runs, **kind):
+    """Echoes, counts and errors [m] along the vertical over several woods."""
+    counts, errors, sigmas = {}, [], []
+    for seed in range(runs):
+        waves, ground = flown(
+            100.0, ratio, seed=seed, **{k: v for k, v in kind.items() if k in ("phi", "slope", "rough")}
+        )
+        seen = surface(100.0, kind.get("slope", 0.0), kind.get("off", 0.0))
+        table, told, _ = shown(waves, seen, params(), roughness=kind.get("rough", 0.0))
+        for name, value in told.items():
+            counts[name] = counts.get(name, 0) + value
+        truth = dict(enumerate(ground))
+        errors.append(
+            table["z"] - np.array([truth[p][2] for p in table["pulse"].tolist()]) if table.rows else np.empty(0)
+        )
+        sigmas.append(table["range_sigma"])
+    return counts, np.concatenate(errors), np.concatenate(sigmas)
+
+
+def test_nine_pulses_show_what_one_cannot():
+    told, errors, sigma = many(1.5, 3)
+    assert told["candidates"] > 1500 and told["stacked"] / told["candidates"] >= 0.95, told
+    assert told["false"] / told["decoys"] <= 2e-3, told
+    assert abs(np.median(errors)) < 0.02 and np.std(errors) < 0.12
+    assert 0.85 < np.sqrt(np.mean((errors / sigma) ** 2)) < 1.15
+
+
+def test_noise_alone_and_what_the_surface_is_off_by():
+    told, _, _ = many(0.0, 12)
+    assert told["candidates"] > 10_000 and told["stacked"] <= 1e-3 * told["candidates"] + 4.0, told
+    told, errors, _ = many(2.0, 1, off=0.5)
+    assert told["stacked"] >= 0.95 * told["candidates"] and abs(np.median(errors)) < 0.02
+    told, errors, sigma = many(2.0, 2, rough=0.1)
+    assert 0.8 < np.sqrt(np.mean((errors / sigma) ** 2)) < 1.2
+    told, errors, _ = many(2.0, 1, slope=0.4)
+    assert told["stacked"] >= 0.95 * told["candidates"] and abs(np.median(errors)) < 0.02
+
+
+def test_what_is_told_of_an_echo():
+    waves, _ = flown(100.0, 2.0, seed=5)
+    table, told, found = shown(waves, surface(100.0), params())
+    assert table.rows == told["stacked"] and (table["origin"] == STACKED).all() and (table["classification"] == 2).all()
+    assert (table["stacked_pulses"] == 9).all() and (table["echo_number"] == 2).all()
+    assert (table["significance"] > 4.0).all() and (np.diff(table["pulse"].astype(int)) > 0).all()
+    assert abs(np.median(table["amplitude"]) - 3.0) < 0.4
+    assert np.allclose(table["amplitude"] / table["amplitude_sigma"], table["significance"], rtol=1e-5)
+    assert INNER.contains(found.place[:, 0], found.place[:, 1]).sum() == told["candidates"]
+
+
+def test_who_has_seen_the_ground_is_not_looked_at():
+    waves, _ = flown(100.0, 20.0, seed=6)
+    none = candidates(waves, 1, surface(100.0), INNER, params(), FIT, SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
+    assert none is None or len(none.pulse) < 0.01 * SIDE**2
+    nowhere = Surface(np.full((60, 60), np.nan, np.float32), Window(1.0, -10, -10, 60, 60))
+    assert candidates(waves, 1, nowhere, INNER, params(), FIT, SystemPulse.gaussian(3.5), AS_STORED) is None
+
+
+def test_the_cut_of_the_strip_does_not_matter():
+    waves, _ = flown(100.0, 1.5, seed=7)
+    asked, box, pulse = params(), INNER.grown(2.0), SystemPulse.gaussian(wm.PULSE_WIDTH)
+    whole = candidates(waves, 1, surface(100.0), box, asked, FIT, pulse, AS_STORED)
+    halves = [
+        Waveforms(
+            waves.pulses.take(rows),
+            waves.returns,
+            waves.samples[170 * rows[0] : 170 * (rows[-1] + 1)],
+            waves.offsets[: len(rows) + 1],
+        )
+        for rows in (np.arange(700, SIDE**2), np.arange(700))
+    ]
+    parts = [candidates(h, 1, surface(100.0), box, asked, FIT, pulse, AS_STORED) for h in halves]
+    again = Candidates.joined(p for p in parts if p is not None)
+    one, two = (stacked(c, INNER, 0.0, asked)[0] for c in (whole, again))
+    assert one.rows and all(np.array_equal(one[n], two[n]) for n in one)
+
+
+def test_a_strip_whose_noise_stands_out_gives_nothing():
+    waves, _ = flown(100.0, 1.5, seed=8)
+    table, told, _ = shown(waves, surface(100.0), params(threshold=1.0))
+    assert table.rows == 0 and told["withheld"] == told["stacked"] > 0 and told["false"] > 0.01 * told["decoys"]
+
+
+def test_roughness():
+    rng = np.random.default_rng(1)
+    assert roughness_of(rng.normal(0.0, 0.1, 5000), np.zeros(5000)) == pytest.approx(0.1, rel=0.1)
+    assert roughness_of(np.empty(0), np.empty(0)) == 0.0
+    assert surface(3.0, 0.5).at(np.array([1.25, 100.0]), np.array([2.0, 0.0])).tolist()[0] == pytest.approx(3.625)
+
+
+def test_settings_that_cannot_be():
+    for changed in ({"least": 10}, {"decoy": 1.0}):
+        with pytest.raises(Exception, match=r"least|decoy"):
+            params(**changed)
