@@ -187,6 +187,19 @@ ECHOES = (
         las_about="height over its standard deviation",
     ),
     Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
+    # samples of waveforms
+    Column("sample", "u2", "", "number of the sample in its pulse, from 0"),
+    Column("sample_value", "f4", "DN", "recorded sample over the level of its waveform", las="sample value"),
+    Column(
+        "returned_energy",
+        "f4",
+        "DN ns",
+        "energy that was sent back here: the waveform freed of the system's pulse",
+        low=0,
+        las="returned energy",
+        las_about="energy sent back here",
+    ),
+    Column("share", "f4", "", "of the energy of all samples of the pulse", low=0, high=1, las="share"),
     # returns, as read
     Column("return_number", "u1", "", "vendor's return number; 0 occurs in faulty files"),
     Column("number_of_returns", "u1", "", "vendor's number of returns of the pulse"),

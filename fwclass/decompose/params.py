@@ -147,3 +147,22 @@ class StackParams(Params):
         if self.decoy < 2.0 * self.window:
             raise ValueError("decoy must be at least twice the window: else it sees the surface itself")
         return self
+
+
+class SampleParams(Params):
+    """Parameters of waveforms freed of the pulse; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    write : the samples are delivered as points.
+    method : ``gold`` or ``richardson-lucy``.
+    iterations : how often the ratio is taken; more are sharper, and make spikes of noise.
+    threshold : a sample belongs to a signal that is so high, behind the matched filter, in standard deviations.
+    least : lower ones are left out afterwards, in standard deviations of the noise.
+    """
+
+    write: bool
+    method: Literal["gold", "richardson-lucy"]
+    iterations: int = Field(ge=1, le=10_000)
+    threshold: float = Field(ge=0.0)
+    least: float = Field(ge=0.0)

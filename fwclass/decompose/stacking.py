@@ -62,6 +62,8 @@ ROUNDS, CLOSE = 8, 0.02
 """Steps of the search for the point where a beam meets the surface, and how close it must come [m]."""
 FOOT = 0.01
 """The pulse is followed as far as it is higher than this."""
+NEIGHBOURS, LOOKED_AT = 8, 20_000
+"""Echoes around one that tell what the surface is like; echoes that are held against theirs, about."""
 ALIKE = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -399,10 +401,30 @@ def _echoes(found: Candidates, rows: NDArray[np.int64], sums: Floats, roughness:
     )
 
 
-def roughness_of(z: Floats, surface: Floats) -> float:
-    """Standard deviation of echoes about the surface made of them [m]; 0 without any."""
-    off = (z - surface)[np.isfinite(surface)]
-    return float(ALIKE * np.median(np.abs(off))) if len(off) else 0.0
+def roughness_of(x: Floats, y: Floats, z: Floats) -> float:
+    """Standard deviation of a surface's echoes about the plane of the `NEIGHBOURS` nearest others [m]; 0 for a few.
+
+    Of many the same `LOOKED_AT`, about, whatever their order.
+    """
+    if len(z) < 4 * NEIGHBOURS:
+        return 0.0
+    order = np.lexsort((z, y, x))
+    places = np.stack([x, y], axis=1)[order] - (x.min(), y.min())
+    height = z[order]
+    some = np.arange(0, len(z), -(-len(z) // LOOKED_AT))
+    _, near = scipy.spatial.cKDTree(places).query(places[some], k=NEIGHBOURS + 1)
+    near = np.asarray(near)[:, 1:]
+    local = np.concatenate([np.ones((*near.shape, 1)), places[near] - places[some][:, None]], axis=2)
+    known = local.transpose(0, 2, 1) @ local + 1e-6 * np.eye(3)
+    weights = np.linalg.solve(known, local.transpose(0, 2, 1))[:, 0]  # of the neighbours, for the height in the middle
+    off = height[some] - (weights * height[near]).sum(axis=1)
+    return float(ALIKE * np.median(np.abs(off) / np.sqrt(1.0 + (weights**2).sum(axis=1))))
 
 
-STACK = Computation("stack", 1, reads=("x", "y", "z", "ground"), writes=STACK_COLUMNS, halo=lambda p: float(p.radius))
+STACK = Computation(
+    "stack",
+    1,
+    reads=("x", "y", "z", "ground", "number_of_echoes"),
+    writes=STACK_COLUMNS,
+    halo=lambda p: float(p.radius),
+)

@@ -47,8 +47,8 @@ def stacked_block(here: StageInputs, params: StackParams, fit: DecomposeParams, 
     dtm = Mosaic(here.inputs, FIRST_TERRAIN, blocks, cell, {"dtm": np.float32(np.nan)}).laid(window)["dtm"]
     surface = Surface(dtm, window)
     ground = around_block(here).table
-    ground = ground.take(ground["ground"])
-    roughness = roughness_of(ground["z"], surface.at(ground["x"], ground["y"]))
+    ground = ground.take(ground["ground"] & (ground["number_of_echoes"] > 1))  # under crowns, as what is looked for
+    roughness = roughness_of(ground["x"], ground["y"], ground["z"])
     parts = []
     for chunk in here.parts("read"):
         strip, inputs = strip_of(chunk), here.inputs

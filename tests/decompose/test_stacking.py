@@ -146,8 +146,12 @@ def test_a_strip_whose_noise_stands_out_gives_nothing():
 
 def test_roughness():
     rng = np.random.default_rng(1)
-    assert roughness_of(rng.normal(0.0, 0.1, 5000), np.zeros(5000)) == pytest.approx(0.1, rel=0.1)
-    assert roughness_of(np.empty(0), np.empty(0)) == 0.0
+    x, y = rng.uniform(0.0, 60.0, (2, 5000))
+    z = 0.4 * x - 0.2 * y + rng.normal(0.0, 0.1, 5000)
+    assert roughness_of(x, y, z) == pytest.approx(0.1, rel=0.1)
+    other = rng.permutation(5000)
+    assert roughness_of(x[other], y[other], z[other]) == roughness_of(x, y, z)
+    assert roughness_of(x[:5], y[:5], z[:5]) == 0.0
     assert surface(3.0, 0.5).at(np.array([1.25, 100.0]), np.array([2.0, 0.0])).tolist()[0] == pytest.approx(3.625)
 
 
