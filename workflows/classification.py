@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
+from fwclass.graph.backscatter import (
+    DELIVER_PROFILES,
+    DELIVER_SAMPLES,
+    DELIVER_VOXELS,
+    FILL_PROFILES,
+    FILL_VOXELS,
+    SAMPLE_WAVES,
+)
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -79,5 +87,12 @@ classification = Workflow(
         DELIVER_STACK,
         MAP_CLASSES,
         DELIVER_RASTERS,
+        # for those who want the waveform, not echoes
+        SAMPLE_WAVES,
+        FILL_VOXELS,
+        FILL_PROFILES,
+        DELIVER_SAMPLES,
+        DELIVER_VOXELS,
+        DELIVER_PROFILES,
     ),
 )

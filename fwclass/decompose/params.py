@@ -123,17 +123,19 @@ class StackParams(Params):
     enabled : weak ground echoes are looked for, and the terrain is made once more with them.
     pulses, least : pulses that are added up at most and at least, the nearest ones in plan.
     radius : none is further from the middle one [m].
+    gap : where a single pulse has shown the ground this close [m], nothing is looked for.
     window : the surface may be off by so much, up and down along the beam [m].
     clear : a pulse with an echo less than this above the surface, or below it, is not looked at [m].
     threshold : least height of the sum over its standard deviation.
     decoy : so far beneath the surface the same is tried where nothing can be [m], to tell how often noise does it.
-    max_false : share of those above which a block's echoes are not given.
+    max_false : share of the echoes of a block that noise may have made; a higher threshold is taken for it.
     """
 
     enabled: bool
     pulses: int = Field(ge=2, le=49)
     least: int = Field(ge=2, le=49)
     radius: float = Field(gt=0.0, le=100.0)
+    gap: float = Field(ge=0.0, le=100.0)
     window: float = Field(gt=0.0, le=20.0)
     clear: float = Field(ge=0.0, le=100.0)
     threshold: float = Field(gt=0.0)

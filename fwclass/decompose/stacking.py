@@ -64,6 +64,8 @@ FOOT = 0.01
 """The pulse is followed as far as it is higher than this."""
 NEIGHBOURS, LOOKED_AT = 8, 20_000
 """Echoes around one that tell what the surface is like; echoes that are held against theirs, about."""
+HIGHEST = 8.0
+"""Standard deviations over the least threshold up to which a higher one is looked for."""
 ALIKE = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -326,32 +328,71 @@ def _of_kind(
     )
 
 
-def stacked(found: Candidates, box: Box, roughness: float, params: StackParams) -> tuple[Table, dict[str, int]]:
+def stacked(
+    found: Candidates, known: Floats, box: Box, roughness: float, params: StackParams
+) -> tuple[Table, dict[str, float]]:
     """The echoes that groups of candidates show, of those that meet the surface in `box`.
 
     Parameters
     ----------
     found : candidates of `box` and of `params.radius` around it.
+    known : (n, 2) where single pulses have shown the surface, in `box` and `params.gap` around it [m].
     roughness : standard deviation of the surface's own echoes about it [m]; part of every echo's error.
 
     Returns
     -------
-    `STACK_COLUMNS`, a row an echo, and counts: ``candidates`` that had enough neighbours, ``stacked``, ``decoys`` tried
-    beneath the surface and ``false`` ones among them. Where more decoys than `params.max_false` are, no echo is given.
+    `STACK_COLUMNS`, a row an echo, and counts: ``candidates`` that are `gap` from what is known and have enough
+    neighbours, ``stacked`` echoes among them, ``decoys`` tried beneath the surface, ``false`` ones that reach
+    `params.threshold` there, and the ``threshold`` that was needed for no more than a share of `params.max_false` of
+    the echoes to be such.
     """
     members = _groups(found, params)
     own = box.contains(found.place[:, 0], found.place[:, 1]) & ((members >= 0).sum(axis=1) >= params.least)
-    rows = np.flatnonzero(own)
+    rows = np.flatnonzero(own & _far(found.place[:, :2], known, params.gap))
     fair = np.where((members >= 0) & found.fair[members], members, -1)[rows]
     fair = fair[(fair >= 0).sum(axis=1) >= params.least]
-    decoys = _stack(fair, found.below, found, params)
-    false = int(_stands_out(decoys, params).sum())
-    sums = _stack(members[rows], found.product, found, params)
-    there = _stands_out(sums, params)
-    hollow = len(fair) > 0 and false > params.max_false * len(fair) + 3.0 * math.sqrt(params.max_false * len(fair))
-    counts = {"candidates": len(rows), "stacked": int(there.sum()), "decoys": len(fair), "false": false}
-    kept = np.zeros(len(rows), bool) if hollow else there
-    return _echoes(found, rows[kept], sums[kept], roughness), {**counts, "withheld": int(there.sum() - kept.sum())}
+    decoys = _heights(_stack(fair, found.below, found))
+    sums = _stack(members[rows], found.product, found)
+    threshold = threshold_of(_heights(sums), decoys, params)
+    kept = _heights(sums) > threshold
+    counts = {
+        "candidates": len(rows),
+        "stacked": int(kept.sum()),
+        "decoys": len(fair),
+        "false": int((decoys > params.threshold).sum()),
+        "threshold": threshold if np.isfinite(threshold) else -1.0,
+    }
+    return _echoes(found, rows[kept], sums[kept], roughness), counts
+
+
+def threshold_of(heights: Floats, decoys: Floats, params: StackParams) -> float:
+    """The least threshold, from `params.threshold` on, that at most `params.max_false` of the heights above it owe to
+    noise, as the decoys show it (target and decoy; Elias and Gygi 2007); infinite where there is none.
+
+    One decoy more than is seen counts: of none seen nothing follows for a single echo.
+    """
+    if len(decoys) == 0:
+        return math.inf
+    for at in np.arange(params.threshold, params.threshold + HIGHEST, 0.05):
+        kept, noise = int((heights > at).sum()), int((decoys > at).sum()) * len(heights) / len(decoys)
+        if kept == 0:
+            break
+        if noise + min(noise_share(at) * len(heights), 1.0) <= params.max_false * kept:
+            return float(at)
+    return math.inf
+
+
+def noise_share(threshold: float) -> float:
+    """How often noise alone reaches a threshold somewhere in a window, about: ten independent places."""
+    return 5.0 * math.erfc(threshold / math.sqrt(2.0))
+
+
+def _far(places: Floats, known: Floats, gap: float) -> NDArray[np.bool_]:
+    if len(known) == 0 or len(places) == 0:
+        return np.ones(len(places), bool)
+    corner = known.min(axis=0)
+    near, _ = scipy.spatial.cKDTree(known - corner).query(places - corner)
+    return np.asarray(near > gap)
 
 
 def _groups(found: Candidates, params: StackParams) -> NDArray[np.int64]:
@@ -364,14 +405,15 @@ def _groups(found: Candidates, params: StackParams) -> NDArray[np.int64]:
     return np.where(near < len(places), near, -1).astype(np.int64)
 
 
-def _stack(members: NDArray[np.int64], product: Floats, found: Candidates, params: StackParams) -> Floats:
+def _stack(members: NDArray[np.int64], product: Floats, found: Candidates) -> Floats:
     out = np.empty((len(members), 6))
     stack_groups(np.ascontiguousarray(members), product, found.energy, found.slope, found.weight, out)
     return out
 
 
-def _stands_out(sums: Floats, params: StackParams) -> NDArray[np.bool_]:
-    return np.asarray((sums[:, 0] > params.threshold) & np.isfinite(sums[:, 3]))
+def _heights(sums: Floats) -> Floats:
+    """Significance of every group's peak; of one at either end of the window none."""
+    return np.where(np.isfinite(sums[:, 3]), sums[:, 0], -np.inf)
 
 
 def _echoes(found: Candidates, rows: NDArray[np.int64], sums: Floats, roughness: float) -> Table:

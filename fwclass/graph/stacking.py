@@ -47,17 +47,19 @@ def stacked_block(here: StageInputs, params: StackParams, fit: DecomposeParams, 
     dtm = Mosaic(here.inputs, FIRST_TERRAIN, blocks, cell, {"dtm": np.float32(np.nan)}).laid(window)["dtm"]
     surface = Surface(dtm, window)
     ground = around_block(here).table
-    ground = ground.take(ground["ground"] & (ground["number_of_echoes"] > 1))  # under crowns, as what is looked for
-    roughness = roughness_of(ground["x"], ground["y"], ground["z"])
+    ground = ground.take(ground["ground"])
+    under = ground.take(ground["number_of_echoes"] > 1)  # crowns, as what is looked for
+    roughness = roughness_of(under["x"], under["y"], under["z"])
     parts = []
     for chunk in here.parts("read"):
         strip, inputs = strip_of(chunk), here.inputs
-        known = pulse_of(strip, inputs), placement_of(strip, inputs)
-        one = candidates(waveforms_of(chunk, inputs), strip, surface, reach, params, fit, *known)
+        told = pulse_of(strip, inputs), placement_of(strip, inputs)
+        one = candidates(waveforms_of(chunk, inputs), strip, surface, reach, params, fit, *told)
         parts += [one] if one is not None else []
     if not parts:
         return Table.empty(STACK_COLUMNS), {"roughness": roughness}
-    table, counts = stacked(Candidates.joined(parts), box, roughness, params)
+    known = np.stack([ground["x"], ground["y"]], axis=1)
+    table, counts = stacked(Candidates.joined(parts), known, box, roughness, params)
     return table, {**counts, "roughness": roughness}
 
 
@@ -131,7 +133,7 @@ STACK_PULSES = Stage(
     },
     reads=STACK.reads,
     writes=STACK.writes,
-    halo=0.0,
+    halo=lambda plan: STACK.halo(plan.config.stack),
     after=("read", "pulse", "places", FIRST_TERRAIN),
     needs=_stack_needs,
 )

@@ -10,6 +10,14 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
 from fwclass.features.params import MAX_REACH, NO_FEATURE, Asked, check_scale, is_feature, meant
 from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
+from fwclass.graph.backscatter import (
+    DELIVER_PROFILES,
+    DELIVER_SAMPLES,
+    DELIVER_VOXELS,
+    FILL_PROFILES,
+    FILL_VOXELS,
+    SAMPLE_WAVES,
+)
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -67,7 +75,9 @@ LEARNING = (
 CLASSIFYING = (CLASSIFY_ECHOES, CLASSIFY_THINNED)
 JUDGING = (COUNT_CONFUSION, ASSESS)
 DELIVERY = (DELIVER_TILE, DELIVER_STRIP, DELIVER_STACK, MAP_CLASSES, DELIVER_RASTERS)
-STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY)
+OF_WAVEFORMS = (SAMPLE_WAVES, FILL_VOXELS, FILL_PROFILES, DELIVER_SAMPLES, DELIVER_VOXELS, DELIVER_PROFILES)
+"""For those who want the waveform, not echoes."""
+STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY, *OF_WAVEFORMS)
 """Every stage that any run has; what a run takes is reckoned by this list."""
 
 

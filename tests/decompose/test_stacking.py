@@ -6,7 +6,7 @@ import wavemaker as wm
 
 from fwclass import conf
 from fwclass.decompose.placement import AS_STORED
-from fwclass.decompose.stacking import STACKED, Candidates, Surface, candidates, roughness_of, stacked
+from fwclass.decompose.stacking import STACKED, Candidates, Surface, candidates, roughness_of, stacked, threshold_of
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import Box, Window
 from fwclass.schema import Table
@@ -53,13 +53,14 @@ def surface(height, slope=0.0, off=0.0):
     return Surface(np.broadcast_to(height + off + slope * x, (60, 60)).astype(np.float32), window)
 
 
+NOWHERE = np.empty((0, 2))
 INNER = Box(3.0, 3.0, 21.0, 21.0)
 
 
 def shown(waves, seen, asked, pulse=None, roughness=0.0):
     box = INNER.grown(asked.radius)
     found = candidates(waves, 1, seen, box, asked, FIT, pulse or SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
-    return (*stacked(found, INNER, roughness, asked), found)
+    return (*stacked(found, NOWHERE, INNER, roughness, asked), found)
 
 
 def many(ratio, runs, **kind):
@@ -91,7 +92,7 @@ def test_nine_pulses_show_what_one_cannot():
 
 def test_noise_alone_and_what_the_surface_is_off_by():
     told, _, _ = many(0.0, 12)
-    assert told["candidates"] > 10_000 and told["stacked"] <= 1e-3 * told["candidates"] + 4.0, told
+    assert told["candidates"] > 10_000 and told["stacked"] == 0 and told["false"] <= 1e-3 * told["decoys"] + 4.0, told
     told, errors, _ = many(2.0, 1, off=0.5)
     assert told["stacked"] >= 0.95 * told["candidates"] and abs(np.median(errors)) < 0.02
     told, errors, sigma = many(2.0, 2, rough=0.1)
@@ -134,14 +135,29 @@ def test_the_cut_of_the_strip_does_not_matter():
     ]
     parts = [candidates(h, 1, surface(100.0), box, asked, FIT, pulse, AS_STORED) for h in halves]
     again = Candidates.joined(p for p in parts if p is not None)
-    one, two = (stacked(c, INNER, 0.0, asked)[0] for c in (whole, again))
+    one, two = (stacked(c, NOWHERE, INNER, 0.0, asked)[0] for c in (whole, again))
     assert one.rows and all(np.array_equal(one[n], two[n]) for n in one)
 
 
-def test_a_strip_whose_noise_stands_out_gives_nothing():
-    waves, _ = flown(100.0, 1.5, seed=8)
-    table, told, _ = shown(waves, surface(100.0), params(threshold=1.0))
-    assert table.rows == 0 and told["withheld"] == told["stacked"] > 0 and told["false"] > 0.01 * told["decoys"]
+def test_noise_that_stands_out_raises_the_threshold():
+    """Of 100 echoes at most 2 may be noise: as many decoys as echoes leave none."""
+    rng = np.random.default_rng(3)
+    asked, noise = params(threshold=4.0, max_false=0.02), rng.normal(2.0, 0.7, 20_000)
+    high = threshold_of(np.concatenate([noise[:10_000], rng.normal(6.0, 1.0, 500)]), noise[10_000:], asked)
+    assert 4.0 < high < 5.5
+    assert threshold_of(noise[:10_000], noise[10_000:], asked) == np.inf
+    assert threshold_of(rng.normal(8.0, 0.5, 1000), noise[:1000] - 2.0, asked) == 4.0
+    assert threshold_of(noise, np.empty(0), asked) == np.inf
+
+
+def test_where_the_ground_is_known_nothing_is_looked_for():
+    waves, ground = flown(100.0, 1.5, seed=8)
+    asked = params()
+    box = INNER.grown(asked.radius)
+    found = candidates(waves, 1, surface(100.0), box, asked, FIT, SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
+    table, told = stacked(found, ground[:1, :2] * 0.0 + 12.0, INNER, 0.0, asked)
+    assert table.rows and np.hypot(table["x"] - 12.0, table["y"] - 12.0).min() > asked.gap - 0.3
+    assert told["candidates"] < INNER.contains(found.place[:, 0], found.place[:, 1]).sum()
 
 
 def test_roughness():
