@@ -7,7 +7,21 @@ import sys
 
 import click
 
-from fwclass.cli import ahead, export, features, files, ground, model, plan, schedule, seams, select, status, survey
+from fwclass.cli import (
+    ahead,
+    backscatter,
+    export,
+    features,
+    files,
+    ground,
+    model,
+    plan,
+    schedule,
+    seams,
+    select,
+    status,
+    survey,
+)
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
 from fwclass.isolation import isolate
@@ -15,6 +29,7 @@ from fwclass.redact import redacted
 
 __all__ = [
     "ahead",
+    "backscatter",
     "cli",
     "export",
     "features",

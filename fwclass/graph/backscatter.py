@@ -88,13 +88,13 @@ def voxel_block(here: StageInputs, params: VoxelParams, block: float) -> Made:
     }
 
 
-def profile_block(here: StageInputs, params: ProfileParams, cell: float, block: float) -> Made:
+def profile_block(here: StageInputs, params: ProfileParams, terrain_cell: float, block: float) -> Made:
     """The vertical profiles of the cells of a block."""
     window = owned(here.tile, params.cell)
     samples = samples_in(here, window.box, block)
-    around = Window.covering(window.box, cell, 1)
+    around = Window.covering(window.box, terrain_cell, 1)
     blocks = [TileGrid(block).tile(key) for key in here.parts(TERRAIN.name)]
-    dtm = Mosaic(here.inputs, TERRAIN.name, blocks, cell, {"dtm": np.float32(np.nan)}).laid(around)["dtm"]
+    dtm = Mosaic(here.inputs, TERRAIN.name, blocks, terrain_cell, {"dtm": np.float32(np.nan)}).laid(around)["dtm"]
     above = samples["z"] - bilinear(dtm, around, samples["x"], samples["y"])
     arrays = profiles.profiles_of(samples, above, window, params)
     write_arrays(here.directory / ARRAYS, arrays)
@@ -276,7 +276,7 @@ FILL_PROFILES = Stage(
     parts=_blocks,
     arguments=lambda plan: {
         "params": plan.config.profile,
-        "cell": plan.config.terrain.cell,
+        "terrain_cell": plan.config.terrain.cell,
         "block": plan.config.terrain.block,
     },
     after=(SAMPLES.name, TERRAIN.name),
