@@ -238,7 +238,7 @@ class ReceiverPicture:
 
 
 def draw_receiver(picture: ReceiverPicture) -> bytes:
-    """PNG of the system's pulse beside the recorded one, whole and enlarged, the noise's spectrum, the vendor's offset."""
+    """PNG of the system's pulse beside the recorded one, the spectrum of the noise, and the vendor's offset."""
     figure = Figure(figsize=(7.6, 5.9), dpi=DPI, facecolor=PAPER)
     FigureCanvasAgg(figure)
     panels = [figure.add_axes((left, low, 0.41, 0.34)) for low in (0.56, 0.08) for left in (0.075, 0.575)]
@@ -255,9 +255,9 @@ def draw_receiver(picture: ReceiverPicture) -> bytes:
             )
         axes.set_xlim(float(picture.time.min()), float(picture.time.max()))
         axes.set_ylim(low, high)
-    for axes, (x, y) in zip(panels, _RECEIVER, strict=True):
-        axes.set_xlabel(x, fontsize=8, color=INK)
-        axes.set_ylabel(y, fontsize=8, color=INK)
+    for axes, (across, up) in zip(panels, _RECEIVER, strict=True):
+        axes.set_xlabel(across, fontsize=8, color=INK)
+        axes.set_ylabel(up, fontsize=8, color=INK)
         _style(axes)
     for axes, curves, style in ((panels[2], picture.spectra, "-"), (panels[3], picture.offsets, "o-")):
         for (name, x, y), colour in zip(curves, (SUM, ECHO, VENDOR, NEW), strict=False):
@@ -270,6 +270,8 @@ def draw_receiver(picture: ReceiverPicture) -> bytes:
     panels[3].axhline(0.0, color=QUIET, linewidth=0.6)
     if picture.offsets:
         panels[3].set_xscale("log")
+        for axis in (panels[3].xaxis.set_major_formatter, panels[3].xaxis.set_minor_formatter):
+            axis(lambda value, _: f"{value:g}" if f"{value:.0e}"[0] in "125" else "")
     for axes in (panels[0], panels[2], panels[3]):
         if axes.get_legend_handles_labels()[1]:
             axes.legend(frameon=False, fontsize=7.0, labelcolor=INK, loc="best", borderaxespad=0.1)

@@ -35,7 +35,7 @@ KINDS = ("brightest single", "most echoes", "weakest single", "echo the vendor l
 """What a shown pulse stands for, in the order of the panels."""
 
 SIX = 6
-SEVERAL = ("one of the best fits", "one of the worst fits", "one of the least sure extra echoes")
+SEVERAL = ("a best fit", "a worst fit", "an unsure extra echo")
 """Kinds of which so many are shown, behind `KINDS`."""
 
 SURE = 10.0
@@ -215,8 +215,8 @@ def _merged(chosen: Sequence[tuple[str, tuple[float, Shown]]]) -> list[Shown]:
         why = ", ".join(whys)
         extra = [e["noise_chance"] for e in facts["echoes"] if e["missed"] and np.isfinite(e["noise_chance"])]
         extra = extra if SEVERAL[2] in whys else []
-        told = f"{why} (noise makes one so high with {max(extra):.1g})" if extra else why
-        out.append((replace(picture, subtitle=f"{told}; {picture.subtitle}"), {**facts, "why": why}))
+        told = f"{why}: by noise with {max(extra):.1g}" if extra else f"{why}; {picture.subtitle}"
+        out.append((replace(picture, subtitle=told), {**facts, "why": why}))
     return out
 
 
