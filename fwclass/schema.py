@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +57,7 @@ def split_name(name: str) -> tuple[str, Scale | None]:
     raise KeyError(f"no column {name!r}; {nearest(name, COLUMNS)}")
 
 
+@lru_cache(maxsize=4096)
 def column(name: str) -> Column:
     """The record of `name`; ``echo_ratio_r100`` is ``echo_ratio`` over a radius of 100 cm, ``probability_6`` that of
     class code 6."""

@@ -10,6 +10,8 @@ import click
 from fwclass.cli import (
     ahead,
     backscatter,
+    difference,
+    draft,
     export,
     features,
     files,
@@ -31,6 +33,8 @@ __all__ = [
     "ahead",
     "backscatter",
     "cli",
+    "difference",
+    "draft",
     "export",
     "features",
     "files",

@@ -110,6 +110,8 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         shown = runner.store.generations.current()
     aside = shown is not None and shown.number != made.number
     click.echo(summary(report, made.where if aside or isinstance(root, str) else root), err=True)
+    if lost := entry.judged(report):
+        click.echo(lost, err=True)
     if aside and shown is not None:
         click.echo(f"generation  {made.name} is not whole and lies aside; {root} still shows {shown.name}", err=True)
     elif not made.whole and failures:

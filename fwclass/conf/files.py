@@ -19,6 +19,9 @@ _SIZE_LIMIT = 1 << 18
 _MOST_VALUES = 100_000
 """Keys and values of a file, each counted as often as an alias repeats it."""
 
+_MOST_DIGITS = 100
+"""Of a whole number."""
+
 _DEEPEST = 50
 """Levels of nested keys and lists."""
 
@@ -86,6 +89,16 @@ def _mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
 
 
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
+
+
+def _integer(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
+    """Python refuses to print a number of thousands of digits, however it was written (hexadecimal, by sixties)."""
+    if len(node.value) > _MOST_DIGITS:
+        raise yaml.constructor.ConstructorError(None, None, "a number too long", node.start_mark)
+    return int(loader.construct_yaml_int(node))
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
 
 _Shipped = _Loader
 """As `_Loader`, for files that come with fwclass: parsed in C where PyYAML has that, three times as fast."""

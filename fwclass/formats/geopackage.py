@@ -42,9 +42,10 @@ def write_layer(
 ) -> None:
     """Add a layer to the GeoPackage at `path`, which is made where it is not there; `crs` as WKT, None for none."""
     values = [v if isinstance(v, np.ndarray) else _values(v) for v in fields.values()]
+    place = str(path.absolute())  # before the current directory changes
     with offline() as gdal:
         gdal.raw.write(
-            str(path.absolute()),
+            place,
             shapes,
             values,
             np.array(list(fields), object),
