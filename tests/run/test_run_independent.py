@@ -118,7 +118,7 @@ def pairs(scored):
 
 
 def test_every_echo_is_there_and_hardly_any_more(scored):
-    (row, _, _, _), _, pulse, _, _ = scored
+    (_row, _, _, _), _, _pulse, _, _ = scored
     matched, used = pairs(scored)
     assert (matched >= 0).mean() > 0.998
     assert (~used).sum() <= 0.004 * PULSES
