@@ -14,7 +14,9 @@ WORKFLOW = "backscatter"
 SOURCE = click.argument("source", metavar="CONF|FILE", type=PATH)
 OUT = click.option("--out", type=RUN, help="Run directory (default: runs/<survey>-backscatter).")
 SAMPLES = click.option("--samples", is_flag=True, help="Deliver the samples, freed of the pulse, as points too.")
-CRS = click.option("--crs", metavar="EPSG:CODE", help="Coordinate system, for files that name none.")
+CRS = click.option(
+    "--crs", metavar="EPSG:CODE", help="Coordinate system; files in degrees, or geocentric, are brought into it."
+)
 
 
 @cli.command()
@@ -64,9 +66,9 @@ def _made(
     scheduler: str | None,
     workers: int | None,
 ) -> None:
-    from fwclass.operate.one_file import survey_of
+    from fwclass.operate.one_file import survey_of, system_settings
 
     settings += ("samples.write=true",) if samples else ()
-    settings += (f"survey.crs={crs}",) if crs is not None else ()
+    settings += system_settings(source, crs) if crs is not None else ()
     conf, named = survey_of(source, out)
     run_survey(conf, named, settings, None, WORKFLOW, How(scheduler, workers))

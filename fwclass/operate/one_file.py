@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import ConfigError
+from fwclass.graph.survey import given_crs
+from fwclass.read.projection import to_project
+from fwclass.read.source import open_source
 from fwclass.store.atomic import write_text
 from fwclass.store.url import Url
 
@@ -19,7 +22,7 @@ def survey_of(source: Path, out: Any) -> tuple[Path, Any]:
 
     A file that is no configuration becomes a survey of one source; its configuration lies in the run directory.
     """
-    if source.suffix.lower() in (".yaml", ".yml", "") or not source.is_file():
+    if _is_configuration(source):
         from fwclass import conf as configuration
 
         name = configuration.load(source, ()).survey.name
@@ -38,6 +41,19 @@ def survey_of(source: Path, out: Any) -> tuple[Path, Any]:
     if not path.exists() or path.read_text() != text:
         write_text(path, text)
     return path, root
+
+
+def system_settings(source: Path, crs: str) -> tuple[str, ...]:
+    """What `crs`, named for a survey or one file, is in the configuration: a file in degrees, or geocentric, is brought
+    into it."""
+    settings = (f"survey.crs={json.dumps(crs)}",)
+    if _is_configuration(source) or not to_project(open_source(source), given_crs(crs, "--crs")):
+        return settings
+    return (*settings, f"read.project_to={json.dumps(crs)}")
+
+
+def _is_configuration(source: Path) -> bool:
+    return source.suffix.lower() in (".yaml", ".yml", "") or not source.is_file()
 
 
 def _name(source: Path) -> str:

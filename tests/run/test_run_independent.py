@@ -57,11 +57,19 @@ def write(directory, seed):
     many = np.bincount(row)[row]
     whole = np.rint((place - (600_000.0, 5_400_000.0, 0.0)) * 1000.0).astype(int)
     places = whole / 1000.0 + (600_000.0, 5_400_000.0, 0.0)
+    stored = (-BEAM * METRES / 1000.0).tolist()
     points = b"".join(
-        struct.pack("<iiiHBBbBHd", *whole[i].tolist(), int(height[i]), int(number[i] | many[i] << 3), 1, 0, 0, 1, 1e5 + 1e-5 * row[i])
-        + struct.pack("<BQIffff", 1, 60 + SAMPLES * int(row[i]), SAMPLES, 1000.0 * time[i], *(-BEAM * METRES / 1000.0).tolist())
+        struct.pack(
+            "<iiiHBBbBHd",
+            *whole[i].tolist(),
+            int(height[i]),
+            int(number[i] | many[i] << 3),
+            *(1, 0, 0, 1),
+            1e5 + 1e-5 * row[i],
+        )
+        + struct.pack("<BQIffff", 1, 60 + SAMPLES * int(row[i]), SAMPLES, 1000.0 * time[i], *stored)
         for i in range(len(row))
-    )  # fmt: skip
+    )
     vlr = struct.pack("<H16sHH32s", 0, b"LASF_Spec", 100, 26, b"") + struct.pack(
         "<BBIIdd", 8, 0, SAMPLES, 1000, 1.0, 0.0
     )
