@@ -12,7 +12,6 @@ from fwclass.cli import (
     backscatter,
     difference,
     draft,
-    export,
     features,
     files,
     ground,
@@ -35,7 +34,6 @@ __all__ = [
     "cli",
     "difference",
     "draft",
-    "export",
     "features",
     "files",
     "ground",
@@ -58,9 +56,9 @@ def main() -> None:
     except click.exceptions.Exit as end:
         sys.exit(end.exit_code)
     except click.ClickException as fault:
-        told = io.StringIO()
-        fault.show(told)
-        click.echo(redacted(told.getvalue()), err=True, nl=False)
+        lines = io.StringIO()
+        fault.show(lines)
+        click.echo(redacted(lines.getvalue()), err=True, nl=False)
         sys.exit(fault.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo(

@@ -108,13 +108,13 @@ def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
     for table in more:
         no, yes = np.zeros(table.rows, bool), np.ones(table.rows, bool)
         t, own = Table.concat([t, table.with_columns({"ground": yes, "noise": no})]), np.concatenate([own, no])
-    made = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], own, core, params)
-    write_rasters(here.directory, {"dtm": made.dtm, "dsm": made.dsm, "support": made.support}, core)
-    heights = Table({"height_above_ground": made.height[: len(around.own)]})
+    rasters = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], own, core, params)
+    write_rasters(here.directory, {"dtm": rasters.dtm, "dsm": rasters.dsm, "support": rasters.support}, core)
+    heights = Table({"height_above_ground": rasters.height[: len(around.own)]})
     return heights, {
         **around.facts(heights),
-        "measured": int((made.support == 0).sum()),
-        "beyond": int((made.support == 2).sum()),
+        "measured": int((rasters.support == 0).sum()),
+        "beyond": int((rasters.support == 2).sum()),
         "without_terrain": int(np.isnan(heights["height_above_ground"]).sum()),
         **({"stacked": sum(table.rows for table in more)} if more else {}),
     }
