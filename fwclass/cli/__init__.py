@@ -9,9 +9,10 @@ import click
 
 from fwclass.cli import (
     ahead,
+    backscatter,
+    clean,
     difference,
     draft,
-    export,
     features,
     files,
     ground,
@@ -21,6 +22,7 @@ from fwclass.cli import (
     seams,
     select,
     status,
+    street,
     survey,
 )
 from fwclass.cli.base import cli
@@ -30,10 +32,11 @@ from fwclass.redact import redacted
 
 __all__ = [
     "ahead",
+    "backscatter",
+    "clean",
     "cli",
     "difference",
     "draft",
-    "export",
     "features",
     "files",
     "ground",
@@ -44,6 +47,7 @@ __all__ = [
     "seams",
     "select",
     "status",
+    "street",
     "survey",
 ]
 
@@ -56,9 +60,9 @@ def main() -> None:
     except click.exceptions.Exit as end:
         sys.exit(end.exit_code)
     except click.ClickException as fault:
-        told = io.StringIO()
-        fault.show(told)
-        click.echo(redacted(told.getvalue()), err=True, nl=False)
+        lines = io.StringIO()
+        fault.show(lines)
+        click.echo(redacted(lines.getvalue()), err=True, nl=False)
         sys.exit(fault.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo(

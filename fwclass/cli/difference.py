@@ -27,7 +27,7 @@ def diff(run: Path, others: tuple[str, ...], gpkg: Path | None, overwrite: bool,
     if gpkg is not None and gpkg.exists() and not overwrite:
         raise ConfigError("there is such a file already", where=gpkg, do="--overwrite, or another name")
     first, second = deliveries(run, others)
-    found, changes = difference(first, second)
+    result, changes = difference(first, second)
     if gpkg is not None:
         write_places(gpkg, changes, crs_of(second))
-    click.echo(json.dumps(found, indent=1) if as_json else describe(found))
+    click.echo(json.dumps(result, indent=1) if as_json else describe(result))

@@ -27,12 +27,12 @@ def init(files: tuple[Path, ...], to: Path | None, name: str | None, overwrite: 
     if to is not None and to.exists() and not overwrite:
         raise ConfigError("the survey file exists", where=to, do="another --to, or --overwrite")
     named = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
-    made = draft(named, to.parent if to is not None else Path(), name)
+    draft_of_files = draft(named, to.parent if to is not None else Path(), name)
     if to is None:
-        click.echo(made.text, nl=False)
+        click.echo(draft_of_files.text, nl=False)
     else:
-        to.write_text(made.text, encoding="utf-8")
-    for note in made.notes:
+        to.write_text(draft_of_files.text, encoding="utf-8")
+    for note in draft_of_files.notes:
         click.echo(f"note: {note}", err=True)
-    if not made.notes and to is not None and sys.stderr.isatty():
+    if not draft_of_files.notes and to is not None and sys.stderr.isatty():
         click.echo(f"look at {to}, then: fwclass run {to}", err=True)

@@ -27,7 +27,7 @@ class How:
     verify: bool = False
 
 
-def _run(
+def run_survey(
     conf: Path, out: Any, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str, how: How
 ) -> None:
     little_garbage()
@@ -97,7 +97,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         report: Any = None
         try:
             report = workflow_of(request.workflow)(config, runner, request.wanted)
-            made = runner.publish(config.run.keep_generations)
+            generation = runner.publish(config.run.keep_generations)
         except (FwclassError, OSError) as fault:
             after = report is None and isinstance(fault, FwclassError)
             if after and (runner.pending / REPORT).exists():  # what came after the delivery has failed
@@ -105,18 +105,20 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
             if runner.failures:
                 tell_failures(runner.failures, request)
             raise
-        entry.generation = made.number
+        entry.generation = generation.number
         failures = runner.failures
         shown = runner.store.generations.current()
-    aside = shown is not None and shown.number != made.number
-    click.echo(summary(report, made.where if aside or isinstance(root, str) else root), err=True)
+    aside = shown is not None and shown.number != generation.number
+    click.echo(summary(report, generation.where if aside or isinstance(root, str) else root), err=True)
     if lost := entry.judged(report):
         click.echo(lost, err=True)
     if aside and shown is not None:
-        click.echo(f"generation  {made.name} is not whole and lies aside; {root} still shows {shown.name}", err=True)
-    elif not made.whole and failures:
         click.echo(
-            f"generation  {made.name} is not whole: parts failed; it is shown, as no whole one is there", err=True
+            f"generation  {generation.name} is not whole and lies aside; {root} still shows {shown.name}", err=True
+        )
+    elif not generation.whole and failures:
+        click.echo(
+            f"generation  {generation.name} is not whole: parts failed; it is shown, as no whole one is there", err=True
         )
     if performance is not None:
         click.echo(f"dask report {performance}", err=True)
@@ -185,7 +187,7 @@ def run(
     settings += ("read.mirror_beams=true",) if mirror_beams else ()
     if only is None:
         how = How(scheduler, workers, not keep_going, report, verify)
-        _run(conf, out, settings, chosen(tiles, aoi), workflow, how)
+        run_survey(conf, out, settings, chosen(tiles, aoi), workflow, how)
         return
     if tiles or aoi or scheduler or workers or verify or report is not None:
         raise ConfigError(
@@ -201,7 +203,7 @@ def run(
 @WORKERS
 def demo(out: Path, workers: int | None) -> None:
     """Simulate a small survey, run everything, print where to look."""
-    _run(Path("demo"), out, (), None, "classification", How(None, workers))
+    run_survey(Path("demo"), out, (), None, "classification", How(None, workers))
 
 
 @cli.command()

@@ -157,8 +157,8 @@ def _count(node: yaml.Node, known: dict[int, tuple[int, int]], depth: int) -> tu
             below = node.value
         elif isinstance(node, yaml.MappingNode):
             below = [part for pair in node.value for part in pair]
-        found = [_count(part, known, depth + 1) for part in below]
-        known[id(node)] = 1 + sum(n for n, _ in found), 1 + max((levels for _, levels in found), default=0)
+        counts = [_count(part, known, depth + 1) for part in below]
+        known[id(node)] = 1 + sum(n for n, _ in counts), 1 + max((levels for _, levels in counts), default=0)
     values, levels = known[id(node)]
     if not values:
         raise yaml.YAMLError("an alias (*…) stands inside of what it repeats")
@@ -184,9 +184,9 @@ def read(path: Path) -> dict[str, Any]:
             text = file.read().decode("utf-8")
         value = _shipped(text) if path.resolve().is_relative_to(conf_directory()) else plain(text)
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as fault:
-        told = _message(fault, path.name)
-        tabs = "indent with spaces: YAML knows no tabs" if "\\t" in told else "mend the YAML at the place named"
-        raise ConfigError("a configuration cannot be read", where=path, got=told[:1000], do=tabs) from fault
+        message = _message(fault, path.name)
+        tabs = "indent with spaces: YAML knows no tabs" if "\\t" in message else "mend the YAML at the place named"
+        raise ConfigError("a configuration cannot be read", where=path, got=message[:1000], do=tabs) from fault
     if value is None:
         return {}
     if not isinstance(value, dict):
@@ -224,9 +224,9 @@ def setting(text: str) -> dict[str, Any]:
     try:
         result: Any = plain(value)
     except yaml.YAMLError as fault:
-        told = _message(fault, "the value")
+        message = _message(fault, "the value")
         raise ConfigError(
-            "the value of --set cannot be read", where=f"--set {redacted_setting(text)}", got=told
+            "the value of --set cannot be read", where=f"--set {redacted_setting(text)}", got=message
         ) from fault
     for name in reversed(names):
         result = {name: result}

@@ -126,7 +126,22 @@ class _Shi(_Paper):
     fscore: _Ranked
 
 
-_MODELS: dict[str, type[_Paper]] = {"fan2013": _Fan, "shi2019": _Shi, "xiong2018": _Xiong}
+class _Single(_Printed):
+    radius: float
+    error: float
+    best: float
+    order: list[str]
+
+
+class _Li(_Paper):
+    points: dict[str, int]
+    share: float
+    radii: list[float]
+    bounds: dict[str, float]
+    single: _Single
+
+
+_MODELS: dict[str, type[_Paper]] = {"fan2013": _Fan, "shi2019": _Shi, "xiong2018": _Xiong, "li2018": _Li}
 
 
 def paper(name: str) -> dict[str, Any]:
@@ -146,11 +161,11 @@ def checked(name: str, printed: dict[str, Any], where: object) -> dict[str, Any]
     try:
         _MODELS[name].model_validate(printed)
     except ValidationError as fault:
-        told = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in fault.errors()[:5])
+        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in fault.errors()[:5])
         raise ConfigError(
             "the figures of a paper are wrong",
             where=where,
-            got=told,
+            got=faults,
             do="mend the entry; in {…} a text with a comma needs quotes",
         ) from fault
     return printed

@@ -118,7 +118,7 @@ def _items(header: Header, body: bytes) -> list[Item]:
     compressor, coder = struct.unpack_from("<HH", body)
     (n_items,) = struct.unpack_from("<H", body, 32)
     items: list[Item] = [struct.unpack_from("<3H", body, at) for at in range(34, len(body) - 5, 6)][:n_items]
-    told = ", ".join(f"type {t} of {size} bytes, version {v}" for t, size, v in items[:8])
+    items_stated = ", ".join(f"type {t} of {size} bytes, version {v}" for t, size, v in items[:8])
     layered = header.point_format in _MODERN
     if compressor != (LAYERED if layered else CHUNKED) or coder != 0:
         wanted = f"compressor {LAYERED if layered else CHUNKED}, coder 0"
@@ -133,7 +133,9 @@ def _items(header: Header, body: bytes) -> list[Item]:
     sound = sound and set(rest) <= {_BYTES14 if layered else _BYTES} and sum(rest_sizes) == extra
     versions = {v for _, _, v in items}
     if not sound or not versions <= ({3, 4} if layered else {1, 2}):
-        _refuse(header, f"the items of point format {header.point_format} with {extra} extra bytes", told or "none")
+        _refuse(
+            header, f"the items of point format {header.point_format} with {extra} extra bytes", items_stated or "none"
+        )
     return items
 
 
@@ -182,11 +184,11 @@ def _chunk_table(header: Header, stream: BinaryIO, body: bytes, table_at: int) -
             f"chunks of {header.n_points} points in {room} bytes, none shorter than a point",
             f"a chunk table of {points} points in {length} bytes",
         )
-    found, at = [], header.points_start + 8
+    chunks, at = [], header.points_start + 8
     for count, bytes_ in table:
-        found.append((int(count), at, int(bytes_)))
+        chunks.append((int(count), at, int(bytes_)))
         at += bytes_
-    return found
+    return chunks
 
 
 def _check_layers(header: Header, stream: BinaryIO, items: list[Item], chunks: list[tuple[int, int, int]]) -> None:
@@ -195,8 +197,8 @@ def _check_layers(header: Header, stream: BinaryIO, items: list[Item], chunks: l
     head = header.record_length + 4 + 4 * layers
     for number, (_, at, length) in enumerate(chunks):
         stream.seek(at + header.record_length)
-        told = stream.read(head - header.record_length) if head <= length else b""
-        sizes = struct.unpack(f"<I{layers}I", told)[1:] if len(told) == head - header.record_length else ()
+        stated = stream.read(head - header.record_length) if head <= length else b""
+        sizes = struct.unpack(f"<I{layers}I", stated)[1:] if len(stated) == head - header.record_length else ()
         if not sizes or head + sum(sizes) != length:
             _refuse(
                 header,

@@ -248,14 +248,14 @@ def past_run(location: RunLocation, name: str) -> dict[str, Any] | None:
 
 def _joined(lines: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Runs, each of all its lines; a line whose values are of other kinds is damaged, and passed over."""
-    found: dict[str, dict[str, Any]] = {}
+    runs: dict[str, dict[str, Any]] = {}
     for line in lines:
         name = str(line.get("id"))
         if any(not isinstance(line.get(word), kind | None) for word, kind in _KINDS.items()):
             continue
         if line.get("record") in ("begin", "end", "told"):
-            found[name] = {**found.get(name, {}), **{k: v for k, v in line.items() if k != "record"}}
-    return [run for run in found.values() if "began" in run]
+            runs[name] = {**runs.get(name, {}), **{k: v for k, v in line.items() if k != "record"}}
+    return [run for run in runs.values() if "began" in run]
 
 
 def table(runs: Sequence[Mapping[str, Any]]) -> str:

@@ -15,7 +15,8 @@ from fwclass.formats.geoparquet import header
 from fwclass.operate.assess_runs import assess_runs
 from fwclass.operate.difference.echoes import ClassChanges, class_changes
 from fwclass.store.atomic import move_into_place, read_json, staged
-from fwclass.store.generations import Generation, Generations
+from fwclass.store.generations import Generation
+from fwclass.store.run_store import Store
 
 SHOWN = 10
 """Rows of a list that are shown; JSON has all settings and files, and so many places."""
@@ -62,7 +63,7 @@ def deliveries(run: Path, others: Sequence[str]) -> tuple[Delivery, Delivery]:
     if others:
         return _delivery(run, int(others[0])), _delivery(run, int(others[1]) if len(others) == 2 else None)
     last = _delivery(run, None)
-    earlier = [g.number for g in Generations(run).all() if g.number < last.generation.number]
+    earlier = [g.number for g in Store(run, read_only=True).generations.all() if g.number < last.generation.number]
     if not earlier:
         raise ConfigError(
             "the run has delivered once only, or earlier deliveries were removed",
@@ -76,7 +77,7 @@ def deliveries(run: Path, others: Sequence[str]) -> tuple[Delivery, Delivery]:
 
 def _delivery(run: Path, number: int | None) -> Delivery:
     """Generation `number` of a run, the current one for None."""
-    kept = Generations(run)
+    kept = Store(run, read_only=True).generations
     if number is None:
         chosen = kept.current()
     else:
@@ -130,8 +131,8 @@ def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], Class
 
 
 def _facts(delivery: Delivery) -> dict[str, Any]:
-    made = read_json(delivery.generation.path / "generation.json").get("made")
-    return {"run": str(delivery.run), "generation": delivery.generation.number, "made": made}
+    when = read_json(delivery.generation.path / "generation.json").get("made")
+    return {"run": str(delivery.run), "generation": delivery.generation.number, "made": when}
 
 
 def _tiles(delivery: Delivery) -> Path:
@@ -191,30 +192,30 @@ def write_places(path: Path, changes: ClassChanges, crs: str | None) -> None:
     places = changes.places()
     path.parent.mkdir(parents=True, exist_ok=True)
     with staged(path.parent) as directory:
-        made = directory / path.name
+        layer_file = directory / path.name
         fields = {"changed": np.array([n for _, n in places], np.int64)}
-        write_layer(made, "places", "Polygon", rectangles([box.bounds for box, _ in places]), fields, crs)
-        move_into_place(made, path)
+        write_layer(layer_file, "places", "Polygon", rectangles([box.bounds for box, _ in places]), fields, crs)
+        move_into_place(layer_file, path)
 
 
-def describe(found: Mapping[str, Any]) -> str:
+def describe(difference: Mapping[str, Any]) -> str:
     """The difference for a person."""
-    return "\n".join(_lines(found))
+    return "\n".join(_lines(difference))
 
 
-def _lines(found: Mapping[str, Any]) -> Iterator[str]:
+def _lines(difference: Mapping[str, Any]) -> Iterator[str]:
     for name in ("first", "second"):
-        one = found[name]
+        one = difference[name]
         yield f"{name:<12}{visible(one['run'])}, generation {one['generation']:04d}, of {one['made']}"
-    yield from _pairs_lines("setting", found["settings"])
-    for what, paths in found["files"].items():
+    yield from _pairs_lines("setting", difference["settings"])
+    for what, paths in difference["files"].items():
         yield from (f"{'file ' + what:<14}{visible(path)}" for path in paths[:SHOWN])
         if len(paths) > SHOWN:
             yield f"{'':<14}and {len(paths) - SHOWN} more"
-    yield from _pairs_lines("library", found["libraries"])
-    yield from _accuracy_lines(found["accuracy"])
-    yield from _echo_lines(found["echoes"])
-    for place in found["places"]:
+    yield from _pairs_lines("library", difference["libraries"])
+    yield from _accuracy_lines(difference["accuracy"])
+    yield from _echo_lines(difference["echoes"])
+    for place in difference["places"]:
         x, y, x1, y1 = place["box"]
         yield f"{'place':<12}{place['changed']:>10,} changed in {x:.0f} {y:.0f} to {x1:.0f} {y1:.0f}"
 

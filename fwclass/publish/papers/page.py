@@ -9,6 +9,7 @@ from typing import Any
 
 from fwclass.publish.files import whole
 from fwclass.publish.papers.fan import fan_view
+from fwclass.publish.papers.li import li_view
 from fwclass.publish.papers.shi import shi_view
 from fwclass.publish.papers.tables import VERDICTS
 from fwclass.publish.papers.xiong import xiong_view
@@ -17,6 +18,7 @@ from fwclass.publish.report import data_uri, environment
 
 VIEWS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
     "fan2013": fan_view,
+    "li2018": li_view,
     "shi2019": shi_view,
     "xiong2018": xiong_view,
 }

@@ -5,23 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 
-def describe(found: dict[str, Any]) -> str:
+def describe(seen: dict[str, Any]) -> str:
     """`look` for a terminal."""
-    shape, lines = found["system_pulse"], [f"file         {found['path']}"]
+    shape, lines = seen["system_pulse"], [f"file         {seen['path']}"]
     kind = "a Gaussian" if shape["shape"] == "gaussian" else f"measured on {shape['echoes']:,} echoes"
     lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
-    if found["noise"]["lag1"] is not None:
-        lines.append(f"noise        {_noise_words(found['noise'])}")
-    lines += [f"places       {text}" for text in found["places"]["remarks"]]
-    if "waveforms" in found:
-        lines.append(f"waveforms    {found['waveforms']:,} with {found['echoes']:,} echoes")
-    for pulse in found["pulses"]:
+    if seen["noise"]["lag1"] is not None:
+        lines.append(f"noise        {_noise_words(seen['noise'])}")
+    lines += [f"places       {text}" for text in seen["places"]["remarks"]]
+    if "waveforms" in seen:
+        lines.append(f"waveforms    {seen['waveforms']:,} with {seen['echoes']:,} echoes")
+    for pulse in seen["pulses"]:
         lines += ["", *_pulse_lines(pulse)]
-    if found.get("unexplained"):
-        lines += ["", *_missed_lines(found["unexplained"])]
-    elif "waveforms" in found:
+    if seen.get("unexplained"):
+        lines += ["", *_missed_lines(seen["unexplained"])]
+    elif "waveforms" in seen:
         lines += ["", "the file has no vendor returns to compare with"]
-    return "\n".join([*lines, "", f"pictures     {found['png']}", f"             {found['pulse_png']}"])
+    return "\n".join([*lines, "", f"pictures     {seen['png']}", f"             {seen['pulse_png']}"])
 
 
 def _noise_words(noise: dict[str, Any]) -> str:
@@ -56,7 +56,9 @@ def _echo_words(echo: dict[str, Any], compared: bool) -> str:
     if echo["return"] is not None:
         back = f"{echo['return']} ({echo['from_return']:+.2f} ns)"
     else:
-        back = "NONE OF THE VENDOR'S" if echo["missed"] else "none in the file" if compared else ""
+        by_noise = echo["noise_chance"]
+        chance = "" if by_noise is None else f", noise makes one so high with {by_noise:.2g}"
+        back = f"NONE OF THE VENDOR'S{chance}" if echo["missed"] else "none in the file" if compared else ""
     return " ".join(cells) + "  " + "; ".join(t for t in (back, ", ".join(echo["flags"])) if t)
 
 
@@ -67,18 +69,19 @@ def _missed_lines(missed: dict[str, Any]) -> list[str]:
     if not missed["strongest"]:
         return lines
     lines += ["the strongest:", f"  {'pulse':>9} {'GPS time [s]':>18} {'time [ns]':>17} {'height [DN]':>18} {'A/σ':>7}"]
-    lines[-1] += f" {'nearest return [ns]':>20}  flags"
+    lines[-1] += f" {'by noise':>9} {'nearest return [ns]':>20}  flags"
     for e in missed["strongest"]:
         lines.append(
             f"  {e['pulse']:>9} {_number(e['gps_time'], 6):>18} {_pair(e['time'], e['time_sigma'], 3):>17} "
             f"{_pair(e['amplitude'], e['amplitude_sigma'], 2):>18} {_number(e['significance'], 1):>7} "
-            f"{_number(e['nearest_return'], 2):>20}  {', '.join(e['flags'])}".rstrip()
+            f"{_number(e['noise_chance'], 2, 'g'):>9} {_number(e['nearest_return'], 2):>20}  "
+            f"{', '.join(e['flags'])}".rstrip()
         )
     return lines
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
+def _number(value: float | None, digits: int, kind: str = "f") -> str:
+    return "–" if value is None else f"{value:.{digits}{kind}}"
 
 
 def _pair(value: float | None, sigma: float | None, digits: int) -> str:
