@@ -47,8 +47,8 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
     try:
         workflow = workflow_of(asked.workflow)
         stages = tuple(s for s in after_tiles(workflow.stages) if s not in (CHECK_SEAMS, *JUDGING, *DELIVERY))
-        compared = Compared.of(stages)
         plan = _planned(config, look, workflow, stages)
+        compared = Compared.of(s for s in stages if s.when(plan))
     except ConfigError:
         raise
     except FwclassError as fault:
