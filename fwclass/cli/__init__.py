@@ -10,6 +10,7 @@ import click
 from fwclass.cli import (
     ahead,
     backscatter,
+    clean,
     difference,
     draft,
     features,
@@ -31,6 +32,7 @@ from fwclass.redact import redacted
 __all__ = [
     "ahead",
     "backscatter",
+    "clean",
     "cli",
     "difference",
     "draft",
