@@ -22,6 +22,7 @@ from fwclass.cli import (
     seams,
     select,
     status,
+    street,
     survey,
 )
 from fwclass.cli.base import cli
@@ -46,6 +47,7 @@ __all__ = [
     "seams",
     "select",
     "status",
+    "street",
     "survey",
 ]
 

@@ -29,6 +29,7 @@ from fwclass.read.params import ReadParams
 from fwclass.select.params import SelectParams
 from fwclass.simulate.params import SimulateParams
 from fwclass.store.params import StoreParams
+from fwclass.street.params import StreetParams, StreetSceneParams
 from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
 from fwclass.train.baselines.params import CompareParams
@@ -224,6 +225,8 @@ PARAMS: dict[str, type[BaseModel]] = {
     "thin": ThinParams,
     "compare": CompareParams,
     "papers": PapersSection,
+    "street": StreetParams,
+    "street_scene": StreetSceneParams,
     "classify": ClassifyParams,
     "assess": AssessParams,
     "publish": PublishParams,
@@ -268,6 +271,8 @@ class Config:
     thin: ThinParams
     compare: CompareParams
     papers: PapersSection
+    street: StreetParams
+    street_scene: StreetSceneParams
     classify: ClassifyParams
     assess: AssessParams
     publish: PublishParams
