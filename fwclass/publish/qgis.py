@@ -71,7 +71,7 @@ def write_project(
 
 
 def _key(number: int) -> str:
-    return f"layer_{number:03d}"
+    return f"fwclass_layer_{number:03d}"  # QGIS makes its own of fewer than eleven letters
 
 
 def _text(parent: Xml.Element, tag: str, text: str) -> Xml.Element:
