@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
-from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW
+from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -79,5 +79,6 @@ classification = Workflow(
         DELIVER_RASTERS,
         DELIVER_OVERVIEW,
         DELIVER_CATALOGUE,
+        DELIVER_POLYGONS,
     ),
 )

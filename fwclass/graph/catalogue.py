@@ -73,13 +73,12 @@ def delivered_catalogue(
     columns: Names,
     names: Mapping[str, str],
     title: str,
-    size: float,
-    areas: Mapping[str, list[list[float]]],
+    polygons: Names,
 ) -> Made:
-    """The list of tiles for QGIS and PDAL, the tiles as polygons with their figures, and a project that shows all."""
-    tiles = {tile: here.inputs.meta(DELIVER_TILE.name, tile)["facts"] for tile in here.parts(DELIVER_TILE.name)}
+    """The list of tiles for QGIS and PDAL, and a project that shows all of the delivery."""
+    tiles = _facts(here)
     facts, system = summed(tiles), crs_of(crs)
-    present = {int(code): names.get(code, f"class {code}") for code in facts["classes"] if code != "0"}
+    present = _present(facts, names)
     overview = here.inputs.meta(DELIVER_OVERVIEW.name, "all")["rows"]
     (here.directory / "laz").mkdir(parents=True)
     by_path = {f"{TILES.removeprefix('laz/')}/{key}{TILE_ENDING}": tile for key, tile in tiles.items()}
@@ -91,14 +90,31 @@ def delivered_catalogue(
         OVERVIEW.removeprefix("laz/") if overview else "",
         standard_time=standard_time,
     )
-    layers = [_tile_layer(here, tiles, present, size), *_area_layers(areas)]
-    write_gpkg(layers, here.directory / "tiles.gpkg", system)
     ranges = {site: here.inputs.meta(DELIVER_RASTERS.name, site)["ranges"] for site in here.parts(DELIVER_RASTERS.name)}
     _write_style(here, present)
     bounds = facts["bounds"]
-    groups = groups_of(present, columns, ranges, [layer.name for layer in layers], WHOLE)
+    groups = groups_of(present, columns, ranges, polygons, WHOLE)
     write_project(title, groups, (bounds[0], bounds[1], bounds[3], bounds[4]), here.directory / "survey.qgz", system)
-    return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"]}
+    return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
+
+
+def delivered_polygons(
+    here: StageInputs, crs: str | None, names: Mapping[str, str], size: float, areas: Mapping[str, list[list[float]]]
+) -> Made:
+    """The tiles as polygons with their figures, and the training and test areas."""
+    tiles = _facts(here)
+    layers = [_tile_layer(here, tiles, _present(summed(tiles), names), size), *_area_layers(areas)]
+    write_gpkg(layers, here.directory / "tiles.gpkg", crs_of(crs))
+    return {"tiles": len(tiles)}
+
+
+def _facts(here: StageInputs) -> dict[str, Mapping[str, Any]]:
+    return {tile: here.inputs.meta(DELIVER_TILE.name, tile)["facts"] for tile in here.parts(DELIVER_TILE.name)}
+
+
+def _present(facts: Mapping[str, Any], names: Mapping[str, str]) -> dict[int, str]:
+    """Names of the classes that there are, by code."""
+    return {int(code): names.get(code, f"class {code}") for code in facts["classes"] if code != "0"}
 
 
 def _write_style(here: StageInputs, names: Mapping[int, str]) -> None:
@@ -165,11 +181,19 @@ def _shared(plan: Plan) -> dict[str, Any]:
     return {"crs": survey.crs, "standard_time": survey.standard_time, "names": class_names(plan)}
 
 
-def _delivered(plan: Plan, part: object) -> list[tuple[str, str]]:
-    tiles = [t.key for t in plan.layout.tiles]
-    judged = [(COUNT_CONFUSION.name, key) for key in tiles] if COUNT_CONFUSION.when(plan) else []
+def _areas(plan: Plan) -> dict[str, list[list[float]]]:
+    return {kind: [list(b.bounds) for b in plan.config.areas.boxes(kind)] for kind in ("train", "test")}
+
+
+def _published(plan: Plan, part: object) -> list[tuple[str, str]]:
+    tiles = [(DELIVER_TILE.name, t.key) for t in plan.layout.tiles]
     rasters = [(DELIVER_RASTERS.name, site.name) for site in sites(plan.layout)]
-    return [*((DELIVER_TILE.name, key) for key in tiles), *judged, *rasters, (DELIVER_OVERVIEW.name, "all")]
+    return [*tiles, *rasters, (DELIVER_OVERVIEW.name, "all")]
+
+
+def _judged(plan: Plan, part: object) -> list[tuple[str, str]]:
+    stages = (DELIVER_TILE.name, *([COUNT_CONFUSION.name] if COUNT_CONFUSION.when(plan) else []))
+    return [(stage, t.key) for stage in stages for t in plan.layout.tiles]
 
 
 DELIVER_OVERVIEW = Stage(
@@ -197,10 +221,26 @@ DELIVER_CATALOGUE = Stage(
         **_shared(plan),
         "columns": _streamed(plan),
         "title": plan.config.survey.name,
-        "size": plan.config.tile.size,
-        "areas": {kind: [list(b.bounds) for b in plan.config.areas.boxes(kind)] for kind in ("train", "test")},
+        "polygons": ("tiles", "areas") if any(_areas(plan).values()) else ("tiles",),
     },
-    after=(DELIVER_TILE.name, COUNT_CONFUSION.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
-    needs=_delivered,
+    after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
+    needs=_published,
+    where="deliver",
+)
+DELIVER_POLYGONS = Stage(
+    "publish-polygons",
+    1,
+    "survey",
+    "part",
+    delivered_polygons,
+    arguments=lambda plan: {
+        "crs": plan.survey.crs,
+        "names": class_names(plan),
+        "size": plan.config.tile.size,
+        "areas": _areas(plan),
+    },
+    after=(DELIVER_TILE.name, COUNT_CONFUSION.name),
+    needs=_judged,
+    check=True,  # it tells accuracy: where that cannot be made, the delivery is whole all the same
     where="deliver",
 )

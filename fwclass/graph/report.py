@@ -320,9 +320,23 @@ def _pulse_figure(runner: Runner, report: Mapping[str, Any]) -> dict[str, bytes]
 
 
 def _outputs(runner: Runner) -> dict[str, list[str]]:
-    stages = ("publish-tile", "publish-strip", "publish-rasters", "train")
+    stages = (
+        "publish-tile",
+        "publish-strip",
+        "publish-rasters",
+        "publish-overview",
+        "publish-catalogue",
+        "publish-polygons",
+        "train",
+    )
     names = [n for stage in stages for r in _made(runner, stage) for n in r.outputs]
-    kinds = {"laz": "laz/", "parquet": "parquet/", "rasters": "rasters/", "model": "model/"}
+    kinds: dict[str, str | tuple[str, ...]] = {
+        "laz": "laz/",
+        "parquet": "parquet/",
+        "rasters": "rasters/",
+        "model": "model/",
+        "gis": ("survey.qgz", "tiles.gpkg"),
+    }
     return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
 
 

@@ -10,7 +10,7 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
 from fwclass.features.params import MAX_REACH, NO_FEATURE, Asked, check_scale, is_feature, meant
 from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
-from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW
+from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -65,7 +65,15 @@ LEARNING = (
 )
 CLASSIFYING = (CLASSIFY_ECHOES, CLASSIFY_THINNED)
 JUDGING = (COUNT_CONFUSION, ASSESS)
-DELIVERY = (DELIVER_TILE, DELIVER_STRIP, MAP_CLASSES, DELIVER_RASTERS, DELIVER_OVERVIEW, DELIVER_CATALOGUE)
+DELIVERY = (
+    DELIVER_TILE,
+    DELIVER_STRIP,
+    MAP_CLASSES,
+    DELIVER_RASTERS,
+    DELIVER_OVERVIEW,
+    DELIVER_CATALOGUE,
+    DELIVER_POLYGONS,
+)
 STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY)
 """Every stage that any run has; what a run takes is reckoned by this list."""
 

@@ -22,7 +22,7 @@ WORK = 10
 HEIGHT_SHOWN = 25.0
 """m above ground that the colours of echoes reach; a tall tree."""
 
-LEAST_SURE = (0.0, 0.6, 0.7, 0.8, 0.9, 1.0)
+LEAST_SURE = (0.0, 0.7, 0.8, 0.9, 0.95, 1.0)
 """Edges of the tiles' colours, mean confidence."""
 
 _RASTERS = {

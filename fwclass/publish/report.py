@@ -201,6 +201,7 @@ def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
         "parquet": "GeoParquet",
         "rasters": "Rasters (GeoTIFF)",
         "model": "Trained model",
+        "gis": "QGIS project and tile map",
     }
     out = []
     for kind, items in outputs.items():

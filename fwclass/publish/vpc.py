@@ -43,8 +43,8 @@ def write_vpc(
     """Write a list of tiles, sorted by name.
 
     The date is that of a tile's first echo where GPS times are adjusted standard time; else nothing tells it, and the
-    items bear that of GPS time's origin. Without a CRS nothing tells a place on the globe: the geometry is in the survey's own
-    coordinates then, which QGIS draws.
+    items bear that of GPS time's origin. Without a CRS nothing tells a place on the globe: the geometry is in
+    the survey's own coordinates then, which QGIS draws.
 
     Parameters
     ----------
