@@ -18,7 +18,7 @@ from fwclass.graph.sources import link_table, spans_of, strip_of
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
 from fwclass.graph.tiling import tiles_of_strips
 from fwclass.publish.copc import write_tile_copc
-from fwclass.publish.geoparquet import write_geoparquet
+from fwclass.publish.geoparquet import about_delivery, rounded, write_geoparquet
 from fwclass.publish.laz import without_reflectance
 from fwclass.publish.params import PublishParams
 from fwclass.publish.strips import write_strip_laz
@@ -55,6 +55,9 @@ DELIVERED = (
 )
 """Columns of the delivered tiles, besides the forest's features and radiometry."""
 
+EXACT = ("range", "confidence")
+"""Columns that Parquet has as they are: a range's standard error is a hundred-thousandth of it, votes are few."""
+
 TILES, TILE_ENDING = "laz/tiles", ".copc.laz"
 
 NO_BYTE = frozenset({"raster_cache", "figure_pixels"})
@@ -87,7 +90,9 @@ def delivered_tile(
     shown = table if calibrated else without_reflectance(table)
     called = {int(code): name for code, name in names.items()}
     made = write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
-    write_geoparquet(table, directory / "parquet" / f"{here.part}.parquet", crs_of(crs), params)
+    about = about_delivery(called, params.parquet_bits)
+    plain = rounded(table, params.parquet_bits, EXACT)
+    write_geoparquet(plain, directory / "parquet" / f"{here.part}.parquet", crs_of(crs), params, about)
     return {"rows": table.rows, "beyond": made["beyond"], "facts": tile_facts(table)}
 
 
@@ -170,8 +175,9 @@ def _strip_file(plan: Plan, part: _Strip) -> tuple[Location, FileDigests]:
 def columns_of_tiles(plan: Plan) -> Names:
     """The columns that a delivered tile has."""
     measured = MEASURE_RADIOMETRY.columns(plan)
-    every = (*DELIVERED, *classes_written(plan), *measured, *plan.names, *plan.config.features.also)
-    return tuple(dict.fromkeys(every))
+    wanted = plan.config.publish.parquet_features
+    features = {"all": (*plan.names, *plan.config.features.also), "used": plan.names, "none": ()}[wanted]
+    return tuple(dict.fromkeys((*DELIVERED, *classes_written(plan), *measured, *features)))
 
 
 def class_names(plan: Plan) -> dict[str, str]:

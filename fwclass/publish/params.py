@@ -18,6 +18,9 @@ class PublishParams(Params):
     chunk_points : points of a strip held in memory at once.
     copc_leaf : a node of the octree of a tile that has at most so many echoes keeps them all.
     row_group : rows of a Parquet row group.
+    parquet_features : which features delivered Parquet has: all that were computed, those that are used by the
+        classifier, or none.
+    parquet_bits : numbers of delivered Parquet are rounded to a relative step of 2^-bits; 23 keeps them as they are.
     zstd_level : effort of Zstandard in Parquet.
     cog_block : edge of a raster's internal tile [cells].
     cog_compression : compression of the rasters.
@@ -33,6 +36,8 @@ class PublishParams(Params):
     chunk_points: int = Field(gt=0, le=50_000_000)
     copc_leaf: int = Field(ge=100, le=10_000_000)
     row_group: int = Field(gt=0, le=100_000_000)
+    parquet_features: Literal["all", "used", "none"]
+    parquet_bits: int = Field(ge=4, le=23)
     zstd_level: int = Field(ge=1, le=22)
     cog_block: int = Field(ge=128, le=4096, multiple_of=16)
     cog_compression: Literal["deflate", "zstd"]
