@@ -414,6 +414,10 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
     rows += [f"remark      {text}" for text in report.get("remarks", ())]
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
-    rows += [f"{kind:<11} {root / kind}  ({len(names)} files)" for kind, names in report["outputs"].items() if names]
+    for kind, names in report["outputs"].items():
+        if kind == "gis":
+            rows += [f"{'qgis':<11} {root / name}" for name in names if name.endswith(".qgz")]
+        elif names:
+            rows.append(f"{kind:<11} {root / kind}  ({len(names)} files)")
     rows.append(f"report      {root / 'report.html'}")
     return "\n".join(rows)

@@ -61,7 +61,11 @@ def full(survey: str = "city") -> dict[str, Any]:
             "width": {"ground": {"p5": None, "p25": None, "p50": None, "p75": None, "p95": None, "n": 0}},
         },
         "areas": {"train": [[0, 0, 100, 100]], "test": [[100, 0, 200, 100]]},
-        "outputs": {"laz": [f"laz/tiles/{i}.laz" for i in range(12)], "parquet": [], "rasters": ["rasters/dtm.tif"]},
+        "outputs": {
+            "laz": [f"laz/tiles/{i}.copc.laz" for i in range(12)],
+            "parquet": [],
+            "rasters": ["rasters/dtm.tif"],
+        },
         "config": {"tile": {"size": 100.0}},
         "seconds": 12.5,
     }
