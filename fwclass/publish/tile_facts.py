@@ -34,7 +34,8 @@ def tile_facts(table: Table) -> dict[str, Any]:
 
     Returns
     -------
-    dict with ``points``; ``bounds`` (xmin, ymin, zmin, xmax, ymax, zmax [m]); ``classes`` (echoes by code as text);
+    dict with ``points``; ``sure`` (sum of the confidence by code as text);
+    ``bounds`` (xmin, ymin, zmin, xmax, ymax, zmax [m]); ``classes`` (echoes by code as text);
     ``confidence`` (its mean, None where no echo has one); ``times`` (first and last GPS time [s], None without any);
     ``figures`` (by name in the file: count, least, greatest, mean, standard deviation; without NaN).
     """
@@ -46,10 +47,18 @@ def tile_facts(table: Table) -> dict[str, Any]:
         "points": table.rows,
         "bounds": [int(a.min()) / PER_METRE for a in axes] + [int(a.max()) / PER_METRE for a in axes],
         "classes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)},
+        "sure": _sure(table),
         "confidence": (figures.get("confidence") or {}).get("mean"),
         "times": [float(time.min()), float(time.max())] if len(time) else None,
         "figures": {name: made for name, made in figures.items() if made is not None},
     }
+
+
+def _sure(table: Table) -> dict[str, float]:
+    if "confidence" not in table:
+        return {}
+    total = np.bincount(table["classification"], weights=np.nan_to_num(table["confidence"].astype(np.float64)))
+    return {str(code): float(total[code]) for code in np.unique(table["classification"]).tolist()}
 
 
 def _field(name: str) -> str:

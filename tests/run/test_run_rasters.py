@@ -11,7 +11,7 @@ import pytest
 import rasterio
 
 from fwclass import conf
-from fwclass.graph import report
+from fwclass.graph import report_figures as report
 from fwclass.graph.raster_outputs import delivered_rasters
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.stage import StageInputs
