@@ -31,8 +31,7 @@ def browser() -> str:
 
 
 class Page:
-    """What `seen` answers: ``width`` and ``height`` of the document [px], ``requests`` that left the page, a picture and
-    a PDF as bytes."""
+    """Width and height of the document [px], addresses that it asked for elsewhere, a picture, a PDF."""
 
     def __init__(self, facts: Mapping[str, Any]) -> None:
         self.width, self.height = int(facts["width"]), int(facts["height"])
@@ -71,7 +70,7 @@ def _port(home: Path, seconds: float = 60.0) -> str:
 async def _visit(port: str, address: str, width: int) -> dict[str, Any]:
     from tornado.websocket import websocket_connect
 
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:  # noqa: S310 - this host
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
         target = next(t for t in json.load(answer) if t["type"] == "page")
     socket = await websocket_connect(target["webSocketDebuggerUrl"], max_message_size=1 << 28)
     number, requests = 0, []

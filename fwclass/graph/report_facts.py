@@ -17,6 +17,8 @@ from fwclass.store.receipts import Receipt
 
 GPS_EPOCH, ADJUSTED, LEAP_SECONDS = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000, 18
 LEAST_SURE, WAVES = 5, 6
+WORTH = 100
+"""Echoes of a tile that is worth a look; one of three strays is not."""
 SHOWN_SAMPLES = 400
 """Of a long waveform so many are drawn."""
 
@@ -69,7 +71,8 @@ def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> 
         rows.append(
             {"name": one["name"], "code": one["code"], "echoes": count, "confidence": total / count if count else None}
         )
-    least = sorted(facts, key=lambda key: (facts[key]["confidence"], key))[:LEAST_SURE]
+    worth = [key for key in facts if facts[key]["points"] >= WORTH] or list(facts)
+    least = sorted(worth, key=lambda key: (facts[key]["confidence"], key))[:LEAST_SURE]
     listed = [
         {
             "tile": key,

@@ -61,8 +61,11 @@ def write_project(
     order = Xml.SubElement(root, "layerorder")
     for k in range(len(layers)):
         Xml.SubElement(order, "layer", {"id": _key(k)})
-    paths = Xml.SubElement(Xml.SubElement(root, "properties"), "Paths")
-    Xml.SubElement(paths, "Absolute", {"type": "bool"}).text = "false"
+    settings = Xml.SubElement(root, "properties")
+    Xml.SubElement(Xml.SubElement(settings, "Paths"), "Absolute", {"type": "bool"}).text = "false"
+    if crs is not None:  # without it QGIS does not look at the project's CRS
+        enabled = Xml.SubElement(Xml.SubElement(settings, "SpatialRefSys"), "ProjectionsEnabled", {"type": "int"})
+        enabled.text = "1"
     with whole(path) as beside:
         with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr(zipfile.ZipInfo(f"{path.stem}.qgs"), document(root), zipfile.ZIP_DEFLATED)
