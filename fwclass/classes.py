@@ -34,8 +34,8 @@ class ClassDef:
 
     def plain(self) -> dict[str, Any]:
         """For the card of a model; `of` makes the class again."""
-        made: dict[str, Any] = {"name": self.name, "code": self.code, "codes": list(self.codes)}
-        return made if self.legacy_code is None else {**made, "legacy_code": self.legacy_code}
+        facts: dict[str, Any] = {"name": self.name, "code": self.code, "codes": list(self.codes)}
+        return facts if self.legacy_code is None else {**facts, "legacy_code": self.legacy_code}
 
     @classmethod
     def of(cls, card: Mapping[str, Any]) -> ClassDef:

@@ -144,12 +144,12 @@ class KernelFiles:
     def load_overload(self, signature: Any, context: Any) -> Any:
         """The kernel from its file; else None, and it is this process that compiles it (`compile_with`)."""
         context.refresh()
-        found = self._load(signature, context)
-        if found is None:
+        kernel_there = self._load(signature, context)
+        if kernel_there is None:
             _stacks[-1].enter_context(_watched(self._name))
             _stacks[-1].enter_context(_alone(self._name))
-            found = self._load(signature, context)  # it may have been made meanwhile
-        return found
+            kernel_there = self._load(signature, context)  # it may have been made meanwhile
+        return kernel_there
 
     def compile_with(self, compiled: Callable[[Any], Any]) -> Callable[[Any], Any]:
         """`compiled`, a dispatcher's method, that compiles only what nobody else does."""
@@ -170,17 +170,17 @@ class KernelFiles:
     def _path(self, signature: Any, codegen: Any) -> Path:
         import numba
 
-        told = (LINKING, _told(signature), codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
-        key = hashlib.blake2b(repr(told).encode(), digest_size=8).hexdigest()
+        parts = (LINKING, _told(signature), codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
+        key = hashlib.blake2b(repr(parts).encode(), digest_size=8).hexdigest()
         return kernel_cache() / f"{self._name}-{self._stamp[:16]}-{key}{SUFFIX}"
 
     def _load(self, signature: Any, context: Any) -> Any:
         from numba.core.compiler import CompileResult
 
         try:
-            told = self._path(signature, context.codegen()).read_bytes()
-            if _digest(told[32:]) == told[:32]:
-                return CompileResult._rebuild(context, *pickle.loads(told[32:]))  # noqa: S301 - see `kernel_cache`
+            data = self._path(signature, context.codegen()).read_bytes()
+            if _digest(data[32:]) == data[:32]:
+                return CompileResult._rebuild(context, *pickle.loads(data[32:]))  # noqa: S301 - see `kernel_cache`
         except Exception:  # noqa: S110 - of whatever kind: it is compiled anew, and written over
             pass
         return None

@@ -137,12 +137,12 @@ def interrupted(fault: BaseException) -> bool:
 
 def _behind(fault: BaseException) -> list[BaseException]:
     """A fault and what it came from; one may have been raised from itself."""
-    found: list[BaseException] = []
+    chain: list[BaseException] = []
     seen: BaseException | None = fault
-    while seen is not None and seen not in found:
-        found.append(seen)
+    while seen is not None and seen not in chain:
+        chain.append(seen)
         seen = seen.__cause__ or seen.__context__
-    return found
+    return chain
 
 
 def full_or(fault: Exception, where: Path) -> Exception:
@@ -153,8 +153,8 @@ def full_or(fault: Exception, where: Path) -> Exception:
         for code in FULL:
             if os.strerror(code) in str(seen):
                 return OSError(code, os.strerror(code), str(where))
-    told = isinstance(fault, OSError) and fault.errno is not None
-    if not told and where.exists() and shutil.disk_usage(where).free < _LEAST:
+    system = isinstance(fault, OSError) and fault.errno is not None
+    if not system and where.exists() and shutil.disk_usage(where).free < _LEAST:
         return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(where))
     return fault
 

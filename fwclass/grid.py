@@ -54,28 +54,34 @@ class Box:
     ymax: float
 
     def grown(self, by: float) -> Box:
+        """The box with `by` [m] more on every side."""
         return Box(self.xmin - by, self.ymin - by, self.xmax + by, self.ymax + by)
 
     def moved(self, dx: float, dy: float) -> Box:
+        """The box shifted by (dx, dy) [m]."""
         return Box(self.xmin + dx, self.ymin + dy, self.xmax + dx, self.ymax + dy)
 
     def common(self, other: Box) -> Box | None:
-        """The area that both have, or None."""
+        """The area [m] that both have, or None."""
         if not self.touches(other):
             return None
         low = max(self.xmin, other.xmin), max(self.ymin, other.ymin)
         return Box(*low, min(self.xmax, other.xmax), min(self.ymax, other.ymax))
 
     def contains(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """bool (points,): whether (x, y) [m] lie in the box, decided in whole millimetres; its edges in the south and
+        west belong to it."""
         mx, my = millimetres(x), millimetres(y)
         low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in self.bounds)
         return (mx >= low_x) & (mx < high_x) & (my >= low_y) & (my < high_y)
 
     def touches(self, other: Box) -> bool:
+        """Whether two boxes share area [m²]; edges that meet do not."""
         return self.xmin < other.xmax and other.xmin < self.xmax and self.ymin < other.ymax and other.ymin < self.ymax
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
+        """(xmin, ymin, xmax, ymax) [m]."""
         return self.xmin, self.ymin, self.xmax, self.ymax
 
     @property
@@ -98,10 +104,12 @@ class Tile:
 
     @property
     def key(self) -> str:
+        """The tile's name, ``<column>_<row>``."""
         return f"{self.ix}_{self.iy}"
 
     @property
     def box(self) -> Box:
+        """The area of the tile [m], half-open in the north and east."""
         s, (x, y) = self.size, self.origin
         return Box(self.ix * s + x, self.iy * s + y, (self.ix + 1) * s + x, (self.iy + 1) * s + y)
 
@@ -117,19 +125,20 @@ class TileGrid:
         whole_millimetres(self.size, "tile size")
 
     def indices(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Column and row of the owner tile of every point."""
+        """Column and row, int64 (points,) each, of the tile that owns every point (x, y) [m]."""
         mm = whole_millimetres(self.size, "tile size")
         ox, oy = (round(v / QUANTUM) for v in self.origin)
         return (millimetres(x) - ox) // mm, (millimetres(y) - oy) // mm
 
     def tile(self, key: str) -> Tile:
-        found = _KEY.match(key)
-        if found is None:
+        """The tile of a key (``<column>_<row>``); `ConfigError` for what is no key."""
+        match = _KEY.match(key)
+        if match is None:
             raise ConfigError("not a tile key", where="tiles", expected="column_row, for example 12_34", got=key)
-        return Tile(int(found[1]), int(found[2]), self.size, self.origin)
+        return Tile(int(match[1]), int(match[2]), self.size, self.origin)
 
     def touching(self, box: Box) -> Iterator[Tile]:
-        """Every tile that shares area with `box`, by column, then row."""
+        """Every tile that shares area with `box` [m], by column, then row."""
         mm = whole_millimetres(self.size, "tile size")
         ox, oy = self.origin
         low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in box.moved(-ox, -oy).bounds)
@@ -155,7 +164,7 @@ def groups(tiles: Iterable[Tile]) -> tuple[tuple[Tile, ...], ...]:
 
 
 def joint_box(boxes: Iterable[Box]) -> Box:
-    """The smallest box that holds all `boxes`, at least one."""
+    """The smallest box [m] that holds all `boxes`; `ValueError` for none."""
     low_x, low_y, high_x, high_y = zip(*(b.bounds for b in boxes), strict=True)
     return Box(min(low_x), min(low_y), max(high_x), max(high_y))
 
@@ -176,7 +185,7 @@ class Window:
 
     @classmethod
     def covering(cls, box: Box, cell: float, margin: int = 0) -> Window:
-        """The smallest window that covers `box`, grown by `margin` cells on every side."""
+        """The smallest window of cells of `cell` [m] that covers `box`, grown by `margin` cells on every side."""
         mm = whole_millimetres(cell, "cell")
         low_x, low_y, high_x, high_y = (round(v / QUANTUM) for v in box.bounds)
         col, row = low_x // mm - margin, low_y // mm - margin
@@ -186,15 +195,18 @@ class Window:
 
     @property
     def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the window's array."""
         return self.nrows, self.ncols
 
     @property
     def box(self) -> Box:
+        """The area that the window covers [m]."""
         c = self.cell
         return Box(self.col * c, self.row * c, (self.col + self.ncols) * c, (self.row + self.nrows) * c)
 
     def within(self, outer: Window) -> tuple[slice, slice]:
-        """The slices of `outer`'s array that are this window (which must lie inside it)."""
+        """The slices (rows, columns) of `outer`'s array that are this window; `ValueError` where it does not lie
+        inside."""
         r, c = self.row - outer.row, self.col - outer.col
         inside = (
             r >= 0
@@ -208,12 +220,12 @@ class Window:
         return slice(r, r + self.nrows), slice(c, c + self.ncols)
 
     def grown(self, margin: int) -> Window:
-        """With `margin` cells more on every side."""
+        """The window with `margin` [cells] more on every side."""
         n = 2 * margin
         return Window(self.cell, self.col - margin, self.row - margin, self.ncols + n, self.nrows + n)
 
     def common(self, other: Window) -> Window | None:
-        """The cells that both windows have, or None."""
+        """The cells that both windows have, or None; both of one grid."""
         col, row = max(self.col, other.col), max(self.row, other.row)
         ncols = min(self.col + self.ncols, other.col + other.ncols) - col
         nrows = min(self.row + self.nrows, other.row + other.nrows) - row

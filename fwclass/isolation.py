@@ -71,8 +71,8 @@ def _here() -> str:
 
 def cache_home() -> Path:
     """The user's directory for what can be made again; `RuntimeError` for a user without a home."""
-    told = os.environ.get("XDG_CACHE_HOME", "")
-    return Path(told) if Path(told).is_absolute() else Path.home() / ".cache"
+    named = os.environ.get("XDG_CACHE_HOME", "")
+    return Path(named) if Path(named).is_absolute() else Path.home() / ".cache"
 
 
 def kernel_cache() -> Path:
@@ -86,31 +86,31 @@ def kernel_cache() -> Path:
     ConfigError
         The user's own ``NUMBA_CACHE_DIR`` depends on the current directory.
     """
-    told = os.environ.get(CACHE)
-    if told and not Path(told).is_absolute():
+    message = os.environ.get(CACHE)
+    if message and not Path(message).is_absolute():
         from fwclass.errors import ConfigError
 
         raise ConfigError(
             "the directory of compiled code depends on the current directory",
             where=f"environment variable {CACHE}",
             expected="an absolute path",
-            got=told,
+            got=message,
             do=f"unset {CACHE}, or name a directory that is yours alone",
         )
-    if told:
-        return Path(told)
+    if message:
+        return Path(message)
     try:
         place = cache_home() / "fwclass" / "kernels"
         fault = _not_private(place)
     except RuntimeError as error:
         place, fault = Path("~/.cache"), str(error)
     if fault:
-        told = f"compiled code cannot be kept in {place}: {fault}; it is compiled anew for this command"
+        message = f"compiled code cannot be kept in {place}: {fault}; it is compiled anew for this command"
         import tempfile  # loads much that most commands do not need
 
         place = Path(tempfile.mkdtemp(prefix="fwclass-kernels-"))
         atexit.register(_remove, place, os.getpid())
-        sys.stderr.write(f"fwclass: {told}\n")
+        sys.stderr.write(f"fwclass: {message}\n")
     _set(CACHE, str(place))
     return place
 

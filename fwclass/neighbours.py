@@ -161,11 +161,11 @@ def nearest_within(
     Rows without one get -1 and NaN.
     """
     index = CellIndex.build(*among, cell=limit, asked=len(points[0]))
-    found = np.full(len(points[0]), -1, np.int64)
-    distance = np.full(len(found), np.nan)
-    if len(index.order) and len(found) and np.diff(index.start).max() > CROWDED:
-        _nearest_in_crowds(points, among, round(limit * 1000), found, distance)
-    elif len(index.order) and len(found):
+    rows = np.full(len(points[0]), -1, np.int64)
+    distance = np.full(len(rows), np.nan)
+    if len(index.order) and len(rows) and np.diff(index.start).max() > CROWDED:
+        _nearest_in_crowds(points, among, round(limit * 1000), rows, distance)
+    elif len(index.order) and len(rows):
         _nearest(
             millimetres(points[0]) - index.x0,
             millimetres(points[1]) - index.y0,
@@ -179,12 +179,12 @@ def nearest_within(
             index.nrows,
             index.cell,
             round(limit * 1000),
-            found,
+            rows,
             distance,
         )
-        hit = found >= 0
-        found[hit] = index.order[found[hit]]
-    return found, distance * 0.001
+        hit = rows >= 0
+        rows[hit] = index.order[rows[hit]]
+    return rows, distance * 0.001
 
 
 def _nearest_in_crowds(

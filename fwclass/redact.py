@@ -40,13 +40,13 @@ def redacted_setting(text: str) -> str:
 
 def redacted_words(words: Iterable[str]) -> list[str]:
     """The words of a command line; values of ``--set`` as `redacted_setting`."""
-    told, before = [], ""
+    shown, before = [], ""
     for word in words:
         if before == "--set":
-            told.append(redacted_setting(word))
+            shown.append(redacted_setting(word))
         elif word.startswith("--set="):
-            told.append("--set=" + redacted_setting(word[6:]))
+            shown.append("--set=" + redacted_setting(word[6:]))
         else:
-            told.append(redacted(word))
+            shown.append(redacted(word))
         before = word
-    return told
+    return shown

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -44,18 +45,19 @@ def split_name(name: str) -> tuple[str, Scale | None]:
     """Base and scale of a column: ``echo_ratio_r100`` is ``echo_ratio`` in a sphere of 1 m; or a `KeyError`."""
     if name in COLUMNS and not COLUMNS[name].scales:
         return name, None
-    found = _SCALED.match(name)
-    if found and found["base"] in COLUMNS:
-        scale = Scale(found["kind"] or "o", int(found["size"] or 0))
-        if scale.kind in COLUMNS[found["base"]].scales:
-            return found["base"], scale
-    known = COLUMNS.get(found["base"] if found else name)
+    match = _SCALED.match(name)
+    if match and match["base"] in COLUMNS:
+        scale = Scale(match["kind"] or "o", int(match["size"] or 0))
+        if scale.kind in COLUMNS[match["base"]].scales:
+            return match["base"], scale
+    known = COLUMNS.get(match["base"] if match else name)
     if known is not None and known.scales not in ("", PER_CODE):
         ends = " ".join("_opt" if kind == "o" else f"_{kind}…" for kind in known.scales)
         raise KeyError(f"no column {name!r}: {known.name!r} is taken over a neighbourhood, its name ends in {ends}")
     raise KeyError(f"no column {name!r}; {nearest(name, COLUMNS)}")
 
 
+@lru_cache(maxsize=4096)
 def column(name: str) -> Column:
     """The record of `name`; ``echo_ratio_r100`` is ``echo_ratio`` over a radius of 100 cm, ``probability_6`` that of
     class code 6."""

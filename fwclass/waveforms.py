@@ -104,7 +104,7 @@ class Waveforms:
 
     @property
     def wide(self) -> NDArray[np.uint16]:
-        """`samples` as kernels take them: of one kind, so that these are not compiled for each."""
+        """`samples` [counts] as kernels take them: of one kind, so that these are not compiled for each."""
         return self.samples.astype(np.uint16, copy=False)
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ from objectstore import quick
 from smallgraph import run
 
 from fwclass.errors import FwclassError
-from fwclass.store.remote_read import Remote
+from fwclass.store.bucket import Remote
 from fwclass.store.url import Url
 
 BEAT, DEAD = 0.1, 0.6

@@ -18,8 +18,8 @@ from commandline import fwclass
 from objectstore import Server, Trouble, quick, serving, used
 from schedulemaker import FAILS_AT_ONCE, NOWHERE, strip, under_way, until
 
+from fwclass.store.bucket import Remote
 from fwclass.store.lock import SCHEDULE
-from fwclass.store.remote_read import Remote
 from fwclass.store.run_location import locked
 from fwclass.store.url import Url
 

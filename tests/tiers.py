@@ -1,7 +1,7 @@
 """The first tier, `make unit`: tests that start no process, no cluster and no server.
 
 Which they are follows from what a test names, so that nobody keeps a list: a test is a unit test unless it is marked
-slow, bench or faults, asks for real data, or the test, one of its fixtures or a helper of the suite that they name
+slow, statistics, bench or faults, asks for real data, or the test, one of its fixtures or a helper that they name
 reaches a module of `STARTING`, `ABOVE_ROOMS` or `DRAWING`. What that rule cannot see meets `Watch`: under ``--unit`` a
 test fails that starts something all the same, also where the code under test swallows the refusal.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import platform
 import sys
 from collections.abc import Callable, Iterator
 from fnmatch import fnmatch
@@ -21,7 +22,7 @@ from typing import Any
 import pytest
 
 TESTS = Path(__file__).parent
-LATER = ("slow", "bench", "faults", "skipif")
+LATER = ("slow", "statistics", "bench", "faults", "skipif")
 """Marks of what is no unit test in any case; what some machines skip needs more than the package."""
 
 STARTING = (
@@ -132,6 +133,7 @@ class Watch:
 
     def __init__(self) -> None:
         self.awake, self.met = False, []
+        platform.processor()  # asked once by `uname`, and kept: h5py asks as it is loaded
         sys.addaudithook(self._heard)  # it cannot be taken away again: `awake` ends it
         start = BaseProcess.start
 

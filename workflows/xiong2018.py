@@ -32,7 +32,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     printed, names = paper(NAME), config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
     aside = runner.beside()
-    found, final = selected(config, aside)
+    choice, final = selected(config, aside)
     chosen = final.features_asked
     plan = until_tiles(Plan(config, names, names), runner)
     best = replace(plan, config=final, names=chosen, tiled=replace(plan.layout, config=final))
@@ -48,7 +48,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     made |= require_all(runner, time_tasks(config, names, variants))
 
     def page() -> dict[str, Any]:
-        facts = xiong.facts(config, printed, report, found, thinned, variants, made)
+        facts = xiong.facts(config, printed, report, choice, thinned, variants, made)
         return deliver(config, runner, plan.layout, report, facts)
 
     return runner.tell(page)
@@ -56,9 +56,11 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
 
 def selected(config: Config, runner: Runner) -> tuple[dict[str, Any], Config]:
     """What the selection among the survey's features tells, and `config` with the set that it chose."""
-    found = selection(config, runner, config.features_asked, "rffs")
-    survey = config.survey.model_copy(update={"features": tuple(found["chosen"])})
-    return found, replace(config, survey=survey, features=config.features.model_copy(update={"also": ()}))
+    selection_of_features = selection(config, runner, config.features_asked, "rffs")
+    survey = config.survey.model_copy(update={"features": tuple(selection_of_features["chosen"])})
+    return selection_of_features, replace(
+        config, survey=survey, features=config.features.model_copy(update={"also": ()})
+    )
 
 
 xiong2018 = Workflow(NAME, "Xiong 2018: features are chosen, figures beside the paper's", classification.stages, walk)

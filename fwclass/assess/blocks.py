@@ -49,7 +49,8 @@ class BlockCounts:
 
     @classmethod
     def merged(cls, parts: Iterable[BlockCounts], classes: int) -> BlockCounts:
-        """The same blocks added up: tiles may cut a block."""
+        """The same blocks added up, int64 (blocks, classes, classes + 1): tiles may cut a block; no parts give no
+        blocks."""
         all_parts = list(parts)
         none = [cls(np.empty((0, 2), np.int64), np.empty((0, classes, classes + 1), np.int64))]
         place = np.concatenate([p.place for p in all_parts or none])

@@ -56,7 +56,7 @@ def figures(
     total = int(rows.sum())
     union = _shares(right, rows + columns - right)
     known = [v for v in union if v is not None]
-    made: dict[str, Any] = {
+    plain: dict[str, Any] = {
         "classes": list(names),
         "confusion": matrix.tolist(),
         "overall_accuracy": _share(int(right.sum()), total),
@@ -67,12 +67,12 @@ def figures(
         "mean_iou": sum(known) / len(known) if known else None,
     }
     if len(names) == 2:
-        made["type_i"] = _share(int(rows[0] - right[0]), int(rows[0]))
-        made["type_ii"] = _share(int(rows[1] - right[1]), int(rows[1]))
-        made["total_error"] = _share(total - int(right.sum()), total)
+        plain["type_i"] = _share(int(rows[0] - right[0]), int(rows[0]))
+        plain["type_ii"] = _share(int(rows[1] - right[1]), int(rows[1]))
+        plain["total_error"] = _share(total - int(right.sum()), total)
     if lost.any():
-        made["unclassified"] = lost.tolist()
-    return made
+        plain["unclassified"] = lost.tolist()
+    return plain
 
 
 def _share(part: int, whole: int) -> float | None:
@@ -108,10 +108,10 @@ def describe(made: dict[str, Any]) -> str:
     summary = [("overall accuracy", "overall_accuracy"), ("mean IoU", "mean_iou")]
     if "type_i" in made:
         summary += [("type I", "type_i"), ("type II", "type_ii"), ("total error", "total_error")]
-    told = [f"{label} {_percent(made[key])} %".replace("- %", "-") for label, key in summary]
+    totals = [f"{label} {_percent(made[key])} %".replace("- %", "-") for label, key in summary]
     kappa = made["kappa"]
-    told.append(f"kappa {kappa:.3f}" if kappa is not None else "kappa -")
-    return "\n".join([*lines, "", ", ".join(told)])
+    totals.append(f"kappa {kappa:.3f}" if kappa is not None else "kappa -")
+    return "\n".join([*lines, "", ", ".join(totals)])
 
 
 def _percent(value: float | None) -> str:

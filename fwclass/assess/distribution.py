@@ -110,12 +110,12 @@ def quantiles(
     size = edges[:-1] if whole else 0.5 * (edges[:-1] + edges[1:])
     value = np.concatenate([-size[::-1], [0.0], size])
     running = np.cumsum(histogram[:, :-1], axis=1)
-    made = np.full((len(histogram), len(shares)), np.nan)
+    values = np.full((len(histogram), len(shares)), np.nan)
     for c, line in enumerate(running):
         if line[-1] > 0:
             rank = np.maximum(np.ceil(np.asarray(shares) * line[-1]), 1)
-            made[c] = value[np.searchsorted(line, rank)]
-    return made
+            values[c] = value[np.searchsorted(line, rank)]
+    return values
 
 
 def summary(
@@ -135,12 +135,12 @@ def summary(
 def _by_class(
     feature: str, histogram: NDArray[np.int64], names: Sequence[str], shares: Sequence[float]
 ) -> dict[str, Any]:
-    found = quantiles(histogram, shares, whole=np.dtype(column(feature).dtype).kind in "biu")
+    values = quantiles(histogram, shares, whole=np.dtype(column(feature).dtype).kind in "biu")
     return {
         name: {
             "rows": int(histogram[c].sum()),
             "without_value": int(histogram[c, -1]),
-            "quantiles": [None if np.isnan(q) else float(q) for q in found[c]],
+            "quantiles": [None if np.isnan(q) else float(q) for q in values[c]],
         }
         for c, name in enumerate(names)
     }

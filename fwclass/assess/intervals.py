@@ -74,10 +74,10 @@ def difference(first: ArrayLike, second: ArrayLike) -> dict[str, Any] | None:
     ends = _ends(scores(drawn[:, :, split:]) - scores(drawn[:, :, :split]))
     whole = both.sum(axis=0)[None]
     gain = (scores(whole[:, :, split:]) - scores(whole[:, :, :split]))[0]
-    told = {
+    intervals = {
         name: {"difference": _number(value), "interval": ends[name]} for name, value in zip(FIGURES, gain, strict=True)
     }
-    return {"level": LEVEL, "blocks": len(both), "caution": caution(len(both)), **told}
+    return {"level": LEVEL, "blocks": len(both), "caution": caution(len(both)), **intervals}
 
 
 def caution(blocks: int) -> str | None:
@@ -130,20 +130,20 @@ def _resampled(counts: NDArray[np.int64]) -> NDArray[np.float64]:
     blocks, rest = len(counts), counts.shape[1:]
     flat = counts.reshape(blocks, -1).astype(float)
     random = np.random.Generator(np.random.PCG64(SEED))
-    made = np.empty((DRAWS, flat.shape[1]))
+    sums = np.empty((DRAWS, flat.shape[1]))
     for k in range(DRAWS):
-        made[k] = np.bincount(random.integers(0, blocks, blocks), minlength=blocks) @ flat
-    return made.reshape(DRAWS, *rest)
+        sums[k] = np.bincount(random.integers(0, blocks, blocks), minlength=blocks) @ flat
+    return sums.reshape(DRAWS, *rest)
 
 
 def _ends(drawn: NDArray[np.float64]) -> dict[str, list[float] | None]:
     """Percentile interval of every figure."""
     tails = (0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
-    made: dict[str, list[float] | None] = {}
+    ends: dict[str, list[float] | None] = {}
     for name, values in zip(FIGURES, drawn.T, strict=True):
         known = values[~np.isnan(values)]
-        made[name] = [float(v) for v in np.quantile(known, tails)] if len(known) else None
-    return made
+        ends[name] = [float(v) for v in np.quantile(known, tails)] if len(known) else None
+    return ends
 
 
 def _number(value: float) -> float | None:

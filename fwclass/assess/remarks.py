@@ -51,39 +51,39 @@ def remarks(accuracy: Mapping[str, Any], tested: Extent, params: AssessParams) -
     ----------
     accuracy : with ``blocks``, how many hold a tested echo, and ``pure_share``.
     """
-    told, blocks, pure = [], int(accuracy["blocks"]), accuracy["pure_share"]
+    sentences, blocks, pure = [], int(accuracy["blocks"]), accuracy["pure_share"]
     edge = f"{params.block:g} m"
     if blocks < FEW:
         without = f", and no interval is told below {LEAST}" if blocks < LEAST else ""
-        told.append(
+        sentences.append(
             f"Tested in {blocks} squares of {edge} (assess.block); echoes of a square are right or wrong together, so "
             f"the figure is uncertain{without}: test on {FEW} squares or more."
         )
     if pure is not None and pure >= params.pure:
-        told.append(
+        sentences.append(
             f"{100 * pure:.0f} % of the tested echoes lie in squares of {edge} with one class: borders between "
             "classes, where most errors are, were hardly tested, and the survey's accuracy is lower: label whole "
             "places, not the inside of objects."
         )
     if tested.apart is not None and tested.apart < tested.reach:
-        told.append(
+        sentences.append(
             f"Tested {tested.apart:.3g} m from the training areas, and the widest feature reaches {tested.reach:g} m: "
             f"the classifier has seen part of what it is tested on: --set areas.gap={tested.reach:g} or more."
         )
     share = tested.scored / tested.echoes if tested.echoes else 0.0
     if share < params.tested:
-        told.append(
+        sentences.append(
             f"{_percent(share)} of the echoes were tested, the others never: the figure holds where the survey is like "
             "the tested places: label places of every kind."
         )
     lost = sum(tested.others.values())
     if tested.echoes and lost > params.unscored * tested.echoes:
         codes = ", ".join(f"{code} ({n:,} echoes)" for code, n in tested.others.items())
-        told.append(
+        sentences.append(
             f"{_percent(lost / tested.echoes)} of the echoes have a reference that no class counts, codes {codes}: "
             "they are classified, and not scored: add the codes to survey.classes, or know that they are missing here."
         )
-    return told
+    return sentences
 
 
 def _percent(share: float) -> str:

@@ -7,7 +7,21 @@ import sys
 
 import click
 
-from fwclass.cli import ahead, export, features, files, ground, model, plan, schedule, seams, select, status, survey
+from fwclass.cli import (
+    ahead,
+    difference,
+    draft,
+    features,
+    files,
+    ground,
+    model,
+    plan,
+    schedule,
+    seams,
+    select,
+    status,
+    survey,
+)
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
 from fwclass.isolation import isolate
@@ -16,7 +30,8 @@ from fwclass.redact import redacted
 __all__ = [
     "ahead",
     "cli",
-    "export",
+    "difference",
+    "draft",
     "features",
     "files",
     "ground",
@@ -39,9 +54,9 @@ def main() -> None:
     except click.exceptions.Exit as end:
         sys.exit(end.exit_code)
     except click.ClickException as fault:
-        told = io.StringIO()
-        fault.show(told)
-        click.echo(redacted(told.getvalue()), err=True, nl=False)
+        lines = io.StringIO()
+        fault.show(lines)
+        click.echo(redacted(lines.getvalue()), err=True, nl=False)
         sys.exit(fault.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo(

@@ -21,13 +21,13 @@ def compile_kernels(as_json: bool) -> None:
     from fwclass.operate.ahead import compile_all
 
     compiling.tellers.clear()
-    made = compile_all(lambda text: click.echo(f"compiling        {text}", err=True))
+    done = compile_all(lambda text: click.echo(f"compiling        {text}", err=True))
     click.echo(
-        f"{made['compiled']} kernels compiled in {made['seconds']:g} s; all {made['listed']} that are called lie in "
-        f"{made['directory']}",
+        f"{done['compiled']} kernels compiled in {done['seconds']:g} s; all {done['listed']} that are called lie in "
+        f"{done['directory']}",
         err=True,
     )
-    for text in made["left_out"]:
+    for text in done["left_out"]:
         click.echo(f"left out: {text}; it is compiled when it is called", err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(done, indent=1))

@@ -58,14 +58,14 @@ def features(
     if source is None or output is None:
         raise click.UsageError("IN and OUT.parquet are wanted, or --list")
     from fwclass.single_file.features.file import FeaturesJob, features_file
-    from fwclass.single_file.features.text import describe
+    from fwclass.single_file.features.listing import describe
     from fwclass.single_file.ground.steps import Steps
 
     with Steps() as steps:
-        made = features_file(FeaturesJob(source, output, named, settings=settings, **asked), steps.tell)
-    click.echo(describe(made), err=True)
+        summary = features_file(FeaturesJob(source, output, named, settings=settings, **asked), steps.tell)
+    click.echo(describe(summary), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
 
 
 def _list(name: str | None, where: str, as_json: bool) -> None:

@@ -62,8 +62,8 @@ def _info_waveforms(
 
     if len(files) > 1:
         raise click.UsageError("--waveforms takes one file")
-    found = look(files[0], pulses, settings, out, overwrite)
-    click.echo(json.dumps(found, indent=1) if as_json else describe(found))
+    seen = look(files[0], pulses, settings, out, overwrite)
+    click.echo(json.dumps(seen, indent=1) if as_json else describe(seen))
 
 
 def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:
@@ -118,8 +118,8 @@ def decompose(
 
     settings += ("plausibility.accept=true",) if accept_implausible else ()
     settings += ("read.mirror_beams=true",) if mirror_beams else ()
-    told, judged = decompose_file(source, output, settings, overwrite, trajectory, undulation, crs)
-    click.echo(told, err=True)
+    sentences, judged = decompose_file(source, output, settings, overwrite, trajectory, undulation, crs)
+    click.echo(sentences, err=True)
     judge(judged, conf.section("plausibility", settings))
 
 
@@ -152,5 +152,5 @@ def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, a
 def _assess_runs(first: Path, second: Path, as_json: bool) -> None:
     from fwclass.operate.assess_runs import assess_runs, describe
 
-    made = assess_runs(first, second)
-    click.echo(json.dumps(made, indent=1) if as_json else describe(made))
+    intervals = assess_runs(first, second)
+    click.echo(json.dumps(intervals, indent=1) if as_json else describe(intervals))

@@ -77,15 +77,15 @@ def _classify(source: Path, output: Path, as_json: bool, asked: dict[str, Any]) 
     with Steps() as steps:
         if auto:
             asked["adapt"] = _adapting(asked, steps.tell)
-        made = ground_file(GroundJob(source, output, rasters=rasters, **asked), steps.tell)
-    click.echo(describe(made), err=True)
+        summary = ground_file(GroundJob(source, output, rasters=rasters, **asked), steps.tell)
+    click.echo(describe(summary), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
 
 
 def _adapting(asked: dict[str, Any], tell: Any) -> Any:
     """``--auto``; the filter is chosen too where nothing names one."""
-    from fwclass.single_file.ground.adapt import adapting
+    from fwclass.single_file.ground.file import adapting
 
     named = asked["method"] or asked["preset"] or any(s.startswith("ground.method") for s in asked["settings"])
     return adapting(not named, asked["settings"], tell)
@@ -105,7 +105,7 @@ def _study(source: Path, output: Path | None, methods: str | None, as_json: bool
         from fwclass.single_file.ground.search import describe, optimize
 
         with Steps() as steps:
-            made = optimize(source, say=steps.say, tell=steps.tell, **asked)
+            result = optimize(source, say=steps.say, tell=steps.tell, **asked)
     else:
         from fwclass.single_file.ground.compare import compare, describe
 
@@ -113,10 +113,10 @@ def _study(source: Path, output: Path | None, methods: str | None, as_json: bool
             raise click.UsageError("--compare names its filters itself; give parameters with --set")
         with Steps() as steps:
             adapt = _adapting({**asked, "method": "each its own"}, steps.tell) if auto else None
-            made = compare(source, methods, say=steps.say, tell=steps.tell, adapt=adapt, **asked)
-    click.echo(describe(made), err=True)
+            result = compare(source, methods, say=steps.say, tell=steps.tell, adapt=adapt, **asked)
+    click.echo(describe(result), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(result, indent=1))
 
 
 @cli.command()
@@ -142,7 +142,7 @@ def normalize(source: Path, output: Path, as_json: bool, **asked: Any) -> None:
     from fwclass.single_file.ground.text import describe_heights
 
     with Steps() as steps:
-        made = normalize_file(NormalizeJob(source, output, **asked), steps.tell)
-    click.echo(describe_heights(made), err=True)
+        summary = normalize_file(NormalizeJob(source, output, **asked), steps.tell)
+    click.echo(describe_heights(summary), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))

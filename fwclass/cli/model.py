@@ -83,11 +83,11 @@ def _train(config: Any, root: Path, target: Path, asked: dict[str, Any]) -> None
 
     check_target(target, asked["overwrite"])
     with open_runner(root, _count(config, asked), asked["scheduler"], config.run) as runner:
-        made = training(config, runner, asked["assess"])
+        result = training(config, runner, asked["assess"])
         deliver(runner.store.path("train", "model", "model"), target, asked["overwrite"])
-    click.echo(f"{describe(made)}\nmodel       {target}", err=True)
+    click.echo(f"{describe(result)}\nmodel       {target}", err=True)
     if asked["as_json"]:
-        click.echo(json.dumps({**made, "model": str(target)}, indent=1))
+        click.echo(json.dumps({**result, "model": str(target)}, indent=1))
 
 
 def _compare(config: Any, root: Path, methods: tuple[str, ...], asked: dict[str, Any]) -> None:
@@ -95,21 +95,21 @@ def _compare(config: Any, root: Path, methods: tuple[str, ...], asked: dict[str,
     from fwclass.study.training import comparison
 
     with open_runner(root, _count(config, asked), asked["scheduler"], config.run) as runner:
-        made = comparison(config, runner, methods)
-    click.echo(describe(made), err=asked["as_json"])
+        table = comparison(config, runner, methods)
+    click.echo(describe(table), err=asked["as_json"])
     if asked["as_json"]:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(table, indent=1))
 
 
 def _codes(context: click.Context, parameter: click.Parameter, words: tuple[str, ...]) -> Mapping[int, int]:
     """``64=20`` as numbers."""
-    found = {}
+    codes = {}
     for word in words:
         left, _, right = word.partition("=")
         if not left.isdigit() or not right.isdigit() or not int(left) < 256 or not int(right) < 256:
             raise click.BadParameter(f"{word!r} is no pair of class codes like 64=20")
-        found[int(left)] = int(right)
-    return found
+        codes[int(left)] = int(right)
+    return codes
 
 
 @cli.command()
@@ -150,7 +150,39 @@ def classify(
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")
     job = ClassifyJob(source, output, flight=Flight(trajectory, undulation), **asked)
     with Steps() as steps:
-        made = classify_file(job, steps.tell)
-    click.echo(describe(made), err=True)
+        summary = classify_file(job, steps.tell)
+    click.echo(describe(summary), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
+
+
+@cli.command()
+@click.argument("model", type=PATH)
+@click.argument("out", type=PATH)
+@click.option("--format", "form", type=click.Choice(["onnx"]), default="onnx", show_default=True, help="File format.")
+@OVERWRITE
+def export(model: Path, out: Path, form: str, overwrite: bool) -> None:
+    """Write the forest in the directory MODEL as the file OUT, for programs that read its format.
+
+    ONNX: input X, float32 (rows, features) in the order of the metadata entry "features", NaN where a value is
+    missing; outputs label (class codes), votes and probabilities. Classes are the same as here for every row.
+    """
+    from fwclass.publish.onnx_forest import onnx_forest
+    from fwclass.single_file.ground.output import check_places
+    from fwclass.store.atomic import move_into_place, staged
+    from fwclass.store.models import load_forest
+
+    if out.suffix.lower() != f".{form}":
+        raise ConfigError(
+            f"the output is {form.upper()}",
+            where=out,
+            expected=f"a name that ends in .{form}",
+            got=out.suffix or "no suffix",
+            do="name the output with this ending",
+        )
+    check_places(model, [out], overwrite)
+    content = onnx_forest(load_forest(model))
+    with staged(out.parent) as directory:
+        (directory / out.name).write_bytes(content)
+        move_into_place(directory / out.name, out)
+    click.echo(f"{out}: {form}, {out.stat().st_size / 1e6:.1f} MB", err=True)

@@ -46,6 +46,7 @@ def plan(
     directory. What cannot fit is refused, with the numbers (exit code 2).
     """
     from fwclass import conf as configuration
+    from fwclass.errors import visible
     from fwclass.graph.survey import check_areas
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
@@ -64,29 +65,28 @@ def plan(
     _check(config, workflow)
     facts = survey_facts(config, root)
     check_areas(config, facts.box)
-    made = planned(config, facts, number, room_at(root))
+    estimate = planned(config, facts, number, room_at(root))
     if count is not None:
-        made = _dry_run(made, count, root)
-    paths = deliver(made, root)
-    told = "\n".join(f"written     {p}" for p in paths)
-    click.echo(f"{describe(made)}\n\n{told}", err=as_json)
+        estimate = _dry_run(estimate, count, root)
+    paths = deliver(estimate, root)
+    written = "\n".join(f"written     {visible(p)}" for p in paths)
+    click.echo(f"{describe(estimate)}\n\n{written}", err=as_json)
     if as_json:
-        click.echo(json.dumps(plain(made, paths), indent=1))
-    refuse(list(made.limits), config.path)
+        click.echo(json.dumps(plain(estimate, paths), indent=1))
+    refuse(list(estimate.limits), config.path)
 
 
-def _dry_run(made: Any, count: int, root: Path) -> Any:
+def _dry_run(estimate: Any, count: int, root: Path) -> Any:
     """The plan again, by what the fullest tiles took."""
     from fwclass.errors import FwclassError
-    from fwclass.operate.estimate.dry_run import trial
-    from fwclass.operate.estimate.trial import trial_of
+    from fwclass.operate.estimate.trial import trial, trial_of
     from fwclass.operate.estimate.whole import planned
     from fwclass.store.atomic import staged
 
-    asked = trial_of(made, count, root)
+    asked = trial_of(estimate, count, root)
     with staged(root / "plan") as scratch:
-        with open_runner(scratch, made.workers, None, made.config.run) as runner:
-            keys = trial(asked, runner, count, made.halo)
+        with open_runner(scratch, estimate.workers, None, estimate.config.run) as runner:
+            keys = trial(asked, runner, count, estimate.halo)
             failures, store = runner.failures, runner.store
         if failures:
             first = failures[0]
@@ -96,7 +96,7 @@ def _dry_run(made: Any, count: int, root: Path) -> Any:
                 do="mend the cause; the run would fail too",
             )
         click.echo(f"dry run     tiles {', '.join(keys)} from {asked.files:,} files", err=True)
-        return planned(made.config, made.facts, made.workers, made.room, store)
+        return planned(estimate.config, estimate.facts, estimate.workers, estimate.room, store)
 
 
 def _check(config: Any, workflow: str) -> None:

@@ -77,16 +77,16 @@ def _asked(every: str | None, cron: str | None, inbox: Path | None) -> list[str]
         raise ConfigError("--every and --cron exclude one another", where="--every, --cron", do="give one of them")
     from fwclass.conf.schedule import cron_rule, interval
 
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     for option, other, typed, rule in (("every", "cron", every, interval), ("cron", "every", cron, cron_rule)):
         if typed is not None:
             try:
-                found |= {option: rule(typed), other: None}
+                settings |= {option: rule(typed), other: None}
             except ValueError as fault:
                 raise ConfigError(str(fault), where=f"--{option}", got=repr(typed), do="correct it") from None
     if inbox is not None:
-        found["inbox"] = str(inbox.resolve())
-    return [f"schedule.{name}={json.dumps(value)}" for name, value in found.items()]
+        settings["inbox"] = str(inbox.resolve())
+    return [f"schedule.{name}={json.dumps(value)}" for name, value in settings.items()]
 
 
 @cli.command()

@@ -42,8 +42,7 @@ def seams(
     from fwclass import conf as configuration
     from fwclass.operate.request import Request
     from fwclass.operate.seams.places import shift_of
-    from fwclass.operate.seams.polygons import check_free, write_gpkg
-    from fwclass.operate.seams.summary import as_data, as_text
+    from fwclass.operate.seams.summary import as_data, as_text, check_free, write_gpkg
     from fwclass.operate.seams.walk import Asked
     from fwclass.operate.seams.walk import seams as measured
     from fwclass.run.progress import Display
@@ -65,11 +64,11 @@ def seams(
     )
     began = time.perf_counter()
     with Display() as display:
-        found = measured(config, location, asked, display)
+        result = measured(config, location, asked, display)
     took = time.perf_counter() - began
-    click.echo(as_text(found, took), err=as_json)
+    click.echo(as_text(result, took), err=as_json)
     if as_json:
-        click.echo(json.dumps(as_data(found, took), indent=1))
+        click.echo(json.dumps(as_data(result, took), indent=1))
     if gpkg is not None:
-        write_gpkg(found, gpkg, found.crs)
-    found.judge()
+        write_gpkg(result, gpkg, result.crs)
+    result.judge()

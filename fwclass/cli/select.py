@@ -84,10 +84,10 @@ def select(
     count = config.run.workers if workers is None else workers
     with open_runner(root, count, scheduler, config.run) as runner:
         if method == "thinning":
-            made = thinning(config, runner, names)
+            result = thinning(config, runner, names)
         else:
-            made = selection(config, runner, names, method, **asked)
-    output.write(made, path)
-    click.echo(output.describe(made, path), err=True)
+            result = selection(config, runner, names, method, **asked)
+    output.write(result, path)
+    click.echo(output.describe(result, path), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(result, indent=1))

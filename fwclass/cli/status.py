@@ -132,8 +132,8 @@ def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: 
         if not outcome.ok:
             tell_failures([outcome], request)
             sys.exit(PARTIAL)
-    told = "was done already" if outcome.status == "skipped" else f"is made, in {outcome.seconds:.2f} s"
-    click.echo(f"{only} {told}", err=True)
+    word = "was done already" if outcome.status == "skipped" else f"is made, in {outcome.seconds:.2f} s"
+    click.echo(f"{only} {word}", err=True)
 
 
 def _verify_alone(location: Any, fault: StoreError, as_json: bool) -> NoReturn:
@@ -225,8 +225,8 @@ def status(
         if scheduled is not None:
             when = f"next {scheduled['next']}" if scheduled.get("next") else "waits for files"
             when += "" if isinstance(location, Path) else f", heard of {scheduled.get('heartbeat')}"
-            told = f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}"
-            click.echo(visible(told))
+            sentence = f"a schedule is at work on it: pid {scheduled.get('pid')} on {scheduled.get('host')}, {when}"
+            click.echo(visible(sentence))
         click.echo(as_text(looked, request, writer, every))
         if verified is not None:
             click.echo(verifying.as_text(verified, request))

@@ -97,7 +97,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         report: Any = None
         try:
             report = workflow_of(request.workflow)(config, runner, request.wanted)
-            made = runner.publish(config.run.keep_generations)
+            generation = runner.publish(config.run.keep_generations)
         except (FwclassError, OSError) as fault:
             after = report is None and isinstance(fault, FwclassError)
             if after and (runner.pending / REPORT).exists():  # what came after the delivery has failed
@@ -105,16 +105,20 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
             if runner.failures:
                 tell_failures(runner.failures, request)
             raise
-        entry.generation = made.number
+        entry.generation = generation.number
         failures = runner.failures
         shown = runner.store.generations.current()
-    aside = shown is not None and shown.number != made.number
-    click.echo(summary(report, made.where if aside or isinstance(root, str) else root), err=True)
+    aside = shown is not None and shown.number != generation.number
+    click.echo(summary(report, generation.where if aside or isinstance(root, str) else root), err=True)
+    if lost := entry.judged(report):
+        click.echo(lost, err=True)
     if aside and shown is not None:
-        click.echo(f"generation  {made.name} is not whole and lies aside; {root} still shows {shown.name}", err=True)
-    elif not made.whole and failures:
         click.echo(
-            f"generation  {made.name} is not whole: parts failed; it is shown, as no whole one is there", err=True
+            f"generation  {generation.name} is not whole and lies aside; {root} still shows {shown.name}", err=True
+        )
+    elif not generation.whole and failures:
+        click.echo(
+            f"generation  {generation.name} is not whole: parts failed; it is shown, as no whole one is there", err=True
         )
     if performance is not None:
         click.echo(f"dask report {performance}", err=True)

@@ -88,8 +88,8 @@ def build(path: Path, raw: dict[str, Any], where: str = "") -> Config:
     values = {n: _build(n, raw.get(n), where) for n in PARAMS if n != "simulate"}
     simulated = values["survey"].simulated and values["survey"].directory is None
     simulate = _build("simulate", raw.get("simulate"), where) if simulated else None
-    told = {name: value for name, value in raw.items() if name != "schedule"}  # it may hold secrets
-    config = Config(path=path, raw=told, simulate=simulate, **values)
+    sections = {name: value for name, value in raw.items() if name != "schedule"}  # it may hold secrets
+    config = Config(path=path, raw=sections, simulate=simulate, **values)
     _check(config)
     return config
 

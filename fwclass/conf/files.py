@@ -19,6 +19,9 @@ _SIZE_LIMIT = 1 << 18
 _MOST_VALUES = 100_000
 """Keys and values of a file, each counted as often as an alias repeats it."""
 
+_MOST_DIGITS = 100
+"""Of a whole number."""
+
 _DEEPEST = 50
 """Levels of nested keys and lists."""
 
@@ -87,6 +90,16 @@ def _mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
 
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
 
+
+def _integer(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
+    """Python refuses to print a number of thousands of digits, however it was written (hexadecimal, by sixties)."""
+    if len(node.value) > _MOST_DIGITS:
+        raise yaml.constructor.ConstructorError(None, None, "a number too long", node.start_mark)
+    return int(loader.construct_yaml_int(node))
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
+
 _Shipped = _Loader
 """As `_Loader`, for files that come with fwclass: parsed in C where PyYAML has that, three times as fast."""
 
@@ -144,8 +157,8 @@ def _count(node: yaml.Node, known: dict[int, tuple[int, int]], depth: int) -> tu
             below = node.value
         elif isinstance(node, yaml.MappingNode):
             below = [part for pair in node.value for part in pair]
-        found = [_count(part, known, depth + 1) for part in below]
-        known[id(node)] = 1 + sum(n for n, _ in found), 1 + max((levels for _, levels in found), default=0)
+        counts = [_count(part, known, depth + 1) for part in below]
+        known[id(node)] = 1 + sum(n for n, _ in counts), 1 + max((levels for _, levels in counts), default=0)
     values, levels = known[id(node)]
     if not values:
         raise yaml.YAMLError("an alias (*…) stands inside of what it repeats")
@@ -171,9 +184,9 @@ def read(path: Path) -> dict[str, Any]:
             text = file.read().decode("utf-8")
         value = _shipped(text) if path.resolve().is_relative_to(conf_directory()) else plain(text)
     except (OSError, yaml.YAMLError, UnicodeDecodeError) as fault:
-        told = _message(fault, path.name)
-        tabs = "indent with spaces: YAML knows no tabs" if "\\t" in told else "mend the YAML at the place named"
-        raise ConfigError("a configuration cannot be read", where=path, got=told[:1000], do=tabs) from fault
+        message = _message(fault, path.name)
+        tabs = "indent with spaces: YAML knows no tabs" if "\\t" in message else "mend the YAML at the place named"
+        raise ConfigError("a configuration cannot be read", where=path, got=message[:1000], do=tabs) from fault
     if value is None:
         return {}
     if not isinstance(value, dict):
@@ -211,9 +224,9 @@ def setting(text: str) -> dict[str, Any]:
     try:
         result: Any = plain(value)
     except yaml.YAMLError as fault:
-        told = _message(fault, "the value")
+        message = _message(fault, "the value")
         raise ConfigError(
-            "the value of --set cannot be read", where=f"--set {redacted_setting(text)}", got=told
+            "the value of --set cannot be read", where=f"--set {redacted_setting(text)}", got=message
         ) from fault
     for name in reversed(names):
         result = {name: result}

@@ -119,11 +119,11 @@ def checked(name: str, printed: dict[str, Any], where: object) -> dict[str, Any]
     try:
         _MODELS[name].model_validate(printed)
     except ValidationError as fault:
-        told = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in fault.errors()[:5])
+        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in fault.errors()[:5])
         raise ConfigError(
             "the figures of a paper are wrong",
             where=where,
-            got=told,
+            got=faults,
             do="mend the entry; in {…} a text with a comma needs quotes",
         ) from fault
     return printed

@@ -37,10 +37,10 @@ def seconds_of(value: Any) -> Any:
 
 def interval(text: str) -> float:
     """`seconds_of` a text; `ValueError` where no time goes by."""
-    found = float(seconds_of(text))
-    if not 0 < found <= LONGEST:
+    seconds = float(seconds_of(text))
+    if not 0 < seconds <= LONGEST:
         raise ValueError("a time greater than 0 and of at most 3660d is wanted, like 90s, 15m, 1h30m or 1d")
-    return found
+    return seconds
 
 
 def cron_rule(expression: str) -> str:

@@ -70,16 +70,16 @@ def feature_set(name: str, beside: Path | None = None, where: object = "--set") 
 
 def _read(path: Path) -> FeatureSet:
     try:
-        found = _File.model_validate(read(path))
+        file = _File.model_validate(read(path))
     except ValidationError as fault:
-        told = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in fault.errors()[:3])
+        faults = "; ".join(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in fault.errors()[:3])
         raise ConfigError(
-            "this is not a feature set", where=path, expected="about, source, features, each", got=told
+            "this is not a feature set", where=path, expected="about, source, features, each", got=faults
         ) from fault
-    names = [*found.features, *(f"{b}_{s}" for each in found.each for s in each.scales for b in each.bases)]
+    names = [*file.features, *(f"{b}_{s}" for each in file.each for s in each.scales for b in each.bases)]
     if not names:
         raise ConfigError("a feature set without features", where=path, do="list some under `features:`")
-    return FeatureSet(path.stem, found.about, found.source, listed_once(names, path))
+    return FeatureSet(path.stem, file.about, file.source, listed_once(names, path))
 
 
 def listed_once(names: Sequence[str], where: object) -> tuple[str, ...]:

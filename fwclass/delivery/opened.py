@@ -14,7 +14,7 @@ from fwclass.delivery.rasters import Raster, read_raster
 from fwclass.delivery.waves import Waveform, waveform_of
 from fwclass.errors import InputError
 from fwclass.store.atomic import read_json
-from fwclass.store.generations import CURRENT, Generations
+from fwclass.store.directory import CURRENT
 from fwclass.store.run_store import Store
 
 
@@ -110,7 +110,7 @@ class Delivery:
 
     @cached_property
     def _store(self) -> Store:
-        return Store(self.root)
+        return Store(self.root, read_only=True)
 
     def _part(self, name: str) -> Path:
         path = self.path / name
@@ -151,7 +151,7 @@ def open_run(run: str | os.PathLike[str]) -> Delivery:
     root = Path(text).resolve()
     if not root.is_dir():
         raise InputError("there is no such run", where=root, expected="a directory", got="none", do="check the path")
-    generations = Generations(root)
+    generations = Store(root, read_only=True).generations
     current = generations.current()
     if current is None:
         under_way = (root / "store").is_dir()

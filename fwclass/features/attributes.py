@@ -52,6 +52,8 @@ class Attributes:
 
     @classmethod
     def of(cls, table: Table, needed: Needs) -> Attributes:
+        """Attributes of the echoes of `table` as far as they are `needed`, whole numbers (echoes,); empty arrays for
+        others."""
         kinds = (
             packed_kinds(table["echo_number"], table["number_of_echoes"]) if needed.kinds else _NONE.astype(np.int64)
         )
@@ -64,6 +66,7 @@ class Attributes:
 
     @property
     def arrays(self) -> tuple[NDArray, ...]:
+        """kinds, amplitude, width, intensity: (echoes,) each, or empty."""
         return self.kinds, self.amplitude, self.width, self.intensity
 
 

@@ -64,7 +64,7 @@ class Fullest:
         return cls(sum(c.echoes for c in each), fullest.most, fullest.corner) if fullest else None
 
     def text(self) -> str:
-        """How many the fullest holds, and where."""
+        """How many echoes the fullest holds, and where [m]."""
         return f"the fullest {self.most:,} at {', '.join(f'{v:.1f}' for v in self.corner)}"
 
 
@@ -105,7 +105,11 @@ class Crowd:
 
 
 def thinned(chunk: Chunk, params: FeaturesParams) -> Thinned | None:
-    """`chunk` without the echoes that do not count, None where no cube and no column is dense."""
+    """`chunk` without the echoes that do not count, None where no cube and no column is dense.
+
+    `Thinned` also says for every echo of the core, (core,), which row of the thinned core it takes its features
+    from.
+    """
     place = _millimetres(chunk.table)
     owner = _owners(place, params)
     owner = _among(place, owner, params)[0]

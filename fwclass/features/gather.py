@@ -103,7 +103,10 @@ def window(cell, radius):  # type: ignore[no-untyped-def]
 
 @kernel
 def most_in_window(start, ncols, nrows, half):  # type: ignore[no-untyped-def]
-    """The most echoes that the window of a cell holds."""
+    """The most echoes [count] that the window of a cell holds.
+
+    `start` (cells + 1,) are the places where the sorted echoes of a cell begin, `half` (rows,) half widths [cells].
+    """
     most = 0
     reach = len(half) - 1
     for row in range(nrows):
@@ -119,8 +122,8 @@ def most_in_window(start, ncols, nrows, half):  # type: ignore[no-untyped-def]
 
 @kernel
 def slices(start, ncols, nrows, half, most):  # type: ignore[no-untyped-def]
-    """int64: sorted echoes, the first and one past the last among them, between which a walk meets about `most`
-    candidates, however many one cell holds."""
+    """int64 (slices + 1,): sorted echoes, the first and one past the last among them, between which a walk meets about
+    `most` candidates, however many one cell holds."""
     cuts = [np.int64(0)]
     met, reach = 0, len(half) - 1
     for row in range(nrows):
@@ -147,7 +150,8 @@ def slices(start, ncols, nrows, half, most):  # type: ignore[no-untyped-def]
 def candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, x, y, z):  # type: ignore[no-untyped-def]
     """Copy the echoes of the window of a cell, relative to echo `first`, and far ones up to a multiple of `LANES`.
 
-    Returns their number. Places are unsigned: numba takes a negative one to count from the end, and asks every time.
+    `xs`, `ys`, `zs` int32 (echoes,) [mm]; `x`, `y`, `z` float32 (room,) [mm] are written. Returns their number.
+    Places are unsigned: numba takes a negative one to count from the end, and asks every time.
     """
     m = np.uint64(0)
     reach = len(half) - 1
@@ -171,7 +175,7 @@ def candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, x, y, z):
 
 @kernel
 def carried(values, start, ncols, nrows, half, row, col, to):  # type: ignore[no-untyped-def]
-    """Copy what the `candidates` of a cell carry; zero for those that fill up."""
+    """Copy what the `candidates` of a cell carry, `values` (echoes,), to `to` (room,); zero for those that fill up."""
     m = np.uint64(0)
     reach = len(half) - 1
     for r in range(max(row - reach, 0), min(row + reach + 1, nrows)):
@@ -188,9 +192,9 @@ def carried(values, start, ncols, nrows, half, row, col, to):  # type: ignore[no
 
 @inlined
 def distances(x, y, z, m, px, py, pz, level, flat, square):  # type: ignore[no-untyped-def]
-    """Squared distances of the first `m` of (x, y, z) from (px, py, pz), whole numbers.
+    """Squared distances [mm²] of the first `m` of (x, y, z) from (px, py, pz), whole numbers [mm].
 
-    `flat` is horizontal; `square` is spatial, or horizontal where `level`, and `flat` is left alone.
+    `flat` (room,) is horizontal; `square` (room,) is spatial, or horizontal where `level`, and `flat` is left alone.
     """
     if level:
         for k in range(m):
@@ -206,7 +210,7 @@ def distances(x, y, z, m, px, py, pz, level, flat, square):  # type: ignore[no-u
 
 @inlined
 def compact(square, m, limit, near):  # type: ignore[no-untyped-def]
-    """Places where the first `m` of `square` are at most `limit`, to `near`; their number.
+    """Places where the first `m` of `square` are at most `limit` [mm²], to `near` (room,); their number.
 
     Without a branch: whether a candidate is near is a coin toss that no processor predicts.
     """
@@ -219,6 +223,7 @@ def compact(square, m, limit, near):  # type: ignore[no-untyped-def]
 
 @inlined
 def count_within(square, m, limit):  # type: ignore[no-untyped-def]
+    """How many of the first `m` of `square` [mm²] are at most `limit` [mm²]."""
     n = np.int64(0)
     for k in range(m):
         n += np.int64(1) if square[k] <= limit else np.int64(0)
@@ -227,7 +232,8 @@ def count_within(square, m, limit):  # type: ignore[no-untyped-def]
 
 @inlined
 def shells(square, bounds, near, n, distance, shell, places):  # type: ignore[no-untyped-def]
-    """Shell of the first `n` of `near` between the rising `bounds`; starts of the shells to `places`.
+    """Shell of the first `n` of `near` between the rising `bounds` [mm²], to `shell` (room,); starts of the shells to
+    `places`.
 
     `bounds` are the squares of all radii but the last, then infinity up to a multiple of four: fewer passes.
     """
@@ -251,7 +257,8 @@ def shells(square, bounds, near, n, distance, shell, places):  # type: ignore[no
 
 @inlined
 def order(near, n, shell, places, ordered):  # type: ignore[no-untyped-def]
-    """Put the first `n` of `near` into the order of their shells, whose starts `places` become their ends."""
+    """Put the first `n` of `near` into the order of their shells, to `ordered` (room,); the starts `places` (shells,)
+    become ends."""
     for k in range(n):
         s = shell[k]
         to = places[s]
@@ -261,7 +268,8 @@ def order(near, n, shell, places, ordered):  # type: ignore[no-untyped-def]
 
 @inlined
 def fill(x, y, z, near, n, px, py, pz, to_x, to_y, to_z, used):  # type: ignore[no-untyped-def]
-    """Copy the first `n` of `near`, relative to (px, py, pz), to place `used` and on, and zero up to whole `LANES`.
+    """Copy the first `n` of `near`, relative to (px, py, pz) [mm], to place `used` and on, and zero up to whole
+    `LANES`.
 
     Returns the place behind.
     """
@@ -280,6 +288,6 @@ def fill(x, y, z, near, n, px, py, pz, to_x, to_y, to_z, used):  # type: ignore[
 
 @inlined
 def fill_values(values, near, n, to, used):  # type: ignore[no-untyped-def]
-    """Copy what the first `n` of `near` carry to place `used` and on."""
+    """Copy what the first `n` of `near` carry, of `values` (candidates,), to place `used` and on of `to`."""
     for k in range(n):
         to[used + np.uint64(k)] = values[near[k]]

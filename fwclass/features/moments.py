@@ -77,7 +77,7 @@ def add_places(x, y, z, moments):  # type: ignore[no-untyped-def]
 
 @vectorised
 def add_heights(z, moments):  # type: ignore[no-untyped-def]
-    """Add N, Z and ZZ alone (a cylinder has no covariance)."""
+    """Add N, Z and ZZ of `z` [mm] alone to `moments` (MOMENTS,): a cylinder has no covariance."""
     sz = zz = 0.0
     for k in range(len(z)):
         dz = np.float64(z[k])
@@ -90,7 +90,7 @@ def add_heights(z, moments):  # type: ignore[no-untyped-def]
 
 @vectorised
 def add_powers(z, moments):  # type: ignore[no-untyped-def]
-    """Add ZZZ and ZZZZ."""
+    """Add ZZZ [mm³] and ZZZZ [mm⁴] of `z` [mm] to `moments` (MOMENTS,)."""
     third = fourth = 0.0
     for k in range(len(z)):
         dz = np.float64(z[k])
@@ -103,7 +103,7 @@ def add_powers(z, moments):  # type: ignore[no-untyped-def]
 
 @vectorised
 def widen_range(z, moments):  # type: ignore[no-untyped-def]
-    """Let LOW and HIGH hold `z` too; whole numbers, as a minimum of floats is no vector code."""
+    """Let LOW and HIGH [mm] hold `z` too; whole numbers, as a minimum of floats is no vector code."""
     low, high = np.int32(moments[LOW]), np.int32(moments[HIGH])
     for k in range(len(z)):
         dz = np.int32(z[k])
@@ -115,7 +115,7 @@ def widen_range(z, moments):  # type: ignore[no-untyped-def]
 
 @kernel
 def wide_heights(z, moments):  # type: ignore[no-untyped-def]
-    """Set ZZ, ZZZ and ZZZZ of all of `z` where they may pass `EXACT`; LOW, HIGH and N stand already."""
+    """Set ZZ, ZZZ and ZZZZ of all of `z` [mm] where they may pass `EXACT`; LOW, HIGH and N of `moments` stand."""
     size = max(-moments[LOW], moments[HIGH])
     count = float(len(z))
     two, three, four = _unit(count * size * size), _unit(count * size**3), _unit(count * (size * size) * (size * size))
@@ -137,7 +137,7 @@ def _unit(most):  # type: ignore[no-untyped-def]
 
 @kernel
 def add_kinds(kinds, at, moments):  # type: ignore[no-untyped-def]
-    """Add SINGLE, FIRST and INTERMEDIATE of the echoes `at` (rows of `kinds`, see `packed_kinds`)."""
+    """Add SINGLE, FIRST and INTERMEDIATE [counts] of the echoes `at` (rows of `kinds`, see `packed_kinds`)."""
     packed = np.int64(0)
     for k in range(len(at)):
         packed += kinds[at[k]]
@@ -147,7 +147,7 @@ def add_kinds(kinds, at, moments):  # type: ignore[no-untyped-def]
 
 
 def packed_kinds(number: ArrayLike, of: ArrayLike) -> NDArray[np.int64]:
-    """int64 of every echo with 1 in the 21-bit field of its kind: single, first, intermediate; 0 is a last echo."""
+    """int64 (echoes,) with 1 in the 21-bit field of the echo's kind: single, first, intermediate; 0 is a last echo."""
     place, echoes = np.asarray(number, np.int64), np.asarray(of, np.int64)
     several = echoes > 1
     first, last = several & (place <= 1), several & (place >= echoes) & (place > 1)
@@ -156,7 +156,7 @@ def packed_kinds(number: ArrayLike, of: ArrayLike) -> NDArray[np.int64]:
 
 
 def steps(values: ArrayLike, step: float) -> NDArray[np.float64]:
-    """`values` as whole numbers of `step` in float64; NaN and infinity are NaN, no value."""
+    """`values` (any shape) as whole numbers of `step` in float64; NaN and infinity are NaN, no value."""
     whole = np.rint(np.asarray(values, np.float64) / step)
     whole[~np.isfinite(whole)] = np.nan
     return whole
@@ -164,7 +164,8 @@ def steps(values: ArrayLike, step: float) -> NDArray[np.float64]:
 
 @kernel
 def add_values(values, at, moments, row):  # type: ignore[no-untyped-def]
-    """Add count, sum and sum of squares of `values` (see `steps`) of the echoes `at` to rows `row`, +1, +2."""
+    """Add count, sum and sum of squares of `values` (see `steps`, NaN is none) of echoes `at` to `moments[row:row +
+    3]`."""
     count = total = squares = 0.0
     for k in range(len(at)):
         value = values[at[k]]
@@ -180,7 +181,7 @@ def add_values(values, at, moments, row):  # type: ignore[no-untyped-def]
 
 @kernel
 def wide_squares(values, moments, row):  # type: ignore[no-untyped-def]
-    """Set sum and sum of squares of all of `values` where they may pass `EXACT`."""
+    """Set sum and sum of squares of all of `values` (n,) where they may pass `EXACT`; NaN is no value."""
     size = 0.0
     for k in range(len(values)):
         value = abs(values[k])

@@ -183,6 +183,7 @@ class Asked:
 
     @property
     def bases(self) -> frozenset[str]:
+        """Names of the measures asked for, without their neighbourhoods."""
         return frozenset((*self.plain, *(b for _, bases in self.scales for b in bases)))
 
     @property

@@ -34,14 +34,14 @@ def pulse_variances(chunk: Chunk, names: tuple[str, ...], params: FeaturesParams
     limit = whole_millimetres(params.pulse_reach, "features.pulse_reach")
     x, y = (millimetres(chunk.table[axis]) for axis in "xy")
     number = chunk.table["echo_number"].astype(np.int64)
-    made = {}
+    variances = {}
     for name in names:
         values = chunk.table[MEASURED[name]].astype(np.float64)
         out = np.empty(chunk.table.rows, np.float32)
         out[order] = _variances(x[order], y[order], values[order], first, limit)
         out[lone] = _joined(x[lone], y[lone], number[lone], values[lone], firsts, limit)
-        made[name] = out[chunk.core]
-    return made
+        variances[name] = out[chunk.core]
+    return variances
 
 
 def _pulses(table: Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

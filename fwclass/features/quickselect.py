@@ -7,7 +7,8 @@ from fwclass.kernel import kernel
 
 @kernel
 def lowest_first(values, n, k):  # type: ignore[no-untyped-def]
-    """Reorder the first `n` of `values` so that the `k` lowest stand in front, the greatest of them at ``k - 1``."""
+    """Reorder the first `n` of `values` (room,) so that the `k` lowest stand in front, the greatest of them at ``k -
+    1``; no NaN."""
     low, high = 0, n - 1
     while low < high:
         a, b, c = values[low], values[(low + high) >> 1], values[high]

@@ -51,7 +51,11 @@ class Columns:
     def build(
         cls, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], k: int, reach: float
     ) -> Columns:
-        """Columns that hold about as many points as are looked for; their size changes no result."""
+        """Columns of points (points,) [m] that hold about `k` of them, at most `reach` [m] wide; their size changes no
+        result.
+
+        `InputError` for more points than a row number can tell apart.
+        """
         if len(x) >= 1 << ROWS:
             raise InputError("too many points in one part", expected=f"fewer than {1 << ROWS:,}", got=f"{len(x):,}")
         index = CellIndex.build(x, y, z, cell=_edge(x, y, k, reach))

@@ -13,7 +13,8 @@ from fwclass.kernel import kernel
 
 @kernel
 def settle(task, block, filled, out, chosen):  # type: ignore[no-untyped-def]
-    """Write the measures of the first `filled` echoes of the block to `out`; see `walk.Task` and `walk.Block`."""
+    """Write the measures of the first `filled` echoes of the block to `out` (measures, echoes); see `walk.Task` and
+    `walk.Block`."""
     if filled == 0:
         return
     for q in range(len(task.radii)):
@@ -35,7 +36,8 @@ def settle(task, block, filled, out, chosen):  # type: ignore[no-untyped-def]
 
 @kernel
 def choose(task, block, filled, chosen):  # type: ignore[no-untyped-def]
-    """Bring every echo's radius of lowest eigenentropy, the smaller on a tie, to place 0; NaN where none counts."""
+    """Bring every echo's radius of lowest eigenentropy, the smaller on a tie, to place 0; NaN in `chosen` (echoes,)
+    where none counts."""
     for p in range(filled):
         best, lowest = -1, np.inf
         for q in range(len(task.radii)):

@@ -36,17 +36,17 @@ POOL = 1 << 14
 
 def spheres(chunk: Chunk, asked: Mapping[Scale, Sequence[str]], params: FeaturesParams) -> Columns:
     """Features `asked` (bases by scale, kinds r, c and o) and the normals of the core rows, by name."""
-    made: Columns = {}
+    columns: Columns = {}
     normals = Scale("r", round(params.normal_radius * 100))
     plain = {scale: tuple(bases) for scale, bases in asked.items() if scale.kind in "rc"}
     plain[normals] = tuple(dict.fromkeys((*plain.get(normals, ()), LINEAR, *NORMAL)))
     for kind in "rc":
         for scales in size_classes({scale: bases for scale, bases in plain.items() if scale.kind == kind}):
-            made |= _walk(chunk, {scale: plain[scale] for scale in scales})
+            columns |= _walk(chunk, {scale: plain[scale] for scale in scales})
     for scale, bases in asked.items():
         if scale.kind == "o":
-            made |= optimal(chunk, bases, False, params)
-    return made
+            columns |= optimal(chunk, bases, False, params)
+    return columns
 
 
 def optimal(chunk: Chunk, bases: Sequence[str], wants_radius: bool, params: FeaturesParams) -> Columns:
@@ -60,8 +60,8 @@ def optimal(chunk: Chunk, bases: Sequence[str], wants_radius: bool, params: Feat
     radii = [round(radius * 1000) for radius in params.optimal_radii]
     names = [f"{base}_opt" for base in bases]
     out, chosen = _run(chunk, radii, "r", [(0, base) for base in bases], optimal=True)
-    made = dict(zip(names, out, strict=True))
-    return {**made, "optimal_radius": chosen} if wants_radius else made
+    values = dict(zip(names, out, strict=True))
+    return {**values, "optimal_radius": chosen} if wants_radius else values
 
 
 def size_classes(asked: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:

@@ -43,32 +43,32 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     asked = Asked.of(names)
     require(chunk.table, asked.reads, chunk.tile.key)
     thin = thinned(chunk, params)
-    made = _of_neighbours(thin.chunk if thin else chunk, asked, params)
+    columns = _of_neighbours(thin.chunk if thin else chunk, asked, params)
     if thin:
-        made = {name: values[thin.source] for name, values in made.items()}
+        columns = {name: values[thin.source] for name, values in columns.items()}
     for scale, bases in asked.of_kind("g").items():
-        made |= named(cells(chunk, scale, bases), scale)
+        columns |= named(cells(chunk, scale, bases), scale)
     if variances := tuple(n for n in asked.plain if n in MEASURED):
-        made |= pulse_variances(chunk, variances, params)
+        columns |= pulse_variances(chunk, variances, params)
     if "zc" in asked.plain:
-        made["zc"] = height_in_cell(chunk, params)
-    line = made[f"{LINEAR}_r{round(params.normal_radius * 100)}"] > COLLINEAR
-    made |= {name: np.where(line, np.float32(np.nan), made[name]) for name in NORMAL}
-    return Table({name: made[name] for name in (*asked.names, *NORMAL)})
+        columns["zc"] = height_in_cell(chunk, params)
+    line = columns[f"{LINEAR}_r{round(params.normal_radius * 100)}"] > COLLINEAR
+    columns |= {name: np.where(line, np.float32(np.nan), columns[name]) for name in NORMAL}
+    return Table({name: columns[name] for name in (*asked.names, *NORMAL)})
 
 
 def _of_neighbours(chunk: Chunk, asked: Asked, params: FeaturesParams) -> dict[str, NDArray]:
     """What is asked of spheres, cylinders and nearest echoes, of the core rows."""
-    made: dict[str, NDArray] = dict(spheres(chunk, without(asked.of_kind("rc"), ORIENTED), params))
+    columns: dict[str, NDArray] = dict(spheres(chunk, without(asked.of_kind("rc"), ORIENTED), params))
     for scale, bases in asked.of_kind("r").items():
         if ORIENTED in bases:
-            made[f"{ORIENTED}_{scale.suffix}"] = oriented_inclination(chunk, scale, params)
+            columns[f"{ORIENTED}_{scale.suffix}"] = oriented_inclination(chunk, scale, params)
     chosen, radius = [b for bases in asked.of_kind("o").values() for b in bases], "optimal_radius" in asked.plain
     if chosen or radius:
-        made |= optimal(chunk, chosen, radius, params)
+        columns |= optimal(chunk, chosen, radius, params)
     for scale, bases in asked.of_kind("k").items():
-        made |= named(nearest_echoes(chunk, scale, bases, params), scale)
-    return made
+        columns |= named(nearest_echoes(chunk, scale, bases, params), scale)
+    return columns
 
 
 def without(scales: Mapping[Scale, tuple[str, ...]], base: str) -> dict[Scale, tuple[str, ...]]:
@@ -78,7 +78,7 @@ def without(scales: Mapping[Scale, tuple[str, ...]], base: str) -> dict[Scale, t
 
 
 def named(made: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
-    """Values by base as values by name."""
+    """Values by base, (echoes,) each, as values by name."""
     return {f"{base}_{scale.suffix}": values for base, values in made.items()}
 
 

@@ -76,7 +76,7 @@ def sum_places(x, y, z, begin, ends, count, moments):  # type: ignore[no-untyped
 
 @vectorised
 def sum_heights(z, begin, ends, count, moments):  # type: ignore[no-untyped-def]
-    """As `sum_places`, of the heights alone."""
+    """As `sum_places`, of the heights `z` [mm] alone."""
     several = ends.shape[1] > 1
     for p in range(count):
         sz = zz = third = fourth = 0.0
@@ -104,7 +104,7 @@ def sum_heights(z, begin, ends, count, moments):  # type: ignore[no-untyped-def]
 
 @vectorised
 def sum_kinds(kinds, begin, ends, count, moments):  # type: ignore[no-untyped-def]
-    """SINGLE, FIRST and INTERMEDIATE of the neighbours' `kinds`, see `moments.packed_kinds`."""
+    """SINGLE, FIRST and INTERMEDIATE [counts] of the neighbours' `kinds`, see `moments.packed_kinds`."""
     for p in range(count):
         packed = np.int64(0)
         base = np.uint64(begin[p])
@@ -119,7 +119,7 @@ def sum_kinds(kinds, begin, ends, count, moments):  # type: ignore[no-untyped-de
 
 @inlined
 def unpack_kinds(packed, moments, p):  # type: ignore[no-untyped-def]
-    """The three fields of a sum of packed kinds to column `p`."""
+    """The three fields [counts] of a sum of packed kinds to column `p`."""
     moments[SINGLE, p] = packed & 0x1FFFFF
     moments[FIRST, p] = (packed >> 21) & 0x1FFFFF
     moments[INTERMEDIATE, p] = packed >> 42
@@ -127,7 +127,7 @@ def unpack_kinds(packed, moments, p):  # type: ignore[no-untyped-def]
 
 @vectorised
 def sum_values(values, begin, ends, count, moments, row):  # type: ignore[no-untyped-def]
-    """Count, sum and sum of squares of an attribute in steps (NaN is no value) to rows `row`, +1 and +2."""
+    """Count, sum and sum of squares of an attribute in steps (NaN is no value) to ``moments[:, row:row + 3]``."""
     for p in range(count):
         with_value = total = squares = 0.0
         base = np.uint64(begin[p])
@@ -149,7 +149,7 @@ def sum_values(values, begin, ends, count, moments, row):  # type: ignore[no-unt
 
 @kernel
 def sum_wide(z, begin, ends, count, powers, moments):  # type: ignore[no-untyped-def]
-    """ZZ, ZZZ and ZZZZ anew, in coarser steps, where they are too large to be exact."""
+    """ZZ [mm²], ZZZ and ZZZZ anew, in coarser steps, where they are too large to be exact."""
     for p in range(count):
         for q in range(ends.shape[1]):
             if moments[q, ZZ, p] >= EXACT or (powers and moments[q, ZZZZ, p] >= EXACT):
@@ -158,7 +158,7 @@ def sum_wide(z, begin, ends, count, powers, moments):  # type: ignore[no-untyped
 
 @kernel
 def rank_heights(z, begin, ends, count, values, tally, moments):  # type: ignore[no-untyped-def]
-    """PERCENTILE …; `values` and `tally` are scratch, see `percentiles`."""
+    """PERCENTILE … [mm] of the neighbours' heights; `values` and `tally` are scratch, see `percentiles`."""
     for p in range(count):
         for q in range(ends.shape[1]):
             low, high = np.int64(moments[q, LOW, p]), np.int64(moments[q, HIGH, p])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
+
 from fwclass.errors import InputError
 
 
@@ -32,3 +34,35 @@ def check_scales(path: Path, scales: tuple[float, ...], offsets: tuple[float, ..
             got=f"scales {scales}, offsets {offsets}",
             do="the header is damaged; export the file again",
         )
+
+
+_BLOCK = 1 << 24
+"""Bytes that are held at a time."""
+
+SECTOR = 512
+"""Bytes; of a hole of a page (4096) in a file, wherever it begins, at least seven whole ones are zeros."""
+
+
+def first_hole(path: Path, begin: int, end: int, least: int = 7) -> int | None:
+    """The byte where at least `least` sectors of nothing but zeros begin between `begin` and `end`, None without any.
+
+    Whoever sets a file's length before its content (downloads, `rsync --preallocate`, file systems after a power cut)
+    leaves such holes where a copy broke off.
+    """
+    run = 0
+    with path.open("rb") as stream:
+        stream.seek(begin)
+        for at in range(begin, end, _BLOCK):
+            sectors = np.frombuffer(stream.read(min(_BLOCK, end - at)), np.uint8)
+            whole = sectors[: len(sectors) // SECTOR * SECTOR].view(np.uint64).reshape(-1, SECTOR // 8)
+            empty = np.r_[False, ~whole.any(axis=1), False]
+            starts, ends = np.flatnonzero(np.diff(empty.view(np.int8))).reshape(-1, 2).T
+            lengths = ends - starts
+            if len(starts) and starts[0] == 0:
+                lengths[0] += run
+            long = np.flatnonzero(lengths >= least)
+            if len(long):
+                before = run if starts[long[0]] == 0 else 0
+                return int(at + SECTOR * (starts[long[0]] - before))
+            run = int(lengths[-1]) if len(ends) and ends[-1] == len(whole) else 0
+    return None

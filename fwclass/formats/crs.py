@@ -61,9 +61,9 @@ def _in_degrees(crs: CRS, faults: list[str]) -> CRS:
     if meridian is None or meridian.unit_name.lower() not in ("metre", "meter"):
         return crs
     faults.append("the CRS record counts angles in metres; they are taken for degrees")
-    told = crs.to_json_dict()
-    _replace_angles(told)
-    return CRS.from_json_dict(told)
+    plain = crs.to_json_dict()
+    _replace_angles(plain)
+    return CRS.from_json_dict(plain)
 
 
 def _replace_angles(node: Any) -> None:

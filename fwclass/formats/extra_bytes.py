@@ -232,11 +232,11 @@ def extended(head: LasHead, extras: Iterable[ExtraByte]) -> list[bytes]:
     if not added:
         return [r.raw for r in head.records]
     have = _record(head)
-    made = record(*EXTRA_BYTES, "Extra Bytes Record", _old(head) + added)
+    entry = record(*EXTRA_BYTES, "Extra Bytes Record", _old(head) + added)
     if have is None:
-        return [*(r.raw for r in head.records), made]
-    made = have.raw[:20] + made[20:22] + have.raw[22:VLR_HEADER] + made[VLR_HEADER:]
-    return [made if r is have else r.raw for r in head.records]
+        return [*(r.raw for r in head.records), entry]
+    entry = have.raw[:20] + entry[20:22] + have.raw[22:VLR_HEADER] + entry[VLR_HEADER:]
+    return [entry if r is have else r.raw for r in head.records]
 
 
 def extra_size(extras: Iterable[ExtraByte]) -> int:

@@ -13,6 +13,9 @@ from typing import Any, Protocol
 
 from fwclass.errors import InputError
 
+TAKEN_FOR_METRES = "no coordinate system is named: the numbers are taken for metres (--crs names one)"
+"""What a command says of a file whose units nobody tells."""
+
 DEGREES, GEOCENTRIC = "in degrees", "geocentric"
 
 _WORDS = {

@@ -19,11 +19,11 @@ _RECTANGLE = np.dtype([("order", "u1"), ("kind", "<u4"), ("rings", "<u4"), ("cor
 def rectangles(bounds: ArrayLike) -> NDArray:
     """Well-known binary (n,) of rectangles, whose `bounds` (n, 4) are xmin, ymin, xmax, ymax [m]."""
     low_x, low_y, high_x, high_y = np.asarray(bounds, np.float64).reshape(-1, 4).T
-    made = np.zeros(len(low_x), _RECTANGLE)
-    made["order"], made["kind"], made["rings"], made["corners"] = 1, 3, 1, 5
-    made["xy"][:, :, 0] = np.stack([low_x, high_x, high_x, low_x, low_x], axis=1)
-    made["xy"][:, :, 1] = np.stack([low_y, low_y, high_y, high_y, low_y], axis=1)
-    text, width = made.tobytes(), _RECTANGLE.itemsize
+    geometries = np.zeros(len(low_x), _RECTANGLE)
+    geometries["order"], geometries["kind"], geometries["rings"], geometries["corners"] = 1, 3, 1, 5
+    geometries["xy"][:, :, 0] = np.stack([low_x, high_x, high_x, low_x, low_x], axis=1)
+    geometries["xy"][:, :, 1] = np.stack([low_y, low_y, high_y, high_y, low_y], axis=1)
+    text, width = geometries.tobytes(), _RECTANGLE.itemsize
     return _objects([text[k : k + width] for k in range(0, len(text), width)])
 
 
@@ -42,9 +42,10 @@ def write_layer(
 ) -> None:
     """Add a layer to the GeoPackage at `path`, which is made where it is not there; `crs` as WKT, None for none."""
     values = [v if isinstance(v, np.ndarray) else _values(v) for v in fields.values()]
+    place = str(path.absolute())  # before the current directory changes
     with offline() as gdal:
         gdal.raw.write(
-            str(path.absolute()),
+            place,
             shapes,
             values,
             np.array(list(fields), object),

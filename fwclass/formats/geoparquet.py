@@ -107,11 +107,11 @@ def _root(path: Any) -> str:
 
 def _crs(path: Path, own: dict[str, Any]) -> CRS | None:
     """PROJJSON of the column; longitude and latitude where it says nothing, None where it says null."""
-    told = own.get("crs", WITHOUT_CRS)
-    if isinstance(told, str) and not _CODE.fullmatch(told):  # PROJ's own words could name files
+    stated = own.get("crs", WITHOUT_CRS)
+    if isinstance(stated, str) and not _CODE.fullmatch(stated):  # PROJ's own words could name files
         raise _foreign(path, "a coordinate system that is neither PROJJSON nor a code")
     try:
-        return CRS.from_user_input(told) if told is not None else None
+        return CRS.from_user_input(stated) if stated is not None else None
     except (CRSError, TypeError) as fault:
         raise _foreign(path, "a coordinate system that cannot be understood") from fault
 

@@ -167,13 +167,13 @@ def read_extended(file: BinaryIO, head: LasHead, start: int) -> Record:
 
 def extended_records(file: BinaryIO, head: LasHead) -> list[Record]:
     """Every extended record that the header lists, in order."""
-    found: list[Record] = []
+    records: list[Record] = []
     at = head.evlrs_start
     for _ in range(head.evlrs):
         record = read_extended(file, head, at)
-        found.append(record)
+        records.append(record)
         at = record.end
-    return found
+    return records
 
 
 def chunk_rows(wanted: int, point_size: int) -> int:

@@ -227,7 +227,7 @@ def _check_layout(
 
 
 def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tuple[Record, ...]:
-    found, at = [], start
+    records, at = [], start
     for i in range(count):
         stream.seek(at)
         head = stream.read(VLR_HEADER) if at + VLR_HEADER <= end else b""
@@ -240,22 +240,22 @@ def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tup
                 got=f"{i} whole ones",
                 do="the header is damaged; copy or export the file again",
             )
-        found.append(Record(text(user), number, at, length, stream.read(length), head))
+        records.append(Record(text(user), number, at, length, stream.read(length), head))
         at += VLR_HEADER + length
-    return tuple(found)
+    return tuple(records)
 
 
 def _evlrs(stream: BinaryIO, start: int, count: int, size: int, faults: list[str]) -> tuple[Record, ...]:
-    found: list[Record] = []
+    records: list[Record] = []
     at = start
     for i in range(count):
         record = evlr_at(stream, at, size)
         if record is None:
             faults.append(f"the header promises {count} extended records, {i} lie in the file")
             break
-        found.append(record)
+        records.append(record)
         at += EVLR_HEADER + record.length
-    return tuple(found)
+    return tuple(records)
 
 
 def evlr_at(stream: BinaryIO, at: int, size: int) -> Record | None:

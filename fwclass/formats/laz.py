@@ -12,6 +12,7 @@ from typing import BinaryIO, NoReturn
 import lazrs
 
 from fwclass.errors import InputError
+from fwclass.formats.checks import SECTOR, first_hole
 from fwclass.formats.las_header import RECORD_LENGTH, Header
 
 VARIABLE_CHUNKS = 0xFFFFFFFF
@@ -32,6 +33,9 @@ _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 
 _SOUND: set[tuple[str, int, int, int, int]] = set()
 """Files whose chunks this process has found sound, by path, inode, size and times: a run opens each for every part."""
+
+_WRITTEN: set[tuple[str, int, int, int, int]] = set()
+"""Files in which this process has looked for holes."""
 
 Item = tuple[int, int, int]
 """Type, size [bytes], version."""
@@ -61,8 +65,7 @@ def check_laz(header: Header) -> None:
         return
     if header.n_points > POINTS_PER_BYTE * header.size:
         _refuse(header, f"at most {POINTS_PER_BYTE} points a byte", f"{header.n_points} in {header.size} bytes")
-    facts = header.path.stat()
-    known = (str(header.path), facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns)
+    known = _looks(header)
     if known in _SOUND:
         return
     with header.path.open("rb") as stream:
@@ -71,9 +74,43 @@ def check_laz(header: Header) -> None:
         chunks = _chunk_table(header, stream, body, table_at)
         if struct.unpack_from("<H", body)[0] == LAYERED:
             _check_layers(header, stream, items, chunks)
-    if len(_SOUND) >= 1000:
-        _SOUND.clear()
-    _SOUND.add(known)
+    _remember(known, _SOUND)
+
+
+def _looks(header: Header) -> tuple[str, int, int, int, int]:
+    facts = header.path.stat()
+    return str(header.path), facts.st_ino, facts.st_size, facts.st_mtime_ns, facts.st_ctime_ns
+
+
+def _remember(known: tuple[str, int, int, int, int], files: set[tuple[str, int, int, int, int]]) -> None:
+    if len(files) >= 1000:
+        files.clear()
+    files.add(known)
+
+
+def check_written(header: Header) -> None:
+    """`InputError` for a LAZ file with a hole of zeros in its chunks, which decompresses to points that never were.
+
+    The points are read once for it in a process. Sound chunks hold some zeros in a row: a first point, which is stored
+    whole, the lengths of its layers, and codes of what never changes (837 bytes at most were measured). Point formats 0
+    to 5 code extra bytes among the points: where these never change, zeros prove nothing.
+    """
+    known = _looks(header)
+    extra = header.record_length - RECORD_LENGTH[header.point_format]
+    if known in _WRITTEN or (extra and header.point_format in _LEGACY):
+        return
+    with header.path.open("rb") as stream:
+        end, _ = _chunk_table_place(header, stream)
+    least = max(7, 5 * header.record_length // SECTOR + 2)
+    hole = first_hole(header.path, header.points_start + 8, end, least)
+    if hole is not None:
+        raise InputError(
+            "a part of the file was never written: its compressed points are nothing but zeros",
+            where=header.path,
+            got=f"at least {least * SECTOR} bytes of zeros from byte {hole}",
+            do="wait for the end of the upload, or copy the file again",
+        )
+    _remember(known, _WRITTEN)
 
 
 def _items(header: Header, body: bytes) -> list[Item]:
@@ -81,7 +118,7 @@ def _items(header: Header, body: bytes) -> list[Item]:
     compressor, coder = struct.unpack_from("<HH", body)
     (n_items,) = struct.unpack_from("<H", body, 32)
     items: list[Item] = [struct.unpack_from("<3H", body, at) for at in range(34, len(body) - 5, 6)][:n_items]
-    told = ", ".join(f"type {t} of {size} bytes, version {v}" for t, size, v in items[:8])
+    items_stated = ", ".join(f"type {t} of {size} bytes, version {v}" for t, size, v in items[:8])
     layered = header.point_format in _MODERN
     if compressor != (LAYERED if layered else CHUNKED) or coder != 0:
         wanted = f"compressor {LAYERED if layered else CHUNKED}, coder 0"
@@ -96,7 +133,9 @@ def _items(header: Header, body: bytes) -> list[Item]:
     sound = sound and set(rest) <= {_BYTES14 if layered else _BYTES} and sum(rest_sizes) == extra
     versions = {v for _, _, v in items}
     if not sound or not versions <= ({3, 4} if layered else {1, 2}):
-        _refuse(header, f"the items of point format {header.point_format} with {extra} extra bytes", told or "none")
+        _refuse(
+            header, f"the items of point format {header.point_format} with {extra} extra bytes", items_stated or "none"
+        )
     return items
 
 
@@ -145,11 +184,11 @@ def _chunk_table(header: Header, stream: BinaryIO, body: bytes, table_at: int) -
             f"chunks of {header.n_points} points in {room} bytes, none shorter than a point",
             f"a chunk table of {points} points in {length} bytes",
         )
-    found, at = [], header.points_start + 8
+    chunks, at = [], header.points_start + 8
     for count, bytes_ in table:
-        found.append((int(count), at, int(bytes_)))
+        chunks.append((int(count), at, int(bytes_)))
         at += bytes_
-    return found
+    return chunks
 
 
 def _check_layers(header: Header, stream: BinaryIO, items: list[Item], chunks: list[tuple[int, int, int]]) -> None:
@@ -158,8 +197,8 @@ def _check_layers(header: Header, stream: BinaryIO, items: list[Item], chunks: l
     head = header.record_length + 4 + 4 * layers
     for number, (_, at, length) in enumerate(chunks):
         stream.seek(at + header.record_length)
-        told = stream.read(head - header.record_length) if head <= length else b""
-        sizes = struct.unpack(f"<I{layers}I", told)[1:] if len(told) == head - header.record_length else ()
+        stated = stream.read(head - header.record_length) if head <= length else b""
+        sizes = struct.unpack(f"<I{layers}I", stated)[1:] if len(stated) == head - header.record_length else ()
         if not sizes or head + sum(sizes) != length:
             _refuse(
                 header,

@@ -65,10 +65,10 @@ def linear_units(crs: Any, header: Records | None, where: object) -> LinearUnits
     across = _unit(flat[0]) if flat else ("metre", 1.0)
     named = _vertical_key(header) if header is not None else None
     high = _unit(up[0]) if up else named or across
-    told = f"{crs.name}, in {across[0]}" if across == high else f"{crs.name}, x and y in {across[0]}, z in {high[0]}"
+    name = f"{crs.name}, in {across[0]}" if across == high else f"{crs.name}, x and y in {across[0]}, z in {high[0]}"
     if not up and named is None and across[1] != 1.0:
-        told += " (no vertical unit is named: z taken to be in the same)"
-    return LinearUnits(across[1], high[1], told)
+        name += " (no vertical unit is named: z taken to be in the same)"
+    return LinearUnits(across[1], high[1], name)
 
 
 def _unit(axis: Any) -> tuple[str, float]:
@@ -79,9 +79,9 @@ def _unit(axis: Any) -> tuple[str, float]:
 def _vertical_key(header: Records) -> tuple[str, float] | None:
     """The unit of heights that the GeoTIFF keys name."""
     for record in header.records(_KEYS, _USERS):
-        found = _short_key(record, _VERTICAL_UNITS)
-        if found in _EPSG_UNITS:
-            return _EPSG_UNITS[found]
+        key = _short_key(record, _VERTICAL_UNITS)
+        if key in _EPSG_UNITS:
+            return _EPSG_UNITS[key]
     return None
 
 

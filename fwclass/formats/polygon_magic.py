@@ -9,7 +9,7 @@ import sqlite3
 from functools import partial
 from pathlib import Path
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, visible
 from fwclass.paths import open_regular, strange_kind
 
 SQLITE = b"SQLite format 3\0"
@@ -125,18 +125,43 @@ def _check_system(path: Path) -> None:
 
 
 def _check_tables(path: Path) -> None:
-    """`InputError` for tables that read other files: virtual ones, but for the indices of the format itself."""
+    """`InputError` for tables that read other files (virtual ones, but for the indices of the format itself), and for
+    layers that are computed while they are read, for as long as their maker likes: views and generated columns."""
     beside = "" if Path(f"{path}-wal").exists() else "&immutable=1"
     try:
         opened = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro{beside}", uri=True)
         opened.text_factory = partial(str, encoding="utf-8", errors="replace")
         try:
-            made = opened.execute("SELECT sql FROM sqlite_master WHERE sql LIKE '%virtual%'").fetchall()
+            fault = _virtual(opened) or _computed(opened)
         finally:
             opened.close()
-    except (sqlite3.Error, UnicodeDecodeError) as fault:  # SQLite quotes damaged names in its messages
-        raise _other(path, f"a GeoPackage that cannot be read: {fault}", "export the polygons again") from fault
-    for (text,) in made:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # SQLite quotes damaged names in its messages
+        raise _other(path, f"a GeoPackage that cannot be read: {error}", "export the polygons again") from error
+    if fault:
+        raise _other(path, fault, "export the polygons alone, as a table (ogr2ogr does)")
+
+
+def _virtual(opened: sqlite3.Connection) -> str:
+    """The fault of a virtual table, "" without one."""
+    for (text,) in opened.execute("SELECT sql FROM sqlite_master WHERE sql LIKE '%virtual%'"):
         kind = re.search(r"create\s+virtual\s+table.*?\busing\s+[\"'`\[]?(\w+)", str(text), re.IGNORECASE | re.DOTALL)
         if kind and kind[1].lower() not in ("rtree", "fts3", "fts4", "fts5"):
-            raise _other(path, f"a table that reads other files ({kind[1]})", "export the polygons alone")
+            return f"a table that reads other files ({kind[1]})"
+    return ""
+
+
+def _computed(opened: sqlite3.Connection) -> str:
+    """The fault of a layer, or a table of the format, that is a view or has generated columns; "" without one."""
+    views = {str(name).lower() for (name,) in opened.execute("SELECT name FROM sqlite_master WHERE type = 'view'")}
+    own = next((name for name in sorted(views) if name.startswith("gpkg_")), None)
+    layers = set[str]()
+    if own is None and opened.execute("SELECT 1 FROM sqlite_master WHERE lower(name) = 'gpkg_contents'").fetchone():
+        layers = {str(name) for (name,) in opened.execute("SELECT table_name FROM gpkg_contents")}
+        own = next((name for name in sorted(layers) if name.lower() in views), None)
+    if own is not None:
+        return f"a view, {visible(own)}, which is computed when it is read"
+    for name in sorted(layers | {"gpkg_contents", "gpkg_geometry_columns", "gpkg_spatial_ref_sys"}):
+        quoted = '"' + name.replace('"', '""') + '"'
+        if any(row[6] in (2, 3) for row in opened.execute(f"PRAGMA table_xinfo({quoted})")):
+            return f"generated columns in {visible(name)}, which are computed when it is read"
+    return ""

@@ -25,8 +25,8 @@ Header = dict[str, Any]
 def layers(path: Path) -> list[str]:
     """Names of the layers that hold geometries; `InputError` for a file that cannot be read or is cut short."""
     check_format(path)
-    found = _asked(path, lambda gdal, place: gdal.list_layers(place))
-    return [str(name) for name, kind in found if kind is not None]
+    names = _asked(path, lambda gdal, place: gdal.list_layers(place))
+    return [str(name) for name, kind in names if kind is not None]
 
 
 def _asked(path: Path, question: Callable[[Any, Path], Any]) -> Any:
@@ -87,8 +87,8 @@ def rows(path: Path, layer: str, field: str | None) -> tuple[list[Any], list[byt
 
 def column(path: Path, layer: str, field: str) -> list[Any]:
     """Values of one field, in the file's order."""
-    found = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=[field], read_geometry=False))
-    return list(found[3][0].tolist())
+    values = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=[field], read_geometry=False))
+    return list(values[3][0].tolist())
 
 
 def files_of(path: Path) -> list[Path]:

@@ -118,19 +118,19 @@ def parse(data: bytes) -> list[list[Ring]]:
     cursor = _Cursor(data)
     order, kind, dimensions = _head(cursor)
     if kind == POLYGON:
-        found = [_rings(cursor, order, dimensions)]
+        polygons = [_rings(cursor, order, dimensions)]
     elif kind == MULTIPOLYGON:
-        found = []
+        polygons = []
         for _ in range(cursor.count(order, 9, "polygons")):
             own_order, own_kind, own_dimensions = _head(cursor)
             if own_kind != POLYGON:
                 raise WkbError(f"a {NAMES.get(own_kind, own_kind)} inside a MultiPolygon")
-            found.append(_rings(cursor, own_order, own_dimensions))
+            polygons.append(_rings(cursor, own_order, own_dimensions))
     else:
         raise WkbError(f"a geometry of kind {NAMES.get(kind, kind)}")
     if cursor.left:
         raise WkbError(f"{cursor.left} bytes too many")
-    return [rings for rings in found if rings]
+    return [rings for rings in polygons if rings]
 
 
 def _head(cursor: _Cursor) -> tuple[str, int, int]:

@@ -100,14 +100,14 @@ def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
     core = Window.covering(here.tile.box, params.cell)
     around = around_block(here)
     t = around.table
-    made = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], around.own, core, params)
-    write_rasters(here.directory, {"dtm": made.dtm, "dsm": made.dsm, "support": made.support}, core)
-    heights = Table({"height_above_ground": made.height})
+    rasters = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], around.own, core, params)
+    write_rasters(here.directory, {"dtm": rasters.dtm, "dsm": rasters.dsm, "support": rasters.support}, core)
+    heights = Table({"height_above_ground": rasters.height})
     return heights, {
         **around.facts(heights),
-        "measured": int((made.support == 0).sum()),
-        "beyond": int((made.support == 2).sum()),
-        "without_terrain": int(np.isnan(made.height).sum()),
+        "measured": int((rasters.support == 0).sum()),
+        "beyond": int((rasters.support == 2).sum()),
+        "without_terrain": int(np.isnan(rasters.height).sum()),
     }
 
 

@@ -172,9 +172,9 @@ def _channel_words(channel: Mapping[str, Any]) -> str:
 
 def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
     """How the echoes of strips were placed, where that is not as the file has it: of ``name`` and ``places``."""
-    told = [(s, c) for s in strips for c in (s["places"] or {}).get("vendor_offset", ())]
+    offsets = [(s, c) for s in strips for c in (s["places"] or {}).get("vendor_offset", ())]
     lines = []
-    some = [(s, c) for s, c in told if max(map(abs, c["offsets"])) >= OFFSET]
+    some = [(s, c) for s, c in offsets if max(map(abs, c["offsets"])) >= OFFSET]
     if some:
         worst = max((c for _, c in some), key=lambda c: abs(c["constant"]))
         low, high, metres = worst["offsets"][0], worst["offsets"][-1], abs(worst["constant"]) * METRES_PER_NS
@@ -185,7 +185,7 @@ def place_remarks(strips: Sequence[Mapping[str, Any]]) -> list[str]:
             f"fitted times lie {worst['constant']:+.2f} ns ({metres:.2f} m) from the vendor's locations{walk}; this is "
             f"taken off (decompose.vendor_offset; {_names(_once(s for s, _ in some))})"
         )
-    some = [(s, c) for s, c in told if c["phase"]]
+    some = [(s, c) for s, c in offsets if c["phase"]]
     if some:
         lines.append(
             "the vendor's locations lack the phase of the digitiser's clock, half a sample: every pulse is placed by "

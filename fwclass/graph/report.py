@@ -23,7 +23,7 @@ from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import reported
 from fwclass.run.runner import Runner, Tally
 from fwclass.store.atomic import read_json, write_json
-from fwclass.store.generations import link
+from fwclass.store.directory import link
 from fwclass.store.url import Url
 
 REPORT, PAGE = "report.json", "report.html"
@@ -118,14 +118,18 @@ def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:
     report, page = (runner.store.generations.shown(name) for name in (REPORT, PAGE))
     if report is None or page is None:
         return None
-    found = read_json(report)
-    if found.get("config") != _plain(config.raw) or found.get("failed") or found.get("outputs") != _outputs(runner):
+    standing = read_json(report)
+    if (
+        standing.get("config") != _plain(config.raw)
+        or standing.get("failed")
+        or standing.get("outputs") != _outputs(runner)
+    ):
         return None
-    if runner.accept_libraries and (found.get("libraries") or {}).get("accepted") != reported(runner)["accepted"]:
+    if runner.accept_libraries and (standing.get("libraries") or {}).get("accepted") != reported(runner)["accepted"]:
         return None
     for path in (report, page):
         link(path, runner.pending / path.name)
-    return dict(found)
+    return dict(standing)
 
 
 def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
@@ -186,10 +190,10 @@ def _accuracy(runner: Runner, config: Config) -> dict[str, Any] | None:
         return None
     gap = config.areas.gap
     area = "the listed test areas" if config.areas.test else "all echoes"
-    found = dict(receipt.meta["accuracy"])
-    if found.get("intervals"):
-        found["intervals"] = {**found["intervals"], "caution": caution(found["intervals"]["blocks"])}
-    return {**found, "area": f"{area} further than {gap:g} m from every training area"}
+    accuracy = dict(receipt.meta["accuracy"])
+    if accuracy.get("intervals"):
+        accuracy["intervals"] = {**accuracy["intervals"], "caution": caution(accuracy["intervals"]["blocks"])}
+    return {**accuracy, "area": f"{area} further than {gap:g} m from every training area"}
 
 
 def _of_accuracy(
@@ -199,9 +203,9 @@ def _of_accuracy(
     if accuracy is None or counted is None:
         return []
     nearest = counted["gap"]["found"]
-    told = accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest)
-    accuracy["remarks"] = told
-    return told
+    sentences = accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest)
+    accuracy["remarks"] = sentences
+    return sentences
 
 
 def _training(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | None:
@@ -225,22 +229,22 @@ def _distribution(runner: Runner) -> dict[str, Any] | None:
     receipt = next(iter(made_in_run(runner, "assess")), None)
     if receipt is None:
         return None
-    found = receipt.meta["distribution"]
-    labels = [f"p{round(100 * s)}" for s in found["shares"]]
+    distribution = receipt.meta["distribution"]
+    labels = [f"p{round(100 * s)}" for s in distribution["shares"]]
     return {
         feature: {
             name: {**dict(zip(labels, row["quantiles"], strict=True)), "n": row["rows"] - row["without_value"]}
             for name, row in by_class.items()
         }
-        for feature, by_class in found["features"].items()
+        for feature, by_class in distribution["features"].items()
     }
 
 
 def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
     """The system's pulse of every strip with waveforms, and how radiometry was calibrated."""
     pulses = {r.part: r.meta for r in made_in_run(runner, "pulse") if r.meta["sampled"]}
-    made: dict[str, Any] | None = next((r.meta["calibration"] for r in made_in_run(runner, "calibrate")), None)
-    balanced = {s["strip"]: s["gain"] for s in (made or {}).get("strips", ()) if s["error"] is not None}
+    calibration: dict[str, Any] | None = next((r.meta["calibration"] for r in made_in_run(runner, "calibrate")), None)
+    balanced = {s["strip"]: s["gain"] for s in (calibration or {}).get("strips", ()) if s["error"] is not None}
     strips = [
         {"name": s.path.stem, **pulses[f"{s.number:05d}"], "gain": balanced.get(s.number)}
         for s in survey.strips
@@ -252,7 +256,7 @@ def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
     angles = [m["pointing_error"] for m in metas if m["pointing_error"] is not None]
     return {
         "strips": strips,
-        "calibration": made,
+        "calibration": calibration,
         "without_range": sum(m["without_range"] for m in metas),
         "pointing_error": max(angles, default=None),
     }
@@ -339,14 +343,14 @@ def _plain(value: Any) -> Any:
 def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     """The last words of a run, for the terminal; what it delivered lies below `root`."""
     counts = report["counts"]
-    made, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
-    balance = "all of them in tiles" if made == kept else f"{kept:,} of them in the tiles of this run"
+    decomposed, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
+    balance = "all of them in tiles" if decomposed == kept else f"{kept:,} of them in the tiles of this run"
     lost = sorted({f["part"] for f in report["failed"] if f["stage"] in SOURCES})
     if lost:
         more = f" and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
         balance += f", without those of chunks that failed: {', '.join(lost[:SHOWN])}{more}"
     source = f"{counts['pulses']:,} pulses" if counts["pulses"] else f"{counts['returns']:,} returns"
-    rows = [f"echoes      {made:,} from {source}, {balance} ({counts['tiles']} tiles)"]
+    rows = [f"echoes      {decomposed:,} from {source}, {balance} ({counts['tiles']} tiles)"]
     if counts["returns_without_packet"]:
         rows.append(
             f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"

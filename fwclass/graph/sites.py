@@ -61,11 +61,11 @@ def sites(layout: Layout) -> tuple[Site, ...]:
     for tile in layout.tiles:
         near = [b.key for b in TileGrid(edge).touching(tile.box) if b.key in layout.occupied[edge]]
         tiles[site_of[near[0]]].append(tile)
-    made = []
+    groups_of_tiles = []
     for mine, part in zip(tiles, parts, strict=True):
         box = joint_box(t.box for t in mine).common(layout.box) or layout.box
-        made.append(Site(mine[0].key, box, tuple(b for b in part if b.box.touches(box)), tuple(mine)))
-    return tuple(made)
+        groups_of_tiles.append(Site(mine[0].key, box, tuple(b for b in part if b.box.touches(box)), tuple(mine)))
+    return tuple(groups_of_tiles)
 
 
 def describe_sites(several: Sequence[Site], strips: Sequence[Strip], in_strip: Mapping[int, tuple[str, ...]]) -> str:

@@ -82,10 +82,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) ->
 
 def _of_strips(plan: Plan) -> Tasks:
     """Strip by strip, so that what was read last is decomposed next."""
-    tasks = Tasks()
-    for strip in plan.survey.strips:
-        tasks += tasks_of(_strip_alone(plan, strip), OF_STRIPS)
-    return tasks
+    return Tasks.joined(tasks_of(_strip_alone(plan, strip), OF_STRIPS) for strip in plan.survey.strips)
 
 
 def _strip_alone(plan: Plan, strip: Strip) -> Plan:
@@ -94,10 +91,7 @@ def _strip_alone(plan: Plan, strip: Strip) -> Plan:
 
 def tasks_of(plan: Plan, stages: Iterable[Stage]) -> Tasks:
     """The tasks of `stages`, one stage after the other."""
-    tasks = Tasks()
-    for stage in stages:
-        tasks += stage.tasks(plan)
-    return tasks
+    return Tasks.joined(stage.tasks(plan) for stage in stages)
 
 
 def until_labels(plan: Plan) -> Tasks:

@@ -56,19 +56,22 @@ def adapted(
     if not tried:
         return sized, measured
     rows = np.flatnonzero(last) if base.last_returns and last.any() else np.arange(len(last))
-    told = sum(_agreement(part, tried, rules) for part in _sample(_thinned(points, rows, rules), rules))
-    kappas = [_kappa(matrix) for matrix in np.asarray(told).reshape(len(tried), 2, 2)]
+    agreement = sum(_agreement(part, tried, rules) for part in _sample(_thinned(points, rows, rules), rules))
+    kappas = [_kappa(matrix) for matrix in np.asarray(agreement).reshape(len(tried), 2, 2)]
     return tried[int(np.argmax(kappas))], measured
 
 
 def building_size(measured: Measured, base: GroundParams, rules: GroundAutoParams) -> float:
     """Edge of the largest building [m]: that of `base`, or more where a wider one was found."""
-    found = math.ceil(rules.building_margin * measured.building)
-    return float(max(base.max_building_size, min(found, rules.building_most)))
+    size = math.ceil(rules.building_margin * measured.building)
+    return float(max(base.max_building_size, min(size, rules.building_most)))
 
 
 def changed(params: GroundParams, update: dict[str, float]) -> GroundParams:
-    """`params` with other values in the section of its method."""
+    """`params` with other values, [name in its section: number in that setting's unit], for its method.
+
+    pydantic's `ValidationError` for a value that cannot be.
+    """
     section = section_of(params.method)
     own = getattr(params, section)
     values: dict[str, Any] = own.model_dump()

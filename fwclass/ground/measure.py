@@ -249,13 +249,13 @@ def _radii(largest: int) -> list[int]:
 
 def _standing(surface: NDArray[np.float64], cell: float, slope: float, window: float) -> NDArray[np.bool_]:
     """Cells that openings up to `window` [m] lower by more than `slope` allows."""
-    found = np.zeros(surface.shape, bool)
+    standing = np.zeros(surface.shape, bool)
     last = surface
     for radius in _radii(max(1, math.ceil(window / cell))):
         this = opened(last, radius)
-        found |= last - this > slope * cell * radius
+        standing |= last - this > slope * cell * radius
         last = this
-    return found
+    return standing
 
 
 def _slope(surface: NDArray[np.float64], cell: float) -> NDArray[np.float64]:

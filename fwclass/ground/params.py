@@ -393,7 +393,7 @@ class GroundParams(Params):
         return self
 
     def of(self, method: Method) -> FilterParams:
-        """The sized parameters of one filter."""
+        """The sized parameters of one filter; lengths [m] that follow from the largest building are set."""
         own: FilterParams = getattr(self, section_of(method))
         return own.sized(self.max_building_size)
 

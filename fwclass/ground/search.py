@@ -31,21 +31,21 @@ def most_runs(ranges: Mapping[str, Values], params: GroundSearchParams) -> int:
 def search(
     ranges: Mapping[str, Values], start: Setting, value: Callable[[Setting], float], params: GroundSearchParams
 ) -> Found:
-    """The setting of greatest `value` that is found from `start`.
+    """The setting, a number for each of `ranges` (ranges,), of greatest `value` that is found from `start`.
 
-    `start` need not lie on the ranges: what it has stays as long as nothing better is found. Of equal values the
-    one tried first wins, and `start` is the very first. `value` may be asked for the same setting again.
+    `start` need not lie on the ranges: what it has stays as long as nothing better is found. Of equal values the one
+    tried first wins, and `start` is the very first. `value` may be asked for the same setting again.
     """
     best, most = start, value(start)
     for point in _grid(ranges, start, params):
-        if (told := value(point)) > most:
-            best, most = point, told
+        if (reached := value(point)) > most:
+            best, most = point, reached
     for _ in range(params.rounds):
         before = best
         for k, values in enumerate(ranges.values()):
             for point in [(*best[:k], v, *best[k + 1 :]) for v in values]:
-                if (told := value(point)) > most:
-                    best, most = point, told
+                if (reached := value(point)) > most:
+                    best, most = point, reached
         if best == before:
             break
     return Found(best, most)
@@ -55,11 +55,11 @@ def curves(
     ranges: Mapping[str, Values], best: Setting, value: Callable[[Setting], float]
 ) -> dict[str, list[tuple[float, float]]]:
     """Per parameter (value, told) over its range and its own best value, all others as in `best`."""
-    made = {}
+    values_by_name = {}
     for k, (name, values) in enumerate(ranges.items()):
         line = sorted({*values, best[k]})
-        made[name] = [(v, value((*best[:k], v, *best[k + 1 :]))) for v in line]
-    return made
+        values_by_name[name] = [(v, value((*best[:k], v, *best[k + 1 :]))) for v in line]
+    return values_by_name
 
 
 def _grid(ranges: Mapping[str, Values], start: Setting, params: GroundSearchParams) -> list[Setting]:

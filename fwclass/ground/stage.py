@@ -33,7 +33,7 @@ def filtered(table: Table, params: GroundParams) -> Flags:
 
 
 def last_of(table: Table) -> NDArray[np.bool_]:
-    """The echo is the last, or only, one of its pulse."""
+    """bool (rows,): the echo is the last, or only, one of its pulse."""
     return np.asarray(table["echo_number"] >= table["number_of_echoes"])
 
 

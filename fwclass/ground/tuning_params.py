@@ -58,7 +58,8 @@ class GroundAutoParams(Params):
         return self
 
     def updates(self, method: Method) -> list[dict[str, float]]:
-        """Every combination of the groups of a filter, the first values first; none where it has no candidates."""
+        """Every combination of the groups of a filter, by name and in the settings' units [m], the first values first;
+        none where it has no candidates."""
         groups = self.candidates.get(method, ())
         steps = [[dict(zip(g, v, strict=True)) for v in zip(*g.values(), strict=True)] for g in groups]
         return [{k: v for part in some for k, v in part.items()} for some in itertools.product(*steps)] if steps else []

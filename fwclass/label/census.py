@@ -65,6 +65,7 @@ def taken(table: Table, chosen: NDArray[np.bool_], train: Sequence[Box], classes
 
 
 def by_class(index: NDArray[np.int16], n: int) -> list[int]:
+    """Rows [count] of each of `n` classes; `index` int16 (rows,), negative for none."""
     return [int(v) for v in np.bincount(index[index >= 0], minlength=n)]
 
 
@@ -84,37 +85,37 @@ def nearest_box(x: NDArray[np.float64], y: NDArray[np.float64], boxes: Sequence[
 
 def total(tiles: Iterable[Census], boxes: int, classes: int) -> Census:
     """The sum of all tiles, with the same keys; ``nearest`` is the least."""
-    found = list(tiles)
-    nearest = [c["nearest"] for c in found if c["nearest"] is not None]
+    counts = list(tiles)
+    nearest = [c["nearest"] for c in counts if c["nearest"] is not None]
     other: dict[str, int] = {}
-    for one in found:
+    for one in counts:
         for code, n in one["other"].items():
             other[code] = other.get(code, 0) + n
-    sums = {k: _sum((c[k] for c in found), (classes,)) for k in ("labelled", "train", "test")}
+    sums = {k: _sum((c[k] for c in counts), (classes,)) for k in ("labelled", "train", "test")}
     return {
-        "echoes": sum(c["echoes"] for c in found),
-        "unlabelled": sum(c["unlabelled"] for c in found),
+        "echoes": sum(c["echoes"] for c in counts),
+        "unlabelled": sum(c["unlabelled"] for c in counts),
         "other": dict(sorted(other.items(), key=lambda item: int(item[0]))),
         **sums,
-        "boxes": _sum((c["boxes"] for c in found), (boxes, classes)),
+        "boxes": _sum((c["boxes"] for c in counts), (boxes, classes)),
         "nearest": min(nearest, default=None),
     }
 
 
 def total_taken(tiles: Iterable[Census], boxes: int, classes: int) -> Census:
     """The sum of what `taken` gave."""
-    found = list(tiles)
+    counts = list(tiles)
     return {
-        "train": _sum((c["train"] for c in found), (classes,)),
-        "boxes": _sum((c["boxes"] for c in found), (boxes, classes)),
+        "train": _sum((c["train"] for c in counts), (classes,)),
+        "boxes": _sum((c["boxes"] for c in counts), (boxes, classes)),
     }
 
 
 def _sum(arrays: Iterable[Any], shape: tuple[int, ...]) -> Any:
-    made = np.zeros(shape, np.int64)
+    sums = np.zeros(shape, np.int64)
     for array in arrays:
-        made += np.array(array, np.int64).reshape(shape)
-    return made.tolist()
+        sums += np.array(array, np.int64).reshape(shape)
+    return sums.tolist()
 
 
 def remarks(
@@ -157,32 +158,34 @@ def _about_codes(whole: Census, classes: Sequence[ClassDef]) -> list[str]:
 
 def _about_classes(whole: Census, rows: Census | None, names: Sequence[str]) -> list[str]:
     train = rows["train"] if rows else whole["train"]
-    told = []
+    sentences = []
     for name, n, tests in zip(names, train, whole["test"], strict=True):
         if n == 0 and tests:
-            told.append(f"Class {name!r} occurs in the test areas ({tests}) and has no training row.")
+            sentences.append(f"Class {name!r} occurs in the test areas ({tests}) and has no training row.")
         elif 0 < n < FEW:
-            told.append(f"Class {name!r} has {n} training row{'s' * (n > 1)}: fewer than {FEW} tell little of a class.")
+            sentences.append(
+                f"Class {name!r} has {n} training row{'s' * (n > 1)}: fewer than {FEW} tell little of a class."
+            )
         if n and not tests:
-            told.append(f"Class {name!r} does not occur in the test areas: nothing is known of its accuracy.")
+            sentences.append(f"Class {name!r} does not occur in the test areas: nothing is known of its accuracy.")
     some = {name: n for name, n in zip(names, train, strict=True) if n}
     if some and max(some.values()) > LOPSIDED * min(some.values()):
         most, least = max(some, key=lambda k: some[k]), min(some, key=lambda k: some[k])
-        told.append(
+        sentences.append(
             f"Class {most!r} has {some[most]} training rows and {least!r} {some[least]}, more than {LOPSIDED} to 1: "
             f"label more of {least!r}, or lower train.samples_per_class."
         )
-    return told
+    return sentences
 
 
 def _about_tiles(tiles: Mapping[str, Census], names: Sequence[str]) -> list[str]:
     trained = {key: c["train"] for key, c in tiles.items() if any(c["train"])}
-    told = []
+    sentences = []
     for k, name in enumerate(names):
         where = [key for key, train in trained.items() if train[k]]
         if len(where) == 1 and len(trained) > 1:
-            told.append(f"All training rows of class {name!r} come from one tile, {where[0]}.")
-    return told
+            sentences.append(f"All training rows of class {name!r} come from one tile, {where[0]}.")
+    return sentences
 
 
 def _about_boxes(whole: Census, train: Sequence[Box]) -> list[str]:
@@ -194,7 +197,7 @@ def _about_boxes(whole: Census, train: Sequence[Box]) -> list[str]:
 
 
 def _about_areas(whole: Census, train: Sequence[Box], test: Sequence[Box], gap: float) -> list[str]:
-    told = [
+    sentences = [
         f"Test area {_text(t)} overlaps training area {_text(b)}: what lies in it or within {gap:g} m is not tested."
         for t in test
         for b in train
@@ -202,10 +205,10 @@ def _about_areas(whole: Census, train: Sequence[Box], test: Sequence[Box], gap: 
     ]
     nearest = whole["nearest"]
     if nearest is None:
-        told.append("No labelled echo lies in a test area: the accuracy is unknown.")
+        sentences.append("No labelled echo lies in a test area: the accuracy is unknown.")
     elif nearest < gap:
-        told.append(f"A tested echo lies {nearest:.3f} m from a training area, nearer than areas.gap = {gap:g} m.")
-    return told
+        sentences.append(f"A tested echo lies {nearest:.3f} m from a training area, nearer than areas.gap = {gap:g} m.")
+    return sentences
 
 
 def _text(box: Box) -> str:

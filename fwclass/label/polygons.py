@@ -47,14 +47,16 @@ class Polygons:
 
     @property
     def parts(self) -> int:
+        """Number of parts."""
         return len(self.code)
 
     def arrays(self) -> dict[str, NDArray]:
-        """What a store keeps; `from_arrays` makes the same again."""
+        """What a store keeps: x, y [m], codes, offsets of rings and parts; `from_arrays` makes the same again."""
         return {n: getattr(self, n) for n in ("x", "y", "ring_start", "part_start", "code", "group")}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> Polygons:
+        """The polygons whose `arrays` these are: x, y [m], codes, offsets."""
         return cls(*(arrays[n] for n in ("x", "y", "ring_start", "part_start", "code", "group")))
 
     @classmethod
@@ -64,7 +66,7 @@ class Polygons:
         `InputError` where a polygon is too large to be one.
         """
         part_code = code[shapes.feature]
-        made = cls(
+        polygons = cls(
             millimetres(shapes.x),
             millimetres(shapes.y),
             shapes.ring_start,
@@ -72,8 +74,8 @@ class Polygons:
             part_code.astype(np.uint8),
             group[shapes.feature],
         )
-        made = made.take(part_code >= 0)
-        low_x, low_y, high_x, high_y = made.bounds
+        polygons = polygons.take(part_code >= 0)
+        low_x, low_y, high_x, high_y = polygons.bounds
         wide = np.flatnonzero(np.maximum(high_x - low_x, high_y - low_y) > WIDEST)
         if len(wide):
             raise InputError(
@@ -83,7 +85,7 @@ class Polygons:
                 got=f"{(high_x - low_x)[wide[0]] / 1e6:.0f} x {(high_y - low_y)[wide[0]] / 1e6:.0f} km",
                 do="check the coordinate system of the polygons (survey.reference.crs)",
             )
-        return made
+        return polygons
 
     @property
     def bounds(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -100,7 +102,7 @@ class Polygons:
         )
 
     def take(self, parts: NDArray) -> Polygons:
-        """Only `parts` (index or mask), in the order given."""
+        """Only `parts` (index or mask, (parts,)), in the order given."""
         chosen = np.arange(self.parts)[parts]
         rings = _spread(self.part_start[chosen], self.part_start[chosen + 1])
         points = _spread(self.ring_start[rings], self.ring_start[rings + 1])
@@ -121,7 +123,7 @@ class Polygons:
 
     @classmethod
     def joined(cls, several: Sequence[Polygons]) -> Polygons:
-        """All of `several`, in their order."""
+        """All parts of `several`, in their order."""
         points, rings = (
             np.cumsum([0, *(len(p.x) for p in several)]),
             np.cumsum([0, *(len(p.ring_start) - 1 for p in several)]),

@@ -38,11 +38,12 @@ class Model:
 
     @property
     def features(self) -> tuple[str, ...]:
+        """Names of the columns of the sample matrix, in their order."""
         return tuple(self.card["features"])
 
     @property
     def codes(self) -> NDArray[np.uint8]:
-        """ASPRS class code of every class, in the order of the shares."""
+        """uint8 (classes,): ASPRS class code of every class, in the order of the shares."""
         return np.array([c["code"] for c in self.card["classes"]], np.uint8)
 
     @property

@@ -52,6 +52,7 @@ class Boosted(Model):
 
     @property
     def trees(self) -> int:
+        """Number of trees."""
         return len(self.offsets) - 1
 
     def _fault(self) -> str:

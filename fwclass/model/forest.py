@@ -47,6 +47,7 @@ class Forest(Model):
 
     @property
     def trees(self) -> int:
+        """Number of trees."""
         return len(self.offsets) - 1
 
     def _fault(self) -> str:
@@ -61,7 +62,7 @@ class Forest(Model):
 
 
 def assemble(trees: Iterable[Tree], card: Mapping[str, Any]) -> Forest:
-    """Forest of `trees` in the given order."""
+    """Forest of `trees` in the given order, nodes joined to (nodes,) with offsets; `ValueError` for none."""
     parts = list(trees)
     if not parts:
         raise ValueError("a forest needs a tree")

@@ -33,6 +33,7 @@ class Preparation:
         return (np.where(np.isnan(wide), self.fill, wide) - self.shift) / self.scale
 
     def plain(self) -> dict[str, list[float]]:
+        """``fill``, ``shift``, ``scale`` as lists (features,), for the card."""
         return {n: [float(v) for v in getattr(self, n)] for n in ("fill", "shift", "scale")}
 
 
@@ -41,19 +42,20 @@ class Machine(Model):
 
     @property
     def preparation(self) -> Preparation:
-        found = self.card["preparation"]
-        return Preparation(*(np.array(found[n], np.float64) for n in ("fill", "shift", "scale")))
+        """How samples are prepared: arrays float64 (features,) of the card."""
+        arrays = self.card["preparation"]
+        return Preparation(*(np.array(arrays[n], np.float64) for n in ("fill", "shift", "scale")))
 
     def _preparation_fault(self) -> str:
         try:
-            made = self.preparation
+            preparation = self.preparation
         except (KeyError, TypeError, ValueError, OverflowError) as fault:
             return f"its card does not say how samples are prepared ({type(fault).__name__}: {fault})"
         for name in ("fill", "shift", "scale"):
-            values = getattr(made, name)
+            values = getattr(preparation, name)
             if values.shape != (len(self.features),) or not np.isfinite(values).all():
                 return f"its card's {name!r} is not a number for every feature"
-        if (made.scale <= 0).any():
+        if (preparation.scale <= 0).any():
             return "its card scales a feature by nothing"
         if len(self.codes) < 2:
             return "it tells only one class"

@@ -12,7 +12,7 @@ MAX_TREES = 65535
 
 
 def offsets_fault(offsets: NDArray[np.int64], nodes: int) -> str:
-    """What is wrong with the places where trees begin; "" if nothing is."""
+    """What is wrong with `offsets` (trees + 1,), the places where trees begin; "" if nothing is."""
     if not 2 <= len(offsets) <= MAX_TREES + 1:
         return f"it has {len(offsets) - 1} trees"
     if offsets[0] != 0 or offsets[-1] != nodes or (np.diff(offsets) < 1).any():
@@ -23,13 +23,13 @@ def offsets_fault(offsets: NDArray[np.int64], nodes: int) -> str:
 def node_fault(
     feature: NDArray[np.uint16], child: NDArray[np.uint32], offsets: NDArray[np.int64], features: int, classes: int
 ) -> str:
-    """What is wrong with the nodes: every one asks for one of `features`, or is a leaf whose `child` is below
+    """What is wrong with the nodes (nodes,): every one asks for one of `features`, or is a leaf whose `child` is below
     `classes`; children come after their parent in the same tree. "" if nothing is."""
     return _FAULTS[_first_fault(feature, child, offsets, features, classes)]
 
 
 def threshold_fault(feature: NDArray[np.uint16], threshold: NDArray[np.float32]) -> str:
-    """What is wrong with the thresholds of inner nodes; "" if nothing is.
+    """What is wrong with the thresholds (nodes,) of inner nodes; "" if nothing is.
 
     Plus infinity is none: it divides samples with a value from those without. NaN and minus infinity divide nothing.
     """

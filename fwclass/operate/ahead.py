@@ -75,10 +75,10 @@ def _type(told: Any) -> Any:
     return _array(found, rest) if rest else found
 
 
-def _array(kind: Any, told: list[str]) -> Any:
+def _array(kind: Any, words: list[str]) -> Any:
     from numba import types
 
-    ndim, layout, *more = told
+    ndim, layout, *more = words
     return types.Array(kind, int(ndim), layout, readonly="readonly" in more, aligned="unaligned" not in more)
 
 

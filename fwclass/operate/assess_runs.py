@@ -44,31 +44,31 @@ def assess_runs(first: Path, second: Path) -> dict[str, Any]:
             got=f"{len(x)} blocks in common of {len(a.place)} and {len(b.place)}",
             do="give both runs the same areas, reference and assess.block",
         )
-    made = difference(x, y)
-    if made is None:
+    intervals = difference(x, y)
+    if intervals is None:
         raise InputError(
             "too few blocks to tell two runs apart",
             where=f"{first}, {second}",
             got=f"{len(x)} blocks",
             do="a larger test area, or a smaller assess.block",
         )
-    return made
+    return intervals
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(intervals: dict[str, Any]) -> str:
     """One line a figure."""
-    lines = [f"second run minus first, {100 * made['level']:.0f} % intervals from {made['blocks']} blocks"]
+    lines = [f"second run minus first, {100 * intervals['level']:.0f} % intervals from {intervals['blocks']} blocks"]
     for label, key in _LABELS:
-        gain, ends = made[key]["difference"], made[key]["interval"]
+        gain, ends = intervals[key]["difference"], intervals[key]["interval"]
         factor, unit = (1.0, "") if key == "kappa" else (100.0, " points")
         digits = 4 if key == "kappa" else 2
         if gain is None or ends is None:
             lines.append(f"{label:<18}-")
             continue
-        told = f"{factor * gain:+.{digits}f} [{factor * ends[0]:+.{digits}f}, {factor * ends[1]:+.{digits}f}]{unit}"
-        lines.append(f"{label:<18}{told}")
-    if made["caution"]:
-        lines.append(f"CAUTION: {made['caution']}")
+        change = f"{factor * gain:+.{digits}f} [{factor * ends[0]:+.{digits}f}, {factor * ends[1]:+.{digits}f}]{unit}"
+        lines.append(f"{label:<18}{change}")
+    if intervals["caution"]:
+        lines.append(f"CAUTION: {intervals['caution']}")
     return "\n".join(lines)
 
 

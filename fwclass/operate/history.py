@@ -51,8 +51,16 @@ _KINDS = {
     "exit_code": int,
     "generation": int,
     "seconds": int | float,
+    "accuracy": dict,
+    "echoes": int,
 }
 """What the values of a line are, where they are there."""
+
+LOOKED_BACK = 20
+"""Runs of the history among which an earlier accuracy is looked for."""
+
+LOSS = 0.001
+"""Of the overall accuracy, from which it is said that a run is worse than the one before it."""
 
 COUNTED = ("computed", "skipped", "failed", "blocked")
 
@@ -82,7 +90,7 @@ class Entry:
 
     `location`: where the run lies. `generation`: number of the delivery that it made, None for none. `runner`: where
     its parts are counted. `began`, `clock`: of the wall clock and of the monotonic one [s]. `last`: the line that was
-    written last.
+    written last. `accuracy`: ``overall_accuracy`` and ``kappa`` where there was a test area; `echoes`: in the tiles.
     """
 
     location: RunLocation
@@ -95,6 +103,8 @@ class Entry:
     began: float = field(default_factory=time.time)
     clock: float = field(default_factory=time.monotonic)
     last: dict[str, Any] = field(default_factory=dict)
+    accuracy: Mapping[str, float] | None = None
+    echoes: int | None = None
 
     def begin(self, runner: Any) -> None:
         """The run holds the directory."""
@@ -116,8 +126,26 @@ class Entry:
             "word": word,
             "parts": {status: counts.get(status, 0) for status in COUNTED},
             "generation": self.generation,
+            "accuracy": None if self.accuracy is None else dict(self.accuracy),
+            "echoes": self.echoes,
             "message": message,
         }
+
+    def judged(self, report: Mapping[str, Any]) -> str:
+        """Take over what the run's `report` says; a line for the user where an earlier run was more accurate."""
+        accuracy = report.get("accuracy")
+        self.echoes = (report.get("counts") or {}).get("echoes_in_tiles")
+        if not accuracy:
+            return ""
+        self.accuracy = {key: round(accuracy[key], 6) for key in ("overall_accuracy", "kappa")}
+        earlier = next((r for r in reversed(past_runs(self.location, LOOKED_BACK)) if _overall(r) is not None), None)
+        before, now = _overall(earlier or {}), self.accuracy["overall_accuracy"]
+        if earlier is None or before is None or before - now < LOSS:
+            return ""
+        return (
+            f"LOST        {100 * (before - now):.1f} points of overall accuracy against the run of {earlier['began']} "
+            f"({100 * before:.1f} %); fwclass diff says what changed"
+        )
 
     def _facts(self) -> dict[str, Any]:
         return {
@@ -220,24 +248,26 @@ def past_run(location: RunLocation, name: str) -> dict[str, Any] | None:
 
 def _joined(lines: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Runs, each of all its lines; a line whose values are of other kinds is damaged, and passed over."""
-    found: dict[str, dict[str, Any]] = {}
+    runs: dict[str, dict[str, Any]] = {}
     for line in lines:
         name = str(line.get("id"))
         if any(not isinstance(line.get(word), kind | None) for word, kind in _KINDS.items()):
             continue
         if line.get("record") in ("begin", "end", "told"):
-            found[name] = {**found.get(name, {}), **{k: v for k, v in line.items() if k != "record"}}
-    return [run for run in found.values() if "began" in run]
+            runs[name] = {**runs.get(name, {}), **{k: v for k, v in line.items() if k != "record"}}
+    return [run for run in runs.values() if "began" in run]
 
 
 def table(runs: Sequence[Mapping[str, Any]]) -> str:
     """Runs as a table for a person, oldest first."""
     if not runs:
         return "no run is in the history"
-    rows: list[tuple[str, ...]] = [("began (UTC)", "took", "why", "ended", *COUNTED, "delivery", "what")]
+    rows: list[tuple[str, ...]] = [
+        ("began (UTC)", "took", "why", "ended", *COUNTED, "delivery", "echoes", "overall", "what")
+    ]
     rows += [_row(run) for run in runs]
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    right = {1, *range(4, 4 + len(COUNTED) + 1)}
+    right = {1, *range(4, 4 + len(COUNTED) + 3)}
     return "\n".join(
         "  ".join(
             c.rjust(w) if k in right else c.ljust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True))
@@ -249,7 +279,7 @@ def table(runs: Sequence[Mapping[str, Any]]) -> str:
 def _row(run: Mapping[str, Any]) -> tuple[str, ...]:
     parts, code = run.get("parts") or {}, run.get("exit_code")
     ended = str(run["word"]) if code is None or run["word"] == REFUSED else f"{run['word']} ({code})"
-    delivery = run.get("generation")
+    delivery, overall = run.get("generation"), _overall(run)
     return (
         str(run["began"]),
         _took(run.get("seconds")),
@@ -257,8 +287,16 @@ def _row(run: Mapping[str, Any]) -> tuple[str, ...]:
         ended,
         *(str(parts.get(status, "-")) for status in COUNTED),
         "-" if delivery is None else str(delivery),
+        "-" if run.get("echoes") is None else f"{run['echoes']:,}",
+        "-" if overall is None else f"{100 * overall:.1f} %",
         _what(run),
     )
+
+
+def _overall(run: Mapping[str, Any]) -> float | None:
+    """The overall accuracy of a run in the history, None where it was not judged."""
+    overall = (run.get("accuracy") or {}).get("overall_accuracy")
+    return float(overall) if isinstance(overall, int | float) and math.isfinite(overall) else None
 
 
 def _took(seconds: Any) -> str:

@@ -90,8 +90,8 @@ class Request:
 
         A workflow's file is code, which a run directory cannot have started: it must be named as `own` by the user.
         """
-        where, found = store.where, store.recall(_KEPT)
-        if found is None:
+        where, plain = store.where, store.recall(_KEPT)
+        if plain is None:
             raise StoreError(
                 "nothing tells which configuration this run is of",
                 where=where,
@@ -100,10 +100,10 @@ class Request:
                 f"fwclass status CONF --out {shlex.quote(str(where))}",
             )
         try:
-            found = unsealed(found)
-            tiles, aoi = found["tiles"], found["aoi"]
+            plain = unsealed(plain)
+            tiles, aoi = plain["tiles"], plain["aoi"]
             root = str(where if isinstance(where, Url) else where.resolve())
-            workflow = str(found["workflow"])
+            workflow = str(plain["workflow"])
             if workflow.endswith(".py") and (own is None or str(Path(own).resolve()) != workflow):
                 raise ConfigError(
                     "this run is of a workflow's file, whose code a run directory cannot have started",
@@ -113,10 +113,10 @@ class Request:
                     do="name the file yourself, if you trust it",
                 )
             return cls(
-                str(found["conf"]),
+                str(plain["conf"]),
                 root,
-                _words(found["settings"]),
-                str(found["workflow"]),
+                _words(plain["settings"]),
+                str(plain["workflow"]),
                 None if tiles is None else _words(tiles),
                 None if aoi is None else str(aoi),
             )

@@ -80,11 +80,11 @@ class Calibration:
     others: bool = False
 
     def gains(self, strip: NDArray) -> NDArray[np.float64]:
-        """Gain of every row's strip; 1 for a strip that is not known."""
+        """float64 (rows,): gain [factor] of every row's strip; 1 for a strip that is not known."""
         return self._look_up(strip, np.array([s.gain for s in self.strips], np.float64), 1.0)
 
     def calibrated(self, strip: NDArray) -> NDArray[np.bool_]:
-        """Whether C_cal holds for every row's strip."""
+        """bool (rows,): whether C_cal holds for every row's strip."""
         return self._look_up(strip, np.array([s.tied for s in self.strips], np.float64), float(self.others)) > 0.0
 
     def _look_up(self, strip: NDArray, values: NDArray[np.float64], other: float) -> NDArray[np.float64]:

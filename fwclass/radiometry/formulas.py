@@ -51,7 +51,7 @@ def cross_section(energy: NDArray[np.float64], range_: NDArray[np.float64], exti
 def backscatter(
     sigma: NDArray[np.float64], area: NDArray[np.float64], cosine: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """γ = σ / (A_i cos θ)."""
+    """γ = σ / (A_i cos θ), (rows,), of σ [m²] and the area A_i [m²]; NaN where one of them is."""
     return np.asarray(sigma / (area * cosine), np.float64)
 
 

@@ -54,11 +54,12 @@ class Overlap:
     echoes: NDArray[np.int64]
 
     def arrays(self) -> dict[str, NDArray[np.int64]]:
-        """The arrays that a store keeps; `from_arrays` makes the record again."""
+        """The arrays (int64, of one length for each count) that a store keeps; `from_arrays` makes the record again."""
         return dict(vars(self))
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> Overlap:
+        """The record whose `arrays`, int64 (n,) by name, these are."""
         return cls(**{name: np.asarray(arrays[name], np.int64) for name in cls.__dataclass_fields__})
 
 
@@ -82,7 +83,7 @@ def overlap(chunk: Chunk, trajectory: Table | None, params: RadiometryParams) ->
 
 
 def merge(parts: Iterable[Overlap]) -> Overlap:
-    """The sum of all tiles' statistics."""
+    """The sum of all tiles' statistics, in any order."""
     every = list(parts)
     joined = [np.concatenate([getattr(p, n) for p in every] or [_NONE]) for n in Overlap.__dataclass_fields__]
     return Overlap(
@@ -93,7 +94,7 @@ def merge(parts: Iterable[Overlap]) -> Overlap:
 
 
 def within(polygon: Sequence[tuple[float, float]], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether points lie in a polygon, by the number of edges that a ray towards +x meets."""
+    """bool (points,): whether (x, y) [m] lie in a polygon [m], by the number of edges that a ray towards +x meets."""
     inside = np.zeros(len(x), bool)
     for (x1, y1), (x2, y2) in zip(polygon, [*polygon[1:], polygon[0]], strict=True):
         spans = (y1 > y) != (y2 > y)

@@ -65,7 +65,7 @@ of another time scale (18 s are some degrees) is still told by the angle alone."
 
 
 def check_pointing(angle: float, where: object) -> None:
-    """`InputError` where `pointing_error` says that a trajectory cannot be the survey's."""
+    """`InputError` where `pointing_error` [degrees] says that a trajectory cannot be the survey's."""
     if angle > ASTRAY:
         raise InputError(
             "the trajectory does not belong to the survey: the beams do not come from it",

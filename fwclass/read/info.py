@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError, visible
 from fwclass.formats import vector
+from fwclass.formats.checks import first_hole
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beam_info import beam_rows_info, describe_beam_rows
 from fwclass.read.beams import beam_fault
@@ -143,9 +144,18 @@ def _las_info(source: LasSource) -> dict[str, Any]:
             *source.faults,
             *flat_faults(source, tally.low.tolist(), tally.high.tolist()),
             *_faults(source, tally, step),
-            *filter(None, [beam_fault(source)]),
+            *filter(None, [beam_fault(source), _packet_hole(source)]),
         ],
     }
+
+
+def _packet_hole(source: LasSource) -> str:
+    """The fault of waveform packets that were never written; "" without one."""
+    waves = source.waves
+    if waves.path is None:
+        return ""
+    hole = first_hole(waves.path, waves.base, waves.base + waves.available)
+    return "" if hole is None else f"a hole of zeros in {waves.path.name}, from byte {hole}: waveforms never written"
 
 
 def _finite(value: float) -> float | None:

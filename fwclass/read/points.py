@@ -12,7 +12,7 @@ from laspy import DecompressionSelection
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.laz import varies_chunks
+from fwclass.formats.laz import check_written, varies_chunks
 from fwclass.read.las import LasSource
 
 BLOCK = 200_000
@@ -50,6 +50,8 @@ class PointReader:
 
     def __init__(self, source: LasSource, fields: DecompressionSelection = ALL_FIELDS) -> None:
         self.source = source
+        if source.compressed:
+            check_written(source.header)
         # lazrs seeks to a wrong point where chunks vary in size, and damages waveform formats on writing
         laszip = source.has_waves or (source.compressed and varies_chunks(source.header))
         backend = laspy.LazBackend.Laszip if laszip else laspy.LazBackend.Lazrs

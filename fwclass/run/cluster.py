@@ -250,16 +250,16 @@ class Cluster:
 
     def _check_workers(self) -> None:
         """`FwclassError` if a worker computes by other code than this process."""
-        told = {
+        codes = {
             address: _apart(there) if isinstance(there, dict) else f"{type(there).__name__}: {there}"
             for address, there in self._client.run(_fingerprint_here, on_error="return").items()
         }
-        other = [f"{address}: {text}" for address, text in told.items() if text]
+        other = [f"{address}: {text}" for address, text in codes.items() if text]
         if other:
             self.__exit__(None, None, None)
             more = f"\n    and {len(other) - TOLD_WORKERS} more" if len(other) > TOLD_WORKERS else ""
             raise FwclassError(
-                f"{len(other)} of {len(told)} workers compute by other code than this run",
+                f"{len(other)} of {len(codes)} workers compute by other code than this run",
                 where=self.address,
                 expected="the same fwclass and libraries on all hosts: parts would come out otherwise on some",
                 got="\n    ".join(["", *other[:TOLD_WORKERS]]) + more,
@@ -368,13 +368,13 @@ class Cluster:
         if "compiling" in event[1]:
             self._compiling(event[1]["worker"], event[1]["compiling"])
             return
-        told = event[1]["outcome"]
-        self._heard[event[1]["key"]] = Outcome(**{**told, "lost": tuple(told["lost"])})
+        outcome = event[1]["outcome"]
+        self._heard[event[1]["key"]] = Outcome(**{**outcome, "lost": tuple(outcome["lost"])})
 
     def outcome(self, future: Future) -> Outcome:
         """Of a part that has ended: what its worker told, or else what the scheduler finds; any fault of that."""
-        told = self._heard.pop(future.key, None)
-        return told if told is not None else future.result()
+        heard = self._heard.pop(future.key, None)
+        return heard if heard is not None else future.result()
 
     def cancel(self, futures: list[Future]) -> None:
         self._client.cancel(futures)

@@ -14,14 +14,14 @@ from fwclass.store.run_store import NO_STAGES, Store
 
 def by_change(receipts: Iterable[Receipt], store: Store) -> tuple[Counter[str], int]:
     """Parts by how their libraries differ from those here (``pyarrow 26.0.1 to 22.0.0``), and how many do not tell."""
-    found: Counter[str] = Counter()
+    parts: Counter[str] = Counter()
     unknown = 0
     for receipt in receipts:
         then = store.libraries(receipt)
         unknown += then is None
-        found[", ".join(stale_by(then))] += 1
-    found.pop("", None)
-    return found, unknown
+        parts[", ".join(stale_by(then))] += 1
+    parts.pop("", None)
+    return parts, unknown
 
 
 def announced(store: Store, accepted: bool) -> list[str]:
@@ -34,10 +34,10 @@ def announced(store: Store, accepted: bool) -> list[str]:
     if not names:
         return []
     store.look_up(names)
-    found, unknown = by_change((r for r in (store.receipt(*n) for n in names) if r is not None), store)
+    changes, unknown = by_change((r for r in (store.receipt(*n) for n in names) if r is not None), store)
     lines = ["earlier parts of this run do not tell the libraries that they were made with; they count as done"]
     what = "they count as done, as asked" if accepted else "they are made again (--accept-libraries keeps them)"
-    told = [f"{n} parts were made with other libraries ({change}): {what}" for change, n in found.items()]
+    told = [f"{n} parts were made with other libraries ({change}): {what}" for change, n in changes.items()]
     return told + (lines if unknown and not kept else [])
 
 
@@ -45,8 +45,8 @@ def reported(runner: Runner) -> dict[str, Any]:
     """What the report says: the libraries here, parts made with others that count as done, and parts that do not
     tell."""
     done = (runner.store.receipt(*name) for name, outcome in runner.outcomes.items() if outcome.ok)
-    found, unknown = by_change((r for r in done if r is not None), runner.store)
-    return {"here": dict(fingerprint()), "accepted": dict(found), "unknown": unknown}
+    changes, unknown = by_change((r for r in done if r is not None), runner.store)
+    return {"here": dict(fingerprint()), "accepted": dict(changes), "unknown": unknown}
 
 
 def by_libraries(parts: Mapping[str, int], store: Store) -> list[dict[str, Any]]:

@@ -86,9 +86,9 @@ def _warn() -> None:
         now = time.monotonic()
         with _lock:
             over = [own for own, (deadline, _, _) in _warnings.items() if deadline <= now]
-            told = [_warnings.pop(own) for own in over]
+            warned = [_warnings.pop(own) for own in over]
             _looks_at = min((deadline for deadline, _, _ in _warnings.values()), default=now + IDLE)
             _sooner.clear()
-        for _, say, text in told:
+        for _, say, text in warned:
             say(text)
         _sooner.wait(max(0.0, _looks_at - time.monotonic()))

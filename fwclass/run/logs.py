@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fwclass.errors import StoreError
-from fwclass.store.remote_read import Remote
+from fwclass.store.bucket import Remote
 from fwclass.store.run_location import RunLocation, address_of
 from fwclass.store.url import Url
 

@@ -175,10 +175,10 @@ def _worked(task: Task, inputs: PartInputs, directory: Path) -> Mapping[str, Any
     except Exception as fault:
         for file in task.external:
             file.check()
-        told = full_or(fault, directory)
-        if told is fault:
+        full = full_or(fault, directory)
+        if full is fault:
             raise
-        raise told from fault
+        raise full from fault
     for file in task.external:
         file.check()
     return meta
@@ -195,8 +195,8 @@ def _message(location: RunLocation, task: Task, fault: Exception) -> str:
 
 def _attempt(outcome: Outcome, key: str) -> dict[str, Value]:
     """What a log tells of any attempt."""
-    found: dict[str, Value] = {"key": key, "status": outcome.status, "seconds": round(outcome.seconds, 3)}
-    return found | ({"message": outcome.message} if outcome.message else {})
+    fields: dict[str, Value] = {"key": key, "status": outcome.status, "seconds": round(outcome.seconds, 3)}
+    return fields | ({"message": outcome.message} if outcome.message else {})
 
 
 def _made(receipt: Receipt) -> dict[str, Value]:

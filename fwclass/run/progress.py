@@ -40,11 +40,11 @@ class _Stage:
 
     def pace(self, now: float) -> str:
         """Parts a second, what is left at that rate, and what failed."""
-        made = self.counts.get("computed", 0) + self.failed
+        ended = self.counts.get("computed", 0) + self.failed
         took = now - self.began if self.began is not None else 0.0
         words = []
-        if made > 1 and took > 0:
-            rate = made / took
+        if ended > 1 and took > 0:
+            rate = ended / took
             words.append(f"{rate:.1f}/s" if rate >= 1 else f"{60 * rate:.1f}/min")
             words += [f"{span(self.left / rate)} left"] if self.left else []
         words += [f"{self.failed} failed"] if self.failed else []
@@ -172,6 +172,6 @@ class Display:
             if stage.failed == TOLD + 1:
                 self.say(f"FAILED {outcome.stage}: more than {TOLD} parts; the others are counted, not told")
             return
-        told = outcome.message in self._told
+        known = outcome.message in self._told
         self._told.add(outcome.message)
-        self.say(f"FAILED {outcome.stage}/{outcome.part}: {'as above' if told else outcome.message}")
+        self.say(f"FAILED {outcome.stage}/{outcome.part}: {'as above' if known else outcome.message}")

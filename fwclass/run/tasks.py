@@ -41,6 +41,11 @@ class Tasks(Sequence[Task]):
         some = tuple(tasks)
         return cls([_Batch(some, _itself, Counter(t.stage for t in some))] if some else ())
 
+    @classmethod
+    def joined(cls, plans: Iterable[Tasks]) -> Tasks:
+        """The tasks of all `plans`, in order; adding thousands one by one would copy the first ones each time."""
+        return cls(batch for plan in plans for batch in plan._batches)
+
     @property
     def stages(self) -> Counter[str]:
         """How many tasks every stage has, in the order of the plan."""

@@ -29,10 +29,11 @@ class Folds:
     blocks: int
 
     def trains(self, fold: int) -> NDArray[np.bool_]:
-        """Rows that the forest of `fold` is grown from."""
+        """bool (rows,): rows that the forest of `fold` is grown from."""
         return np.asarray(~self.near[fold])
 
     def judged(self, fold: int) -> NDArray[np.bool_]:
+        """bool (rows,): rows that `fold` judges."""
         return np.asarray(self.fold == fold)
 
 
@@ -88,7 +89,10 @@ def _dealt(block: NDArray[np.int64], classes: NDArray[np.uint8], blocks: int, fo
 
 
 def check_folds(folds: Folds, classes: NDArray[np.uint8], names: tuple[str, ...]) -> tuple[str, ...]:
-    """Remarks for the user; `InputError` where a forest would have to judge a class that it never saw."""
+    """Remarks for the user; `classes`, uint8 (rows,), are those of the sample's rows.
+
+    `InputError` where a forest would have to judge a class that it never saw.
+    """
     notes = []
     for k, name in enumerate(names):
         mine = classes == k

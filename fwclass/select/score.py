@@ -1,4 +1,4 @@
-"""How good a set of features is: figures of its folds, and whether another is as good."""
+"""How good a set of features is: figures of its folds, whether another is as good, and at what cost."""
 
 from __future__ import annotations
 
@@ -48,10 +48,11 @@ class Score:
 
     @property
     def value(self) -> float:
+        """The score that decides: a share [0 to 1], the mean over the folds; NaN where no fold has a value."""
         return mean(self.decides)
 
     def plain(self) -> dict[str, Any]:
-        """For JSON."""
+        """For JSON: shares [0 to 1] rounded, None for NaN."""
         return {
             "features": list(self.features),
             "accuracy": _rounded(mean(self.accuracy)),
@@ -88,13 +89,13 @@ def _figures(matrix: NDArray[np.float64]) -> tuple[float, float, float]:
 
 
 def mean(values: NDArray[np.float64]) -> float:
-    """Over the folds that have a value; NaN if none has."""
+    """Mean over the folds (folds,) that have a value; NaN if none has."""
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else float("nan")
 
 
 def spread(values: NDArray[np.float64]) -> float:
-    """Standard deviation over the folds; 0 with fewer than two."""
+    """Standard deviation over the folds (folds,); NaN is no value, 0 with fewer than two."""
     known = values[~np.isnan(values)]
     return float(known.std(ddof=1)) if len(known) > 1 else 0.0
 
@@ -112,3 +113,35 @@ def as_good(one: Score, best: Score) -> bool:
 
 def _rounded(value: float) -> float | None:
     return None if np.isnan(value) else round(value, 6)
+
+
+SAME = 0.03
+"""Two timings that differ by less than this share of the lower one tell nothing."""
+
+
+def levels(costs: Sequence[float]) -> list[float]:
+    """Costs [s] with those that are the same, as far as timings can tell, made equal to the lowest of them."""
+    levelled, level = [0.0] * len(costs), 0.0
+    for k, i in enumerate(sorted(range(len(costs)), key=lambda i: costs[i])):
+        if k == 0 or costs[i] > level * (1.0 + SAME):
+            level = costs[i]
+        levelled[i] = level
+    return levelled
+
+
+def front(values: Sequence[float], costs: Sequence[float]) -> tuple[int, ...]:
+    """Indices of the sets that no other one equals at less cost [s] or beats at no more, by rising cost."""
+    indices: list[int] = []
+    level = levels(costs)
+    for i in sorted(range(len(values)), key=lambda i: (level[i], -values[i], i)):
+        if not indices or values[i] > values[indices[-1]]:
+            indices.append(i)
+    return tuple(indices)
+
+
+def cheapest(scores: Sequence[Score], costs: Sequence[float], best: Score) -> int:
+    """Index of the cheapest [s] set that is as good as `best` within one standard error; of equally cheap ones the
+    smallest."""
+    level = levels(costs)
+    good = [i for i, s in enumerate(scores) if as_good(s, best)]
+    return min(good, key=lambda i: (level[i], len(scores[i].features), -scores[i].value, i))

@@ -38,7 +38,7 @@ class Search:
 
     @property
     def best(self) -> Score:
-        """The set with the best score, of equals the smallest, then the one with least work."""
+        """The set with the best score, a share; of equals the smallest, then the one with least work."""
         return min((s.score for s in self.steps), key=lambda s: (-s.value, len(s.features), nominal(s.features)))
 
     @property
@@ -76,11 +76,11 @@ def in_given_order(order: Names, candidates: Names, evaluate: Evaluate, scored: 
     best = -math.inf
     for name in order:
         trial = evaluate([in_order((*chosen, name), candidates)])[0]
-        found = scored(trial)
-        kept = found.value > best
-        steps.append(Step(found, (name,), kept))
+        result = scored(trial)
+        kept = result.value > best
+        steps.append(Step(result, (name,), kept))
         if kept:
-            chosen, best = (*chosen, name), found.value
+            chosen, best = (*chosen, name), result.value
     return Search(tuple(steps))
 
 
@@ -100,12 +100,12 @@ def backward(candidates: Names, evaluate: Evaluate, scored: Scored, params: Sele
         steps.append(Step(scored(trial), dropped))
         if trial.importance is None:
             raise ValueError("backward elimination needs importances")
-        told = dict(zip(chosen, trial.importance.tolist(), strict=True))
-        ranks = ranks or ranked(told)
+        importances = dict(zip(chosen, trial.importance.tolist(), strict=True))
+        ranks = ranks or ranked(importances)
         count = min(max(1, math.floor(params.drop * len(chosen))), len(chosen) - params.least)
         if count <= 0:
             return Search(tuple(steps), ranks)
-        falling = sorted(chosen, key=lambda c: (-told[c], extra_work(c, ()), c))
+        falling = sorted(chosen, key=lambda c: (-importances[c], extra_work(c, ()), c))
         dropped = tuple(falling[len(falling) - count :])
         chosen = tuple(c for c in chosen if c not in dropped)
 
@@ -113,9 +113,10 @@ def backward(candidates: Names, evaluate: Evaluate, scored: Scored, params: Sele
 def by_fscore(
     candidates: Names, X: NDArray[np.float32], y: NDArray[np.uint8], evaluate: Evaluate, scored: Scored
 ) -> Search:
-    """Add the candidates by falling F-score (Shi 2019, 2.3); the score of every length of the list is told."""
-    told = dict(zip(candidates, f_scores(X, y).tolist(), strict=True))
-    ranks = ranked(told)
+    """Add the candidates by falling F-score (Shi 2019, 2.3) of X (rows, features), y (rows,); a step for every length
+    of the list."""
+    figures = dict(zip(candidates, f_scores(X, y).tolist(), strict=True))
+    ranks = ranked(figures)
     order = [name for name, _ in ranks]
     sets = [in_order(order[: k + 1], candidates) for k in range(len(order))]
     steps = [Step(scored(t), (name,)) for name, t in zip(order, evaluate(sets), strict=True)]

@@ -23,7 +23,7 @@ def scale_of(name: str) -> Scale | None:
 
 
 def work(scale: Scale) -> float:
-    """Neighbours that a neighbourhood is made of, about."""
+    """Number of neighbours that a neighbourhood is made of, about."""
     if scale.kind == "k":
         return float(scale.size)
     if scale.kind == "o":
@@ -33,7 +33,7 @@ def work(scale: Scale) -> float:
 
 
 def extra_work(name: str, chosen: Iterable[str]) -> float:
-    """Neighbours that `name` adds to what `chosen` needs anyway; 0 where it needs no further neighbourhood."""
+    """Number of neighbours that `name` adds to what `chosen` needs anyway; 0 where it needs no more neighbourhoods."""
     scale = scale_of(name)
     if scale is None or any(scale_of(c) == scale for c in chosen):
         return 0.0
@@ -41,5 +41,5 @@ def extra_work(name: str, chosen: Iterable[str]) -> float:
 
 
 def nominal(names: Iterable[str]) -> float:
-    """Neighbours that all of `names` need together."""
+    """Number of neighbours that all of `names` need together."""
     return sum(work(s) for s in sorted({s for s in map(scale_of, names) if s is not None}))

@@ -35,11 +35,12 @@ class Planner:
     gardener: Gardener
 
     def place(self, u: float, v: float, turn: float = 0.0) -> Place:
+        """The place (u, v) [m] of the town's frame, its direction turned by `turn` [rad] from the streets'."""
         x, y = self.plan.ground(u, v)
         return Place(x, y, self.plan.angle + turn)
 
     def free(self, place: Place, reach: float) -> bool:
-        """Whether a thing of this radius stands in the survey area and off the river's banks."""
+        """Whether a thing of this radius `reach` [m] stands in the survey area and off the river's banks."""
         size = self.params.size
         if not (2.0 < place.x < size - 2.0 and 2.0 < place.y < size - 2.0):
             return False
@@ -47,6 +48,7 @@ class Planner:
         return float(self.plan.shore(u, v)) > _BANK + reach
 
     def block(self, i: int, j: int) -> None:
+        """Fill block (i, j) of the town's frame with what its random stream draws."""
         random = np.random.default_rng([self.params.seed, 2, i + 4096, j + 4096])
         u0, v0 = i * BLOCK_U + STREET + _VERGE, j * BLOCK_V + STREET + _VERGE
         long, deep = BLOCK_U - 2 * (STREET + _VERGE), BLOCK_V - 2 * (STREET + _VERGE)
@@ -67,6 +69,7 @@ class Planner:
         self.streets(random, i, j)
 
     def homes(self, random: np.random.Generator, u0: float, v0: float, long: float, deep: float) -> None:
+        """Detached houses in gardens, back to back, in a block from (u0, v0), `long` by `deep` [m]."""
         lots = int(random.integers(5, 7))
         for k in range(lots):
             for back in (False, True):
@@ -77,7 +80,7 @@ class Planner:
                     self.lot(random, lot, long / lots, deep / 2)
 
     def lot(self, random: np.random.Generator, lot: Place, wide: float, deep: float) -> None:
-        """A house in its garden; the lot's street is at negative v."""
+        """A house in its garden, `wide` by `deep` [m]; the lot's street is at negative v."""
         kind = str(random.choice(["gabled", "hipped", "flat"], p=[0.5, 0.27, 0.23]))
         length, width = random.uniform(0.68, 0.9) * wide, random.uniform(9, 14)
         house = lot.at(random.uniform(-1, 1), random.uniform(-5, -1) * deep / 26)
@@ -96,6 +99,8 @@ class Planner:
     def garden(
         self, random: np.random.Generator, lot: Place, wide: float, deep: float, house: tuple[float, float]
     ) -> None:
+        """Trees, shrubs, thickets and hedges, fences or walls of a lot `wide` by `deep` [m] around a `house` of this
+        size [m]."""
         share = self.params.scene.tree_share
         for _ in range(int(random.poisson(2.6 * share))):
             at = lot.at(random.uniform(-0.5, 0.5) * wide, random.uniform(0.05, 0.5) * deep)
@@ -125,6 +130,7 @@ class Planner:
                 self.builder.wall(random, edge, length)
 
     def rows(self, random: np.random.Generator, u0: float, v0: float, long: float, deep: float) -> None:
+        """Two rows of terraced houses with their gardens, in a block from (u0, v0), `long` by `deep` [m]."""
         for part, turn in ((0.16, 0.0), (0.84, math.pi)):
             row = self.place(u0 + long / 2, v0 + part * deep, turn)
             length = random.uniform(0.7, 0.98) * long
@@ -144,6 +150,7 @@ class Planner:
                     self.gardener.tree(random, at.x, at.y, tall)
 
     def flats(self, random: np.random.Generator, middle: Place, long: float, deep: float) -> None:
+        """Three blocks of flats among loose trees, `long` by `deep` [m]."""
         for u in (-0.4, 0.0, 0.4):
             at = middle.at(u * long, random.uniform(-0.15, 0.15) * deep).turned(math.pi / 2)
             if self.free(at, 20.0):
@@ -155,6 +162,7 @@ class Planner:
         self.parking(random, middle.at(0.0, -0.42 * deep), 0.3 * long)
 
     def halls(self, random: np.random.Generator, middle: Place, long: float, deep: float) -> None:
+        """A hall with its car parks, `long` by `deep` [m]."""
         at = middle.at(-0.2 * long, 0.0)
         if self.free(at, 24.0):
             self.builder.hall(random, at, random.uniform(0.5, 0.58) * long, random.uniform(0.7, 0.95) * deep)
@@ -163,7 +171,7 @@ class Planner:
         self.loose(random, middle.at(0.3 * long, 0.4 * deep), 0.35 * long, 0.2 * deep, trees=8, shrubs=20)
 
     def parking(self, random: np.random.Generator, middle: Place, length: float) -> None:
-        """Two facing rows of bays."""
+        """Two facing rows of bays, `length` [m] long."""
         for v in (-2.6, 2.6):
             for k in range(int(length / 2.6)):
                 at = middle.at((k + 0.5) * 2.6 - length / 2, v)
@@ -171,6 +179,8 @@ class Planner:
                     self.builder.car(random, at.turned(math.pi / 2 + random.normal(0, 0.03)))
 
     def scatter_wood(self, random: np.random.Generator, middle: Place, long: float, deep: float) -> None:
+        """A wood of at most `long` by `deep` [m]; loose trees where the river or the edge of the survey takes its
+        place."""
         if self.free(middle, 0.5 * math.hypot(long, deep)):
             self.gardener.wood(random, middle, random.uniform(0.6, 1.0) * long, random.uniform(0.6, 1.0) * deep)
         else:
@@ -179,6 +189,7 @@ class Planner:
     def loose(
         self, random: np.random.Generator, middle: Place, long: float, deep: float, trees: int, shrubs: int
     ) -> None:
+        """Trees and shrubs at random places of an area of `long` by `deep` [m]; half of the shrubs are thickets."""
         for k in range(round(trees * self.params.scene.tree_share) + shrubs):
             at = middle.at(random.uniform(-0.5, 0.5) * long, random.uniform(-0.5, 0.5) * deep)
             if not self.free(at, -5.0):
@@ -191,7 +202,7 @@ class Planner:
                 self.gardener.tree(random, at.x, at.y, float(np.clip(random.gamma(6.0, 1.8), 3.0, 20.0)))
 
     def streets(self, random: np.random.Generator, i: int, j: int) -> None:
-        """Cars, lamps and trees along the block's southern and western street."""
+        """Cars, lamps and trees along the southern and western street of block (i, j)."""
         tall = random.uniform(6, 14) if random.random() < 0.5 * self.params.scene.tree_share else 0.0
         for turn, length in ((0.0, BLOCK_U), (math.pi / 2, BLOCK_V)):
             corner = self.place(i * BLOCK_U, j * BLOCK_V, turn)
@@ -225,7 +236,7 @@ class Planner:
 
 @lru_cache(maxsize=2)
 def build_scene(params: SimulateParams) -> Scene:
-    """The scene of these parameters; built once per process."""
+    """The scene of these parameters, in metres of the survey's own frame; built once per process."""
     plan = town(params)
     land = relief(params, plan)
     step = params.scene.terrain_step

@@ -9,7 +9,7 @@ from fwclass.kernel import kernel
 
 @kernel
 def sort_hits(hits, time, energy, code):  # type: ignore[no-untyped-def]
-    """Insertion sort of the hits by time."""
+    """Insertion sort of the first `hits` of `time` [samples] with their `energy` and `code`, in place."""
     for i in range(1, hits):
         t, e, c = time[i], energy[i], code[i]
         j = i - 1
@@ -21,7 +21,8 @@ def sort_hits(hits, time, energy, code):  # type: ignore[no-untyped-def]
 
 @kernel
 def peak(energy, variance, sigma):  # type: ignore[no-untyped-def]
-    """Height of an echo that is widened by the spread of its hits."""
+    """Height [counts] of an echo of `energy` that is widened by the spread `variance` [samples²] of its hits; `sigma`
+    [samples]."""
     return energy * sigma / math.sqrt(sigma * sigma + variance)
 
 

@@ -48,6 +48,7 @@ class StripPlan:
 
     @property
     def pulses(self) -> int:
+        """Number of pulses of the strip."""
         return self.lines * self.per_line
 
 
@@ -114,7 +115,7 @@ def _wobble(random: np.random.Generator, time: NDArray[np.float64], periods: tup
 
 
 def pose(params: SimulateParams, strip: StripPlan, time: NDArray[np.float64]) -> Pose:
-    """Where the scanner of this strip is, `time` seconds after its first pulse."""
+    """Where the scanner of this strip is [m, rad], `time` (pulses,) [s] after its first pulse."""
     random = np.random.default_rng([params.seed, 3, strip.number])
     flight = params.flight
     along = flight.speed * time - OVERSHOOT
@@ -135,7 +136,7 @@ def pose(params: SimulateParams, strip: StripPlan, time: NDArray[np.float64]) ->
 
 
 def measured(params: SimulateParams, strip: StripPlan, at: Pose, time: NDArray[np.float64]) -> Pose:
-    """The pose `at` as the navigation has it: with errors that drift slowly and differ from strip to strip."""
+    """The pose `at` [m, rad] as the navigation has it: with errors that drift slowly and differ from strip to strip."""
     random = np.random.default_rng([params.seed, 4, strip.number])
     metres, degrees = params.flight.position_error, params.flight.attitude_error
     shift = [metres * _wobble(random, time, (140.0, 60.0, 25.0)) for _ in range(3)]
@@ -186,7 +187,8 @@ def _beam(at: Pose, scan: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def fire(params: SimulateParams, strip: StripPlan, first: int, count: int) -> Pulses:
-    """Pulses `first` to `first + count` of the strip; each depends on its own number only."""
+    """Pulses `first` to `first + count` of the strip, arrays (count, …) of `Pulses` [m, s]; each depends on its own
+    number only."""
     number = np.arange(first, first + count)
     line, place = np.divmod(number, strip.per_line)
     time = line * (strip.spacing / params.flight.speed) + place / params.sensor.pulse_rate

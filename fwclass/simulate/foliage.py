@@ -78,8 +78,8 @@ def leaf(crown, clump, stream, c, ox, oy, oz, dx, dy, dz, t0, t1, depth):  # typ
 
 @kernel
 def herb(stream, key, number, tall, x, y, far, rz):  # type: ignore[no-untyped-def]
-    """Distance at which a ray bound for the ground at `far` ends in a ragged herb layer of mean height `tall`,
-    by random number `number` of the stream `key`."""
+    """Distance [m] at which a ray bound for the ground at `far` [m] ends in a ragged herb layer of mean height `tall`
+    [m], by random number `number` of the stream `key`."""
     vx, vy = int(x / _VOXEL), int(y / _VOXEL)
     bits = mixed(stream ^ (np.uint64(vx) * _PY) ^ (np.uint64(vy) * _PX))
     way = tall * (0.3 + 1.4 * np.float64(bits >> _S56) / 255.0) / -rz

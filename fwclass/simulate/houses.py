@@ -30,7 +30,8 @@ class Builder:
     def house(
         self, random: np.random.Generator, place: Place, length: float, width: float, tall: float, kind: str
     ) -> None:
-        """Walls of about `tall` metres under a `flat`, `gabled` or `hipped` roof with an overhang."""
+        """Walls of about `tall` under a `flat`, `gabled` or `hipped` roof with an overhang; `tall`, `length`, `width`
+        [m]."""
         low, high = self._around(place, length, width)
         floor = 0.7 * high + 0.3 * low
         albedo = random.uniform(*self.params.house_albedo)
@@ -73,7 +74,7 @@ class Builder:
                 )
 
     def hall(self, random: np.random.Generator, place: Place, length: float, width: float) -> None:
-        """A large flat building with a parapet and machines on its roof."""
+        """A large flat building of `length` by `width` [m] with a parapet and machines on its roof."""
         tall = random.uniform(4.5, 10.0)
         low, high = self._around(place, length, width)
         top = 0.5 * (low + high) + tall
@@ -94,6 +95,7 @@ class Builder:
             )
 
     def car(self, random: np.random.Generator, place: Place) -> None:
+        """A car or a van at `place`, along its direction; 3.7 to 5.4 m long."""
         z = self.height(place.x, place.y)
         paint = random.uniform(0.08, 0.75)
         van = random.random() < 0.15
@@ -105,12 +107,12 @@ class Builder:
         self.things.block(cabin, 0.52 * length, 0.86 * wide, z + shoulder, z + roof, ARTIFICIAL, paint)
 
     def wall(self, random: np.random.Generator, place: Place, length: float) -> None:
-        """A garden wall along the place's direction, stepping with the terrain."""
+        """A garden wall of `length` [m] along the place's direction, stepping with the terrain."""
         tall, thick = random.uniform(0.6, 2.3), random.uniform(0.2, 0.45)
         self._along(place, length, 5.0, thick, tall, random.uniform(0.25, 0.5), 0.0)
 
     def fence(self, random: np.random.Generator, place: Place, length: float) -> None:
-        """A fence that lets a share of the rays through."""
+        """A fence of `length` [m] that lets a share of the rays through."""
         tall = random.uniform(0.9, 2.0)
         self._along(place, length, 6.0, 0.08, tall, random.uniform(0.3, 0.5), random.uniform(0.25, 0.7))
 
@@ -124,12 +126,13 @@ class Builder:
             self.things.block(part, length / pieces, thick, low - 0.3, high + tall, ARTIFICIAL, albedo, passing=passing)
 
     def lamp(self, place: Place) -> None:
+        """A street lamp with an arm, 6.6 m above the terrain."""
         z = self.height(place.x, place.y)
         self.things.block(place, 0.16, 0.16, z - 0.2, z + 6.5, ARTIFICIAL, 0.4)
         self.things.block(place.at(0.0, 0.6), 0.3, 1.3, z + 6.4, z + 6.6, ARTIFICIAL, 0.4)
 
     def bridge(self, place: Place, length: float, width: float, deck: float) -> None:
-        """A deck that one can see under, with parapets and two piers."""
+        """A deck that one can see under, with parapets and two piers; `length`, `width` and the height `deck` [m]."""
         self.things.block(place, length, width, deck - 0.7, deck, ARTIFICIAL, 0.22)
         for v in (-0.5, 0.5):
             rail = place.at(0.0, v * (width - 0.3))

@@ -51,6 +51,7 @@ class PacketWriter:
         return struct.pack("<H16sHQ32s", 0, b"LASF_Spec", 65535, self.size - WDP_HEADER, b"Waveform Data Packets")
 
     def append(self, samples: NDArray[np.uint16]) -> int:
+        """Write `samples` (samples,) [counts]; the byte offset of the first."""
         first = self.size
         data = samples.astype(self._dtype)
         self._file.write(data.tobytes())
@@ -70,7 +71,8 @@ class PacketWriter:
 
 
 def descriptor(index: int, bits: int, samples: int) -> laspy.VLR:
-    """Waveform packet descriptor `index` (1 to 255); one without samples is a placeholder, as sensors leave them."""
+    """Waveform packet descriptor `index` (1 to 255) of so many `samples` of `bits` each; one without samples is a
+    placeholder, as sensors leave them."""
     spacing = PICOSECONDS if samples else 0
     return laspy.VLR(
         user_id="LASF_Spec",
@@ -115,6 +117,7 @@ def _crs(params: SimulateParams) -> pyproj.CRS:
 
 
 def strip_header(params: SimulateParams, recording: Recording) -> laspy.LasHeader:
+    """Header of a strip, with a packet descriptor for each length of waveform."""
     header = _header(params, recording.las, recording.point_format)
     header.global_encoding.waveform_data_packets_external = True
     sensor = params.sensor
@@ -125,6 +128,7 @@ def strip_header(params: SimulateParams, recording: Recording) -> laspy.LasHeade
 
 
 def reference_header(params: SimulateParams) -> laspy.LasHeader:
+    """Header of the file of true echoes, LAS 1.4, with extra bytes for what is known of them."""
     header = _header(params, "1.4", 6)
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind, text) for name, kind, text in REFERENCE_EXTRA])
     for record in header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs:

@@ -24,7 +24,7 @@ SHOT_STREAM, CLOCK_STREAM, NOISE_STREAM = (1 << 24) - 1, (1 << 24) - 2, 1 << 24
 
 @kernel
 def mixed(value):  # type: ignore[no-untyped-def]
-    """The finaliser of SplitMix64 (Steele 2014): 64 well-mixed bits of a uint64."""
+    """uint64 of 64 well-mixed bits of a uint64, any shape: the finaliser of SplitMix64 (Steele 2014)."""
     value = (value ^ (value >> _S30)) * _MIX_A
     value = (value ^ (value >> _S27)) * _MIX_B
     return value ^ (value >> _S31)
@@ -32,7 +32,7 @@ def mixed(value):  # type: ignore[no-untyped-def]
 
 @kernel
 def draw(key, counter):  # type: ignore[no-untyped-def]
-    """64 random bits number `counter` (any integer) of the stream `key` (uint64)."""
+    """64 random bits, number `counter` (any integer) of the stream `key` (uint64)."""
     return mixed(key + np.uint64(counter) * GOLDEN)
 
 
@@ -50,7 +50,7 @@ def pulse_key(seed, strip, pulse):  # type: ignore[no-untyped-def]
 
 
 def normal_table() -> NDArray[np.float64]:
-    """4096 equally likely values of a standard normal variate, of exactly unit variance."""
+    """float64 (4096,): equally likely values of a standard normal variate, of exactly unit variance."""
     count = 1 << NORMAL_BITS
     values = scipy.special.ndtri((np.arange(count) + 0.5) / count)
     return np.ascontiguousarray(values / values.std())

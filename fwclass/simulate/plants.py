@@ -28,7 +28,8 @@ class Gardener:
         return density, random.uniform(*self.params.leaf_albedo)
 
     def tree(self, random: np.random.Generator, x: float, y: float, tall: float, conifer: float = 0.15) -> None:
-        """A tree of about `tall` metres: trunk, and a crown with its foliage."""
+        """A tree of about `tall` [m] at (x, y) [m]: trunk, and a crown with its foliage; `conifer` is the chance [0 to
+        1] of a cone."""
         z = self.height(x, y)
         density, albedo = self._leaf(random)
         place = Place(x, y, random.uniform(0, math.pi))
@@ -43,6 +44,7 @@ class Gardener:
         self.things.crown(place, ELLIPSOID, reach, reach, z + base, z + tall, density, albedo)
 
     def shrub(self, random: np.random.Generator, x: float, y: float) -> None:
+        """A shrub of some 0.3 to 4 m at (x, y) [m]."""
         z = self.height(x, y)
         density, albedo = self._leaf(random)
         tall = random.gamma(2.2, 0.5) + 0.25
@@ -62,7 +64,7 @@ class Gardener:
             self.things.crown(part, ELLIPSOID, reach, reach, bottom, top, 5.0 * density, albedo)
 
     def hedge(self, random: np.random.Generator, place: Place, length: float) -> None:
-        """A hedge along the place's direction, in pieces that follow the terrain."""
+        """A hedge of `length` [m] along the place's direction, in pieces that follow the terrain."""
         density, albedo = self._leaf(random)
         tall, wide = random.uniform(0.7, 2.2), random.uniform(0.5, 1.3)
         pieces = max(1, round(length / 4.0))
@@ -72,7 +74,7 @@ class Gardener:
             self.things.crown(part, BOX, length / pieces, wide, z - 0.3, z + tall, 4.0 * density, albedo)
 
     def wood(self, random: np.random.Generator, place: Place, length: float, width: float) -> None:
-        """A stand of trees of all ages with an understorey."""
+        """A stand of trees of all ages with an understorey, `length` by `width` [m]."""
         area = length * width
         for _ in range(int(area / 24.0 * self.params.tree_share)):
             at = place.at(random.uniform(-0.5, 0.5) * length, random.uniform(-0.5, 0.5) * width)

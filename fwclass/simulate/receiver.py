@@ -96,6 +96,8 @@ class Workspace(NamedTuple):
 
 
 def workspace(rays: int, long: int, candidates: int) -> Workspace:
+    """Scratch of one thread for at most `rays` a pulse, waves of `long` [samples] and so many `candidates` a ray; all
+    zero."""
     return Workspace(
         candidates=np.zeros(candidates, np.int64),
         range=np.zeros(rays),
@@ -110,7 +112,8 @@ def workspace(rays: int, long: int, candidates: int) -> Workspace:
 
 @kernel
 def add_pulse(wave, mean, amplitude, sigma):  # type: ignore[no-untyped-def]
-    """Add a Gaussian at `mean` samples to `wave`, within ±5 sigma, by the recurrence of its ratios."""
+    """Add a Gaussian at `mean` with `sigma` [samples] to `wave` (samples,), within ±5 sigma, by the recurrence of its
+    ratios."""
     n = len(wave)
     reach = int(5.0 * sigma) + 1
     centre = int(math.floor(mean + 0.5))
@@ -157,9 +160,11 @@ def digitise(wave, key, normal, noise, baseline, top, samples):  # type: ignore[
 
 @kernel
 def detect(samples, baseline, threshold, dip, location, height):  # type: ignore[no-untyped-def]
-    """On-board returns: peaks above `threshold` that are parted by a fall and a rise of `dip`; their number.
+    """On-board returns: peaks of `samples` (samples,) [counts] above `threshold` that are parted by a fall and a rise
+    of `dip`; their number.
 
-    The location is the centre of gravity of the five samples around the peak.
+    The `location` [samples] is the centre of gravity of the five samples around the peak, `height` [counts] its top
+    above the baseline.
     """
     n = len(samples)
     count, rising = 0, True
@@ -288,7 +293,8 @@ class Recorded(NamedTuple):
 
 
 def recorded(pulses: int, rays: int, long: int) -> Recorded:
-    """Room for a chunk of this many pulses, whatever they meet."""
+    """Room, all zero, for what a chunk of this many pulses [count] records, whatever they meet; `long` [samples] the
+    longest wave."""
     return Recorded(
         fate=np.zeros(pulses, np.uint8),
         begin=np.zeros(pulses, np.int64),

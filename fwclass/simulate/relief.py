@@ -34,10 +34,12 @@ class Town:
     half_river: float
 
     def frame(self, x: NDArray | float, y: NDArray | float) -> tuple[NDArray, NDArray]:
+        """(x, y) [m] in the town's frame: u [m] along the streets, v [m] across; any shape."""
         c, s = math.cos(self.angle), math.sin(self.angle)
         return np.asarray(x * c + y * s), np.asarray(y * c - x * s)
 
     def ground(self, u: float, v: float) -> tuple[float, float]:
+        """A place (u, v) [m] of the town's frame in survey coordinates (x, y) [m]."""
         c, s = math.cos(self.angle), math.sin(self.angle)
         return u * c - v * s, u * s + v * c
 
@@ -57,6 +59,7 @@ class Town:
 
 
 def town(params: SimulateParams) -> Town:
+    """Where streets and river of a survey lie [m]; the river passes two thirds of the way to the east."""
     angle = math.radians(params.scene.street_angle)
     plan = Town(angle, 0.0, params.scene.river_width / 2.0)
     u, v = plan.frame(0.66 * params.size, 0.5 * params.size)
@@ -131,7 +134,7 @@ class Relief:
 
 
 def relief(params: SimulateParams, plan: Town) -> Relief:
-    """The terrain of a survey."""
+    """The terrain of a survey: heights float32 (rows, columns) [m] every ``terrain_step`` [m]."""
     random = np.random.default_rng([params.seed, 1])
     step = params.scene.terrain_step
     axis = (np.arange(int((params.size + 2 * MARGIN) / step) + 1) * step - MARGIN).astype(np.float32)

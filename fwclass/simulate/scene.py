@@ -119,7 +119,8 @@ def _fill(box, cell, side, start, item, ceiling):  # type: ignore[no-untyped-def
 def index(
     box: NDArray[np.float64], size: float, cell: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """`start`, `item` and `ceiling` of a `Scene` whose things have these boxes; by cell, then thing."""
+    """`start` (cells + 1,), `item` and `ceiling` (cells,) [m] of a `Scene` whose things have these boxes (things, 6)
+    [m]; by cell, then thing."""
     side = int(np.ceil(size / cell))
     ceiling = np.full(side * side, -np.inf)
     count = np.zeros(side * side, np.int64)

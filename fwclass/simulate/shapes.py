@@ -23,14 +23,16 @@ class Place:
 
     @property
     def axes(self) -> tuple[float, float]:
+        """(cos, sin) of the direction: the unit vector along it."""
         return math.cos(self.angle), math.sin(self.angle)
 
     def at(self, u: float, v: float) -> Place:
-        """The place `u` along and `v` across from here, with the same direction."""
+        """The place `u` [m] along and `v` [m] across from here, with the same direction."""
         c, s = self.axes
         return Place(self.x + u * c - v * s, self.y + u * s + v * c, self.angle)
 
     def turned(self, by: float) -> Place:
+        """The same place with its direction turned by `by` [rad], counterclockwise."""
         return Place(self.x, self.y, self.angle + by)
 
     def side(self, u: float, v: float, z: float, reach: float, rise: float = 0.0) -> Plane:
@@ -69,7 +71,8 @@ class Things:
         extra: tuple[Plane, ...] = (),
         passing: float = 0.0,
     ) -> None:
-        """An upright box, cut by `extra` half-spaces; `passing` is the share of rays that go through it."""
+        """An upright box [m], cut by `extra` half-spaces (a, b, c, d: a x + b y + c z <= d); `passing` is the share [0
+        to 1] of rays that go through it."""
         sides = [place.side(u, v, 0.0, r) for u, v, r in _four(length, width)]
         self.planes += [*sides, (0.0, 0.0, -1.0, -bottom), (0.0, 0.0, 1.0, top), *extra]
         self.counts.append(6 + len(extra))
@@ -116,6 +119,8 @@ class Things:
         self.crown_boxes.append(_bounds(turned, length, width, bottom, top))
 
     def arrays(self) -> dict[str, NDArray]:
+        """What `Scene` holds of all things: planes (planes, 4) with offsets by solid, class, albedo and openness of
+        every solid, crowns (crowns, 10) with albedo, boxes (things, 6) [m]."""
         start = np.concatenate([[0], np.cumsum(np.array(self.counts, np.int64))]).astype(np.int64)
         solids = np.array(self.solids, np.float64).reshape(-1, 3)
         return {

@@ -78,7 +78,8 @@ def _through(box, b, pad, ox, oy, oz, dx, dy, dz, far):  # type: ignore[no-untyp
 
 @kernel
 def gather(size, cell, start, item, ceiling, box, ox, oy, oz, dx, dy, dz, ground, out):  # type: ignore[no-untyped-def]
-    """Write to `out` the things near the central ray above its ground hit; returns how many."""
+    """Write to `out` (room,) the things near the central ray above its ground hit, at `ground` [m] from (ox, oy, oz)
+    [m]; returns how many."""
     side = int(math.ceil(size / cell))
     gx, gy, gz = ox + ground * dx, oy + ground * dy, oz + ground * dz
     i = min(max(int(gy / cell), 0), side - 1)

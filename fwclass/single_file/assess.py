@@ -83,19 +83,19 @@ def assess_files(reference: Path, prediction: Path, codes: str | None, ground: b
     if ground and codes is not None:
         raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
     truth, answer = _cloud(reference), _cloud(prediction)
-    found = pairs(_places(truth), _places(answer), conf.section("label").max_distance)
-    known = found >= 0
+    rows = pairs(_places(truth), _places(answer), conf.section("label").max_distance)
+    known = rows >= 0
     if not known.any():
         raise InputError(
             "reference and prediction have no point in common",
             where=f"{reference}, {prediction}",
             do="check that they show the same place in the same coordinate system",
         )
-    wanted, given = truth["source_class"][known], answer["source_class"][found[known]]
+    wanted, given = truth["source_class"][known], answer["source_class"][rows[known]]
     classes, given = _classes(wanted, given, codes, ground)
     names = [c.name for c in classes]
-    made = figures(confusion(wanted, given, classes), names, unclassified(wanted, given, classes))
-    return {**made, "matched": int(known.sum()), "unmatched": int((~known).sum())}
+    plain = figures(confusion(wanted, given, classes), names, unclassified(wanted, given, classes))
+    return {**plain, "matched": int(known.sum()), "unmatched": int((~known).sum())}
 
 
 def _classes(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fwclass import conf
 from fwclass.classify.stage import classify, filled
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
 from fwclass.features.stage import features
@@ -96,12 +96,12 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     notes = check_learned(model.card, {source.path.name: quantities_of(source)}, job.model)
     codes = legal_codes(job, model, source)
     asked = Asked.of(n for n in model.features if is_feature(n))
-    found = _echoes(job, model, asked, tell)
-    made, without, medians, dense = _classified(found.table, model, asked, job.settings, tell)
+    echoes = _echoes(job, model, asked, tell)
+    results, without, medians, dense = _classified(echoes.table, model, asked, job.settings, tell)
     tell("writing")
-    rows = _row_of_point(found, job.source)
-    classes = codes[made["classification"][rows]]
-    extra = {name: made[name][rows] for name in made if name != "classification"}
+    rows = _row_of_point(echoes, job.source)
+    classes = codes[results["classification"][rows]]
+    extra = {name: results[name][rows] for name in results if name != "classification"}
     wrote = write_strip_laz(job.source, job.output, classes, extra, conf.section("publish", job.settings))
     used, counts = np.unique(classes, return_counts=True)
     return {
@@ -110,15 +110,15 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "model": str(job.model),
         "kind": model.kind,
         "points": len(rows),
-        "echoes": found.table.rows,
+        "echoes": echoes.table.rows,
         "features": list(model.features),
         "classes": {str(c): int(n) for c, n in zip(used, counts, strict=True)},
         "names": {str(int(codes[c.code])): c.name for c in model.classes},
-        "confidence": float(made["confidence"].mean()),
+        "confidence": float(results["confidence"].mean()),
         "without_value": without,
         "filled": medians,
         "waveforms": wrote.get("wdp"),
-        "notes": [*found.told, *dense, *notes, *(str(n) for n in wrote.get("notes", ()))],
+        "notes": [*echoes.told, *dense, *notes, *(str(n) for n in wrote.get("notes", ()))],
         "seconds": round(time.perf_counter() - began, 3),
     }
 
@@ -206,20 +206,20 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
     tell("reading")
     needed = (*model.features, *asked.reads)
     notes: tuple[str, ...] = ()
-    found = read_echoes(job.source, needed, job.settings, given_crs(job.crs, "--crs"), tell)
-    links = found.links
+    echoes = read_echoes(job.source, needed, job.settings, given_crs(job.crs, "--crs"), tell)
+    links = echoes.links
     if "height_above_ground" in needed:
         method = job.method
         if method is None and job.preset is None and not job.own_ground:
             method = conf.section("ground", job.settings).method
         by = GroundChoice(method, job.preset, job.assignments)
-        found = with_heights(found, job.source, by, job.settings, tell)
+        echoes = with_heights(echoes, job.source, by, job.settings, tell)
         if "height_above_ground" in model.features and (note := ground_note(model, method)):
             notes = (note,)
     if any(n in RADIOMETRY.writes for n in needed):
-        found = with_radiometry(found, job.flight, job.settings)
-    check_names(model, found.table, job.source)
-    return FileEchoes(found.table, found.crs, (*found.told, *notes), links)
+        echoes = with_radiometry(echoes, job.flight, job.settings)
+    check_names(model, echoes.table, job.source)
+    return FileEchoes(echoes.table, echoes.crs, (*echoes.told, *notes), links)
 
 
 def _classified(
@@ -231,9 +231,9 @@ def _classified(
     Tile by tile (`tile.size`, which changes nothing), so that the features of one tile only are in memory.
     """
     params, shares = conf.section("features", settings), conf.section("classify", settings).probabilities
-    size, done, told = conf.section("tile", settings).size, 0, 0
+    size, done, replaced = conf.section("tile", settings).size, 0, 0
     halo = asked.halo(params) if asked.names else 0.0
-    made: dict[str, NDArray] = {}
+    results: dict[str, NDArray] = {}
     without, crowds = np.zeros(len(model.features), np.int64), []
     for tile, rows, own in blocks_of(table["x"], table["y"], size, halo):
         tell(f"classes: {done:,} of {table.rows:,} echoes")
@@ -247,19 +247,19 @@ def _classified(
             whole = whole.with_columns(around.select(asked.names))
         X = sample_matrix(whole, model.features, tile.key)
         for name, values in classify(X, model, shares).items():
-            made.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
+            results.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
         without += np.isnan(X).sum(axis=0)
-        done, told = done + len(core), told + filled(X, model)
+        done, replaced = done + len(core), replaced + filled(X, model)
     crowd = Crowd.of_parts(crowds)
     lacking = {n: int(k) for n, k in zip(model.features, without, strict=True) if k}
-    return made, lacking, told, [crowd.text(params)] if crowd else []
+    return results, lacking, replaced, [crowd.text(params)] if crowd else []
 
 
-def _row_of_point(found: FileEchoes, source: Path) -> NDArray[np.int64]:
+def _row_of_point(echoes: FileEchoes, source: Path) -> NDArray[np.int64]:
     """For every point of the file the row of its echo."""
-    if found.links is None:
+    if echoes.links is None:
         raise InputError("the file's points have no echoes", where=source, do="give a LAS or LAZ file")
-    keys, wanted = _keys(found.table), _keys(found.links)
+    keys, wanted = _keys(echoes.table), _keys(echoes.links)
     order = np.argsort(keys, kind="stable")
     place = np.searchsorted(keys, wanted, sorter=order)
     place = order[np.minimum(place, len(keys) - 1)]
@@ -277,19 +277,19 @@ def _keys(table: Table) -> NDArray[np.uint64]:
     return (table["pulse"].astype(np.uint64) << np.uint64(8)) | table["echo_number"].astype(np.uint64)
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(summary: dict[str, Any]) -> str:
     """What was done, for a terminal."""
-    total = made["points"]
+    total = summary["points"]
     lines = [
-        f"{total:,} points by a {made['kind']} of {len(made['features'])} features",
-        *made["notes"],
+        f"{total:,} points by a {summary['kind']} of {len(summary['features'])} features",
+        *summary["notes"],
         *(
-            f"  {made['names'].get(c, c):<14} {c:>3} {n:>12,}  {100 * n / total:5.1f} %"
-            for c, n in made["classes"].items()
+            f"  {summary['names'].get(c, c):<14} {c:>3} {n:>12,}  {100 * n / total:5.1f} %"
+            for c, n in summary["classes"].items()
         ),
-        f"mean confidence {made['confidence']:.2f}",
+        f"mean confidence {summary['confidence']:.2f}",
     ]
-    lines += [f"no value: {name} of {n:,} echoes" for name, n in made["without_value"].items()]
-    if made["filled"]:
-        lines.append(f"{made['filled']:,} missing values were filled with the medians of the training rows")
-    return "\n".join([*lines, f"written: {made['output']}"])
+    lines += [f"no value: {name} of {n:,} echoes" for name, n in summary["without_value"].items()]
+    if summary["filled"]:
+        lines.append(f"{summary['filled']:,} missing values were filled with the medians of the training rows")
+    return "\n".join([*lines, f"written: {visible(summary['output'])}"])

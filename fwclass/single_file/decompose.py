@@ -13,7 +13,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_estimate import describe
 from fwclass.decompose.stage import VENDOR_KEPT
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.errors import ConfigError, InputError
+from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
@@ -118,7 +118,7 @@ def decompose_file(
         *(f"plausibility: {text}" for text in remarks([judged], fit)),
         *notes,
         *(f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count),
-        f"written: {output}",
+        f"written: {visible(output)}",
     ]
     return "\n".join(rows), [judged]
 
@@ -156,13 +156,13 @@ def _pulse_words(pulse: SystemPulse) -> str:
     origin = f"from {pulse.outgoing:,} recorded outgoing pulses" if pulse.outgoing else origin
     noise = ", ".join(f"{c.noise:.2f}" for c in pulse.channels)
     error = f"{facts['shape_error']:.2%}" if pulse.shape_error > 0.0 else "below the noise"
-    told = f"system pulse: {pulse.shape}, {pulse.fwhm:.2f} ns wide ({origin}), shape error {error}"
+    words = f"system pulse: {pulse.shape}, {pulse.fwhm:.2f} ns wide ({origin}), shape error {error}"
     own = "".join(
         f"; {c.pulse.fwhm:.2f} ns of samples up to {c.saturation:g} DN each {c.sample_spacing:g} ns"
         for c in pulse.channels
         if c.pulse
     )
-    return told + own + (f"; noise {noise} DN" if noise else "")
+    return words + own + (f"; noise {noise} DN" if noise else "")
 
 
 def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Path | None) -> tuple[Table, list[str]]:
@@ -175,9 +175,9 @@ def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Pat
     shape: FeaturesParams = params["features"]
     chunk = Chunk(table.with_columns(features(chunk, (), shape).select(NORMAL)), chunk.core, chunk.tile)
     compared = [overlap(chunk, flown, settings)] if settings.target is not None else []
-    found = calibrate(compared, settings)
-    made = radiometry(chunk, flown, found, settings)
-    without = int(np.isnan(made["range"]).sum())
+    calibration = calibrate(compared, settings)
+    columns = radiometry(chunk, flown, calibration, settings)
+    without = int(np.isnan(columns["range"]).sum())
     if without == table.rows:
         raise ConfigError(
             "no echo has a range",
@@ -187,19 +187,19 @@ def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Pat
             else "fixes at the echoes' times, not further apart than radiometry.max_time_gap",
             do="correct it, or leave it out to go without radiometry",
         )
-    notes = [f"radiometry: C_cal {found.constant:.4g} ({found.source}), {without:,} echoes without a range"]
+    notes = [f"radiometry: C_cal {calibration.constant:.4g} ({calibration.source}), {without:,} echoes without a range"]
     if flown is not None:
         angle = pointing_error(chunk.table, flown, settings)
         check_pointing(angle, where)
-        told = (
+        sentences = (
             f"{angle:.3f} degrees (median)"
             if np.isfinite(angle)
             else "an unknown angle: no echo has a position in time"
         )
-        notes.append(f"trajectory: beams point at it to {told}")
+        notes.append(f"trajectory: beams point at it to {sentences}")
         if angle > DOUBTFUL:
             notes.append("fault: that is too much: check the trajectory's clock (UTC is not GPS time) and heights")
-    return table.with_columns(made), notes
+    return table.with_columns(columns), notes
 
 
 def flown_over(table: Table, path: Path, crs: Any, undulation: float) -> Table:

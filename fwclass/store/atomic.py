@@ -77,19 +77,31 @@ def write_text(path: Path, text: str, flush: bool = True) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    write_text(path, json.dumps(value, sort_keys=True, indent=1, allow_nan=False) + "\n")
+    """Write plain data as `write_text` does."""
+    write_text(path, to_json(value))
 
 
-def read_json(path: Path) -> Any:
+def to_json(value: Any) -> str:
+    """Plain data as the store writes it."""
+    return json.dumps(value, sort_keys=True, indent=1, allow_nan=False) + "\n"
+
+
+def from_json(data: bytes, where: object) -> Any:
+    """Plain data that lies at `where`; `DamagedError` where it is none."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(data.decode())
     except (ValueError, RecursionError) as fault:  # no JSON, no text, a number too long, nested too deep
         raise DamagedError(
             "a JSON file of the store cannot be read",
-            where=path,
+            where=where,
             got=fault,
             do="remove the file; the run makes it anew",
         ) from fault
+
+
+def read_json(path: Path) -> Any:
+    """Plain data of a file; `DamagedError` where it is none."""
+    return from_json(path.read_bytes(), path)
 
 
 @contextmanager

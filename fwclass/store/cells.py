@@ -93,11 +93,11 @@ def _digest_of_squares(
     `text`, `rows`: as in `CELLS`, from (`column`, `row`) on; `across`, `up`: first column and row, and those behind
     the last ones. Every stage that reads a tile with its halo asks for the same windows.
     """
-    found = []
+    squares = []
     for c in range(*across):
         at = _WIDTH * (c - column) * rows
         for r in range(*up):
             digest = text[at + _WIDTH * (r - row) : at + _WIDTH * (r - row + 1)]
             if digest != _NOTHING:
-                found.append([c, r, digest])
-    return digest_of(found) if found else None
+                squares.append([c, r, digest])
+    return digest_of(squares) if squares else None

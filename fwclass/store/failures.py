@@ -6,12 +6,14 @@ A failure says nothing about what is done; that is told by receipts alone.
 from __future__ import annotations
 
 import contextlib
+import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
-from fwclass.errors import DamagedError, visible
-from fwclass.store.atomic import read_json, write_json
+from fwclass.errors import StoreError, visible
+from fwclass.store.atomic import to_json
+from fwclass.store.bucket import Files
+from fwclass.store.directory import failure_key
 
 
 @dataclass(frozen=True)
@@ -29,41 +31,27 @@ class Failure:
 
 @dataclass(frozen=True)
 class Failures:
-    """``<directory>/<stage>/<part>.json``, one file for every part that failed."""
+    """``store/failures/<stage>/<part>.json``, one file for every part that failed."""
 
-    directory: Path
-
-    def _path(self, stage: str, part: str) -> Path:
-        return self.directory / stage / f"{part}.json"
+    files: Files
 
     def record(self, failure: Failure) -> None:
         """Keep a failure. Where even that cannot be written (disk full) it is left: the run itself has told it."""
-        with contextlib.suppress(OSError):
-            write_json(self._path(failure.stage, failure.part), asdict(failure))
-
-    def clear(self, stage: str, part: str) -> None:
-        """The part is made."""
-        self._path(stage, part).unlink(missing_ok=True)
+        with contextlib.suppress(OSError, StoreError):
+            self.files.put(failure_key(failure.stage, failure.part), to_json(asdict(failure)))
 
     def all(self) -> dict[tuple[str, str], tuple[Failure, float]]:
         """Every failure by (stage, part), with the time it was written [s since the epoch]."""
-        found = {}
-        for path in self.directory.glob("*/*.json"):
-            if path.name.startswith("."):
-                continue  # being written
-            try:
-                failure = Failure(**read_json(path))
-                if not all(isinstance(t, str) for t in asdict(failure).values()):
-                    raise TypeError("something that is no text")
-                failure = replace(failure, message=visible(failure.message, "\n\t"))
-                found[failure.stage, failure.part] = failure, path.stat().st_mtime
-            except (FileNotFoundError, DamagedError, TypeError):
-                continue  # made meanwhile, or damaged: that it failed is told, and decides nothing
-        return found
+        held = [h for h in self.files.list("store/failures") if not h.key.split("/")[-1].startswith(".")]
+        failures = {}
+        for one, data in zip(held, self.files.many([h.key for h in held]), strict=True):
+            with contextlib.suppress(ValueError, TypeError, RecursionError):  # damaged: that it failed decides nothing
+                failure = Failure(**json.loads(data[0])) if data else None
+                if failure is not None and all(isinstance(text, str) for text in asdict(failure).values()):
+                    failure = replace(failure, message=visible(failure.message, "\n\t"))
+                    failures[failure.stage, failure.part] = failure, one.written
+        return failures
 
-    def forget_others(self, stage: str, keep: Iterable[str]) -> None:
-        """Remove failures of parts of `stage` that the plan no longer has."""
-        names = set(keep)
-        for path in (self.directory / stage).glob("*.json"):
-            if path.stem not in names:
-                path.unlink(missing_ok=True)
+    def forget(self, stage: str, names: Iterable[str]) -> None:
+        """Remove what parts of `stage` said, by the names of the files."""
+        self.files.delete(f"store/failures/{stage}/{name}" for name in names)

@@ -3,15 +3,14 @@
 ``<run>/generations/<number>/`` holds ``laz/ parquet/ rasters/ model/``, the reports, ``manifest.json`` with the size
 and digest of each of these files, and ``generation.json``, which has the digest of the manifest.
 ``<run>/current`` is a link to one of them; ``<run>/laz`` and its like are links through `current`, so that all of them
-change at one stroke. Files are hard links to the parts of the store: what did not change takes no disk again. See
-FORMAT.md.
+change at one stroke. Files are hard links to the parts of the store: what did not change takes no disk again. On object
+storage they are copies made by the server, and ``current.json`` says which generation is seen. See FORMAT.md.
 """
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
+import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -22,19 +21,20 @@ from typing import Any
 from fwclass import __version__
 from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import below
-from fwclass.store.atomic import bytes_digest, digest_of, file_digest, files_below, read_json, sync, write_text
-from fwclass.store.digests import check_file
+from fwclass.store.atomic import bytes_digest, digest_of, file_digest, files_below, to_json
+from fwclass.store.bucket import Files
+from fwclass.store.directory import FACTS, GENERATIONS, MANIFEST, Facts
+from fwclass.store.objects import Mark
+from fwclass.store.refusals import Unreachable
 from fwclass.store.seal import sealed, unsealed
 from fwclass.store.url import Url
 
-CURRENT = "current"
-MANIFEST = "manifest.json"
-_FACTS = "generation.json"
 _PENDING = ".pending"
+_NAME = re.compile(r"(\d+)(-[0-9a-f]+)?", re.ASCII)
+"""Number, and on object storage what no other writer's generation of that number has in its name."""
 
-Manifest = Mapping[str, Mapping[str, Any]]
-"""``bytes`` and ``digest`` of every file of a generation, by its path there; on object storage also its ``e_tag``."""
-
+Manifest = Mapping[str, Facts]
+"""Facts of every file of a generation, by its path there."""
 
 Tell = Callable[[str], None]
 
@@ -46,38 +46,38 @@ def _silent(text: str) -> None:
 @dataclass(frozen=True)
 class Generation:
     """One delivery: `whole` if the plan had no failures and was not restricted; `digest` of all parts' files, and of
-    its `manifest` ("" for one of before there were any)."""
+    its `manifest` ("" for one of before there were any); `path` on this host, and `where` for a user."""
 
     number: int
     path: Path
     whole: bool
     digest: str
     manifest: str
+    where: Path | Url
 
     @property
     def name(self) -> str:
         return self.path.name
 
     @property
-    def where(self) -> Path | Url:
-        """What a user is told."""
-        return self.path
+    def key(self) -> str:
+        return f"{GENERATIONS}/{self.name}"
 
 
 @dataclass(frozen=True)
 class Generations:
-    """The generations of the run directory `root`; only the holder of its lock changes them."""
+    """The generations of a run; only the holder of its lock changes them."""
 
-    root: Path
+    files: Files
 
     @property
     def directory(self) -> Path:
-        return self.root / "generations"
+        return self.files.root / GENERATIONS
 
     @property
     def pending(self) -> Path:
         """Where the next generation's reports are written before it is published; made when asked for."""
-        path = below(self.root, f"{self.directory.name}/{_PENDING}")
+        path = below(self.files.root, f"{GENERATIONS}/{_PENDING}")
         if path.is_symlink():
             path.unlink()
         path.mkdir(parents=True, exist_ok=True)
@@ -86,54 +86,82 @@ class Generations:
     def clear_pending(self) -> None:
         shutil.rmtree(self.directory / _PENDING, ignore_errors=True)
 
+    def check_links(self) -> None:
+        """`StoreError` where something else stands in a place that a delivery needs."""
+        self.files.check_links()
+
     def all(self) -> list[Generation]:
         """Every generation that is there, the oldest first; a damaged one says nothing."""
-        found = []
-        for path in self.directory.glob("[0-9]*"):
-            with contextlib.suppress(FileNotFoundError, DamagedError):  # collected meanwhile
-                found.append(_read(path))
-        return sorted(found, key=lambda g: g.number)
+        return self._all(self._names())
+
+    def _names(self) -> list[str]:
+        return [name for name in self.files.names(GENERATIONS) if name[0].isdigit()]
+
+    def _all(self, names: Sequence[str]) -> list[Generation]:
+        generations = map(self._parsed, names, self.files.many([f"{GENERATIONS}/{n}/{FACTS}" for n in names]))
+        return sorted((g for g in generations if g is not None), key=lambda g: (g.number, g.name))
+
+    def _parsed(self, name: str, data: tuple[bytes, Mark] | None) -> Generation | None:
+        """A generation as its own file tells of it; None where there is none, or a damaged one."""
+        try:
+            where = self.files.where / GENERATIONS / name
+            return _generation_of(data[0], self.directory / name, where) if data else None
+        except DamagedError:
+            return None
+
+    def _named(self, name: str) -> Generation | None:
+        return self._parsed(name, self.files.get(f"{GENERATIONS}/{name}/{FACTS}")) if _NAME.fullmatch(name) else None
 
     def current(self) -> Generation | None:
         """What readers see, None before anything was delivered."""
-        try:
-            return _read(self.directory / (self.root / CURRENT).readlink().name)
-        except (FileNotFoundError, DamagedError):
-            return None
+        pointer = self.files.pointer()
+        return self._named(pointer[0]) if pointer else None
 
     def shown(self, name: str) -> Path | None:
-        """A file that the current generation has at its top, None where it has none, or not the one it should have."""
+        """A file that the current generation has at its top, on this host; None where it has none, or not the one it
+        should have."""
         current = self.current()
         facts = (self.manifest(current) or {}).get(name) if current is not None else None
-        path = self.root / CURRENT / name
-        return path if facts is not None and path.is_file() and file_digest(path) == facts["digest"] else None
+        if current is None or facts is None:
+            return None
+        try:
+            self.files.fetch(current.key, {name: facts})
+        except StoreError as fault:
+            if isinstance(fault, Unreachable):
+                raise
+            return None
+        return self.files.root / current.key / name
 
     def manifest(self, generation: Generation) -> Manifest | None:
         """Facts of every file that the generation should have; None where it has no manifest, or a damaged one."""
-        path = generation.path / MANIFEST
-        try:
-            return _manifest_of(path.read_bytes(), generation)
-        except (FileNotFoundError, NotADirectoryError):
+        data = self.files.get(f"{generation.key}/{MANIFEST}")
+        if data is None or bytes_digest(data[0]) != generation.manifest:
             return None
+        return dict(json.loads(data[0])["files"])
 
     def damage(self) -> tuple[str, list[str]]:
         """The name of the generation that readers see, and files of it that are gone or not what was written: all are
         read; nothing for one of before there were manifests."""
-        try:
-            name = (self.root / CURRENT).readlink().name
-        except FileNotFoundError:
+        pointer = self.files.pointer()
+        if pointer is None:
             return "", []
-        generation = self.current()
+        generation = self._named(pointer[0])
         if generation is None:
-            return name, [_FACTS]
-        return name, self._damaged(generation) if generation.manifest else []
+            return pointer[0], [FACTS]
+        return pointer[0], self._damaged(generation) if generation.manifest else []
 
     def _damaged(self, generation: Generation, read: bool = True) -> list[str]:
-        """Files that are gone, of another size, or, where they are `read`, of other bytes."""
+        """Files that are gone, of another size, or, where they are `read` or were written over, of other bytes."""
         manifest = self.manifest(generation)
         if manifest is None:
             return [MANIFEST]
-        return [name for name, facts in manifest.items() if not _is(generation.path / name, facts, read)]
+        top = len(generation.key) + 1
+        there = {h.key[top:]: h for h in self.files.list(generation.key)}
+        sound = {n for n, facts in manifest.items() if n in there and there[n].size == facts["bytes"]}
+        doubted = {n for n in sound if read or there[n].mark.e_tag != manifest[n].get("e_tag")}
+        digests = self.files.digests({there[n].key: there[n].size for n in sorted(doubted)})
+        sound -= {n for n in doubted if digests.get(there[n].key) != manifest[n]["digest"]}
+        return [n for n in manifest if n not in sound]
 
     def publish(
         self, files: Mapping[str, tuple[Path, str]], whole: bool, keep: int, read: bool = False, tell: Tell = _silent
@@ -152,21 +180,25 @@ class Generations:
         """
         self.check_links()
         digest = digest_of({name: of for name, (_, of) in files.items()})
-        before = self.current()
-        if before is not None and before.whole == whole and before.digest == digest:
+        pointer, names = self.files.pointer(), self._names()
+        before, there = self._named(pointer[0]) if pointer else None, self._all(names)
+        if before is not None and pointer and before.whole == whole and before.digest == digest:
             broken = self._damaged(before, read)
-            tell_broken(before, broken, tell)
+            _tell_broken(before, broken, tell)
             if not broken and self._reports_stand(before):
                 self.clear_pending()
-                self._show(before)  # the run that made it may have ended before it was
-                self._collect(keep)
+                if not self.files.far:  # the run that made it may have ended before all links were there
+                    self._point(before, pointer[1])
+                self._retire(names, there, keep, before, pointer[1])
                 return before
-        number = 1 + max((int(p.name) for p in self.directory.glob("[0-9]*") if p.name.isdigit()), default=0)
-        made = self._write(number, files, whole, digest)
-        if whole or before is None or not before.whole:
-            self._show(made)
-        self._collect(keep)
-        return made
+        number = 1 + max((int(m[1]) for name in names if (m := _NAME.fullmatch(name))), default=0)
+        latest = self._write(number, files, whole, digest, before)
+        if before is None or whole or not before.whole:
+            self._point(latest, pointer[1] if pointer else None)
+            self._retire(names, [*there, latest], keep, latest, None)
+        elif pointer:
+            self._retire(names, [*there, latest], keep, before, pointer[1])
+        return latest
 
     def _reports_stand(self, generation: Generation) -> bool:
         """The reports that wait are those that the generation has."""
@@ -174,106 +206,47 @@ class Generations:
         waiting = {p.relative_to(own).as_posix(): p for p in files_below(own)}
         return all(n in manifest and file_digest(p) == manifest[n]["digest"] for n, p in waiting.items())
 
-    def _write(self, number: int, files: Mapping[str, tuple[Path, str]], whole: bool, digest: str) -> Generation:
-        own, before = self.pending, self.current()
-        manifest = {p.relative_to(own).as_posix(): _facts_of(p, file_digest(p)) for p in files_below(own)}
-        made: set[Path] = {own}
-        for name, (source, of) in sorted(files.items()):
-            target = below(own, name)
-            if target.parent not in made:
-                target.parent.mkdir(parents=True, exist_ok=True)
-                made.update(d for d in target.parents if own in d.parents)
-            if before is None or not _same_file(source, before.path / name):
-                check_file(str(source), of)
-            link(source, target)
-            manifest[name] = _facts_of(target, of)
-        text = _text({"files": manifest})
-        write_text(own / MANIFEST, text)
-        write_text(own / _FACTS, _text(facts_of(number, whole, digest, text, len(files))))
-        for directory in made:
-            sync(directory)
-        target = self.directory / f"{number:04d}"
-        own.rename(target)
-        sync(self.directory)
-        sync(self.root)  # before a link leads there
-        return _read(target)
+    def _write(
+        self, number: int, files: Mapping[str, tuple[Path, str]], whole: bool, digest: str, before: Generation | None
+    ) -> Generation:
+        def sealing(manifest: Manifest) -> tuple[str, str]:
+            text = to_json({"files": manifest})
+            return text, to_json(_facts_of(number, whole, digest, text, len(files)))
 
-    def _show(self, generation: Generation) -> None:
-        """Make `generation` the current one: one rename; then links for what is new in it, none for what is gone."""
-        _point(self.root / CURRENT, Path(self.directory.name) / generation.name)
-        entries = {p.name for p in generation.path.iterdir() if p.name not in (_FACTS, MANIFEST)}
-        for name in sorted(entries):
-            if not (self.root / name).is_symlink():
-                _point(self.root / name, Path(CURRENT) / name)
-        for path in self.root.iterdir():
-            if path.is_symlink() and path.name not in entries and path.readlink().parent == Path(CURRENT):
-                path.unlink(missing_ok=True)
-        sync(self.root)
+        name = self.files.deliver(self.pending, number, files, before.name if before else "", sealing)
+        self.clear_pending()
+        generation = self._named(name)
+        if generation is None:
+            raise StoreError("what was just delivered is gone", where=self.directory / name, do="run again")
+        return generation
 
-    def _collect(self, keep: int) -> None:
-        """Remove earlier generations, and what is left of some that were never finished, or not removed to the end."""
-        current = self.current()
-        there = self.all()
-        stay = {g.name for g in [g for g in there if g.whole][-max(1, keep) :] + there[-1:]}
-        for path in self.directory.glob("[0-9]*"):
-            if path.name not in stay and (current is None or path.name != current.name):
-                shutil.rmtree(path, ignore_errors=True)
+    def _point(self, generation: Generation, mark: Mark | None) -> None:
+        """Make `generation` the current one; `LostRace` where the pointer is not the one any more that `mark` marks."""
+        self.files.point(generation.name, {"digest": generation.digest, "whole": generation.whole}, mark)
 
-    def check_links(self) -> None:
-        """`StoreError` where something else stands in a place that a delivery needs."""
-        for name in (
-            CURRENT,
-            "laz",
-            "parquet",
-            "rasters",
-            "model",
-            "survey.qgz",
-            "tiles.gpkg",
-            "report.html",
-            "report.json",
-        ):
-            path = self.root / name
-            if path.exists() and not path.is_symlink():
-                raise StoreError(
-                    "something of the user's stands where a delivery is to appear",
-                    where=path,
-                    expected=f"nothing, or a link into {self.directory}",
-                    got="a file or directory",
-                    do="move it away, or choose another --out",
-                )
+    def _retire(
+        self, names: Sequence[str], there: Sequence[Generation], keep: int, shown: Generation, mark: Mark | None
+    ) -> None:
+        """Remove generations beyond the last `keep` whole ones, and what was never finished, or not removed to the end.
+
+        On object storage one may be another writer's, who slept and will go on. So the pointer is written anew before
+        (over `mark`; None: it just was): who read the earlier one cannot lead readers there any more.
+        """
+        stay = {g.name for g in [g for g in there if g.whole][-max(1, keep) :] + list(there[-1:])} | {shown.name}
+        gone = [name for name in names if name not in stay]
+        if gone and mark is not None and self.files.far:
+            self._point(shown, mark)
+        self.files.retire(gone)
 
 
-def link(source: Path, target: Path) -> None:
-    """Give a finished file a second name; a copy where the file system has no hard links (or no more of them)."""
-    try:
-        os.link(source, target)
-    except FileNotFoundError as fault:
-        raise StoreError(
-            "a part's file is gone", where=source, got=fault, do="run again; the missing parts are made"
-        ) from fault
-    except OSError:
-        shutil.copy2(source, target)
-        sync(target)
-
-
-def _point(path: Path, target: Path) -> None:
-    """Make `path` a link to `target`, in place of the link that it was."""
-    beside = path.with_name(f".{path.name}.link")
-    beside.unlink(missing_ok=True)
-    if path.is_symlink() and path.readlink() == target:
-        return
-    beside.symlink_to(target)
-    beside.replace(path)
-
-
-def tell_broken(generation: Generation, broken: Sequence[str], tell: Tell) -> None:
+def _tell_broken(generation: Generation, broken: Sequence[str], tell: Tell) -> None:
     """Say that files of a generation are not what was delivered, for who makes another in its place."""
     if broken and generation.manifest:
         some = ", ".join(broken[:3]) + (f" and {len(broken) - 3} more" if len(broken) > 3 else "")
         tell(f"delivery         {generation.name} is not what was delivered: {some}; another is made in its place")
 
 
-def facts_of(number: int, whole: bool, digest: str, manifest: str, files: int) -> dict[str, Any]:
+def _facts_of(number: int, whole: bool, digest: str, manifest: str, files: int) -> dict[str, Any]:
     """What a generation's own file says, with a digest of itself; `manifest`: the text of that."""
     facts = {
         "number": number,
@@ -287,47 +260,16 @@ def facts_of(number: int, whole: bool, digest: str, manifest: str, files: int) -
     return sealed(facts)
 
 
-def generation_of(facts: Any, path: Path, where: object) -> Generation:
+def _generation_of(data: bytes, path: Path, where: Path | Url) -> Generation:
     """The generation that its own file tells of; `DamagedError` where it tells none, or was changed since."""
     try:
-        plain = unsealed(facts)
+        plain = unsealed(json.loads(data))
         manifest = str(plain.get("manifest", ""))
-        return Generation(int(plain["number"]), path, bool(plain["whole"]), str(plain["digest"]), manifest)
-    except (KeyError, TypeError, ValueError) as fault:
+        return Generation(int(plain["number"]), path, bool(plain["whole"]), str(plain["digest"]), manifest, where)
+    except (KeyError, TypeError, ValueError, RecursionError) as fault:
         raise DamagedError(
-            "not the facts of a generation", where=where, got=fault, do="run again: a generation is made that is whole"
+            "not the facts of a generation",
+            where=where / FACTS,
+            got=fault,
+            do="run again: a generation is made that is whole",
         ) from fault
-
-
-def _read(path: Path) -> Generation:
-    return generation_of(read_json(path / _FACTS), path, path / _FACTS)
-
-
-def _manifest_of(data: bytes, generation: Generation) -> Manifest | None:
-    """A manifest's files; None where it is not the one that the generation names."""
-    return dict(json.loads(data)["files"]) if bytes_digest(data) == generation.manifest else None
-
-
-def _text(value: Any) -> str:
-    return json.dumps(value, sort_keys=True, indent=1, allow_nan=False) + "\n"
-
-
-def _facts_of(path: Path, digest: str) -> dict[str, Any]:
-    return {"bytes": path.stat().st_size, "digest": digest}
-
-
-def _is(path: Path, facts: Mapping[str, Any], read: bool) -> bool:
-    """The file is there with its size and, where it is `read`, its bytes."""
-    try:
-        if path.stat().st_size != facts["bytes"] or not path.is_file():
-            return False
-        return not read or file_digest(path) == facts["digest"]
-    except OSError:
-        return False
-
-
-def _same_file(path: Path, other: Path) -> bool:
-    try:
-        return path.samefile(other)
-    except OSError:
-        return False

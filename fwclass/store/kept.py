@@ -49,17 +49,17 @@ def read_kept(path: Path, columns: Iterable[str], groups: list[int]) -> Table:
             for g, piece in zip(groups, pieces, strict=True):
                 if piece is not None:
                     _columns.move_to_end((file, g, name))
-    found = {n: [p for p in pieces if p is not None] for n, pieces in there.items()}
-    lacking = [n for n in names if len(found[n]) < len(groups)]
+    columns_by_name = {n: [p for p in pieces if p is not None] for n, pieces in there.items()}
+    lacking = [n for n in names if len(columns_by_name[n]) < len(groups)]
     if lacking:
         table = read_table(path, lacking, groups)
         ends = np.cumsum(rows)[:-1]
-        found |= {n: np.split(table[n], ends) for n in lacking}
+        columns_by_name |= {n: np.split(table[n], ends) for n in lacking}
         if 4 * sum(table[n].nbytes for n in lacking) <= MOST:  # else it would take the place of all others
-            _keep(file, groups, {n: found[n] for n in lacking})
+            _keep(file, groups, {n: columns_by_name[n] for n in lacking})
     if not groups:
         return Table.empty(names)
-    return Table({n: found[n][0] if len(groups) == 1 else np.concatenate(found[n]) for n in names})
+    return Table({n: columns_by_name[n][0] if len(groups) == 1 else np.concatenate(columns_by_name[n]) for n in names})
 
 
 def _groups_in(file: File) -> tuple[Group, ...]:

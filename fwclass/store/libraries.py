@@ -56,20 +56,20 @@ _KNOWN: dict[str, Mapping[str, str]] = {}
 @cache
 def installed() -> Mapping[str, str]:
     """Versions of Python and of all libraries by name, of this environment; "none" for one that is not there."""
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     folders = {}
     for name in LIBRARIES:
         try:
             package = distribution(name)
         except PackageNotFoundError:
-            found[name] = "none"
+            versions[name] = "none"
         else:
-            found[name], folders[name] = package.version, Path(str(package.locate_file("")))
+            versions[name], folders[name] = package.version, Path(str(package.locate_file("")))
     for name, (package_name, attribute) in BESIDE.items():
         if package_name in folders:
             short = name.split()[0]
-            found[name] = _bundled(folders[package_name], package_name, short) or _linked(package_name, attribute)
-    return found
+            versions[name] = _bundled(folders[package_name], package_name, short) or _linked(package_name, attribute)
+    return versions
 
 
 def _bundled(folder: Path, package: str, name: str) -> str:

@@ -82,10 +82,10 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
     path = root / "store" / lock.name
     try:
         with path.open() as stream:
-            found = _facts(stream)
-            if found is not None and found.get("host") == socket.gethostname() and not _locked(stream.fileno()):
+            facts = _facts(stream)
+            if facts is not None and facts.get("host") == socket.gethostname() and not _locked(stream.fileno()):
                 return None  # it was killed and left its name
-            return found
+            return facts
     except FileNotFoundError:
         return None
 
@@ -99,12 +99,12 @@ def _facts(stream: IO[str]) -> dict[str, Any] | None:
     """What the file of a lock says, None where it says nothing."""
     try:
         stream.seek(0)
-        found = json.loads(stream.read(200))
+        facts = json.loads(stream.read(200))
     except (ValueError, RecursionError):
         return None
-    if not isinstance(found, dict):
+    if not isinstance(facts, dict):
         return None
-    return {str(k)[:80]: visible(v) if isinstance(v, str) else v for k, v in found.items()}
+    return {str(k)[:80]: visible(v) if isinstance(v, str) else v for k, v in facts.items()}
 
 
 def _same(path: Path, handle: int, root: Path) -> None:

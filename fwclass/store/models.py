@@ -96,13 +96,13 @@ def _card(path: Path) -> dict[str, Any]:
 
 def _digest(card: Mapping[str, Any], arrays: Mapping[str, NDArray]) -> str:
     """SHA-256 of the arrays and of what in the card decides: against accidents, not against forgers."""
-    told = {key: card[key] for key in _DECIDES if key in card}
-    made = hashlib.sha256(json.dumps(told, sort_keys=True).encode())
+    deciding = {key: card[key] for key in _DECIDES if key in card}
+    state = hashlib.sha256(json.dumps(deciding, sort_keys=True).encode())
     for name in sorted(arrays):
         array = np.ascontiguousarray(arrays[name])
-        made.update(f"\n{name} {array.shape}\n".encode())
-        made.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
-    return made.hexdigest()
+        state.update(f"\n{name} {array.shape}\n".encode())
+        state.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
+    return state.hexdigest()
 
 
 def _no_number(text: str) -> NoReturn:

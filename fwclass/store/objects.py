@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import os
 import random
@@ -73,8 +74,8 @@ class Objects:
         import obstore
 
         def read() -> tuple[bytes, Mark]:
-            found = obstore.get(self._store, key)
-            return bytes(found.bytes()), _mark(found.meta)
+            answer = obstore.get(self._store, key)
+            return bytes(answer.bytes()), _mark(answer.meta)
 
         try:
             return self._again(read, key)
@@ -124,12 +125,12 @@ class Objects:
         from obstore.exceptions import AlreadyExistsError, PreconditionError
 
         try:
-            made = self._again(lambda: obstore.put(self._store, key, data, mode=mode, use_multipart=False), key)
-            return _mark(made)
+            result = self._again(lambda: obstore.put(self._store, key, data, mode=mode, use_multipart=False), key)
+            return _mark(result)
         except (AlreadyExistsError, PreconditionError) as fault:
-            found = self.get(key)
-            if found is not None and found[0] == data:
-                return found[1]  # it was ours: an answer was lost on the way and the request sent again
+            present = self.get(key)
+            if present is not None and present[0] == data:
+                return present[1]  # it was ours: an answer was lost on the way and the request sent again
             raise LostRace(
                 "another run wrote here at the same time",
                 where=self.url / key,
@@ -142,9 +143,9 @@ class Objects:
 
         def read() -> list[Held]:
             prefix = below or None
-            found = obstore.list(self._store, prefix, chunk_size=1000)
+            batches = obstore.list(self._store, prefix, chunk_size=1000)
             return [
-                Held(o["path"], o["size"], _mark(o), o["last_modified"].timestamp()) for batch in found for o in batch
+                Held(o["path"], o["size"], _mark(o), o["last_modified"].timestamp()) for batch in batches for o in batch
             ]
 
         yield from self._again(read, below)
@@ -193,12 +194,28 @@ class Objects:
             if one.size:
                 self._piece(one, stream.fileno(), (0, one.size))
 
+    def digest(self, key: str, size: int) -> str | None:
+        """Digest of an object of `size` bytes, a piece after the other; None where there is none."""
+        state, chunk = hashlib.blake2b(digest_size=16), self.params.chunk_mib * MIB
+        try:
+            for first in range(0, size, chunk):
+                state.update(self._range(key, (first, min(size, first + chunk))))
+        except FileNotFoundError:
+            return None
+        return state.hexdigest()
+
     def _piece(self, one: Wanted, handle: int, piece: tuple[int, int]) -> None:
+        at, data = piece[0], self._range(one.key, piece, one.e_tag)
+        while data:
+            wrote = os.pwrite(handle, data, at)
+            at, data = at + wrote, data[wrote:]
+
+    def _range(self, key: str, piece: tuple[int, int], e_tag: str | None = None) -> memoryview:
+        """Bytes ``[first, end)`` of an object, of the version `e_tag` if that matters."""
         import obstore
         from obstore.exceptions import PreconditionError
 
-        key = one.key
-        options: Any = {"range": piece, **({"if_match": one.e_tag} if one.e_tag else {})}
+        options: Any = {"range": piece, **({"if_match": e_tag} if e_tag else {})}
 
         def read() -> memoryview:
             data = memoryview(obstore.get(self._store, key, options=options).bytes())
@@ -207,13 +224,9 @@ class Objects:
             return data
 
         try:
-            data = self._again(read, key)
+            return self._again(read, key)
         except PreconditionError as fault:
             raise LostRace("an object was changed while it was read", where=self.url / key) from fault
-        at = piece[0]
-        while data:
-            wrote = os.pwrite(handle, data, at)
-            at, data = at + wrote, data[wrote:]
 
     def _again(self, work: Callable[[], T], key: str) -> T:
         """`work`, tried again while it fails for another reason than that the object is (not) there."""

@@ -98,8 +98,8 @@ def found_outside(pattern: str, directory: Url, params: StoreParams) -> list[Rem
     below = fixed[0].strip("/") if fixed else ""
     held = list(objects_at(directory, params).list(below))
     wanted = pattern.split("/")
-    found = (h for h in held if path_matches(h.key.split("/"), wanted, hidden=True))
-    return [_with_beside(h, held, directory, params) for h in found]
+    matching = (h for h in held if path_matches(h.key.split("/"), wanted, hidden=True))
+    return [_with_beside(h, held, directory, params) for h in matching]
 
 
 def directory_outside(url: Url, params: StoreParams) -> RemoteFile:

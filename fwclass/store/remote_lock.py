@@ -117,18 +117,18 @@ def _check_conditional(objects: Objects) -> None:
 
 def _take(objects: Objects, lock: Lock, data: bytes, tell: Callable[[str], None]) -> Mark:
     key = key_of(lock)
-    found = objects.get(key)
-    if found is None:
+    present = objects.get(key)
+    if present is None:
         try:
             return objects.put_new(key, data)
         except LostRace:
-            found = objects.get(key)
-            if found is None:
+            present = objects.get(key)
+            if present is None:
                 raise
-    if held := _facts(found[0]):
-        found = _watched(objects, lock, held, found, tell)
+    if held := _facts(present[0]):
+        present = _watched(objects, lock, held, present, tell)
     try:
-        return objects.put_over(key, data, found[1])
+        return objects.put_over(key, data, present[1])
     except LostRace as fault:
         after = objects.get(key)
         raise _refused(objects, lock, _facts(after[0]) if after else {}) from fault
@@ -163,12 +163,12 @@ def _refused(objects: Objects, lock: Lock, held: Mapping[str, Any]) -> LockedErr
 
 def check_token(objects: Objects, token: str, lock: Lock = WRITER) -> None:
     """`LostRace` where the lock does not bear `token` any more: who slept does not write over who followed."""
-    found = objects.get(key_of(lock))
-    if found is None or _facts(found[0]).get("token") != token:
+    present = objects.get(key_of(lock))
+    if present is None or _facts(present[0]).get("token") != token:
         raise LostRace(
             f"this {lock.who} has lost its lock; {lock.then}",
             where=objects.url,
-            got=found[0].decode(errors="replace") if found else "no lock",
+            got=present[0].decode(errors="replace") if present else "no lock",
             do=f"see which other {lock.who} works below this address",
         )
 
@@ -176,8 +176,8 @@ def check_token(objects: Objects, token: str, lock: Lock = WRITER) -> None:
 def remote_holder(objects: Objects, lock: Lock = WRITER) -> Mapping[str, Any] | None:
     """Host and pid of the run that holds the lock, None where there is none; one that was killed is told too, until
     somebody waits for it."""
-    found = objects.get(key_of(lock))
-    held = _facts(found[0]) if found else {}
+    present = objects.get(key_of(lock))
+    held = _facts(present[0]) if present else {}
     if not held or (held.get("machine") == _machine() and not psutil.pid_exists(int(held.get("pid", 0)))):
         return None
     return {n: visible(v) if isinstance(v, str) else v for n, v in held.items() if n in ("host", "pid")}
@@ -186,10 +186,10 @@ def remote_holder(objects: Objects, lock: Lock = WRITER) -> Mapping[str, Any] | 
 def _facts(data: bytes) -> dict[str, Any]:
     """What a lock says of its holder, empty for one that nobody holds."""
     try:
-        found = json.loads(data)
+        facts = json.loads(data)
     except (json.JSONDecodeError, UnicodeDecodeError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return facts if isinstance(facts, dict) else {}
 
 
 def _machine() -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -10,14 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import FwclassError, StoreError
-from fwclass.store.atomic import read_json, write_json
+from fwclass.errors import FwclassError
+from fwclass.store.atomic import from_json, to_json
+from fwclass.store.bucket import Remote, files_at
 from fwclass.store.lock import WRITER, Lock, holder, writer
 from fwclass.store.params import StoreParams
-from fwclass.store.remote import RemoteStore
 from fwclass.store.remote_lock import check_token, remote_holder, remote_writer
-from fwclass.store.remote_read import Remote
-from fwclass.store.run_store import SeenStore, Store
+from fwclass.store.run_store import Store
 from fwclass.store.url import Url
 
 RunLocation = Path | Remote
@@ -43,9 +41,7 @@ def hurried(location: RunLocation) -> RunLocation:
 
 def open_store(location: RunLocation, read_only: bool = False, lists: bool = False) -> Store:
     """The store of a run; with `lists` for who asks about all of it, and says what was made meanwhile (`forget`)."""
-    if isinstance(location, Remote):
-        return RemoteStore.at(location, read_only, lists)
-    return (SeenStore if lists else Store)(location, read_only)
+    return Store(location, read_only, lists)
 
 
 def held_by(location: RunLocation, lock: Lock = WRITER) -> Mapping[str, Any] | None:
@@ -77,13 +73,8 @@ def confirm(location: RunLocation, lock: Lock) -> None:
 
 def read_note(location: RunLocation, name: str) -> Any:
     """Plain data that lies at the run's root, None for none; `StoreError` where it cannot be read."""
-    if not isinstance(location, Remote):
-        return read_json(location / name) if (location / name).exists() else None
-    found = location.objects.get(name)
-    try:
-        return None if found is None else json.loads(found[0])
-    except (ValueError, RecursionError) as fault:
-        raise StoreError("not plain data", where=location.url / name, got=fault, do="remove the object") from fault
+    data = files_at(location).get(name)
+    return from_json(data[0], address_of(location) / name) if data else None
 
 
 def write_note(location: RunLocation, name: str, value: Any, lock: Lock) -> None:
@@ -92,10 +83,7 @@ def write_note(location: RunLocation, name: str, value: Any, lock: Lock) -> None
     On object storage, where a lock may be lost unnoticed, `LostRace` when it is (`location` is what `locked` gave).
     """
     confirm(location, lock)
-    if isinstance(location, Remote):
-        location.objects.put(name, json.dumps(value, sort_keys=True, indent=1, allow_nan=False).encode())
-    else:
-        write_json(location / name, value)
+    files_at(location).put(name, to_json(value))
 
 
 @contextmanager

@@ -41,9 +41,9 @@ def worker_directory(path: Path) -> None:
 
 def scratch_directory(params: StoreParams) -> Path:
     """Where this process keeps its copies."""
-    told = os.environ.get("FWCLASS_SCRATCH") or params.scratch
-    if told:
-        return Path(told).expanduser().absolute()
+    chosen = os.environ.get("FWCLASS_SCRATCH") or params.scratch
+    if chosen:
+        return Path(chosen).expanduser().absolute()
     if _default:
         return _default[0] / "fwclass"
     return cache_home() / "fwclass"
@@ -92,15 +92,15 @@ class Scratch:
 
     def _found(self) -> list[tuple[str, int, float]]:
         """(unit, bytes, last use) of what an earlier process left; every unit is named by a file in ``units``."""
-        found = []
+        units = []
         for mark in (self.root / "units").glob("*"):
             unit = mark.read_text(encoding="utf-8")
             if not unit:  # its writer was killed
                 mark.unlink()
                 continue
             size = sum(p.stat().st_size for p in files_below(self.root / unit))
-            found.append((unit, size, mark.stat().st_mtime))
-        return found
+            units.append((unit, size, mark.stat().st_mtime))
+        return units
 
     def need(self, objects: Objects, unit: str, files: Mapping[str, Wanted], digests: Mapping[str, str]) -> None:
         """Make sure that `files` (by path below the unit) lie in the directory `unit`; `target` of each is overwritten.

@@ -112,10 +112,10 @@ def _group(file: pq.ParquetFile, number: int) -> Group:
         return Group(about.num_rows, None)
     sides = []
     for at in (schema.names.index("x"), schema.names.index("y")):
-        told, unit = about.column(at).statistics, _quantum(schema.field(at)) or 1.0
-        if told is None or not told.has_min_max:
+        statistics, unit = about.column(at).statistics, _quantum(schema.field(at)) or 1.0
+        if statistics is None or not statistics.has_min_max:
             return Group(about.num_rows, None)
-        sides.append((told.min * unit, told.max * unit + 1e-9))
+        sides.append((statistics.min * unit, statistics.max * unit + 1e-9))
     (west, east), (south, north) = sides
     return Group(about.num_rows, Box(west, south, east, north).grown(0.001))
 

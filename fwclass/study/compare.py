@@ -40,8 +40,8 @@ def fit(method: str, sample: Sample, params: TrainParams, compare: CompareParams
 def timed(work: Callable[[], Any]) -> tuple[float, Any]:
     """CPU seconds of this process, and what `work` gave."""
     began = time.process_time()
-    made = work()
-    return time.process_time() - began, made
+    result = work()
+    return time.process_time() - began, result
 
 
 def compared(
@@ -105,18 +105,18 @@ def _summary(
     }
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(result: dict[str, Any]) -> str:
     """The table for a terminal."""
     rows = [["", "overall %", "kappa", "mean IoU %", "training s", "classifying s", "us/echo", "MB"]]
-    for one in made["classifiers"]:
-        found = one["figures"]
+    for one in result["classifiers"]:
+        figures_of_one = one["figures"]
         shown = ["-"] * 3
-        if found:
-            kappa = found["kappa"]
+        if figures_of_one:
+            kappa = figures_of_one["kappa"]
             shown = [
-                f"{100 * found['overall_accuracy']:.2f}",
+                f"{100 * figures_of_one['overall_accuracy']:.2f}",
                 "-" if kappa is None else f"{kappa:.4f}",
-                f"{100 * found['mean_iou']:.2f}",
+                f"{100 * figures_of_one['mean_iou']:.2f}",
             ]
         per = one["classify_us_per_echo"]
         rows.append(
@@ -134,12 +134,12 @@ def describe(made: dict[str, Any]) -> str:
         "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(row, widths, strict=True)))
         for row in rows
     ]
-    total = ", ".join(f"{name} {n:,}" for name, n in made["samples"].items())
+    total = ", ".join(f"{name} {n:,}" for name, n in result["samples"].items())
     of: dict[str, list[str]] = {}
-    for one in made["classifiers"]:
+    for one in result["classifiers"]:
         for note in one["notes"]:
             of.setdefault(note, []).append(one["method"])
-    every = len(made["classifiers"])
+    every = len(result["classifiers"])
     notes = [note if len(who) == every else f"{', '.join(who)}: {note}" for note, who in of.items()]
-    head = f"{made['echoes']:,} test echoes, {len(made['features'])} features; trained on {total}"
+    head = f"{result['echoes']:,} test echoes, {len(result['features'])} features; trained on {total}"
     return "\n".join([head, "CPU seconds of one thread", *lines, *notes])

@@ -21,8 +21,8 @@ def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
     plan = until_tiles(Plan(config, names, names), runner)
     layout = plan.layout
     rates = rate_tasks(layout, names)
-    made = ancestors([*until_labels(plan), *rates], [t.name for t in rates])
-    done = require_all(runner, made)
+    wanted = ancestors([*until_labels(plan), *rates], [t.name for t in rates])
+    done = require_all(runner, wanted)
     boxes = config.areas.boxes("train")
     trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
     timing = cost_task(layout, max(trained, key=lambda t: _echoes(runner, t.key)), names)

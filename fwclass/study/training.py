@@ -36,19 +36,19 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     tasks += tasks_of(plan, LEARNING)
     require_all(runner, ancestors(tasks, [("train", "model")]))
     receipt = runner.store.receipt("train", "model")
-    made: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
-    made |= {"ambiguous": 0, "remarks": []}
+    plain: dict[str, Any] = {"card": dict(receipt.meta["card"]) if receipt else {}, "accuracy": None}
+    plain |= {"ambiguous": 0, "remarks": []}
     if assess:
         names, layout = config.features_asked, tested_layout(plan.layout)
         tasks += tasks_of(replace(plan, tiled=layout), (*CLASSIFYING, *JUDGING))
         require_all(runner, ancestors(tasks, [("assess", "all")]))
         judged = runner.store.receipt("assess", "all")
-        found = judged.meta["accuracy"] if judged else None
-        told = accuracy_remarks(found, config, names, plan.layout.echoes) if found else [NOTHING_TESTED]
-        made |= {"accuracy": found, "remarks": told}
+        accuracy = judged.meta["accuracy"] if judged else None
+        sentences = accuracy_remarks(accuracy, config, names, plan.layout.echoes) if accuracy else [NOTHING_TESTED]
+        plain |= {"accuracy": accuracy, "remarks": sentences}
     labelled = (runner.store.receipt(*name) for name in runner.outcomes if name[0] == "label")
-    made["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
-    return made
+    plain["ambiguous"] = sum(int(r.meta.get("ambiguous", 0)) for r in labelled if r)
+    return plain
 
 
 def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict[str, Any]:

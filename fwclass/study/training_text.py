@@ -12,9 +12,9 @@ MOST = 10
 """Features whose importance is shown."""
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(result: dict[str, Any]) -> str:
     """Samples, notes and accuracy of a trained model, for a terminal."""
-    card = made["card"]
+    card = result["card"]
     lines = [f"classifier  {card['kind']}, {len(card['features'])} features"]
     eligible = card.get("eligible", card["samples"])
     for one, n, of in zip(card["classes"], card["samples"], eligible, strict=True):
@@ -22,38 +22,38 @@ def describe(made: dict[str, Any]) -> str:
     lines += _out_of_bag(card.get("out_of_bag"), card["classes"], sum(card["samples"]))
     lines += _importance(card.get("importance"))
     lines += [f"note        {note}" for note in card.get("notes", ())]
-    if made.get("ambiguous"):
-        lines.append(f"note        {ambiguous_text(made['ambiguous'])}")
-    if made["accuracy"]:
-        lines += ["", confusion_table(made["accuracy"]), ""]
-    lines += [f"remark      {text}" for text in made.get("remarks", ())]
+    if result.get("ambiguous"):
+        lines.append(f"note        {ambiguous_text(result['ambiguous'])}")
+    if result["accuracy"]:
+        lines += ["", confusion_table(result["accuracy"]), ""]
+    lines += [f"remark      {text}" for text in result.get("remarks", ())]
     return "\n".join(lines)
 
 
-def _out_of_bag(found: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]], rows: int) -> list[str]:
+def _out_of_bag(card: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]], rows: int) -> list[str]:
     """Accuracy on rows that a tree did not see, whole and by class; n/a where there were none."""
-    if found is None:
+    if card is None:
         return []
-    if found["accuracy"] is None:
+    if card["accuracy"] is None:
         return ["out of bag  n/a: every tree saw every training row"]
     each = ", ".join(
         f"{one['name']} {'n/a' if share is None else f'{100 * share:.2f}'}"
-        for one, share in zip(classes, found["per_class"], strict=True)
+        for one, share in zip(classes, card["per_class"], strict=True)
     )
-    few = f", judged on {found['rows']:,} of {rows:,} rows" if found["rows"] < rows else ""
-    lines = [f"out of bag  {100 * found['accuracy']:.2f} % right ({each}{few})"]
-    if found["accuracy"] * len(classes) <= 1:
+    few = f", judged on {card['rows']:,} of {rows:,} rows" if card["rows"] < rows else ""
+    lines = [f"out of bag  {100 * card['accuracy']:.2f} % right ({each}{few})"]
+    if card["accuracy"] * len(classes) <= 1:
         lines.append("            no better than guessing: few training rows, or trees that hardly divide them (train)")
     return lines
 
 
-def _importance(found: Mapping[str, Any] | None) -> list[str]:
+def _importance(card: Mapping[str, Any] | None) -> list[str]:
     """The features that the forest loses most without, best first."""
-    if found is None:
+    if card is None:
         return []
-    drop = sorted(found["drop"].items(), key=lambda item: -item[1]["mean"])
+    drop = sorted(card["drop"].items(), key=lambda item: -item[1]["mean"])
     width = max(len(name) for name, _ in drop[:MOST])
-    lines = [f"importance  what permuting a feature takes from the accuracy out of bag, {found['repeats']} times"]
+    lines = [f"importance  what permuting a feature takes from the accuracy out of bag, {card['repeats']} times"]
     for name, one in drop[:MOST]:
         spread = "" if one["std"] is None else f" ± {100 * one['std']:.2f}"
         lines.append(f"            {name:<{width}} {100 * one['mean']:>7.2f}{spread} %")

@@ -18,12 +18,12 @@ def taken_from(points: Places, sampled: NDArray[np.bool_], reach: float) -> NDAr
 
     -1 where none is within `reach` [m].
     """
-    made = np.empty(len(sampled), np.int64)
-    made[sampled] = np.arange(int(sampled.sum()))
+    places = np.empty(len(sampled), np.int64)
+    places[sampled] = np.arange(int(sampled.sum()))
     others = ~sampled
     x, y, z = points
-    made[others] = follow((x[others], y[others], z[others]), (x[sampled], y[sampled], z[sampled]), reach)
-    return made
+    places[others] = follow((x[others], y[others], z[others]), (x[sampled], y[sampled], z[sampled]), reach)
+    return places
 
 
 def follow(points: Places, sampled: Places, reach: float) -> NDArray[np.int64]:
@@ -31,14 +31,14 @@ def follow(points: Places, sampled: Places, reach: float) -> NDArray[np.int64]:
 
     Exact; of equally near ones the one whose cell of the global grid comes first, then the lower row.
     """
-    found = np.full(len(points[0]), -1, np.int64)
-    left = np.arange(len(found))
+    nearest = np.full(len(points[0]), -1, np.int64)
+    left = np.arange(len(nearest))
     for k in range(DOUBLINGS, -1, -1):
         if len(left) == 0:
             break
         limit = reach if k == 0 else max(0.001, round(reach / 2**k, 3))
         near, _ = nearest_within((points[0][left], points[1][left], points[2][left]), sampled, limit)
         hit = near >= 0
-        found[left[hit]] = near[hit]
+        nearest[left[hit]] = near[hit]
         left = left[~hit]
-    return found
+    return nearest

@@ -85,17 +85,17 @@ def covering(
     Of the rows that have none, the one with the lowest `key` of every cube of a global grid; its diagonal is `reach`.
     """
     far = np.flatnonzero(~kept)
-    found = follow((x[far], y[far], z[far]), (x[kept], y[kept], z[kept]), reach)
-    far = far[found < 0]
+    nearest = follow((x[far], y[far], z[far]), (x[kept], y[kept], z[kept]), reach)
+    far = far[nearest < 0]
     mm = max(1, round(1000 * _cube(reach)))
     cubes = np.stack([millimetres(v[far]) // mm for v in (x, y, z)])
     order = np.lexsort((key[far], *cubes))
     cubes = cubes[:, order]
     first = np.ones(len(far), bool)
     first[1:] = (cubes[:, 1:] != cubes[:, :-1]).any(axis=0)
-    made = kept.copy()
-    made[far[order[first]]] = True
-    return made
+    covered = kept.copy()
+    covered[far[order[first]]] = True
+    return covered
 
 
 def _cube(reach: float) -> float:

@@ -26,7 +26,7 @@ class Split:
 
 
 def split(table: Table, grid: TileGrid) -> Split:
-    """Sort the rows of a chunk (any table with x, y) by the tile that owns them; the order within a tile is kept."""
+    """Sort the rows of a chunk (any table with x, y [m]) by the tile that owns them, each tile's in their order."""
     ix, iy = grid.indices(table["x"], table["y"])
     order = np.lexsort((iy, ix))
     sx, sy = ix[order], iy[order]
@@ -51,7 +51,7 @@ def _spread(v: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def morton(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint64]:
-    """Morton code of the global cells of `MORTON_CELL` that the points lie in."""
+    """uint64 (points,): Morton code of the global cells of `MORTON_CELL` [mm] that the points (x, y) [m] lie in."""
     half = 1 << 31
     cx = (millimetres(x) // MORTON_CELL + half).astype(np.uint64)
     cy = (millimetres(y) // MORTON_CELL + half).astype(np.uint64)
@@ -59,7 +59,7 @@ def morton(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint64]
 
 
 def assemble(fragments: list[Table], where: str) -> Table:
-    """A tile's rows from all chunks, in final order: Morton code, then (strip, pulse, echo_number).
+    """A tile's rows from all chunks, all columns, in final order: Morton code, then (strip, pulse, echo_number).
 
     An identity that occurs twice is an error of the source (the same strip listed twice under two names differs in
     `strip` and is not one): `InputError`.
@@ -79,7 +79,8 @@ def assemble(fragments: list[Table], where: str) -> Table:
 
 
 def assemble_points(fragments: list[Table]) -> Table:
-    """A tile's reference points, sorted by place, time and class: independent of how they were cut."""
+    """A tile's reference points (x, y, z [m], gps_time [s], source_class), sorted by place, time and class: independent
+    of how they were cut."""
     table = Table.concat(fragments)
     order = np.lexsort(
         (table["source_class"], table["gps_time"], table["z"], table["y"], table["x"], morton(table["x"], table["y"]))

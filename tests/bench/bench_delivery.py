@@ -1,4 +1,4 @@
-"""Delivered echoes: COPC beside plain LAZ of the same records, Parquet with and without features, a list of 10 000 tiles.
+"""Delivered echoes: COPC beside plain LAZ of the same records, Parquet with and without features, 10 000 tiles.
 
 python tests/bench/bench_delivery.py RUN
 

@@ -122,6 +122,7 @@ def wide_targets(n, seed=4, least=2.0, most=5.0):
     return wm.simulate(height, time, size, noise=np.ones(n), samples=160, pulse=wm.Pulse(4.0), seed=seed)[0]
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("n", [40, 61, 3000])
 def test_where_echoes_share_no_width_the_recorded_pulse_is_taken(params, n):
     waves, recorded = wide_targets(n), recorded_pulse(sent(4.1), params)

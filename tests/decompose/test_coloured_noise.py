@@ -67,10 +67,12 @@ def test_what_is_not_stationary_is_no_noise(phi):
         SystemPulse.from_json(stored)
 
 
+@pytest.mark.statistics
 def test_a_stored_pulse_keeps_its_noise(correlated):
     assert SystemPulse.from_json(correlated.to_json()).channels == correlated.channels
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("maker", [wm.survey_mix, wm.hard_mix, wm.noise_only])
 def test_white_noise_is_left_alone(base, params, maker):
     """Neither hidden echoes nor noise that differs between waveforms is taken for correlation or for growth."""
@@ -82,6 +84,7 @@ def test_white_noise_is_left_alone(base, params, maker):
     assert quiet_noise(waves, plain, params).inflation < 1.05
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("phi", KINDS)
 def test_correlation_is_measured_beside_and_between_echoes(base, params, phi):
     """Rounding is white and takes its part of it."""
@@ -93,6 +96,7 @@ def test_correlation_is_measured_beside_and_between_echoes(base, params, phi):
     assert abs(channel.baseline - 10.0) < 0.05 and 1.35 < channel.noise < 1.55
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("noise", [{"phi": PHI}, {"growth": 0.15}])
 def test_the_order_of_the_waveforms_does_not_matter(params, noise):
     waves, _ = wm.survey_mix(9000, seed=2, **noise)  # more samples than are looked at
@@ -146,6 +150,7 @@ def test_short_waveforms_are_foretold_from_fewer_samples(params):
             assert (fits.count == 1).mean() > 0.97
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("growth", [0.05, 0.15])
 def test_noise_that_grows_with_the_signal(base, params, growth):
     noise = {"noise": (1.3, 1.3), "growth": growth}

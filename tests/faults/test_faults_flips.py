@@ -19,7 +19,7 @@ from fwclass.errors import DamagedError, StoreError
 from fwclass.graph.file_digests import Digests
 from fwclass.operate.request import Request
 from fwclass.operate.status.verify import remove, verify
-from fwclass.store.remote_read import Remote
+from fwclass.store.bucket import Remote
 from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
 
@@ -91,7 +91,7 @@ def test_what_was_made_of_a_flipped_bit_goes_with_it(survey, copy, clean, monkey
     """As of before files were held to their digests: the receipts of all that follows look sound."""
     flip(a_file_of(copy, stage))
     with monkeypatch.context() as patch:
-        patch.setattr("fwclass.store.run_store.check_file", lambda path, digest: None)
+        patch.setattr("fwclass.store.directory.check_file", lambda path, digest: None)
         runner, _ = walk(survey, copy, *CHANGED)
     assert not runner.failures
     verified = verify(Store(copy, read_only=True))

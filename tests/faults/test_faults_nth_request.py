@@ -21,8 +21,8 @@ from smallgraph import delivered, made, run
 from fwclass.errors import FwclassError
 from fwclass.operate.history import past_runs
 from fwclass.operate.status.verify import verify
+from fwclass.store.bucket import Remote, unit_of
 from fwclass.store.objects import Objects
-from fwclass.store.remote_read import Remote, unit_of
 from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
 from fwclass.store.url import Url

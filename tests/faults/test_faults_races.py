@@ -23,9 +23,9 @@ from smallgraph import delivered, made, run
 
 from fwclass.errors import FwclassError
 from fwclass.operate.status.verify import verify
+from fwclass.store.bucket import Remote, unit_of
+from fwclass.store.lookup import receipt_key
 from fwclass.store.receipts import Receipt
-from fwclass.store.remote import RemoteStore
-from fwclass.store.remote_read import Remote, key_of_receipt, unit_of
 from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
 from fwclass.store.url import Url
@@ -70,7 +70,7 @@ def shown(bucket: Bucket, place: str) -> list[str]:
 
 def receipts(bucket: Bucket, place: str, stage: str, part: str) -> list[Receipt]:
     """Every receipt that the part ever had, in order."""
-    key = f"{place}/{key_of_receipt(stage, part)}"
+    key = f"{place}/{receipt_key(stage, part)}"
     return [Receipt.from_json(json.loads(c.data), c.key) for c in bucket.log if c.key == key and c.data]
 
 
@@ -94,7 +94,7 @@ def test_of_writers_without_a_lock_each_commit_that_is_told_was_done_once(tmp_pa
                     return {"text": text}
 
                 try:
-                    RemoteStore.at(location).commit("stage", part, text, {}, "store", work)
+                    Store(location).commit("stage", part, text, {}, "store", work)
                     told[text] = "acknowledged"
                 except FwclassError as fault:
                     told[text] = fault.what

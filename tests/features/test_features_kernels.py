@@ -213,7 +213,7 @@ CLOUDS = (random_cloud, sloping_ground, wall, exact_line, places_taken_twice, fe
 
 @pytest.mark.parametrize("cloud", CLOUDS, ids=lambda f: f.__name__)
 def test_every_measure_agrees_with_numpy_and_scipy(cloud):
-    table = cloud_of(cloud(np.random.default_rng(17), 160))
+    table = cloud_of(cloud(np.random.default_rng(17), 100))
     got = spheres(chunk_of(table), ASKED, PARAMS)
     for scale in ASKED:
         sets = neighbours(table, scale)
@@ -232,7 +232,7 @@ def test_every_measure_agrees_with_numpy_and_scipy(cloud):
 
 @pytest.mark.parametrize("cloud", (random_cloud, sloping_ground, exact_line, few_and_alone), ids=lambda f: f.__name__)
 def test_the_optimal_sphere_is_that_of_lowest_eigenentropy(cloud):
-    table = cloud_of(cloud(np.random.default_rng(19), 120))
+    table = cloud_of(cloud(np.random.default_rng(19), 80))
     got = optimal(chunk_of(table), bases("o"), True, PARAMS)
     radii = PARAMS.optimal_radii
     entropy = np.full((len(radii), table.rows), np.inf)

@@ -20,8 +20,8 @@ from fwclass.features.stage import features
 from fwclass.grid import Tile
 from fwclass.schema import Table
 from fwclass.single_file.features.file import FeaturesJob, features_file
+from fwclass.single_file.features.listing import describe
 from fwclass.single_file.features.names import sorted_settings, wanted
-from fwclass.single_file.features.text import describe
 from fwclass.stage import Chunk
 
 NAMES = ("height_above_ground", "echo_number", "zc", "planarity_r100", "height_std_k20", "count_g200", "egi_c100")

@@ -25,7 +25,7 @@ from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
 from fwclass.store import libraries, remote, run_store
-from fwclass.store.remote_read import Remote
+from fwclass.store.bucket import Remote
 from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
 

@@ -16,7 +16,7 @@ from commandline import fwclass
 from objectstore import Server, Trouble, quick, serving, used
 from runmaker import SETTINGS, delivered, walk
 
-from fwclass.store.remote_read import Remote
+from fwclass.store.bucket import Remote
 from fwclass.store.url import Url
 
 QUICK = tuple(f"store.{n}={v}" for n, v in quick().model_dump().items() if v is not None)

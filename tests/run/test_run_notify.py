@@ -10,8 +10,8 @@ import pytest
 from hook import Hook
 
 from fwclass import conf
+from fwclass.operate.schedule.child import Signals
 from fwclass.operate.schedule.notify import command, longest, post, tell_within
-from fwclass.operate.schedule.signals import Signals
 
 HIDDEN = "Xy7HIDDENz"
 RECORD = {"id": "1", "word": "done", "exit_code": 0, "why": {"trigger": "cron"}, "run": "/r"}

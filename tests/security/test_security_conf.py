@@ -235,3 +235,11 @@ def test_a_file_of_megabytes_is_not_read(tmp_path: Path) -> None:
 
 def test_aliases_that_a_person_writes_are_read() -> None:
     assert plain("a: &tin [1, 2]\nb: *tin") == {"a": [1, 2], "b": [1, 2]}
+
+
+@pytest.mark.parametrize("number", ["0x" + 50_000 * "f", ":".join(20_000 * ["59"]), "0b" + 50_000 * "1", 50_000 * "7"])
+def test_a_number_of_thousands_of_digits_is_refused_however_it_is_written(number, tmp_path):
+    (tmp_path / "s.yaml").write_text(f"tile: {{size: {number}}}\n")
+    with pytest.raises(ConfigError, match="cannot be read") as fault:
+        conf.load(tmp_path / "s.yaml")
+    assert "too long" in str(fault.value) and len(str(fault.value)) < 2000

@@ -355,3 +355,11 @@ def test_numba_is_imported_where_its_cache_is_fixed() -> None:
 
     assert numba.core.config._config_fname == os.devnull
     assert Path(numba.core.config.CACHE_DIR).is_absolute()
+
+
+def test_relative_paths_mean_the_strangers_directory(place: Path) -> None:
+    """GDAL is called from elsewhere there, with paths that still lead here."""
+    ended = start(place, "plan", place / "c.yaml", "--out", "../planned")
+    assert ended.returncode == 0, ended.stderr
+    assert (place / "planned" / "plan" / "tiles.gpkg").is_file()
+    untouched(place)

@@ -189,9 +189,33 @@ GEOMETRY = "insert into gpkg_geometry_columns values('v', '{}', 'POLYGON', 25832
 def test_a_view_of_a_geopackage_calls_nothing(expression: str, sound: Path, host: Hosts) -> None:
     view = f"create view v as select fid, geom, {expression.format(host.url)} as class from good"  # noqa: S608 - made here
     path = changed(sound, view, LISTED, GEOMETRY.format("geom"))
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="not what its name says"):
         read_polygons(open_polygons(path, "v"), "class")
     assert not host.asked
+
+
+ENDLESS = "with t(n) as (select 1 union all select n + 1 from t) select n as fid, x'00' as geom from t"
+
+
+@pytest.mark.parametrize(
+    ("statements", "words"),
+    [
+        ((f"create view v as {ENDLESS}", LISTED, GEOMETRY.format("geom")), "a view, v"),
+        (("create view V as select * from good", LISTED, GEOMETRY.format("geom")), "a view, v"),
+        (("alter table gpkg_contents rename to c", f"create view gpkg_contents as {ENDLESS}"), "a view, gpkg_contents"),
+        (("alter table good add column g as (hex(zeroblob(500000000)))",), "generated columns in good"),
+    ],
+)
+def test_a_layer_that_is_computed_when_it_is_read_is_refused(statements, words, sound: Path) -> None:
+    """An endless query, or one that takes all memory, cannot be told from a harmless one before it runs."""
+    path = changed(sound, *statements)
+    with pytest.raises(InputError, match="not what its name says") as fault:
+        read_polygons(open_polygons(path, None), "class")
+    assert words in str(fault.value)
+
+
+def test_a_view_that_is_no_layer_is_none_of_ours(sound: Path) -> None:
+    assert open_polygons(changed(sound, f"create view v as {ENDLESS}"), "good").features > 0
 
 
 @pytest.mark.parametrize(

@@ -158,6 +158,22 @@ def test_errors_write_control_characters_out(tmp_path: Path) -> None:
         assert ended.returncode in (1, 2) and not controls(ended.stderr) and "\\x1b" in ended.stderr
 
 
+@pytest.mark.parametrize(
+    "words",
+    [("ground",), ("normalize", "--method", "smrf"), ("features", "--features", "zc,echo_ratio_r100"), ("info",)],
+)
+def test_names_of_files_forge_no_line(tmp_path: Path, words: tuple[str, ...]) -> None:
+    """A name may hold the end of a line and what looks like the next one."""
+    name = "a\nground          99 %\x1b]0;title\x07\r\x9b31m\u202e"
+    x, y = np.random.default_rng(0).uniform(0, 60, (2, 3000))
+    path = write_las(tmp_path / f"{name}.las", np.c_[x, y, x * 0.1], point_format=6)
+    output = () if words == ("info",) else (tmp_path / f"o{name}{'.parquet' if words[0] == 'features' else '.las'}",)
+    ended = fwclass(words[0], path, *output, *words[1:])
+    assert ended.returncode == 0, ended.stderr
+    shown = ended.stdout + ended.stderr
+    assert not controls(shown) and "\nground          99 %" not in shown and "\\x1b" in shown
+
+
 @pytest.mark.parametrize("text", ["plain", "Straße – 漢字 é", "a b\tc\nd"])
 def test_what_can_be_seen_stays(text: str) -> None:
     assert visible(text, "\n\t") == text

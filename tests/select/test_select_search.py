@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fwclass import conf
-from fwclass.select.front import cheapest, front
-from fwclass.select.score import Score, Trial, as_good, score
+from fwclass.select.score import Score, Trial, as_good, cheapest, front, score
 from fwclass.select.search import backward, by_fscore, f_scores, forward, in_given_order
 from fwclass.select.work import extra_work, nominal
 

@@ -92,6 +92,22 @@ def test_delivered_files_go_to_the_run_directory_and_vanish_with_their_part(tmp_
     assert [p.name for p in (tmp_path / "laz").iterdir()] == ["two"]
 
 
+@pytest.mark.parametrize("place", ["store", "deliver", "run"])
+def test_bytes_that_changed_are_damage_wherever_a_part_lies(tmp_path, place):
+    store = Store(tmp_path)
+    receipt = store.commit("stage", "p", "k", {}, place, write("abc"))
+    assert store.done("stage", "p", "k") == receipt and store.damaged(receipt) == []
+    assert store.path("stage", "p", "a.txt").read_text() == "abc" and store.size_of(receipt, "a.txt") == 3
+    path = store.base(receipt) / "a.txt"
+    path.chmod(0o644)
+    path.write_text("abd")
+    assert store.damaged(receipt) == ["a.txt"]
+    path.unlink()
+    assert store.damaged(receipt) == ["a.txt"] and store.done("stage", "p", "k") is None
+    store.remove("stage", "p")
+    assert store.receipt("stage", "p") is None and not list(tmp_path.rglob("a.txt"))
+
+
 def test_a_damaged_receipt_says_nothing(tmp_path):
     store = Store(tmp_path)
     whole = store.commit("stage", "p", "k", {}, "store", write("abc"))

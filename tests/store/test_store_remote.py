@@ -10,10 +10,10 @@ import pytest
 from objectstore import Server, Trouble, quick
 
 from fwclass.errors import StoreError
+from fwclass.store.bucket import Remote
 from fwclass.store.failures import Failure
 from fwclass.store.refusals import LostRace
-from fwclass.store.remote import RemoteStore
-from fwclass.store.remote_read import Remote
+from fwclass.store.run_store import Store
 from fwclass.store.scratch import Scratch
 
 
@@ -32,7 +32,7 @@ def writing(text: str, name: str = "a.txt"):
 
 
 def commit(remote: Remote, key: str, text: str, part: str = "1_2", name: str = "a.txt", place: str = "store"):
-    return RemoteStore.at(remote).commit("stage", part, key, {"f": "d"}, place, writing(text, name), 1, {"cell": 0.5})
+    return Store(remote).commit("stage", part, key, {"f": "d"}, place, writing(text, name), 1, {"cell": 0.5})
 
 
 def elsewhere(monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
@@ -44,7 +44,7 @@ def test_a_committed_part_is_read_on_another_host(remote, monkeypatch, tmp_path)
     made = commit(remote, "k1", "abc", name="table.zarr/c/0")
     elsewhere(monkeypatch, tmp_path / "other")
     for lists in (False, True):
-        store = RemoteStore.at(remote, lists=lists)
+        store = Store(remote, lists=lists)
         assert store.done("stage", "1_2", "k1") == made == store.receipt("stage", "1_2")
         assert store.done("stage", "1_2", "k2") is None
         assert (store.path("stage", "1_2", "table.zarr") / "c/0").read_text() == "abc"
@@ -56,10 +56,10 @@ def test_a_committed_part_is_read_on_another_host(remote, monkeypatch, tmp_path)
 def test_an_answered_question_costs_no_request_again(s3, remote):
     for part in ("a", "b", "c"):
         commit(remote, "k", "abc", part)
-    store = RemoteStore.at(remote, lists=True)
+    store = Store(remote, lists=True)
     store.look_up([("stage", p) for p in "abc"])
     s3.faults.seen.clear()
-    again = RemoteStore.at(remote, lists=True)
+    again = Store(remote, lists=True)
     assert all(again.done("stage", p, "k") for p in "abc")
     assert again.receipt("stage", "never") is None
     assert [method for method, _ in s3.faults.seen] == ["GET"]  # one list; the receipts are known by their marks
@@ -70,7 +70,7 @@ def test_a_new_version_replaces_the_old_one_and_its_objects(s3, remote):
     commit(remote, "k2", "abd")
     files = [k for k in s3.read(remote.url) if k.startswith("store/stage")]
     assert len(files) == 2
-    assert RemoteStore.at(remote).path("stage", "1_2", "a.txt").read_text() == "abd"
+    assert Store(remote).path("stage", "1_2", "a.txt").read_text() == "abd"
 
 
 def test_a_part_that_breaks_leaves_the_older_one(s3, remote):
@@ -82,7 +82,7 @@ def test_a_part_that_breaks_leaves_the_older_one(s3, remote):
         raise RuntimeError
 
     with pytest.raises(RuntimeError):
-        RemoteStore.at(remote).commit("stage", "1_2", "k2", {}, "store", work)
+        Store(remote).commit("stage", "1_2", "k2", {}, "store", work)
     assert s3.read(remote.url) == before
 
 
@@ -98,9 +98,9 @@ def test_an_upload_that_is_torn_is_no_part_and_is_swept(s3, remote):
         s3.trouble(Trouble("busy", 1000, lambda method, path: path.endswith("/b.txt"))),
         pytest.raises(StoreError, match="does not answer"),
     ):
-        RemoteStore.at(remote).commit("stage", "p", "k", {}, "store", two)
+        Store(remote).commit("stage", "p", "k", {}, "store", two)
     assert any(k.endswith("/a.txt") for k in s3.read(remote.url))
-    store = RemoteStore.at(remote, lists=True)
+    store = Store(remote, lists=True)
     assert store.receipt("stage", "p") is None
     store.clear_staging()
     assert [k for k in s3.read(remote.url) if "stage" in k] == []
@@ -112,17 +112,17 @@ def test_the_sweep_keeps_what_a_receipt_names(s3, remote):
     s3.write(remote.url / "store/stage/never/k-1/a.txt", b"left by a killed worker")
     s3.write(remote.url / "generations/0007/laz/a.laz", b"never finished")
     before = set(s3.read(remote.url))
-    store = RemoteStore.at(remote, lists=True)
+    store = Store(remote, lists=True)
     store.clear_staging()
     gone = before - set(s3.read(remote.url))
     assert gone == {"store/stage/1_2/other-0000/a.txt", "store/stage/never/k-1/a.txt"}
-    assert RemoteStore.at(remote).done("stage", "1_2", "k1") == receipt
+    assert Store(remote).done("stage", "1_2", "k1") == receipt
 
 
 @pytest.mark.faults
 def test_two_who_make_a_part_at_once_do_not_mix(remote):
     """The second finds another receipt than before its work: the same part made by a twin is taken, another refused."""
-    slow = RemoteStore.at(remote)
+    slow = Store(remote)
 
     def late(key: str, mine: str, other: str):
         def work(directory: Path) -> dict[str, int]:
@@ -134,7 +134,7 @@ def test_two_who_make_a_part_at_once_do_not_mix(remote):
     assert late("k1", "abc", "abc").key == "k1"
     with pytest.raises(LostRace, match="another run wrote here"):
         late("k2", "abc", "another text")
-    assert RemoteStore.at(remote).path("stage", "1_2", "a.txt").read_text() == "another text"
+    assert Store(remote).path("stage", "1_2", "a.txt").read_text() == "another text"
 
 
 @pytest.mark.faults
@@ -144,17 +144,17 @@ def test_objects_that_are_gone_or_changed_are_no_part(s3, remote, monkeypatch, t
     elsewhere(monkeypatch, tmp_path / "second")
     s3.write(remote.url / key, b"abX")
     with pytest.raises(StoreError, match="not what was written"):
-        RemoteStore.at(remote).path("stage", "1_2", "a.txt")
+        Store(remote).path("stage", "1_2", "a.txt")
     s3.write(remote.url / key, b"ab")
-    assert RemoteStore.at(remote).done("stage", "1_2", "k1") is None
+    assert Store(remote).done("stage", "1_2", "k1") is None
     s3.remove(remote.url / key)
     for lists in (True, False):
-        store = RemoteStore.at(remote, lists=lists)
+        store = Store(remote, lists=lists)
         assert store.receipt("stage", "1_2") == receipt
         assert store.done("stage", "1_2", "k1") is None
         assert store.size_of(receipt, "a.txt") is None
     with pytest.raises(StoreError, match="gone"):
-        RemoteStore.at(remote).path("stage", "1_2", "a.txt")
+        Store(remote).path("stage", "1_2", "a.txt")
 
 
 def test_a_receipt_that_leads_out_of_its_part_is_refused(s3, remote):
@@ -165,11 +165,11 @@ def test_a_receipt_that_leads_out_of_its_part_is_refused(s3, remote):
     facts["outputs"] = {"../../x": {"bytes": 1, "digest": ""}}
     s3.write(remote.url / key, json.dumps(facts).encode())
     with pytest.raises(StoreError, match=r"not a receipt[\s\S]*output"):
-        RemoteStore.at(remote).receipt("stage", "1_2")
+        Store(remote).receipt("stage", "1_2")
     facts["outputs"], facts["part"] = {}, "other"
     s3.write(remote.url / key, json.dumps(facts).encode())
     with pytest.raises(StoreError, match="a receipt of another part"):
-        RemoteStore.at(remote).receipt("stage", "1_2")
+        Store(remote).receipt("stage", "1_2")
 
 
 @pytest.mark.faults
@@ -177,17 +177,17 @@ def test_a_run_that_lost_its_lock_commits_nothing(s3, remote):
     s3.write(remote.url / "store/lock", json.dumps({"host": "other", "pid": 1, "token": "theirs"}).encode())
     with pytest.raises(LostRace, match="lost its lock"):
         commit(Remote(remote.url, remote.params, "mine"), "k1", "abc")
-    assert RemoteStore.at(remote).receipt("stage", "1_2") is None
+    assert Store(remote).receipt("stage", "1_2") is None
 
 
 def test_failures_and_what_is_under_way_are_told(s3, remote):
-    store = RemoteStore.at(remote)
+    store = Store(remote)
     store.failures.record(Failure("stage", "1_2", "k", "disk full"))
     assert {n: f.message for n, (f, _) in store.failures.all().items()} == {("stage", "1_2"): "disk full"}
     seen = []
 
     def work(directory: Path) -> dict[str, int]:
-        seen.extend(RemoteStore.at(remote).under_way())
+        seen.extend(Store(remote).under_way())
         return {}
 
     store.commit("stage", "1_2", "k", {}, "store", work)
@@ -199,14 +199,14 @@ def test_failures_and_what_is_under_way_are_told(s3, remote):
 def test_parts_that_the_plan_no_longer_has_go(s3, remote):
     for part in ("a", "b"):
         commit(remote, "k", part, part)
-    assert RemoteStore.at(remote, lists=True).forget_others("stage", ["a"]) == ["b"]
-    assert RemoteStore.at(remote).receipt("stage", "b") is None
+    assert Store(remote, lists=True).forget_others("stage", ["a"]) == ["b"]
+    assert Store(remote).receipt("stage", "b") is None
     assert [k for k in s3.read(remote.url) if "/b/" in k] == []
-    assert RemoteStore.at(remote).path("stage", "a", "a.txt").read_text() == "a"
+    assert Store(remote).path("stage", "a", "a.txt").read_text() == "a"
 
 
 def test_generations_appear_at_one_stroke_and_the_last_stay(s3, remote):
-    store = RemoteStore.at(remote)
+    store = Store(remote)
 
     def deliver(text: str, whole: bool = True):
         receipt = commit(remote, text, text, name="laz/a.laz", place="deliver")
@@ -225,7 +225,7 @@ def test_generations_appear_at_one_stroke_and_the_last_stay(s3, remote):
     assert not [k for k in s3.keys(remote.url) if "dead" in k]
     assert shown() == "one"
     assert deliver("one").number == 1
-    sleeper = store.generations._pointer()[1]
+    sleeper = store.generations.files.pointer()[1]
     assert deliver("two").number == 2
     assert deliver("half", whole=False).number == 3
     assert shown() == "two"
@@ -243,7 +243,7 @@ def test_copies_are_bounded_and_the_longest_unread_go_first(remote, monkeypatch,
     elsewhere(monkeypatch, tmp_path / "small")
     monkeypatch.setattr("fwclass.store.scratch.KEPT", 1)
     small = Remote(remote.url, quick(scratch_gib=3500 / 2**30))
-    store = RemoteStore.at(small)
+    store = Store(small)
     for part in "abcad":
         assert store.path("stage", part, "a.txt").read_text() == part * 1000
     kept = sorted(p.parents[1].name for p in store.root.rglob("a.txt"))
@@ -277,14 +277,14 @@ def test_a_damaged_receipt_says_nothing_and_its_part_is_made_again(remote, monke
     for lists in (False, True):
         remote.objects.put(key, text)
         elsewhere(monkeypatch, tmp_path / f"other-{lists}")
-        store = RemoteStore.at(remote, lists=lists)
+        store = Store(remote, lists=lists)
         assert store.done("stage", "1_2", "k") is None and list(store.receipts("stage")) == []
         assert commit(remote, "k", "abc").digest == made.digest
-        assert RemoteStore.at(remote).done("stage", "1_2", "k").digest == made.digest
+        assert Store(remote).done("stage", "1_2", "k").digest == made.digest
 
 
 def test_a_receipt_whose_bytes_were_changed_says_nothing(remote):
     commit(remote, "k", "abc")
     key = "store/stage/1_2/receipt.json"
     remote.objects.put(key, remote.objects.get(key)[0].replace(b'"rows": 3', b'"rows": 4'))
-    assert RemoteStore.at(remote).receipt("stage", "1_2") is None
+    assert Store(remote).receipt("stage", "1_2") is None

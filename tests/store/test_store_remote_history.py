@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from objectstore import Server, quick
 
-from fwclass.store import history, remote_history
-from fwclass.store.remote import RemoteStore
-from fwclass.store.remote_read import Remote
+from fwclass.store import history
+from fwclass.store.bucket import Remote
+from fwclass.store.run_store import Store
 
 
 @pytest.fixture
@@ -47,11 +47,11 @@ def test_what_is_no_line_is_passed_over(s3, remote):
 
 
 def test_who_next_holds_the_lock_removes_the_oldest(s3, remote, monkeypatch):
-    monkeypatch.setattr(remote_history, "KEPT", 3)
+    monkeypatch.setattr(history, "KEPT", 3)
     for hour in range(6):
         run(remote, f"r{hour}", hour)
     history.append(remote, {"record": "told", "id": "r0", "told": {}})
     run(remote, "r6", 6, "begin")
-    RemoteStore.at(remote, lists=True).clear_staging()
+    Store(remote, lists=True).clear_staging()
     assert told(remote) == ["r4 end", "r5 end", "r6 begin"]
     assert len(s3.keys(remote.url)) == 5

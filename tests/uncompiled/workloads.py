@@ -41,9 +41,9 @@ from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import terrain
 from fwclass.ground.terrain.thinning import thinned
 from fwclass.ground.tin.tin import tin_of
-from fwclass.label.cloud import from_cloud
 from fwclass.label.params import LabelParams
 from fwclass.label.polygons import Polygons, owners
+from fwclass.label.stage import from_cloud
 from fwclass.model import ClassDef
 from fwclass.neighbours import nearest_within
 from fwclass.publish.class_raster import class_rasters

@@ -53,16 +53,16 @@ def noise(
     if len(x) == 0 or params.reach == 0.0:
         return out
     index = CellIndex.build(x, y, z, params.cell / (1 << (LEVELS - 1)))
-    found = np.zeros(len(x), bool)
+    stray = np.zeros(len(x), bool)
     heights = index.z.astype(np.float64)
     if params.low:
-        found |= _apart(index, heights, params, params.low_gap, params.low_shape)
+        stray |= _apart(index, heights, params, params.low_gap, params.low_shape)
     if params.high:
-        found |= _apart(index, -heights, params, params.high_gap, params.high_shape)
+        stray |= _apart(index, -heights, params, params.high_gap, params.high_shape)
     if params.sigma_rule:
-        left = np.flatnonzero(~found)
-        found[left] = _beyond_sigma(index.x[left], index.y[left], index.z[left], params)
-    out[index.order] = found
+        left = np.flatnonzero(~stray)
+        stray[left] = _beyond_sigma(index.x[left], index.y[left], index.z[left], params)
+    out[index.order] = stray
     return out
 
 
@@ -70,7 +70,7 @@ def _apart(
     index: CellIndex, heights: NDArray[np.float64], params: NoiseParams, gap: float, shape: float
 ) -> NDArray[np.bool_]:
     """Sorted points below a gap, at any of the sizes of cells; coarse cells see what fine ones have left."""
-    found = np.zeros(len(heights), bool)
+    below = np.zeros(len(heights), bool)
     for level in range(LEVELS):
         _below_gaps(
             heights,
@@ -86,9 +86,9 @@ def _apart(
             params.steepest,
             shape,
             SURROUNDINGS,
-            found,
+            below,
         )
-    return found
+    return below
 
 
 @kernel
@@ -202,7 +202,7 @@ def _beyond_sigma(
         edge *= 2
     ncols, nrows = int(x.max()) // edge + 1, int(y.max()) // edge + 1
     order, start = sort_by_cell(y // edge * ncols + x // edge, ncols * nrows)
-    found = np.zeros(len(x), bool)
+    beyond = np.zeros(len(x), bool)
     _sigma_rule(
         x[order],
         y[order],
@@ -215,9 +215,9 @@ def _beyond_sigma(
         params.sigma_least * 1000.0,
         params.sigma_neighbours,
         params.sigma_above,
-        found,
+        beyond,
     )
-    out[order] = found
+    out[order] = beyond
     return out
 
 

@@ -154,7 +154,7 @@ def _seeds(cloud: Cloud, params: PtdParams, section: str) -> NDArray[np.int64]:
         usable = np.ones(len(usable), bool)
     res = params.res or 1.0
     if isinstance(params, IptdParams):
-        found = opened_seeds(cloud, usable, res, params.cell, params.tolerance, f"{section}.cell")
-        if len(found):
-            return found
+        seeds = opened_seeds(cloud, usable, res, params.cell, params.tolerance, f"{section}.cell")
+        if len(seeds):
+            return seeds
     return sliding_seeds(cloud, usable, res, f"{section}.res")

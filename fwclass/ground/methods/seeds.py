@@ -111,23 +111,23 @@ def stand_ins(
     bx = np.r_[along_x, along_x, np.full(len(along_y), low_x), np.full(len(along_y), high_x)]
     by = np.r_[np.full(len(along_x), low_y), np.full(len(along_x), high_y), along_y, along_y]
     count = min(_NEAREST, len(seeds))
-    found = scipy.spatial.cKDTree(np.c_[x[seeds], y[seeds]]).query(np.c_[bx, by], np.arange(1, count + 1))
-    weight, near = 1.0 / np.asarray(found[0]), np.asarray(found[1])
+    neighbours = scipy.spatial.cKDTree(np.c_[x[seeds], y[seeds]]).query(np.c_[bx, by], np.arange(1, count + 1))
+    weight, near = 1.0 / np.asarray(neighbours[0]), np.asarray(neighbours[1])
     return bx, by, (z[seeds][near] * weight).sum(axis=1) / weight.sum(axis=1)
 
 
 @kernel
 def _lowest_of_cells(flat, usable, x, y, z, cells):  # type: ignore[no-untyped-def]
     """The lowest usable point of every cell that has one, rising; of equals the one further west, then south."""
-    found = np.full(cells, -1, np.int64)
+    lowest = np.full(cells, -1, np.int64)
     for i in range(len(flat)):
         if not usable[i]:
             continue
-        j = found[flat[i]]
+        j = lowest[flat[i]]
         if j >= 0 and z[i] == z[j]:
             lower = x[i] < x[j] or (x[i] == x[j] and y[i] < y[j])
         else:
             lower = j < 0 or z[i] < z[j]
         if lower:
-            found[flat[i]] = i
-    return np.sort(found[found >= 0])
+            lowest[flat[i]] = i
+    return np.sort(lowest[lowest >= 0])

@@ -105,12 +105,12 @@ def objects(surface: NDArray[np.float64], cell: float, slope: float, window: flo
     The surface is opened with disks of 1, 2, … ⌈window / cell⌉ cells; a cell that one opening lowers by
     more than slope × radius is an object. `cell` and `window` [m], `slope` rise over run.
     """
-    found = np.zeros(surface.shape, bool)
+    standing = np.zeros(surface.shape, bool)
     # whole millimetres up to 16 km are exact in float32, which halves the work
     last = np.rint(surface / QUANTUM).astype(np.float32)
     everything = math.ceil(math.hypot(*surface.shape))  # a larger disk sees no more
     for radius in range(1, min(math.ceil(window / cell), everything) + 1):
         this = opened(last, radius)
-        found |= last - this > np.float32(slope * cell * radius / QUANTUM)
+        standing |= last - this > np.float32(slope * cell * radius / QUANTUM)
         last = this
-    return found
+    return standing

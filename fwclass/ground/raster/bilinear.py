@@ -12,10 +12,10 @@ from fwclass.kernel import kernel
 def bilinear(
     raster: NDArray[np.floating], window: Window, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Values of `raster` (cell centres of `window`) at points.
+    """Values of `raster` (rows, columns; cell centres of `window`) at points (points,) [m].
 
-    A point in a NaN cell, or outside the window, gets NaN. Otherwise neighbour cells that are NaN or
-    outside take no part, the weights of the others are scaled up.
+    A point in a NaN cell, or outside the window, gets NaN. Otherwise neighbour cells that are NaN or outside take no
+    part, the weights of the others are scaled up.
     """
     if raster.shape != window.shape:
         raise ValueError(f"raster of shape {raster.shape} for a window of shape {window.shape}")

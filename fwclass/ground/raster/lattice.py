@@ -32,7 +32,8 @@ class LowestPoints(NamedTuple):
 
 
 def window_over(x: NDArray[np.float64], y: NDArray[np.float64], cell: float, setting: str, margin: int = 0) -> Window:
-    """The smallest window of the global raster that holds all points (at least one), grown by `margin` cells.
+    """The smallest window of the global raster of `cell` [m] that holds all points (x, y) [m], at least one, grown by
+    `margin` cells.
 
     `InputError` naming `setting` where the window would have more than `MAX_NODES` cells.
     """

@@ -55,12 +55,12 @@ def facet_heights(
     mm, west, south = _corner(facets, window)
     px, py = millimetres(x) - window.col * mm, millimetres(y) - window.row * mm
     order, start = sort_by_cell((py // mm) * window.ncols + px // mm, window.nrows * window.ncols)
-    found = np.full(len(order), np.nan)
+    heights = np.full(len(order), np.nan)
     places = 2.0 * px[order] + west, 2.0 * py[order] + south
     grid = start, window.ncols, window.nrows, 2.0 * mm, west, south
-    _points(facets.corners, facets.x, facets.y, facets.z, *places, *grid, found)
-    out = np.empty(len(found))
-    out[order] = found
+    _points(facets.corners, facets.x, facets.y, facets.z, *places, *grid, heights)
+    out = np.empty(len(heights))
+    out[order] = heights
     return out
 
 

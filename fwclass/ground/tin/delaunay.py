@@ -52,7 +52,10 @@ def spatial_order(x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.int6
 
 
 def empty_mesh(x: NDArray[np.float64], y: NDArray[np.float64]) -> Mesh:
-    """A mesh of no triangles over points that differ from each other, whole millimetres at most `SPAN` apart."""
+    """A mesh of no triangles over points (x, y) (points,) [mm, whole] that differ from each other.
+
+    `InputError` where they lie further apart than `SPAN`.
+    """
     if len(x):
         span = max(float(np.ptp(x)), float(np.ptp(y)))
         if span > SPAN:
@@ -150,13 +153,14 @@ def _begin(x, y, vertex, twin, changed, state, a, b, c):  # type: ignore[no-unty
 
 @kernel
 def is_ghost(vertex, t):  # type: ignore[no-untyped-def]
-    """True where triangle t is outside the hull."""
+    """True where triangle t of `vertex` (3 triangles,) is outside the hull."""
     return vertex[3 * t] < 0 or vertex[3 * t + 1] < 0 or vertex[3 * t + 2] < 0
 
 
 @kernel
 def real_from(vertex, twin, t):  # type: ignore[no-untyped-def]
-    """t, or where t is a ghost the triangle inside its edge of the hull."""
+    """t, or where t is a ghost the triangle inside its edge of the hull; `twin`, int32 (edges,), names the other side
+    of every edge."""
     for k in range(3):
         if vertex[3 * t + k] == GHOST:
             return twin[3 * t + (k + 1) % 3] // 3
@@ -253,7 +257,8 @@ def _is_corner(x, y, vertex, t, p):  # type: ignore[no-untyped-def]
 
 @kernel
 def insert_one(x, y, vertex, twin, changed, state, p, start):  # type: ignore[no-untyped-def]
-    """Insert point p, looked for from triangle `start`; nothing happens where a vertex lies there already."""
+    """Insert point p of (x, y) (points,) [mm], looked for from triangle `start`; nothing happens where a vertex lies
+    there already."""
     t = locate(x, y, vertex, twin, x[p], y[p], start)
     if _is_corner(x, y, vertex, t, p):
         return

@@ -44,7 +44,7 @@ def _exact_sign(l0, c0, l1, c1, l2, c2):  # type: ignore[no-untyped-def]
 
 @kernel
 def circle_sign(ax, ay, bx, by, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """1 where p lies inside the circle through a, b, c (turning left), -1 outside, 0 on it.
+    """1 where p [mm, whole] lies inside the circle through a, b, c (turning left), -1 outside, 0 on it.
 
     Only the three products and the two sums of the last step round, each by at most 2^-53 of the sum of
     magnitudes; below 2^53 they do not round at all. What is left is decided in whole numbers.

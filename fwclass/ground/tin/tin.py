@@ -31,7 +31,7 @@ class Tin:
 
     @property
     def empty(self) -> bool:
-        """No triangle at all."""
+        """Whether there is no triangle at all."""
         return int(self.mesh.state[0]) == 0
 
 
@@ -141,7 +141,8 @@ def _settle(x, y, vertex, twin, px, py, t):  # type: ignore[no-untyped-def]
 
 @kernel
 def plane_height(x, y, vertex, z, t, px, py):  # type: ignore[no-untyped-def]
-    """Height of triangle t's plane at p; counted from its heaviest vertex, so that a vertex has its own height."""
+    """Height of triangle t's plane at p, in the unit of `z` (points,); counted from its heaviest vertex, so that a
+    vertex has its own height."""
     a, b, c = vertex[3 * t], vertex[3 * t + 1], vertex[3 * t + 2]
     wa = orientation(x[b], y[b], x[c], y[c], px, py)
     wb = orientation(x[c], y[c], x[a], y[a], px, py)

@@ -121,12 +121,12 @@ def crowding(config: Config, facts: SurveyFacts) -> float:
 def amounts(config: Config, facts: SurveyFacts, size: float) -> dict[str, Amount]:
     """The work of every stage with tiles of `size` [m], in the order of the run."""
     plan, quantities = plan_of(config), _Quantities.of(config, facts, size)
-    made: dict[str, Amount] = {}
+    by_stage: dict[str, Amount] = {}
     for stage in STAGES:
         amount = quantities.amount(stage, plan) if stage.when(plan) else None
         if amount is not None and amount.parts:
-            made[stage.name] = amount.joined(made.get(stage.name))
-    return made
+            by_stage[stage.name] = amount.joined(by_stage.get(stage.name))
+    return by_stage
 
 
 @dataclass(frozen=True)
@@ -247,9 +247,9 @@ def raster_boxes(config: Config, facts: SurveyFacts, counts: Counts) -> list[Box
     blocks = spread_of(counts.pieces(facts), edge)
     if not in_sites(facts.box.area / cell**2, blocks.number * (edge / cell) ** 2):
         return [facts.box]
-    found = groups(dict.fromkeys(t for b in blocks.squares() for t in TileGrid(edge).touching(b.box.grown(edge))))
+    tile_groups = groups(dict.fromkeys(t for b in blocks.squares() for t in TileGrid(edge).touching(b.box.grown(edge))))
     boxes = []
-    for part in found:
+    for part in tile_groups:
         around = joint_box(t.box for t in part)
         boxes.append([shared for box, _ in counts.pieces(facts) if (shared := box.common(around)) is not None])
     return [joint_box(some) for some in boxes if some] or [facts.box]

@@ -80,13 +80,13 @@ class Estimate:
 def estimated(config: Config, facts: SurveyFacts, size: float, workers: int, costs: Costs) -> Estimate:
     """The run with tiles of `size` [m]; stages that `costs` does not know are told in `unknown`."""
     waves = float(sum(s.wave_bytes for s in facts.sources))
-    made, unknown = [], []
+    works, unknown = [], []
     for name, amount in amounts(config, facts, size).items():
         if name in costs:
-            made.append(_stage(name, amount, costs[name], waves, config.plan.base_mib))
+            works.append(_stage(name, amount, costs[name], waves, config.plan.base_mib))
         else:
             unknown.append(name)
-    return Estimate(size, max(1, workers), tuple(made), config.plan.compile_seconds, tuple(unknown))
+    return Estimate(size, max(1, workers), tuple(works), config.plan.compile_seconds, tuple(unknown))
 
 
 def _stage(name: str, amount: Amount, cost: StageCost, waves: float, base_mib: float) -> StagePlan:
@@ -115,23 +115,23 @@ class Choice:
 
 def choices(config: Config, facts: SurveyFacts, workers: int, costs: Costs, allowed_mib: float) -> list[Choice]:
     """All sizes of ``plan.sizes`` and the one that is set; sizes with too many tiles for this extent are left out."""
-    boxes, found = [box for s in facts.sources for box, _ in s.where], []
+    boxes, choices_by_size = [box for s in facts.sources for box, _ in s.where], []
     for size in sorted({*config.plan.sizes, config.tile.size}):
         if math.prod(map(len, held_squares(boxes, size))) > MOST_SQUARES / 2:
             continue
         TileGrid(size)
-        made = estimated(config, facts, size, workers, costs)
-        memory, enough = made.largest.memory_mib, made.tiles >= config.plan.tiles_per_worker * max(1, workers)
-        found.append(Choice(size, made.tiles, made.wall, memory, enough, memory <= allowed_mib))
-    return found
+        estimate = estimated(config, facts, size, workers, costs)
+        memory, enough = estimate.largest.memory_mib, estimate.tiles >= config.plan.tiles_per_worker * max(1, workers)
+        choices_by_size.append(Choice(size, estimate.tiles, estimate.wall, memory, enough, memory <= allowed_mib))
+    return choices_by_size
 
 
-def proposed(config: Config, found: list[Choice]) -> Choice | None:
+def proposed(config: Config, choices: list[Choice]) -> Choice | None:
     """The size that is fastest of those that fit and leave no worker idle; the one that is set where it is as good.
 
     None where no size fits: memory is short somewhere else.
     """
-    good = [c for c in found if c.fits and c.enough] or [c for c in found if c.fits]
+    good = [c for c in choices if c.fits and c.enough] or [c for c in choices if c.fits]
     if not good:
         return None
     best = min(good, key=lambda c: (c.wall, c.size))

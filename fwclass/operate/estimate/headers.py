@@ -170,7 +170,7 @@ def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:
     if not isinstance(source, LasSource) or facts.bounds.area * SPARSE <= max(facts.points, SPARSE * PLACE**2):
         return facts
     grid = TileGrid(PLACE)
-    found: dict[Tile, tuple[Box, int]] = {}
+    occupied: dict[Tile, tuple[Box, int]] = {}
     with PointReader(source) as reader:
         for first in range(0, source.n_points, CLOUD_ROWS):
             x, y, _ = coordinates(source, reader.read(first, min(source.n_points, first + CLOUD_ROWS)))
@@ -181,9 +181,9 @@ def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:
             counts = np.diff(np.r_[starts, len(x)]).tolist()
             for (cx, cy), x0, y0, x1, y1, n in zip(tiles.tolist(), *low, *high_, counts, strict=True):
                 tile, box = Tile(cx, cy, PLACE), Box(x0, y0, x1 + 0.001, y1 + 0.001)
-                before, number = found.get(tile, (box, 0))
-                found[tile] = (joint_box((before, box)), number + n)
-    places = (([found[t][0] for t in part], sum(found[t][1] for t in part)) for part in groups(found))
+                before, number = occupied.get(tile, (box, 0))
+                occupied[tile] = (joint_box((before, box)), number + n)
+    places = (([occupied[t][0] for t in part], sum(occupied[t][1] for t in part)) for part in groups(occupied))
     return replace(facts, places=tuple((joint_box(boxes), float(n)) for boxes, n in places))
 
 

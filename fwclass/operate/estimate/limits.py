@@ -56,35 +56,35 @@ def allowed_mib(config: Config, workers: int, room: Room) -> float:
     return limit * config.plan.worker_share
 
 
-def limits(config: Config, made: Estimate, workers: int, room: Room, best: Choice | None) -> list[Limit]:
+def limits(config: Config, estimate: Estimate, workers: int, room: Room, best: Choice | None) -> list[Limit]:
     """All that must fit."""
-    worker = made.largest
+    worker = estimate.largest
     needed = worker.memory_mib
-    found = [
+    bounds = [
         Limit(
             f"memory of a worker ({worker.name})",
             needed,
             allowed_mib(config, workers, room),
             "MiB",
-            _advice(config, made, best),
+            _advice(config, estimate, best),
         ),
         Limit(
-            f"memory of this machine ({made.workers} workers)",
-            needed * made.workers,
+            f"memory of this machine ({estimate.workers} workers)",
+            needed * estimate.workers,
             room.memory_mib,
             "MiB",
             "fewer --workers, or several machines (--scheduler)",
         ),
         Limit(
             "disk",
-            made.bytes / 1e6,
+            estimate.bytes / 1e6,
             room.free * config.plan.disk_share / 1e6,
             "MB",
             "another --out with more room, or free some",
         ),
     ]
-    longest = max(made.stages, key=lambda s: s.longest)
-    found.append(
+    longest = max(estimate.stages, key=lambda s: s.longest)
+    bounds.append(
         Limit(
             f"time of a part ({longest.name})",
             longest.longest,
@@ -93,8 +93,8 @@ def limits(config: Config, made: Estimate, workers: int, room: Room, best: Choic
             f"{_KEYS.get(longest.name, 'smaller tile.size')}, or a larger run.part_hours",
         )
     )
-    cells = next((s.amount.units for s in made.stages if s.name == "publish-rasters"), 0.0)
-    found.append(
+    cells = next((s.amount.units for s in estimate.stages if s.name == "publish-rasters"), 0.0)
+    bounds.append(
         Limit(
             "cells of the delivered rasters",
             cells,
@@ -103,7 +103,7 @@ def limits(config: Config, made: Estimate, workers: int, room: Room, best: Choic
             "larger terrain.cell and publish.class_cell, or the survey in several pieces",
         )
     )
-    return found
+    return bounds
 
 
 _KEYS = {
@@ -121,16 +121,16 @@ _KEYS = {
 }
 
 
-def _advice(config: Config, made: Estimate, best: Choice | None) -> str:
+def _advice(config: Config, estimate: Estimate, best: Choice | None) -> str:
     if best is not None and best.size != config.tile.size:
         return f"--set tile.size={best.size:g}"
-    own = _KEYS.get(made.largest.name, "smaller tile.size")
+    own = _KEYS.get(estimate.largest.name, "smaller tile.size")
     return f"{own}, or a larger run.worker_memory_gib"
 
 
-def refuse(found: list[Limit], where: object) -> None:
+def refuse(limits: list[Limit], where: object) -> None:
     """`ConfigError` with the numbers of everything that does not fit."""
-    short = [f for f in found if not f.fits]
+    short = [f for f in limits if not f.fits]
     if short:
         raise ConfigError(
             "the survey does not fit",

@@ -40,37 +40,37 @@ class Measured:
     peak_mib: float
 
 
-def measured(store: Store, costs: Costs, made: Mapping[str, Amount]) -> Measured:
+def measured(store: Store, costs: Costs, work: Mapping[str, Amount]) -> Measured:
     """Costs from all receipts of `store`.
 
     A stage's time of a unit is the median over its parts, less what a part costs that holds nothing, so that the parts
-    that were compiled for do not count. `made` tells how many echoes a tile has around it.
+    that were compiled for do not count. `work` tells how many echoes a tile has around it.
     """
-    found, seconds, parts, peak = dict(costs), 0.0, 0, 0.0
-    counted = _units(store, made)
+    by_stage, seconds, parts, peak = dict(costs), 0.0, 0, 0.0
+    counted = _units(store, work)
     for directory in sorted(p for p in store.directory.iterdir() if p.is_dir() and p.name != "staging"):
         receipts = list(store.receipts(directory.name))
         seconds, parts = seconds + sum(r.seconds for r in receipts), parts + len(receipts)
         if directory.name not in WHOLE:
             peak = max((peak, *(r.peak_mib for r in receipts)))
         units = counted.get(directory.name, {})
-        told = [(r.seconds, units[r.part], _bytes(r)) for r in receipts if units.get(r.part, 0) > 0]
-        if told and directory.name in found:
-            found[directory.name] = _cost(found[directory.name], told)
-    return Measured(found, tuple(sorted(n for n in found if found[n] != costs[n])), parts, seconds, peak)
+        observed = [(r.seconds, units[r.part], _bytes(r)) for r in receipts if units.get(r.part, 0) > 0]
+        if observed and directory.name in by_stage:
+            by_stage[directory.name] = _cost(by_stage[directory.name], observed)
+    return Measured(by_stage, tuple(sorted(n for n in by_stage if by_stage[n] != costs[n])), parts, seconds, peak)
 
 
-def measured_base(told: Measured, made: Estimate, base_mib: float) -> float:
-    """Memory of a worker that holds nothing [MiB], so that the most that `made` reckons for what ran is what it took.
+def measured_base(measured_costs: Measured, estimate: Estimate, base_mib: float) -> float:
+    """Memory of a worker that holds nothing [MiB], so that the most reckoned for what ran is what it took.
 
-    `made` was reckoned with `base_mib`.
+    `estimate` was reckoned with `base_mib`.
     """
-    held = [s.memory_mib - base_mib for s in made.stages if s.name in told.stages and s.name not in WHOLE]
-    return max(0.0, told.peak_mib - max(held, default=0.0))
+    held = [s.memory_mib - base_mib for s in estimate.stages if s.name in measured_costs.stages and s.name not in WHOLE]
+    return max(0.0, measured_costs.peak_mib - max(held, default=0.0))
 
 
-def _cost(known: StageCost, told: list[tuple[float, float, float]]) -> StageCost:
-    seconds, units, written = (np.array(v, float) for v in zip(*told, strict=True))
+def _cost(known: StageCost, observed: list[tuple[float, float, float]]) -> StageCost:
+    seconds, units, written = (np.array(v, float) for v in zip(*observed, strict=True))
     each = float(np.median(np.maximum(0.0, seconds - known.part * 1e-3) / units)) * 1e6
     stored = known.stored if known.waves else float(written.sum() / units.sum())
     return known.model_copy(update={"each": round(each, 3), "stored": round(stored, 2)})
@@ -80,7 +80,7 @@ def _bytes(receipt: Receipt) -> float:
     return float(sum(int(o["bytes"]) for o in receipt.outputs.values()))
 
 
-def _units(store: Store, made: Mapping[str, Amount]) -> dict[str, dict[str, float]]:
+def _units(store: Store, work: Mapping[str, Amount]) -> dict[str, dict[str, float]]:
     """Units of every part, by stage and part."""
     rows = {r.part: float(r.meta["rows"]) for r in store.receipts("tile")}
     read = [r for stage in ("read", "decompose") for r in store.receipts(stage) if "returns" in r.meta]
@@ -97,8 +97,8 @@ def _units(store: Store, made: Mapping[str, Amount]) -> dict[str, dict[str, floa
             units[name] = {r.part: float(r.meta[count]) for r in store.receipts("index")}
         elif stage.over == "block" and stage.unit == "echo":
             units[name] = {r.part: _pieces(r.meta) for r in store.receipts(name)}
-        elif stage.over == "tile" and name in made:
-            around = made[name].units / made[name].parts / (made["tile"].units / made["tile"].parts)
+        elif stage.over == "tile" and name in work:
+            around = work[name].units / work[name].parts / (work["tile"].units / work["tile"].parts)
             units[name] = {part: n * around if stage.reads else n for part, n in rows.items()}
     return units
 

@@ -1,12 +1,18 @@
-"""Where a plan is written: ``plan/`` in the run directory."""
+"""Where a plan is written: ``plan/`` in the run directory, with tiles, halos and blocks as polygons."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fwclass.errors import ConfigError
+from fwclass.formats.geopackage import rectangles, write_layer
+from fwclass.ground.stage import GROUND_FILTER
+from fwclass.operate.estimate.estimate import MIB
 from fwclass.operate.estimate.picture import plan_picture
-from fwclass.operate.estimate.polygons import write_gpkg
+from fwclass.operate.estimate.spread import Spread, spread_of
 from fwclass.operate.estimate.whole import Plan, as_json
 from fwclass.store.atomic import move_into_place, staged, write_json
 
@@ -37,3 +43,47 @@ def deliver(plan: Plan, root: Path) -> tuple[Path, ...]:
         for path in paths:
             move_into_place(directory / path.name, path)
     return paths
+
+
+def write_gpkg(plan: Plan, path: Path) -> None:
+    """Layers ``tiles``, ``halos`` (the same, grown by what their stages read around them) and ``blocks``.
+
+    ``echoes`` are those that evenly spread files give, ``memory_mib`` what a worker needs for the tile's features in
+    the fullest case.
+    """
+    tiles, config = plan.tiles, plan.config
+    at = np.nonzero(tiles.occupied)
+    held = config.plan.stages["features"].held if "features" in config.plan.stages else 0.0
+    around = tiles.grown(plan.halo)[at]
+    fields = {
+        "tile": keys(tiles, at),
+        "echoes": np.rint(tiles.counts[at]).astype(np.int64),
+        "echoes_with_halo": np.rint(around).astype(np.int64),
+        "memory_mib": np.round(config.plan.base_mib + around * plan.crowding * held / MIB, 1),
+    }
+    write_layer(path, "tiles", "Polygon", squares(tiles, at, 0.0), fields, plan.facts.crs)
+    halo = {"tile": fields["tile"], "halo_m": np.full(len(around), plan.halo)}
+    write_layer(path, "halos", "Polygon", squares(tiles, at, plan.halo), halo, plan.facts.crs)
+    blocks = spread_of(plan.counts.pieces(plan.facts), config.ground.block)
+    at, reach = np.nonzero(blocks.occupied), GROUND_FILTER.halo(config.ground)
+    fields = {
+        "block": keys(blocks, at),
+        "echoes": np.rint(blocks.counts[at]).astype(np.int64),
+        "echoes_with_halo": np.rint(blocks.grown(reach)[at]).astype(np.int64),
+        "halo_m": np.full(len(at[0]), reach),
+    }
+    write_layer(path, "blocks", "Polygon", squares(blocks, at, 0.0), fields, plan.facts.crs)
+
+
+def keys(spread: Spread, at: tuple[NDArray, ...]) -> NDArray:
+    """Names of squares as the store has them."""
+    cols, rows = spread.cols[at[0]].tolist(), spread.rows[at[1]].tolist()
+    return np.array([f"{c}_{r}" for c, r in zip(cols, rows, strict=True)], object)
+
+
+def squares(spread: Spread, at: tuple[NDArray, ...], by: float) -> NDArray:
+    """Polygons of squares, grown by `by` [m], as well-known binary (n,)."""
+    cols, rows = spread.cols[at[0]], spread.rows[at[1]]
+    low = (cols * spread.size - by, rows * spread.size - by)
+    high = ((cols + 1) * spread.size + by, (rows + 1) * spread.size + by)
+    return rectangles(np.stack([*low, *high], axis=1))

@@ -30,7 +30,7 @@ def volume(size: float) -> str:
 
 
 def _head(plan: Plan) -> list[str]:
-    facts, counts, tiles, made = plan.facts, plan.counts, plan.tiles, plan.made
+    facts, counts, tiles, estimate = plan.facts, plan.counts, plan.tiles, plan.made
     box = facts.box
     area = (box.xmax - box.xmin) * (box.ymax - box.ymin) / 1e6
     number = "strips still to be simulated" if facts.simulated else "files"
@@ -40,10 +40,10 @@ def _head(plan: Plan) -> list[str]:
         f"tiles       {tiles.number:,} of {tiles.size:g} m, each with {plan.halo:g} m of its neighbours; "
         f"{tiles.counts.sum() / max(1, tiles.number):,.0f} echoes on average, "
         f"{tiles.counts.max() * plan.crowding:,.0f} in the fullest",
-        f"memory      {made.largest.memory_mib:,.0f} MiB in a worker at most ({made.largest.name})",
-        f"disk        {volume(made.bytes)}, {volume(plan.room.free)} free",
-        f"time        {duration(made.wall)} with {plan.workers or 'no'} workers, {duration(made.seconds)} of processor"
-        f", and {duration(made.compile_seconds)} of compiling in a first run",
+        f"memory      {estimate.largest.memory_mib:,.0f} MiB in a worker at most ({estimate.largest.name})",
+        f"disk        {volume(estimate.bytes)}, {volume(plan.room.free)} free",
+        f"time        {duration(estimate.wall)} with {plan.workers or 'no'} workers, {duration(estimate.seconds)} of "
+        f"processor, and {duration(estimate.compile_seconds)} of compiling in a first run",
     ]
     if facts.sample:
         s = facts.sample
@@ -98,8 +98,8 @@ def _sizes(plan: Plan) -> list[str]:
         marks += [] if c.enough else ["too few for the workers"]
         marks += ["set"] if c.size == plan.config.tile.size else []
         marks += ["proposed"] if c is plan.best else []
-        told = "  " + ", ".join(marks) if marks else ""
-        lines.append(f"{c.size:<12g}{c.tiles:>12,}{duration(c.wall):>10}{c.memory_mib:>12,.0f}{told}")
+        suffix = "  " + ", ".join(marks) if marks else ""
+        lines.append(f"{c.size:<12g}{c.tiles:>12,}{duration(c.wall):>10}{c.memory_mib:>12,.0f}{suffix}")
     return lines
 
 

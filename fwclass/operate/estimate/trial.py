@@ -1,4 +1,4 @@
-"""A dry run's survey: the files that the fullest tiles and the training areas lie in, and no others."""
+"""A dry run: the files that the fullest tiles and the training areas lie in, and these tiles to their reports."""
 
 from __future__ import annotations
 
@@ -9,16 +9,20 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, InputError
 from fwclass.graph.files import found_files, joint_bounds
 from fwclass.graph.stages import STAGES
 from fwclass.graph.survey import directory_of
+from fwclass.graph.walk import deciding, until_report, until_tiles
+from fwclass.graph.workflow import after_tiles
 from fwclass.grid import Box
 from fwclass.operate.estimate.amounts import plan_of
 from fwclass.operate.estimate.whole import Plan
 from fwclass.read.source import open_source
+from fwclass.run.runner import Runner
 from fwclass.store.remote_file import local
 from fwclass.store.url import Url
+from workflows.classification import classification
 
 
 @dataclass(frozen=True)
@@ -104,3 +108,26 @@ def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str
         if any(joint_bounds([open_source(local(p)).bounds]).grown(config.label.max_distance).touches(b) for b in wanted)
     ]
     return tuple(glob.escape(str(p)) for p in near or files)
+
+
+def trial(asked: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
+    """Run the `count` tiles with most echoes of those that are whole; return their keys, the fullest first."""
+    config: Config = asked.config
+    plan = until_tiles(deciding(config), runner)
+    tiles = plan.layout.tiles
+    whole = whole_tiles([t.key for t in tiles], [t.box for t in tiles], asked.left, halo)
+    if not whole:
+        raise InputError(
+            "no tile of the dry run is whole",
+            where="--dry-run",
+            got=f"{len(tiles)} tiles at the edges of its files",
+            do="--dry-run with more tiles, or smaller tile.size",
+        )
+    chosen = tuple(sorted(whole, key=lambda key: (-_rows(runner, key), key))[:count])
+    until_report(plan, runner, after_tiles(classification.stages), frozenset(chosen))
+    return chosen
+
+
+def _rows(runner: Runner, key: str) -> int:
+    receipt = runner.store.receipt("tile", key)
+    return int(receipt.meta["rows"]) if receipt else 0

@@ -43,13 +43,13 @@ class Plan:
 def planned(config: Config, facts: SurveyFacts, workers: int, room: Room, trial: Store | None = None) -> Plan:
     """The plan by the costs of section `plan`, or as far as it goes by the receipts of a dry run in `trial`."""
     size, counts = config.tile.size, Counts.of(config, facts)
-    told = measured(trial, config.plan.stages, amounts(config, facts, size)) if trial else None
-    costs = told.costs if told else costs_at_density(config, facts)
-    made = estimated(config, facts, size, workers, costs)
-    if told:
-        base = measured_base(told, made, config.plan.base_mib)
+    observed = measured(trial, config.plan.stages, amounts(config, facts, size)) if trial else None
+    costs = observed.costs if observed else costs_at_density(config, facts)
+    estimate = estimated(config, facts, size, workers, costs)
+    if observed:
+        base = measured_base(observed, estimate, config.plan.base_mib)
         config = replace(config, plan=config.plan.model_copy(update={"base_mib": base}))
-        made = estimated(config, facts, size, workers, costs)
+        estimate = estimated(config, facts, size, workers, costs)
     compared = tuple(choices(config, facts, workers, costs, allowed_mib(config, workers, room)))
     best = proposed(config, list(compared))
     return Plan(
@@ -61,17 +61,17 @@ def planned(config: Config, facts: SurveyFacts, workers: int, room: Room, trial:
         crowding(config, facts),
         workers,
         room,
-        made,
+        estimate,
         compared,
         best,
-        tuple(limits(config, made, workers, room, best)),
-        told,
+        tuple(limits(config, estimate, workers, room, best)),
+        observed,
     )
 
 
 def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Plain data: sizes in metres, times in seconds, memory in MiB, disk in bytes."""
-    facts, made, sample = plan.facts, plan.made, plan.facts.sample
+    facts, estimate, sample = plan.facts, plan.made, plan.facts.sample
     tiles = plan.tiles
     return {
         "survey": plan.config.survey.name,
@@ -101,15 +101,15 @@ def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
             "crowding": plan.crowding,
         },
         "workers": plan.workers,
-        "memory_mib": made.largest.memory_mib,
-        "memory_stage": made.largest.name,
-        "disk_bytes": round(made.bytes),
+        "memory_mib": estimate.largest.memory_mib,
+        "memory_stage": estimate.largest.name,
+        "disk_bytes": round(estimate.bytes),
         "free_bytes": round(plan.room.free),
-        "seconds": made.seconds,
-        "wall_seconds": made.wall,
-        "compile_seconds": made.compile_seconds,
-        "stages": [_stage(plan, k) for k in range(len(made.stages))],
-        "without_cost": list(made.unknown),
+        "seconds": estimate.seconds,
+        "wall_seconds": estimate.wall,
+        "compile_seconds": estimate.compile_seconds,
+        "stages": [_stage(plan, k) for k in range(len(estimate.stages))],
+        "without_cost": list(estimate.unknown),
         "proposed": None if plan.best is None else plan.best.size,
         "choices": [
             {

@@ -81,11 +81,11 @@ class Inbox:
                 if not any(_goes_with(head, path) for head in marks):
                     waiting.append(Waiting(path.name, "its file of points or pulses is not there"))
                 continue
-            found = self._judge(path, marks, now)
-            if isinstance(found, Delivery):
-                complete.append(found)
+            file = self._judge(path, marks, now)
+            if isinstance(file, Delivery):
+                complete.append(file)
             else:
-                waiting.append(found)
+                waiting.append(file)
         open_ones = writers(p for delivery in complete if not delivery.markers for p in delivery.files)
         busy = {d.name: open_ones[p] for d in complete for p in d.files if p in open_ones}
         waiting += [Waiting(n, f"process {pid} has it open for writing", changing=True) for n, pid in busy.items()]
@@ -127,7 +127,7 @@ class Inbox:
 
 
 def _marks(directory: Path) -> dict[Path, Mark]:
-    found = {}
+    marks = {}
     with os.scandir(directory) as entries:
         for entry in entries:
             if entry.name.startswith("."):
@@ -137,8 +137,8 @@ def _marks(directory: Path) -> dict[Path, Mark]:
             except FileNotFoundError:
                 continue
             if stat.S_ISREG(facts.st_mode):
-                found[Path(entry.path)] = (facts.st_size, facts.st_mtime_ns, facts.st_ino)
-    return found
+                marks[Path(entry.path)] = (facts.st_size, facts.st_mtime_ns, facts.st_ino)
+    return marks
 
 
 def _goes_with(head: Path, path: Path) -> bool:

@@ -50,11 +50,11 @@ class Intake:
         if not look.complete:
             self._trouble = ""
         self.state.waiting = [{"name": w.name, "why": w.why} for w in look.waiting]
-        told = {w.name: w.why for w in look.waiting}
-        for name, why in told.items():
+        reasons = {w.name: w.why for w in look.waiting}
+        for name, why in reasons.items():
             if self._told.get(name) != why:
                 self.say(f"{name}: waits: {why}")
-        self._told = told
+        self._told = reasons
         return self.inbox.ready(look, moment)
 
     def deliver(self, deliveries: tuple[Delivery, ...]) -> list[dict[str, Any]]:

@@ -10,19 +10,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 from fwclass.conf import Config
 from fwclass.errors import DONE, FAILED, INTERRUPTED, ConfigError, StoreError
 from fwclass.operate.history import REFUSED, Entry, past_run, utc, why_not, word_of
 from fwclass.operate.request import Request
 from fwclass.operate.schedule import notify, state
-from fwclass.operate.schedule.child import Child
-from fwclass.operate.schedule.inbox import Delivery
+from fwclass.operate.schedule.child import Child, Signals
+from fwclass.operate.schedule.inbox import Delivery, Inbox
 from fwclass.operate.schedule.intake import Intake
-from fwclass.operate.schedule.rules import inbox_of, rules, ticks_of
-from fwclass.operate.schedule.signals import Signals
+from fwclass.operate.schedule.places import places_of
 from fwclass.operate.schedule.state import State
-from fwclass.operate.schedule.ticks import Cron, Now, Ticks, now
+from fwclass.operate.schedule.ticks import Cron, Interval, Now, Ticks, now
 from fwclass.store import history
 from fwclass.store.lock import SCHEDULE
 from fwclass.store.refusals import LostRace
@@ -230,15 +230,15 @@ class Schedule:
 
     def _tell_ended(self, record: Mapping[str, Any]) -> None:
         """Webhook and command; how they went is told, and added to the run's history."""
-        told = notify.tell_within(self.config.schedule, record, self.signals, self._beat)
-        if not told:
+        results = notify.tell_within(self.config.schedule, record, self.signals, self._beat)
+        if not results:
             return
-        for kind, facts in told.items():
+        for kind, facts in results.items():
             if not facts["ok"]:
                 self._say(f"{kind} {facts['to']}: {facts['fault']} ({facts['tries']} tries)")
-        self._state.last = {**record, "told": told}
+        self._state.last = {**record, "told": results}
         try:
-            history.append(self.location, {"record": "told", "id": record.get("id"), "told": told})
+            history.append(self.location, {"record": "told", "id": record.get("id"), "told": results})
         except (OSError, StoreError) as fault:
             self._say(f"the history cannot be written: {why_not(fault)}")
 
@@ -249,3 +249,40 @@ class Schedule:
 def _steadied(before: float | None, moment: float) -> float:
     """A time that is told: one that moves by less than a second and a half has not moved."""
     return before if before is not None and abs(before - moment) < 1.5 else round(moment)
+
+
+def inbox_of(config: Config, location: RunLocation) -> Inbox | None:
+    """The inbox that `config` names for the run in `location`; `ConfigError` where it cannot be one."""
+    params = config.schedule
+    if params.inbox is None:
+        return None
+    if not isinstance(location, Path):
+        raise ConfigError(
+            "an inbox needs a run directory of this machine",
+            where="schedule.inbox, --out",
+            got=location,
+            expected="a lock that tells at once whether a run reads the survey",
+            do="give a directory for --out, or --every or --cron in the inbox's place",
+        )
+    directory = (config.path.parent / params.inbox).resolve()
+    if not directory.is_dir():
+        raise ConfigError("the inbox is no directory", where="schedule.inbox", got=directory, do="make it first")
+    return Inbox(directory, places_of(config, directory), params)
+
+
+def ticks_of(config: Config, last: float | None, moment: Now) -> Ticks | None:
+    """When to run by the clock. `last`: the last tick of cron that an earlier schedule gave its run."""
+    params = config.schedule
+    if params.every is not None:
+        return Interval(params.every, moment.steady)
+    if params.cron is None:
+        return None
+    known = last if last is not None and last <= moment.wall + params.clock_back else None
+    return Cron(params.cron, ZoneInfo(params.timezone), params.clock_back, moment.wall, known)
+
+
+def rules(config: Config) -> dict[str, Any]:
+    """When it runs, in words for the status file and the log."""
+    p = config.schedule
+    inbox = None if p.inbox is None else str((config.path.parent / p.inbox).resolve())
+    return {"every": p.every, "cron": p.cron, "timezone": p.timezone if p.cron else None, "inbox": inbox}

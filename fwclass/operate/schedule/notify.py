@@ -20,8 +20,7 @@ from urllib.parse import unquote, urlsplit
 from fwclass import __version__
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.isolation import outer_environment
-from fwclass.operate.schedule.child import without
-from fwclass.operate.schedule.signals import Signals
+from fwclass.operate.schedule.child import Signals, without
 from fwclass.operate.schedule.ticks import now
 from fwclass.redact import redacted
 
@@ -61,12 +60,12 @@ def tell_within(
 
     Given up when the schedule is told to stop a second time, or when all tries should long be over.
     """
-    told: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     if params.webhook is None and not params.command:
-        return told
+        return results
 
     def work() -> None:
-        told.update(tell(params, record, lambda: signals.first is not None))
+        results.update(tell(params, record, lambda: signals.first is not None))
         signals.wake()
 
     thread = threading.Thread(target=work, daemon=True)
@@ -75,7 +74,7 @@ def tell_within(
     while thread.is_alive() and now().steady < ends and signals.count < 2:
         beat()
         signals.wait(params.look)
-    return dict(told) or {"webhook": Told("", "given up", 0).as_data()}
+    return dict(results) or {"webhook": Told("", "given up", 0).as_data()}
 
 
 def longest(params: ScheduleSection) -> float:
@@ -86,12 +85,12 @@ def longest(params: ScheduleSection) -> float:
 
 def tell(params: ScheduleSection, record: Mapping[str, Any], stop: Callable[[], bool]) -> dict[str, Any]:
     """Send `record` to the webhook and the command that `params` name; how each went. `stop`: no further tries."""
-    told: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     if params.webhook is not None:
-        told["webhook"] = post(params, record, stop).as_data()
+        results["webhook"] = post(params, record, stop).as_data()
     if params.command:
-        told["command"] = command(params, record).as_data()
-    return told
+        results["command"] = command(params, record).as_data()
+    return results
 
 
 def post(params: ScheduleSection, record: Mapping[str, Any], stop: Callable[[], bool]) -> Told:

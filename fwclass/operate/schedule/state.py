@@ -57,12 +57,12 @@ class State:
     def resume(self) -> None:
         """Take over what an earlier schedule of this run left."""
         try:
-            found = read_note(self.location, NAME)
+            state = read_note(self.location, NAME)
         except StoreError:
-            found = {}
-        if isinstance(found, dict):
-            self.owed = [str(n) for n in found.get("owed") or ()]
-            tick, last = found.get("last_tick"), found.get("last")
+            state = {}
+        if isinstance(state, dict):
+            self.owed = [str(n) for n in state.get("owed") or ()]
+            tick, last = state.get("last_tick"), state.get("last")
             self.last_tick = float(tick) if isinstance(tick, (int, float)) else None
             self.last = last if isinstance(last, dict) else None
 
@@ -131,7 +131,7 @@ def standing(location: RunLocation) -> dict[str, Any] | None:
     if held_by(location, SCHEDULE) is None:
         return None
     try:
-        found = read_note(location, NAME)
+        state = read_note(location, NAME)
     except (StoreError, FileNotFoundError):
         return None
-    return found if isinstance(found, dict) else None
+    return state if isinstance(state, dict) else None

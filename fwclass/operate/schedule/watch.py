@@ -34,7 +34,7 @@ def writers(paths: Iterable[Path]) -> dict[Path, int]:
         except OSError:
             continue
         wanted[facts.st_dev, facts.st_ino] = path
-    found: dict[Path, int] = {}
+    processes: dict[Path, int] = {}
     for process in Path("/proc").glob("[0-9]*") if wanted else ():
         try:
             handles = list(os.scandir(process / "fd"))
@@ -45,10 +45,10 @@ def writers(paths: Iterable[Path]) -> dict[Path, int]:
                 facts = handle.stat()
                 place = facts.st_dev, facts.st_ino
                 if place in wanted and _writes(process / "fdinfo" / handle.name):
-                    found[wanted[place]] = int(process.name)
+                    processes[wanted[place]] = int(process.name)
             except OSError:
                 continue
-    return found
+    return processes
 
 
 def _writes(about: Path) -> bool:
@@ -76,7 +76,7 @@ class Watch:
     def changed(self, now: Now, settled: bool = True) -> list[Path]:
         """Files that are others than when they were moved, or when they were last told here; only those that have not
         changed again for `settle`, unless `settled` is False."""
-        told = []
+        others = []
         for path, known in list(self._marks.items()):
             mark = mark_of(path)
             if mark is None:  # it was taken away
@@ -87,5 +87,5 @@ class Watch:
                     before = self._since[path] = (mark, now.steady)
                 if not settled or now.steady - before[1] >= self.settle:
                     self._marks[path] = mark
-                    told.append(path)
-        return told
+                    others.append(path)
+        return others

@@ -31,11 +31,11 @@ def check_done(look: StatusWalk, tiles: Iterable[str], stages: Sequence[str]) ->
     here = [(s, t) for t in sorted(tiles) for s in stages if (s, t) in look.states]
     late = [n for n in here if look.states[n].standing != "done"]
     if late or not here:
-        told = ", ".join(f"{'/'.join(n)} {look.states[n].standing}" for n in late[:3])
+        some = ", ".join(f"{'/'.join(n)} {look.states[n].standing}" for n in late[:3])
         raise StoreError(
             "the run is not finished: nothing can be compared with what it would make now",
             where=look.store.where,
-            got=told + (f" and {len(late) - 3} more" if len(late) > 3 else ""),
+            got=some + (f" and {len(late) - 3} more" if len(late) > 3 else ""),
             do="finish it first; `fwclass status` tells what is missing or stale, and why",
         )
 
@@ -46,13 +46,13 @@ def whole_blocks(
     """Blocks that are done, as are flags and heights of all tiles that they are made from: all blocks of a whole run,
     those in the middle of one that was restricted to some tiles. `reads` tells where a block reads; `stage` empty: only
     the tiles count."""
-    found, keys, grid = [], layout.keys, TileGrid(layout.config.tile.size)
+    whole, keys, grid = [], layout.keys, TileGrid(layout.config.tile.size)
     for block in blocks:
         near = [t.key for t in grid.touching(reads(block)) if t.key in keys]
         names = [(s, t) for t in near for s in ("ground", "height")] + ([(stage, block.key)] if stage else [])
         if near and all(look.states[n].standing == "done" for n in names):
-            found.append(block)
-    return found
+            whole.append(block)
+    return whole
 
 
 def check_unchanged(look: StatusWalk, tiles: Iterable[str], stages: Sequence[str]) -> None:

@@ -65,9 +65,9 @@ class StripInputs(PartInputs):
     def rows(self, part: str, columns: Mapping[str, str], box: Box | None = None, base: str = "tile") -> Table:
         if base != "tile":
             return super().rows(part, columns, box, base)
-        made = {n: s for n, s in columns.items() if (s, part) in self.fresh}
-        table = self.stored(part, {n: s for n, s in columns.items() if n not in made})
-        table = table.with_columns({n: self.fresh[s, part][n] for n, s in made.items()})
+        fresh = {n: s for n, s in columns.items() if (s, part) in self.fresh}
+        table = self.stored(part, {n: s for n, s in columns.items() if n not in fresh})
+        table = table.with_columns({n: self.fresh[s, part][n] for n, s in fresh.items()})
         return table if box is None else table.take(box.contains(table["x"], table["y"]))
 
     def stored(self, part: str, columns: Mapping[str, str]) -> Table:

@@ -74,7 +74,7 @@ def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display:
     for task in tasks:
         by_place.setdefault(task.part, []).append(task)
     display.expect(Counter(t.stage for some in by_place.values() for t in some))
-    found: dict[str, Seam] = {}
+    seams: dict[str, Seam] = {}
     for part, some in by_place.items():
         mine = replace(inputs, fresh={})
         place = mine.stored(part, {})
@@ -86,9 +86,9 @@ def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display:
                 now = read_table(directory / TABLE)
             mine = replace(mine, fresh={**mine.fresh, task.name: now})
             stored = mine.stored(part, dict.fromkeys(now, task.stage))
-            found.setdefault(task.stage, Seam(task.stage, "tile", "echoes", listed)).add(part, stored, now, place)
+            seams.setdefault(task.stage, Seam(task.stage, "tile", "echoes", listed)).add(part, stored, now, place)
             display.ended(Outcome(*task.name, "computed"))
-    return list(found.values())
+    return list(seams.values())
 
 
 def block_seams(
@@ -98,7 +98,7 @@ def block_seams(
     columns of the blocks' echoes and the cells of the terrain."""
     single_thread()
     display.expect(Counter(t.stage for _, t in tasks))
-    found: dict[str, Seam] = {}
+    seams: dict[str, Seam] = {}
     size, keys = plan.config.tile.size, tuple(plan.layout.keys)
     for block, task in tasks:
         with _scratch() as directory:
@@ -108,15 +108,15 @@ def block_seams(
         stage = gathering(plan, now)
         stored = surroundings(inputs, block, 0.0, size, {**_PLACE, **dict.fromkeys(now, stage)}, keys).table
         _same_rows(stored, now, task)
-        found.setdefault(stage, Seam(stage, "block", "echoes", listed)).add(
+        seams.setdefault(stage, Seam(stage, "block", "echoes", listed)).add(
             task.part, stored, now, stored.select(_PLACE)
         )
         if cells:
             before = {n: v.ravel() for n, v in inputs.arrays(task.stage, task.part, RASTERS)[0].items()}
             now_flat = {n: v.ravel() for n, v in cells.items()}
-            found.setdefault(task.stage, Seam(task.stage, "block", "cells", 0)).add(task.part, before, now_flat, None)
+            seams.setdefault(task.stage, Seam(task.stage, "block", "cells", 0)).add(task.part, before, now_flat, None)
         display.ended(Outcome(*task.name, "computed"))
-    return list(found.values())
+    return list(seams.values())
 
 
 def _same_rows(stored: Table, now: Table, task: Task) -> None:
@@ -170,10 +170,10 @@ def apart(
     run's blocks, and compare these."""
     columns = stage.columns(plan)
     stage_of_tiles = gathering(plan, columns)
-    made, echoes, off = 0, 0, 0
+    done, echoes, off = 0, 0, 0
     heights: list[NDArray[np.float64]] = []
     for place in moved:
-        if made == count:
+        if done == count:
             break
         block, layout = place.tile, plan.layout
         present = layout.around(stage.box(plan, block), layout.keys)
@@ -187,11 +187,11 @@ def apart(
             now = read_table(directory / TABLE)
         wrong, differences = _off(stored.take(near), now.take(near), within)
         heights += differences
-        made, echoes, off = made + 1, echoes + len(wrong), off + int(wrong.sum())
+        done, echoes, off = done + 1, echoes + len(wrong), off + int(wrong.sum())
         display.say(f"{stage.name:<12} block moved to {', '.join(f'{v:.0f}' for v in block.box.bounds[:2])}")
     every = np.concatenate(heights) if heights else np.empty(0)
-    told = (float(np.quantile(every, 0.999)), float(every.max())) if every.size else (None, None)
-    return Apart(stage_of_tiles, made, echoes, off, within, *told)
+    distances = (float(np.quantile(every, 0.999)), float(every.max())) if every.size else (None, None)
+    return Apart(stage_of_tiles, done, echoes, off, within, *distances)
 
 
 def _off(stored: Table, now: Table, within: float) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:

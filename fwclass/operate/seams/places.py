@@ -56,15 +56,15 @@ def shift_of(text: str | None, size: float) -> tuple[float, float]:
 def places(keys: Iterable[str], size: float, shift: tuple[float, float], width: float) -> list[Place]:
     """Squares of the shifted grid that hold a border between two of the squares `keys` (edge `size` [m])."""
     whole_millimetres(width, "seams.width")
-    found: dict[Tile, list[tuple[Box, float]]] = {}
+    strips: dict[Tile, list[tuple[Box, float]]] = {}
     grid = TileGrid(size, shift)
     for strip, upright in _strips(keys, size, width):
         for tile in grid.touching(strip):
             piece = strip.common(tile.box)
             if piece is not None:
                 long = piece.ymax - piece.ymin if upright else piece.xmax - piece.xmin
-                found.setdefault(tile, []).append((piece, long))
-    return [Place(t, tuple(b for b, _ in some), sum(n for _, n in some)) for t, some in sorted(found.items())]
+                strips.setdefault(tile, []).append((piece, long))
+    return [Place(t, tuple(b for b, _ in some), sum(n for _, n in some)) for t, some in sorted(strips.items())]
 
 
 def _strips(keys: Iterable[str], size: float, width: float) -> Iterator[tuple[Box, bool]]:

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fwclass.errors import QualityError
+from fwclass.errors import ConfigError, QualityError
+from fwclass.formats.geopackage import points, rectangles, write_layer
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.measure import Apart
 from fwclass.operate.seams.places import Place
+from fwclass.store.atomic import move_into_place, staged
 from fwclass.store.url import Url
 
 NAMED = 5
@@ -61,58 +63,59 @@ class Found:
             )
 
 
-def as_data(found: Found, seconds: float) -> dict[str, Any]:
+def as_data(result: Found, seconds: float) -> dict[str, Any]:
     """Plain data; lengths in metres, shares as fractions."""
     return {
-        "run": str(found.where),
-        "equal": found.equal,
-        "shift": list(found.shift),
-        "width": found.width,
-        "borders": {"all": found.borders, "computed": found.length, "share": found.length / found.borders},
-        "other_tile": found.other,
+        "run": str(result.where),
+        "equal": result.equal,
+        "shift": list(result.shift),
+        "width": result.width,
+        "borders": {"all": result.borders, "computed": result.length, "share": result.length / result.borders},
+        "other_tile": result.other,
         "seconds": round(seconds, 3),
-        "bounded": [s.as_json() for s in found.bounded],
-        "unbounded": [a.as_json() for a in found.moved],
+        "bounded": [s.as_json() for s in result.bounded],
+        "unbounded": [a.as_json() for a in result.moved],
         "strips": [
-            {"part": p.tile.key, "length": p.length, "boxes": [list(b.bounds) for b in p.strips]} for p in found.strips
+            {"part": p.tile.key, "length": p.length, "boxes": [list(b.bounds) for b in p.strips]} for p in result.strips
         ],
     }
 
 
-def as_text(found: Found, seconds: float) -> str:
+def as_text(result: Found, seconds: float) -> str:
     """A table by stage."""
     rows = [
-        f"{found.where}: {found.length:,.0f} of {found.borders:,.0f} m of tile borders, {found.width:g} m to either "
-        f"side, in tiles shifted by {found.shift[0]:g}, {found.shift[1]:g} m; blocks from tiles of {found.other:g} m",
+        f"{result.where}: {result.length:,.0f} of {result.borders:,.0f} m of tile borders, {result.width:g} m to "
+        f"either side, in tiles shifted by {result.shift[0]:g}, {result.shift[1]:g} m; blocks from tiles of "
+        f"{result.other:g} m",
         "",
         f"{'stage':<12}{'columns':>8}{'compared':>20}{'differ':>10}{'share':>11}  worst",
     ]
-    for s in found.bounded:
+    for s in result.bounded:
         share = f"{100 * s.differ / max(s.rows, 1):.4f} %"
         rows.append(
             f"{s.stage:<12}{len(s.columns):>8}{f'{s.rows:,} {s.units}':>20}{s.differ:>10,}{share:>11}{_worst(s)}"
         )
     rows += [
         "",
-        _verdict(found),
+        _verdict(result),
         "",
         "blocks moved by half their size (their support has no bound; tiles do not enter):",
     ]
-    rows += [_apart(a) for a in found.moved]
+    rows += [_apart(a) for a in result.moved]
     return "\n".join([*rows, f"took {seconds:.1f} s"])
 
 
 def _worst(seam: Seam) -> str:
     wrong = {n: c for n, c in seam.columns.items() if c.differ}
     some = sorted(wrong, key=lambda n: (-wrong[n].differ, n))[:NAMED]
-    told = [f"{n} {wrong[n].differ:,}" + ("" if (w := wrong[n].worst) is None else f" (by {w:.3g})") for n in some]
+    columns = [f"{n} {wrong[n].differ:,}" + ("" if (w := wrong[n].worst) is None else f" (by {w:.3g})") for n in some]
     more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
     at = sorted((p for p, (_, d) in seam.at.items() if d))[:NAMED]
-    return f"  {', '.join(told)}{more}; in {', '.join(at)}" if told else ""
+    return f"  {', '.join(columns)}{more}; in {', '.join(at)}" if columns else ""
 
 
-def _verdict(found: Found) -> str:
-    if found.equal:
+def _verdict(result: Found) -> str:
+    if result.equal:
         return "no value differs: where the borders of tiles lie changes nothing"
     return "values differ: where the borders of tiles lie shows in the results"
 
@@ -130,3 +133,37 @@ def _apart(a: Apart) -> str:
         f"{a.stage:<12}{a.off:,} of {a.echoes:,} echoes near block borders have {what} "
         f"({100 * a.off / max(a.echoes, 1):.4f} %){height}"
     )
+
+
+def check_free(path: Path, overwrite: bool) -> None:
+    """`ConfigError` where there is a file that may not be replaced."""
+    if path.exists() and not overwrite:
+        raise ConfigError("there is such a file already", where=path, do="--overwrite, or another name")
+
+
+def write_gpkg(result: Found, path: Path, crs: str | None) -> None:
+    """Layers ``strips`` and, where there are any, ``echoes``.
+
+    Strips lie along the borders; ``part`` is the tile of the shifted grid, ``differ`` how many of its echoes do, in the
+    stage with most of them. Echoes are those listed: stage, column, the run's value and the other.
+    """
+    bounds: list[tuple[float, ...]] = []
+    fields: dict[str, list[Any]] = {"part": [], "differ": []}
+    tiles = [s for s in result.bounded if s.parts == "tile"]
+    for place in result.strips:
+        wrong = max((s.at.get(place.tile.key, (0, 0))[1] for s in tiles), default=0)
+        for strip in place.strips:
+            bounds.append(strip.bounds)
+            fields["part"].append(place.tile.key)
+            fields["differ"].append(wrong)
+    listed = [{"stage": s.stage, **e} for s in result.bounded for e in s.examples]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with staged(path.parent) as directory:
+        write_layer(directory / path.name, "strips", "Polygon", rectangles(bounds), fields, crs)
+        if listed:
+            places = points((e["x"], e["y"]) for e in listed)
+            names = ("stage", "part", "strip", "pulse", "echo_number", "column")
+            told: dict[str, list[Any]] = {n: [e[n] for e in listed] for n in names}
+            told |= {n: [str(e[n]) for e in listed] for n in ("run", "shifted")}
+            write_layer(directory / path.name, "echoes", "Point", places, told, crs)
+        move_into_place(directory / path.name, path)

@@ -34,32 +34,32 @@ def as_data(looked: Looked, request: Request, writer: Mapping[str, Any] | None, 
 
 
 def _part(state: State, request: Request) -> dict[str, Any]:
-    found: dict[str, Any] = {"stage": state.stage, "part": state.part, "status": state.standing}
+    plain: dict[str, Any] = {"stage": state.stage, "part": state.part, "status": state.standing}
     if state.standing != "done":
-        found |= {"why": [r.text for r in state.reasons], "waits": state.waits, "message": state.message}
+        plain |= {"why": [r.text for r in state.reasons], "waits": state.waits, "message": state.message}
     if state.standing == "failed":
-        found["replay"] = request.replay((state.stage, state.part))
-    return found
+        plain["replay"] = request.replay((state.stage, state.part))
+    return plain
 
 
 def _counts(states: Mapping[Name, State]) -> dict[str, dict[str, int]]:
-    found: dict[str, dict[str, int]] = {}
+    counts: dict[str, dict[str, int]] = {}
     for state in states.values():
-        row = found.setdefault(state.stage, {"parts": 0, **dict.fromkeys(STANDINGS, 0)})
+        row = counts.setdefault(state.stage, {"parts": 0, **dict.fromkeys(STANDINGS, 0)})
         row["parts"] += 1
         row[state.standing] += 1
-    return found
+    return counts
 
 
 def others(looked: Looked, request: Request) -> dict[str, int]:
     """How many parts by stage the store holds that the plan does not name; none are counted for chosen tiles."""
     if request.wanted is not None:
         return {}
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for stage, part in looked.store.parts():
         if stage not in NO_STAGES:
-            found[stage] += (stage, part) not in looked.states
-    return {stage: n for stage, n in found.items() if n}
+            counts[stage] += (stage, part) not in looked.states
+    return {stage: n for stage, n in counts.items() if n}
 
 
 def as_text(looked: Looked, request: Request, writer: Mapping[str, Any] | None, every: bool) -> str:
@@ -78,8 +78,8 @@ def as_text(looked: Looked, request: Request, writer: Mapping[str, Any] | None, 
         rows.append(f"which other parts there are is known once those are made ({looked.ends})")
     left = others(looked, request)
     if left:
-        told = ", ".join(f"{stage} {n}" for stage, n in left.items())
-        rows.append(f"besides, the store holds parts that the plan does not name (so far): {told}")
+        others_by_stage = ", ".join(f"{stage} {n}" for stage, n in left.items())
+        rows.append(f"besides, the store holds parts that the plan does not name (so far): {others_by_stage}")
     rows += [text_of(row) for row in by_libraries(looked.made_with, looked.store)]
     return "\n".join([*rows, _verdict(looked, request, writer)])
 

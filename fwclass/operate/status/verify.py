@@ -63,13 +63,13 @@ class Verified:
 
 def verify(store: Store) -> Verified:
     """Read every file of every part that has a receipt, in the plan or not, and of the current generation."""
-    found = []
+    damaged = []
     for receipt in _receipts(store):
         files = store.damaged(receipt)
         if files:
-            found.append(Damage(receipt.stage, receipt.part, tuple(files)))
+            damaged.append(Damage(receipt.stage, receipt.part, tuple(files)))
     generation, delivered = store.generations.damage()
-    return Verified(tuple(found), _made_from({d.name for d in found}, store), generation, tuple(delivered))
+    return Verified(tuple(damaged), _made_from({d.name for d in damaged}, store), generation, tuple(delivered))
 
 
 def remove(verified: Verified, store: Store) -> None:
@@ -109,15 +109,15 @@ def _part_of(name: str) -> Name:
 
 def rows(verified: Verified) -> list[str]:
     """What is damaged, and what was made from it, in lines."""
-    found = [f"damaged  {d.stage}/{d.part}: {', '.join(d.files)}" for d in verified.parts]
+    lines = [f"damaged  {d.stage}/{d.part}: {', '.join(d.files)}" for d in verified.parts]
     counts = Counter(stage for stage, _ in verified.made_from)
     if counts:
-        found.append(f"made from these: {', '.join(f'{stage} {n}' for stage, n in sorted(counts.items()))}")
+        lines.append(f"made from these: {', '.join(f'{stage} {n}' for stage, n in sorted(counts.items()))}")
     where = f"generations/{verified.generation}"
-    found += [f"damaged  {where}/{name}" for name in verified.delivered[:LISTED]]
+    lines += [f"damaged  {where}/{name}" for name in verified.delivered[:LISTED]]
     if len(verified.delivered) > LISTED:
-        found.append(f"         and {len(verified.delivered) - LISTED} more files of {where}")
-    return found
+        lines.append(f"         and {len(verified.delivered) - LISTED} more files of {where}")
+    return lines
 
 
 def as_text(verified: Verified, request: Request) -> str:

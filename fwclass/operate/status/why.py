@@ -38,16 +38,16 @@ def same(text: str) -> Reason:
 
 def reasons(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str]) -> list[Reason]:
     """Why `receipt` does not do for `task`; `waits` are parts that are not done now, with their status."""
-    found = _of_version(task, receipt)
-    found += [] if task.any_libraries else [same(text) for text in stale_by(store.libraries(receipt))]
-    found += _of_params(task, receipt, store)
-    found += _of_files(task, receipt)
-    found += _of_parts(task, receipt, store, waits)
-    if not found:
-        found = _of_outputs(receipt, store)
-    if not found and receipt.version is None:
-        found = [same("made by an earlier version of fwclass, whose receipts do not tell parameters")]
-    return found or [same("its key is another one")]
+    why = _of_version(task, receipt)
+    why += [] if task.any_libraries else [same(text) for text in stale_by(store.libraries(receipt))]
+    why += _of_params(task, receipt, store)
+    why += _of_files(task, receipt)
+    why += _of_parts(task, receipt, store, waits)
+    if not why:
+        why = _of_outputs(receipt, store)
+    if not why and receipt.version is None:
+        why = [same("made by an earlier version of fwclass, whose receipts do not tell parameters")]
+    return why or [same("its key is another one")]
 
 
 def new_files(task: Task) -> list[Reason]:
@@ -90,16 +90,16 @@ def _of_params(task: Task, receipt: Receipt, store: Store) -> list[Reason]:
 def differences(then: Any, now: Any, name: str = "") -> list[str]:
     """Where two pieces of plain data, as read from JSON, differ, in words: ``cell: 0.5 to 1.0``."""
     if isinstance(then, Mapping) and isinstance(now, Mapping):
-        found = []
+        sentences = []
         for key in sorted({*then, *now}):
             inner = f"{name}.{key}" if name else str(key)
             if key not in now:
-                found.append(f"{inner}: {_shown(then[key])} is gone")
+                sentences.append(f"{inner}: {_shown(then[key])} is gone")
             elif key not in then:
-                found.append(f"{inner}: {_shown(now[key])} is new")
+                sentences.append(f"{inner}: {_shown(now[key])} is new")
             else:
-                found += differences(then[key], now[key], inner)
-        return found
+                sentences += differences(then[key], now[key], inner)
+        return sentences
     if isinstance(then, list) and isinstance(now, list):
         return _of_lists(then, now, name)
     return [] if then == now else [f"{name}: {_shown(then)} to {_shown(now)}"]
@@ -126,9 +126,9 @@ def _of_files(task: Task, receipt: Receipt) -> list[Reason]:
     """Files read from outside; their names, unlike those of parts, have no slash."""
     then = {n: d for n, d in receipt.inputs.items() if "/" not in n}
     now = {file.name: file.digest for file in task.external}
-    found = [same(f"input {n} changed") for n in now if n in then and then[n] != now[n]]
-    found += [same(f"input {n} is new") for n in now if n not in then]
-    return found + [same(f"input {n} is no longer read") for n in then if n not in now]
+    why = [same(f"input {n} changed") for n in now if n in then and then[n] != now[n]]
+    why += [same(f"input {n} is new") for n in now if n not in then]
+    return why + [same(f"input {n} is no longer read") for n in then if n not in now]
 
 
 def _of_parts(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, str]) -> list[Reason]:
@@ -139,9 +139,9 @@ def _of_parts(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, s
     late = {n: waits[n] for n in task.needs if n in waits}
     read = set()
     for stage, part in task.needs:
-        made = store.receipt(stage, part)
-        now = digest_within(made, task.within) if made is not None else None
-        if made is not None and now is None:
+        present = store.receipt(stage, part)
+        now = digest_within(present, task.within) if present is not None else None
+        if present is not None and now is None:
             continue  # nothing of it is read
         read.add(f"{stage}/{part}")
         if f"{stage}/{part}" not in then:
@@ -154,15 +154,15 @@ def _of_parts(task: Task, receipt: Receipt, store: Store, waits: Mapping[Name, s
             late[stage, part] = waits[stage, part]
         else:
             gone.setdefault(stage, []).append(part)
-    found = waiting(late)
+    why = waiting(late)
     for groups, text in ((anew, "{} was made anew"), (new, "{} is read now")):
-        found += [_about(stage, parts, text) for stage, parts in groups.items()]
+        why += [_about(stage, parts, text) for stage, parts in groups.items()]
     for stage, parts in gone.items():
         files = sorted({f for part in parts for f in _files_below((stage, part), store)})
-        told = f" ({', '.join(files[:SOME])}{', …' if len(files) > SOME else ''})" if files else ""
+        because = f" ({', '.join(files[:SOME])}{', …' if len(files) > SOME else ''})" if files else ""
         about = _about(stage, parts, "{} is no longer read")
-        found.append(Reason(about.text + told, about.kind + told))
-    return found
+        why.append(Reason(about.text + because, about.kind + because))
+    return why
 
 
 def _files_below(name: Name, store: Store, steps: int = 4) -> set[str]:
@@ -179,12 +179,12 @@ def _files_below(name: Name, store: Store, steps: int = 4) -> set[str]:
 
 
 def _of_outputs(receipt: Receipt, store: Store) -> list[Reason]:
-    found = []
+    why = []
     for name, facts in receipt.outputs.items():
         size = store.size_of(receipt, name)
         if size is None:
-            found.append(Reason(f"its file {name} is gone", "a file of it is gone"))
+            why.append(Reason(f"its file {name} is gone", "a file of it is gone"))
         elif size != facts["bytes"]:
             text = f"its file {name} has {size} bytes, not {facts['bytes']}"
-            found.append(Reason(text, "a file of it has another size"))
-    return found
+            why.append(Reason(text, "a file of it has another size"))
+    return why

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.decompose.params import DecomposeParams
 from fwclass.errors import InputError
-from fwclass.formats.flat import refuse_source
+from fwclass.formats.flat import TAKEN_FOR_METRES, refuse_source
 from fwclass.formats.linear_units import LinearUnits, linear_units
 from fwclass.graph.plausibility import of_strip, remarks
 from fwclass.ground.blocks import ground_by_blocks
@@ -97,8 +97,12 @@ def _of_text(path: Path, crs: Any) -> FileEchoes:
     if cloud.classes is not None:
         columns["source_class"] = cloud.classes[rows]
     lost = cloud.points - len(rows)
-    told = (f"{len(rows):,} points", *([f"{lost:,} lines without usable coordinates are left out"] if lost else []))
-    return FileEchoes(Table(columns), cloud.crs, told)
+    notes = (
+        f"{len(rows):,} points",
+        *([f"{lost:,} lines without usable coordinates are left out"] if lost else []),
+        *([TAKEN_FOR_METRES] if cloud.crs is None else []),
+    )
+    return FileEchoes(Table(columns), cloud.crs, notes)
 
 
 def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...], crs: Any, tell: Tell) -> FileEchoes:
@@ -116,13 +120,14 @@ def _of_source(source: Source, columns: Iterable[str], settings: tuple[str, ...]
     if not tables or not sum(t.rows for t in tables):
         raise InputError("the file has no points and no pulses", where=source.path, do="check the delivery")
     table = Table.concat(tables)
-    told = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
-    told += remarks([of_strip(source.path.stem, source.n_points, counts, noise)], fit)
-    told += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
+    notes = [f"{table.rows:,} echoes" + (" fitted to waveforms" if source.has_waves else ", the file's returns")]
+    notes += [TAKEN_FOR_METRES] if crs is None else []
+    notes += remarks([of_strip(source.path.stem, source.n_points, counts, noise)], fit)
+    notes += [f"fault: {name}: {count:,}" for name, count in sorted(faults.items()) if count]
     if table.rows and not source.has_waves and "intensity" in table and not table["intensity"].any():
-        told.append("every intensity is 0: features of amplitude and intensity say nothing")
+        notes.append("every intensity is 0: features of amplitude and intensity say nothing")
     empty = [n for n in table if n not in PLACE and table[n].dtype.kind == "f" and np.isnan(table[n]).all()]
-    return FileEchoes(table.select(n for n in table if n not in empty), crs, tuple(told), links)
+    return FileEchoes(table.select(n for n in table if n not in empty), crs, tuple(notes), links)
 
 
 def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:
@@ -146,15 +151,15 @@ class GroundChoice:
     optional: bool = False
 
 
-def with_heights(found: FileEchoes, path: Path, by: GroundChoice, settings: tuple[str, ...], tell: Tell) -> FileEchoes:
-    """`found` with `height_above_ground`: ground by a filter where one is named, else by class 2 of the file.
+def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tuple[str, ...], tell: Tell) -> FileEchoes:
+    """`echoes` with `height_above_ground`: ground by a filter where one is named, else by class 2 of the file.
 
     Raises
     ------
     InputError
         The file has no ground and no filter is named.
     """
-    table = found.table
+    table = echoes.table
     x, y, z = (table[a] for a in "xyz")
     sound = (table["fit_flags"] & IMPLAUSIBLE) == 0 if "fit_flags" in table else np.ones(table.rows, bool)
     if by.method is not None or by.preset is not None or by.assignments:
@@ -171,17 +176,17 @@ def with_heights(found: FileEchoes, path: Path, by: GroundChoice, settings: tupl
             params,
             lambda k, of: tell(f"filter {params.method}: block {k} of {of}"),
         )
-        ground, noise, told = np.zeros(table.rows, bool), ~sound, f"ground by {params.method}"
+        ground, noise, note = np.zeros(table.rows, bool), ~sound, f"ground by {params.method}"
         ground[rows], noise[rows] = flags.ground, flags.noise
     else:
         codes = table["source_class"] if "source_class" in table else np.zeros(table.rows, np.uint8)
-        ground, noise, told = (
+        ground, noise, note = (
             codes == GROUND,
             np.isin(codes, (LOW_NOISE, HIGH_NOISE)) | ~sound,
             "ground by class 2 of the file",
         )
         if not ground.any() and by.optional:
-            return found
+            return echoes
         if not ground.any():
             raise InputError(
                 "height_above_ground is asked for, and the input has no ground",
@@ -192,33 +197,33 @@ def with_heights(found: FileEchoes, path: Path, by: GroundChoice, settings: tupl
                 "(--skip-missing)",
             )
     tell("terrain and heights")
-    made, _ = terrain_by_blocks(x, y, z, ground, noise, conf.section("terrain", settings))
-    without = int(np.isnan(made.height).sum())
-    told = f"{told}: {int(ground.sum()):,} echoes" + (f"; {without:,} echoes have no terrain below" if without else "")
-    return FileEchoes(table.with_columns({"height_above_ground": made.height}), found.crs, (*found.told, told))
+    surface, _ = terrain_by_blocks(x, y, z, ground, noise, conf.section("terrain", settings))
+    without = int(np.isnan(surface.height).sum())
+    note = f"{note}: {int(ground.sum()):,} echoes" + (f"; {without:,} echoes have no terrain below" if without else "")
+    return FileEchoes(table.with_columns({"height_above_ground": surface.height}), echoes.crs, (*echoes.told, note))
 
 
 def _of_ground(settings: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(s for s in settings if s.strip().startswith("ground."))
 
 
-def ranges(found: FileEchoes, flight: Flight, settings: tuple[str, ...]) -> bool:
+def ranges(echoes: FileEchoes, flight: Flight, settings: tuple[str, ...]) -> bool:
     """Something tells how far the sensor was, and the echoes have beams."""
-    told = flight.trajectory is not None or conf.section("radiometry", settings).platform_altitude is not None
-    return "beam_x" in found.table and "energy" in found.table and (told or "beam_range" in found.table)
+    known = flight.trajectory is not None or conf.section("radiometry", settings).platform_altitude is not None
+    return "beam_x" in echoes.table and "energy" in echoes.table and (known or "beam_range" in echoes.table)
 
 
-def with_radiometry(found: FileEchoes, flight: Flight, settings: tuple[str, ...]) -> FileEchoes:
-    """`found` with range, incidence and what follows, where something tells the range."""
-    table = found.table
-    if not ranges(found, flight, settings):
-        return found
+def with_radiometry(echoes: FileEchoes, flight: Flight, settings: tuple[str, ...]) -> FileEchoes:
+    """`echoes` with range, incidence and what follows, where something tells the range."""
+    table = echoes.table
+    if not ranges(echoes, flight, settings):
+        return echoes
     missing = [n for n in FOR_RADIOMETRY if n not in table]
     whole = table.with_columns({n: np.full(table.rows, np.nan) for n in missing})
     flown = None
     if flight.trajectory is not None:
-        flown = flown_over(table, flight.trajectory, found.crs, flight.undulation)
+        flown = flown_over(table, flight.trajectory, echoes.crs, flight.undulation)
     params = {name: conf.section(name, settings) for name in ("features", "radiometry")}
-    made, told = ranged(whole, flown, params, flight.trajectory)
-    own = [n for n in RADIOMETRY.writes if n in made]
-    return FileEchoes(table.with_columns(made.select(own)), found.crs, (*found.told, *(told if own else ())))
+    columns, notes = ranged(whole, flown, params, flight.trajectory)
+    own = [n for n in RADIOMETRY.writes if n in columns]
+    return FileEchoes(table.with_columns(columns.select(own)), echoes.crs, (*echoes.told, *(notes if own else ())))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fwclass import compiling, conf
 from fwclass.errors import ConfigError
 from fwclass.features.dense import Crowd, crowd_facts
-from fwclass.features.params import MAX_REACH, FeaturesParams
+from fwclass.features.params import MAX_REACH, Asked, FeaturesParams, is_feature
 from fwclass.features.stage import features
 from fwclass.graph.survey import given_crs
 from fwclass.ground.blocks import blocks_of
@@ -33,7 +33,6 @@ from fwclass.single_file.features.echoes import (
     with_heights,
     with_radiometry,
 )
-from fwclass.single_file.features.missing import given
 from fwclass.single_file.features.names import Wanted, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.ground.params import check_settings
@@ -105,16 +104,16 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     _check_reach(asked, params)
     tell("reading")
     before = compiling.spent()
-    found = _echoes(job, asked, tell)
-    asked, left_out = given(asked, found.table, job.source, job.skip_missing)
-    table = _sorted(found.table)
+    echoes = _echoes(job, asked, tell)
+    asked, left_out = given(asked, echoes.table, job.source, job.skip_missing)
+    table = _sorted(echoes.table)
     with tempfile.TemporaryDirectory(dir=job.output.parent, prefix=".fwclass-features-") as room:
-        made, tiles, crowd = _features(table, asked, params, size, Path(room), tell)
+        columns, tiles, crowd = _features(table, asked, params, size, Path(room), tell)
         tell("writing")
         empty = dict.fromkeys(asked.names, 0)
-        parts = _row_groups(table, asked, made, publish.row_group, empty)
-        written = write_geoparquet_parts(parts, bounds_of(table), job.output, found.crs, publish)
-        del made, parts
+        parts = _row_groups(table, asked, columns, publish.row_group, empty)
+        written = write_geoparquet_parts(parts, bounds_of(table), job.output, echoes.crs, publish)
+        del columns, parts
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -125,8 +124,8 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
         "tiles": tiles,
         "reach": asked.around.reach(params),
         "without_value": {name: n for name, n in empty.items() if n},
-        "crs": found.crs.name if found.crs is not None else None,
-        "notes": [*found.told, *([crowd.text(params)] if crowd else [])],
+        "crs": echoes.crs.name if echoes.crs is not None else None,
+        "notes": [*echoes.told, *([crowd.text(params)] if crowd else [])],
         "bytes": written["bytes"],
         "seconds": {"compiling": round(compiling.spent() - before, 3), "all": round(time.perf_counter() - started, 3)},
     }
@@ -159,17 +158,17 @@ def _check_reach(asked: Wanted, params: FeaturesParams) -> None:
 def _echoes(job: FeaturesJob, asked: Wanted, tell: Tell) -> FileEchoes:
     """The echoes with everything that the features and the output read."""
     columns = dict.fromkeys((*asked.around.reads, *asked.names))
-    found = read_echoes(job.source, columns, job.settings, given_crs(job.crs, "--crs"), tell)
+    echoes = read_echoes(job.source, columns, job.settings, given_crs(job.crs, "--crs"), tell)
     flight = Flight(job.trajectory, job.undulation)
-    later = (*TERRAIN.writes, *(RADIOMETRY.writes if ranges(found, flight, job.settings) else ()))
-    given(asked, found.table, job.source, job.skip_missing, frozenset(later))
+    later = (*TERRAIN.writes, *(RADIOMETRY.writes if ranges(echoes, flight, job.settings) else ()))
+    given(asked, echoes.table, job.source, job.skip_missing, frozenset(later))
     if "height_above_ground" in asked.names:
         by = GroundChoice(job.method, job.preset, job.assignments, job.skip_missing)
-        found = with_heights(found, job.source, by, job.settings, tell)
+        echoes = with_heights(echoes, job.source, by, job.settings, tell)
     if set(asked.names) & set(RADIOMETRY.writes):
-        found = with_radiometry(found, flight, job.settings)
-    keep = [n for n in found.table if n in columns or n in PLACE]
-    return FileEchoes(found.table.select(keep), found.crs, found.told)
+        echoes = with_radiometry(echoes, flight, job.settings)
+    keep = [n for n in echoes.table if n in columns or n in PLACE]
+    return FileEchoes(echoes.table.select(keep), echoes.crs, echoes.told)
 
 
 def _sorted(table: Table) -> Table:
@@ -186,7 +185,7 @@ def _features(
     if not around.names:
         return {}, 0, None
     held = 4 * table.rows * len(around.names) <= HELD
-    made: dict[str, NDArray[np.float32]] = {
+    columns: dict[str, NDArray[np.float32]] = {
         n: np.empty(table.rows, column(n).dtype)
         if held
         else np.lib.format.open_memmap(room / f"{k}.npy", "w+", column(n).dtype, (table.rows,))
@@ -198,23 +197,76 @@ def _features(
         order = np.lexsort((reads["echo_number"][rows], reads["pulse"][rows]))
         chunk = Chunk(reads.take(rows[order]), np.flatnonzero(own[order]), tile)
         for name, values in features(chunk, around.names, params).items():
-            if name in made:
-                made[name][rows[order][own[order]]] = values
+            if name in columns:
+                columns[name][rows[order][own[order]]] = values
         crowds.append(crowd_facts(chunk, params))
         done, tiles = done + int(own.sum()), tiles + 1
-    return made, tiles, Crowd.of_parts(crowds)
+    return columns, tiles, Crowd.of_parts(crowds)
 
 
 def _row_groups(
-    table: Table, asked: Wanted, made: dict[str, NDArray[np.float32]], size: int, empty: dict[str, int]
+    table: Table, asked: Wanted, columns: dict[str, NDArray[np.float32]], size: int, empty: dict[str, int]
 ) -> Iterator[Table]:
     """The output's columns, row group by row group; echoes without a value are counted to `empty`, by feature."""
     plain = [n for n in dict.fromkeys((*PLACE, *asked.names)) if n in table]
     order = dict.fromkeys((*(n for n in PLACE if n in table), *asked.names))
     for first in range(0, table.rows, size):
         part = slice(first, first + size)
-        own = {n: table[n][part] for n in plain} | {n: values[part] for n, values in made.items()}
+        own = {n: table[n][part] for n in plain} | {n: values[part] for n, values in columns.items()}
         for n in empty:
             if own[n].dtype == np.float32:
                 empty[n] += int(np.count_nonzero(np.isnan(own[n])))
         yield Table({n: own[n] for n in order})
+
+
+SHORT = 12
+"""So many names are written out."""
+
+_WHY = {
+    "width": "no echo widths (no waveforms, nor the extra byte `Pulse width`)",
+    "gps_time": "no times that tell which returns are of one pulse",
+    "height_above_ground": "no ground (class 2, or --method)",
+    **dict.fromkeys(("echo_number", "number_of_echoes"), "no echo numbers (a text has none)"),
+    **dict.fromkeys(
+        RADIOMETRY.writes, "no ranges (--trajectory, or --set radiometry.platform_altitude=METRES; and beams)"
+    ),
+}
+"""What a file lacks that does not have a column."""
+
+
+def given(
+    asked: Wanted, table: Table, source: Path, skip: bool, later: frozenset[str] = frozenset()
+) -> tuple[Wanted, dict[str, str]]:
+    """The features that `table` can give; those that it cannot, with what it lacks. Columns `later` may still come.
+
+    Raises
+    ------
+    ConfigError
+        It cannot give one, and `skip` is not asked for; or none is left.
+    """
+    there = (set(table) | later) - ({"echo_number"} if "number_of_echoes" not in table else set())
+    lost = {name: why for name in asked.names if (why := _lacks(name, there))}
+    left = tuple(n for n in asked.names if n not in lost)
+    if lost and (not skip or not left):
+        reasons = dict.fromkeys(lost.values())
+        missing = "; ".join(f"{why}: {_listed([n for n in lost if lost[n] == why])}" for why in reasons)
+        some = "add --skip-missing" + (f", or ask for --features {','.join(left)}" if len(left) <= SHORT else "")
+        raise ConfigError(
+            f"the file cannot give {len(lost)} of the {len(asked.names)} features",
+            where=f"{source}, features of {asked.told}",
+            got=missing,
+            do=some if left else "ask for other features: `fwclass features --list` shows all",
+        )
+    return Wanted(asked.told, left), lost
+
+
+def _lacks(name: str, there: set[str]) -> str:
+    """What feature `name` cannot be computed without, "" where nothing is missing."""
+    reads = Asked.of([name]).reads if is_feature(name) else (name,)
+    missing = [n for n in reads if n not in there]
+    return _WHY.get(missing[0], f"no {missing[0]}") if missing else ""
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - SHORT} more" if len(names) > SHORT else ""
+    return ", ".join(names[:SHORT]) + more

@@ -1,11 +1,13 @@
-"""What `fwclass features --list` shows: every feature with formula, unit and source, and the sets."""
+"""What `fwclass features` says: of a file, and with `--list` every feature with formula, unit and source."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from fwclass.columns import COLUMNS, FEATURES, SCALES, Column
 from fwclass.conf.sets import feature_set, shipped_sets
+from fwclass.errors import visible
 from fwclass.schema import column
 from fwclass.single_file.features.names import ENDS, measured, wanted
 
@@ -36,13 +38,13 @@ def _facts(name: str, record: Column) -> dict[str, Any]:
 
 
 def _set_facts(name: str, where: str = "--list") -> dict[str, Any]:
-    found = feature_set(name, where=where)
+    features = feature_set(name, where=where)
     return {
-        "name": found.name,
-        "size": len(found.features),
-        "about": found.about,
-        "source": found.source,
-        "features": list(found.features),
+        "name": features.name,
+        "size": len(features.features),
+        "about": features.about,
+        "source": features.source,
+        "features": list(features.features),
     }
 
 
@@ -100,3 +102,34 @@ def _rows(found: list[dict[str, Any]], scales: bool = True) -> list[str]:
         source = f"  [{f['source']}]" if f["source"] else ""
         rows.append(f"  {f['name']:<{name}}  {middle}{f['unit']:<{unit}}  {f['formula']}{source}")
     return rows
+
+
+MANY = 8
+"""So many names are shown."""
+
+
+def describe(summary: Mapping[str, Any]) -> str:
+    """The summary of `fwclass features`."""
+    seconds = summary["seconds"]
+    compiling = f", {seconds['compiling']:.1f} of them compiling, once" if seconds["compiling"] >= 1.0 else ""
+    lost = summary["left_out"]
+    empty = {n: c for n, c in summary["without_value"].items() if c == summary["echoes"]}
+    echoes, features = _count(summary["echoes"], "echo", "echoes"), _count(len(summary["features"]), "feature")
+    rows = [
+        f"{visible(summary['input'])}: {echoes}, {features} of {summary['set']}",
+        *summary["notes"],
+        f"neighbourhoods reach {summary['reach']:g} m; {_count(summary['tiles'], 'tile')}",
+        *([f"LEFT OUT, {why}: {_names([n for n in lost if lost[n] == why])}" for why in dict.fromkeys(lost.values())]),
+        *([f"WARNING: no echo has a value of {_names(list(empty))}"] if empty else []),
+        f"{seconds['all']:.1f} s{compiling}",
+        f"written: {visible(summary['output'])} ({summary['bytes'] / 1e6:.1f} MB)",
+    ]
+    return "\n".join(rows)
+
+
+def _count(n: int, one: str, many: str = "") -> str:
+    return f"{n:,} {one if n == 1 else many or f'{one}s'}"
+
+
+def _names(names: list[str]) -> str:
+    return ", ".join(names[:MANY]) + (f" and {len(names) - MANY} more" if len(names) > MANY else "")

@@ -72,15 +72,17 @@ def wanted(named: str | None, listed: str | None) -> Wanted:
     if named is not None and listed is not None:
         raise ConfigError("features are named twice", where="--set and --features", do="leave one of them out")
     if listed is not None:
-        found = Wanted("--features", listed_once([n.strip() for n in listed.split(",") if n.strip()], "--features"))
+        features = Wanted("--features", listed_once([n.strip() for n in listed.split(",") if n.strip()], "--features"))
     else:
         asked = named if named is not None else DEFAULT
-        found = Wanted(asked, feature_set(asked).features)
-    if not found.names:
-        raise ConfigError("no feature is named", where=found.told, expected="for example height_std_c200,planarity_k20")
-    for name in found.names:
-        check_name(name, found.told)
-    return found
+        features = Wanted(asked, feature_set(asked).features)
+    if not features.names:
+        raise ConfigError(
+            "no feature is named", where=features.told, expected="for example height_std_c200,planarity_k20"
+        )
+    for name in features.names:
+        check_name(name, features.told)
+    return features
 
 
 def check_name(name: str, where: str) -> None:

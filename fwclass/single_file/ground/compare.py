@@ -74,19 +74,19 @@ def compare(
     shown = shown_points(cloud)
     check_extent(cloud, shown, conf.section("terrain", settings).cell)
     truth = _labels(cloud, reference)
-    found, filters = {}, []
+    flags, filters = {}, []
     for name in names:
         params = ground_params(name, preset, (), settings)
         if adapt is not None:
             params, _ = adapt(cloud, shown, params)
-        found[name], made = _one(cloud, shown, truth, name, params, tell)
-        say(f"{name}: {made['seconds']:.2f} s, {100 * made['ground_share']:.1f} % ground")
-        filters.append(made)
-    votes = np.sum([f.ground for f in found.values()], axis=0)
-    majority = Flags(votes * 2 > len(names), np.logical_and.reduce([f.noise for f in found.values()]))
+        flags[name], plain = _one(cloud, shown, truth, name, params, tell)
+        say(f"{name}: {plain['seconds']:.2f} s, {100 * plain['ground_share']:.1f} % ground")
+        filters.append(plain)
+    votes = np.sum([f.ground for f in flags.values()], axis=0)
+    majority = Flags(votes * 2 > len(names), np.logical_and.reduce([f.noise for f in flags.values()]))
     filters.append(_summary(cloud, shown, truth, MAJORITY, majority))
     tell("measuring")
-    made = {
+    plain = {
         "input": str(source),
         "fwclass": __version__,
         "points": cloud.points,
@@ -94,15 +94,15 @@ def compare(
         "measured": measure(*_of(cloud, shown)).plain(),
         "labelled": truth is not None,
         "filters": filters,
-        "agreement": agreement(list(found.values()), shown),
+        "agreement": agreement(list(flags.values()), shown),
         "methods": list(names),
         "votes": np.bincount(votes[shown], minlength=len(names) + 1).tolist(),
     }
-    pictures = _pictures(cloud, shown, {**found, MAJORITY: majority}, votes, made, settings, tell)
+    pictures = _pictures(cloud, shown, {**flags, MAJORITY: majority}, votes, plain, settings, tell)
     target.mkdir(parents=True, exist_ok=True)
-    write_json(target / "comparison.json", made)
-    page = render_comparison(made, pictures, target / "comparison.html")
-    return {**made, "page": page["path"]}
+    write_json(target / "comparison.json", plain)
+    page = render_comparison(plain, pictures, target / "comparison.html")
+    return {**plain, "page": page["path"]}
 
 
 def methods_of(text: str | None) -> tuple[str, ...]:
@@ -152,15 +152,15 @@ def _one(
     began = time.perf_counter()
     flags = filter_cloud(cloud, shown, params, tell)
     seconds = time.perf_counter() - began
-    told = _summary(cloud, shown, truth, name, flags)
+    summary = _summary(cloud, shown, truth, name, flags)
     rate = {"seconds": round(seconds, 3), "points_per_second": round(int(shown.sum()) / max(seconds, 1e-9))}
-    return flags, {**told, **rate, "parameters": used(params)}
+    return flags, {**summary, **rate, "parameters": used(params)}
 
 
 def _summary(
     cloud: PointCloud, shown: NDArray[np.bool_], truth: NDArray[np.int8] | None, name: str, flags: Flags
 ) -> dict[str, Any]:
-    made: dict[str, Any] = {
+    plain: dict[str, Any] = {
         "method": name,
         "ground": int(flags.ground.sum()),
         "noise": int(flags.noise.sum()),
@@ -171,9 +171,9 @@ def _summary(
         "accuracy": None,
     }
     if truth is not None:
-        told = figures(matrix_of(truth, flags.ground), NAMES)
-        made["accuracy"] = {k: told[k] for k in ("confusion", "type_i", "type_ii", "total_error", "kappa")}
-    return made
+        accuracy = figures(matrix_of(truth, flags.ground), NAMES)
+        plain["accuracy"] = {k: accuracy[k] for k in ("confusion", "type_i", "type_ii", "total_error", "kappa")}
+    return plain
 
 
 def agreement(found: Sequence[Flags], shown: NDArray[np.bool_]) -> list[list[float]]:
@@ -185,9 +185,9 @@ def agreement(found: Sequence[Flags], shown: NDArray[np.bool_]) -> list[list[flo
 def _pictures(
     cloud: PointCloud,
     shown: NDArray[np.bool_],
-    found: dict[str, Flags],
+    flags: dict[str, Flags],
     votes: NDArray[Any],
-    made: dict[str, Any],
+    plain: dict[str, Any],
     settings: tuple[str, ...],
     tell: Tell,
 ) -> dict[str, bytes]:
@@ -195,16 +195,16 @@ def _pictures(
     publish, terrain = conf.section("publish", settings), conf.section("terrain", settings)
     x, y, z, _ = _of(cloud, shown)
     made_of = {}
-    for name, f in found.items():
+    for name, f in flags.items():
         tell(f"terrain of {name}")
         made_of[name] = terrain_by_blocks(x, y, z, f.ground[shown], f.noise[shown], terrain)
     tell("pictures")
     known = {n: (t.dtm, window) for n, (t, window) in made_of.items() if np.isfinite(t.dtm).any()}
     tints = tint_range(np.concatenate([dtm.reshape(-1) for dtm, _ in known.values()])) if known else None
     pictures = {name: relief(dtm, window, publish, tints) for name, (dtm, window) in known.items()}
-    cell = max(0.5, round(2.0 * made["measured"]["spacing"], 1))
+    cell = max(0.5, round(2.0 * plain["measured"]["spacing"], 1))
     window = window_over(x, y, cell, "the map's cell")
-    most, own = len(found) - 1, votes[shown]
+    most, own = len(flags) - 1, votes[shown]
     cells, _ = cells_of(x, y, window)
     split = np.minimum(own, most - own)
     pictures["disagreement"] = disagreement_map(
@@ -224,12 +224,12 @@ def by_cell(cells: NDArray[np.int64], values: NDArray[Any], shape: tuple[int, in
     return out
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(result: dict[str, Any]) -> str:
     """The result as text for a terminal."""
-    wide = max(len(f["method"]) for f in made["filters"])
+    wide = max(len(f["method"]) for f in result["filters"])
     head = f"{'':{wide}}{'seconds':>9}{'pts/s':>9}{'ground':>9}"
-    lines = [head + (f"{'type I':>9}{'type II':>9}{'total':>9}{'kappa':>8}" if made["labelled"] else "")]
-    for one in made["filters"]:
+    lines = [head + (f"{'type I':>9}{'type II':>9}{'total':>9}{'kappa':>8}" if result["labelled"] else "")]
+    for one in result["filters"]:
         time_ = f"{one['seconds']:9.2f}{speed(one['points_per_second']):>9}" if one["seconds"] is not None else " " * 18
         line = f"{one['method']:<{wide}}{time_}{100 * one['ground_share']:8.1f}%"
         if one["accuracy"]:
@@ -238,8 +238,8 @@ def describe(made: dict[str, Any]) -> str:
             kappa = one["accuracy"]["kappa"]
             line += f"{kappa:8.3f}" if kappa is not None else f"{'-':>8}"
         lines.append(line)
-    n = len(made["methods"])
-    same = (made["votes"][0] + made["votes"][n]) / max(sum(made["votes"]), 1)
+    n = len(result["methods"])
+    same = (result["votes"][0] + result["votes"][n]) / max(sum(result["votes"]), 1)
     return "\n".join([*lines, "", f"all {n} filters agree on {100 * same:.1f} % of the points", _MAJORITY])
 
 

@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 from fwclass import compiling, conf
 from fwclass.errors import InputError
-from fwclass.formats.flat import HIGHEST, LONGEST
+from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
 from fwclass.graph.survey import given_crs
+from fwclass.ground.auto import adapted
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
+from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.las import LasSource
 from fwclass.single_file.ground.output import check_output, check_packets, write_points
@@ -101,10 +103,10 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
     classes = classes_of(cloud, flags, job.keep_classes)
     if job.rasters:
         tell("terrain")
-        found = terrain_of(cloud, flags, shown, job.settings)
+        terrains = terrain_of(cloud, flags, shown, job.settings)
     tell("writing")
-    made = write_points(cloud, job.output, classes, publish)
-    rasters = write_rasters(cloud, found, job.rasters, publish) if job.rasters else {}
+    written = write_points(cloud, job.output, classes, publish)
+    rasters = write_rasters(cloud, terrains, job.rasters, publish) if job.rasters else {}
     codes, counts = np.unique(classes, return_counts=True)
     stray = stray_points(cloud, shown)
     return {
@@ -126,8 +128,8 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "crs": cloud.units.told,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
-        "waveforms": made.get("wdp"),
-        "notes": _notes(cloud, shown, flags, stray, made),
+        "waveforms": written.get("wdp"),
+        "notes": _notes(cloud, shown, flags, stray, written),
         "seconds": {
             "filter": round(filtering, 3),
             "compiling": round(compiling.spent() - compiled, 3),
@@ -224,11 +226,13 @@ def unusable(cloud: PointCloud) -> dict[str, int]:
 
 
 def _notes(
-    cloud: PointCloud, shown: NDArray[np.bool_], flags: Flags, stray: NDArray[np.int64], made: dict[str, Any]
+    cloud: PointCloud, shown: NDArray[np.bool_], flags: Flags, stray: NDArray[np.int64], written: dict[str, Any]
 ) -> list[str]:
-    notes = [*made.get("notes", []), *cloud.cut_packets]
+    notes = [*written.get("notes", []), *cloud.cut_packets]
     if looks_like_degrees(cloud):
         notes.append("the coordinates look like degrees, and were taken for metres: reproject the file first")
+    elif cloud.crs is None and isinstance(cloud.source, LasSource):
+        notes.append(TAKEN_FOR_METRES)
     if isinstance(cloud.source, LasSource) and cloud.crs is not cloud.source.crs:
         notes.append("the output keeps the coordinate system that the input names, not that of --crs")
     if len(stray):
@@ -243,3 +247,18 @@ def _notes(
 
 def _flat(cloud: PointCloud, shown: NDArray[np.bool_]) -> bool:
     return bool(np.ptp(cloud.z[shown]) == 0.0)
+
+
+def adapting(choose: bool, settings: tuple[str, ...] = (), tell: Tell = quiet) -> Adapt:
+    """What changes parameters to suit a cloud; with `choose` the filter too. `tell` hears how much is tried."""
+    rules: GroundAutoParams = conf.section("ground_auto", settings)
+
+    def adapt(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams) -> tuple[GroundParams, dict[str, Any]]:
+        method = rules.method if choose else params.method
+        tried = len(rules.updates(method))
+        tell(f"measuring, then trying {tried} settings of {method}" if tried else "measuring")
+        points = cloud.x[shown], cloud.y[shown], cloud.z[shown]
+        suited, measured = adapted(points, cloud.last[shown], params, rules, None if choose else params.method)
+        return suited, measured.plain()
+
+    return adapt

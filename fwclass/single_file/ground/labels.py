@@ -60,8 +60,8 @@ def _from_file(cloud: PointCloud, reference: Path) -> NDArray[np.uint8] | None:
     other = read_point_cloud(reference)
     if other.classes is None:
         return None
-    found = pairs(_places(cloud), _places(other), conf.section("label").max_distance)
-    return np.where(found >= 0, other.classes[found], 0).astype(np.uint8)
+    rows = pairs(_places(cloud), _places(other), conf.section("label").max_distance)
+    return np.where(rows >= 0, other.classes[rows], 0).astype(np.uint8)
 
 
 def _places(cloud: PointCloud) -> Places:

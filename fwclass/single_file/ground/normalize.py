@@ -82,13 +82,13 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     flags, method = _ground(cloud, shown, job, tell)
     tell("terrain and heights")
     rows = np.flatnonzero(cloud.usable)
-    found, _ = terrain_by_blocks(
+    surface, _ = terrain_by_blocks(
         cloud.x[rows], cloud.y[rows], cloud.z[rows], flags.ground[rows], (flags.noise | ~shown)[rows], params
     )
     height = np.full(cloud.points, np.nan)
-    height[rows] = found.height
+    height[rows] = surface.height
     tell("writing")
-    made = _written(cloud, flags, height, job)
+    written = _written(cloud, flags, height, job)
     known = height[np.isfinite(height)]
     return {
         "input": str(job.source),
@@ -103,8 +103,8 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "max_gap": params.max_gap,
         "heights_m": _spread(known),
-        "waveforms": made.get("wdp"),
-        "notes": [*made.get("notes", []), *cloud.cut_packets],
+        "waveforms": written.get("wdp"),
+        "notes": [*written.get("notes", []), *cloud.cut_packets],
         "seconds": {"all": round(time.perf_counter() - started, 3)},
     }
 

@@ -72,7 +72,7 @@ def with_assignments(params: GroundParams, assignments: Iterable[str]) -> Ground
         _put(values, _place(params, name, text), value)
     where = " ".join(f"--param {text}" for text in words)
     try:
-        made: GroundParams = conf.checked("ground", values, where)
+        checked: GroundParams = conf.checked("ground", values, where)
     except ConfigError as fault:
         wanted, got = _in_words(fault.got)
         raise ConfigError(
@@ -82,16 +82,16 @@ def with_assignments(params: GroundParams, assignments: Iterable[str]) -> Ground
             got=got,
             do="give another value; conf/base.yaml has the unit and the source of every parameter",
         ) from fault
-    return made
+    return checked
 
 
-def _in_words(told: str) -> tuple[str, str]:
+def _in_words(faults: str) -> tuple[str, str]:
     """What is expected and what came, of faults ``section.key: message (got value)``."""
-    found = [re.fullmatch(r"ground\.(.+?): (.*) \(got (.*)\)", one, re.S) for one in told.split("; ")]
-    if not all(found):
-        return "", told.removeprefix("ground: ")
-    wanted = "; ".join(f"{m[1]}: {_plain_words(m[2])}" for m in found if m)
-    return wanted, "; ".join(m[3] for m in found if m)
+    matches = [re.fullmatch(r"ground\.(.+?): (.*) \(got (.*)\)", one, re.S) for one in faults.split("; ")]
+    if not all(matches):
+        return "", faults.removeprefix("ground: ")
+    wanted = "; ".join(f"{m[1]}: {_plain_words(m[2])}" for m in matches if m)
+    return wanted, "; ".join(m[3] for m in matches if m)
 
 
 _PHRASES = (
@@ -175,11 +175,11 @@ def _place(params: GroundParams, name: str, text: str) -> tuple[str, ...]:
     """Where in the section `ground` a parameter stands."""
     known = names_of(params)
     plain = name.replace("-", "_").lower()
-    found = known.get(plain, ())
-    if len(found) == 1:
-        return found[0]
-    if found:
-        choices = [".".join(p[1:] if params.method == "csf+smrf" else p) + f"={text.partition('=')[2]}" for p in found]
+    places = known.get(plain, ())
+    if len(places) == 1:
+        return places[0]
+    if places:
+        choices = [".".join(p[1:] if params.method == "csf+smrf" else p) + f"={text.partition('=')[2]}" for p in places]
         raise ConfigError(
             f"several filters of {params.method} have a parameter {name!r}",
             where=f"--param {text}",
@@ -249,10 +249,10 @@ def _fields(own: Any) -> list[str]:
 
 def used(params: GroundParams) -> dict[str, Any]:
     """What the filter works with, as plain data: shared parameters, and its own with every derived length."""
-    made: dict[str, Any] = {name: getattr(params, name) for name in SHARED}
-    made["noise"] = params.noise.model_dump(mode="json")
+    plain: dict[str, Any] = {name: getattr(params, name) for name in SHARED}
+    plain["noise"] = params.noise.model_dump(mode="json")
     if params.method == "consensus":
-        made |= params.consensus.model_dump(mode="json")
-        made |= {m: params.of(m).model_dump(mode="json") for m in params.consensus.methods}
-        return made
-    return made | params.of(params.method).model_dump(mode="json")
+        plain |= params.consensus.model_dump(mode="json")
+        plain |= {m: params.of(m).model_dump(mode="json") for m in params.consensus.methods}
+        return plain
+    return plain | params.of(params.method).model_dump(mode="json")

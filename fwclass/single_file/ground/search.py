@@ -84,19 +84,19 @@ def optimize(
     tell(f"{params.method}: how long a run takes")
     say(announced(params.method, runs, [_timed(trial, s) for s in (start, *_ends(ranges))]))
     trial.tell = lambda: tell(f"{params.method}: run {len(trial.known) + 1} of at most {runs}")
-    made = _searched(trial, start, ranges, limits)
-    made = {
+    plain = _searched(trial, start, ranges, limits)
+    plain = {
         "input": str(source),
         "reference": str(reference or source),
         "fwclass": __version__,
         "method": params.method,
-        **made,
+        **plain,
         "runs": len(trial.known),
         "seconds": round(time.perf_counter() - began, 3),
     }
     if out is not None:
-        _write(out, made)
-    return made
+        _write(out, plain)
+    return plain
 
 
 class Trial:
@@ -135,8 +135,8 @@ class Trial:
     def kappa(self, setting: Setting, half: int | None = None) -> float:
         """Of one half, or of all points; -1 where there is none."""
         pair = self.matrices(setting)
-        told = figures(pair[0] + pair[1] if half is None else pair[half], NAMES)["kappa"]
-        return -1.0 if told is None else float(told)
+        value = figures(pair[0] + pair[1] if half is None else pair[half], NAMES)["kappa"]
+        return -1.0 if value is None else float(value)
 
 
 def _searched(trial: Trial, start: Setting, ranges: dict[str, Values], limits: GroundSearchParams) -> dict[str, Any]:
@@ -174,13 +174,13 @@ def ranges_of(params: GroundParams, limits: GroundSearchParams) -> dict[str, Val
 
 def start_of(params: GroundParams, ranges: dict[str, Values]) -> Setting:
     """The values that the parameters of `ranges` have now, lengths that follow from others filled in."""
-    made = []
+    start = []
     for name in ranges:
         own: Any = params.of(params.method)
         for key in name.split("."):
             own = getattr(own, key)
-        made.append(float(own))
-    return tuple(made)
+        start.append(float(own))
+    return tuple(start)
 
 
 def with_values(params: GroundParams, values: dict[str, float]) -> GroundParams:
@@ -215,13 +215,13 @@ def fragment(params: GroundParams, values: dict[str, float]) -> str:
 
 def figure(matrix: Any, name: str) -> float:
     """One figure of a confusion matrix; -1 where there is none."""
-    told = figures(matrix, NAMES)[name]
-    return -1.0 if told is None else float(told)
+    accuracy = figures(matrix, NAMES)[name]
+    return -1.0 if accuracy is None else float(accuracy)
 
 
 def _figures(matrix: Any) -> dict[str, Any]:
-    told = figures(matrix, NAMES)
-    return {name: told[name] for name in ("confusion", "type_i", "type_ii", "total_error", "kappa")}
+    accuracy = figures(matrix, NAMES)
+    return {name: accuracy[name] for name in ("confusion", "type_i", "type_ii", "total_error", "kappa")}
 
 
 def check_directory(out: Path, names: tuple[str, ...], overwrite: bool) -> None:
@@ -235,27 +235,27 @@ def check_directory(out: Path, names: tuple[str, ...], overwrite: bool) -> None:
         )
 
 
-def _write(out: Path, made: dict[str, Any]) -> None:
+def _write(out: Path, result: dict[str, Any]) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    best = made["best"]["parameters"]
-    picture = draw_curves(made["curves"], best, made["method"], made["held_out"]["kappa"])
-    for name, text in (("kappa.png", picture), ("ground.yaml", made["yaml"].encode())):
+    best = result["best"]["parameters"]
+    picture = draw_curves(result["curves"], best, result["method"], result["held_out"]["kappa"])
+    for name, text in (("kappa.png", picture), ("ground.yaml", result["yaml"].encode())):
         with whole(out / name) as beside:
             beside.write_bytes(text)
-    write_json(out / "search.json", made)
+    write_json(out / "search.json", result)
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(result: dict[str, Any]) -> str:
     """The result as text for a terminal."""
     lines = [f"{'':22}{'kappa':>8}{'type I':>9}{'type II':>9}{'total':>9}"]
     for key, label in (("start", "parameters before"), ("best", "best, on all points"), ("held_out", "held out")):
-        told = [made[key][name] for name in ("kappa", "type_i", "type_ii", "total_error")]
-        shown = "".join("        -" if v is None else f"{100 * v:8.2f}%" for v in told[1:])
-        lines.append(f"{label:<22}{told[0] if told[0] is not None else math.nan:8.4f}{shown}")
+        rates = [result[key][name] for name in ("kappa", "type_i", "type_ii", "total_error")]
+        shown = "".join("        -" if v is None else f"{100 * v:8.2f}%" for v in rates[1:])
+        lines.append(f"{label:<22}{rates[0] if rates[0] is not None else math.nan:8.4f}{shown}")
     lines.append("held out: chosen on two opposite quarters of the area, assessed on the other two, both ways")
-    if made["recommended"] == "start":
+    if result["recommended"] == "start":
         return "\n".join([*lines, "", NO_BETTER])
-    return "\n".join([*lines, "", made["param"], "", made["yaml"].rstrip()])
+    return "\n".join([*lines, "", result["param"], "", result["yaml"].rstrip()])
 
 
 NO_BETTER = "the found parameters are no better on points that did not choose them: keep the present ones"

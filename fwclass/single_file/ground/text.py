@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any
 
+from fwclass.errors import visible
 from fwclass.ground.measure import Measured
 from fwclass.ground.measure import table as measured_table
 
@@ -13,32 +14,32 @@ WIDTH = 92
 """Characters of a line beside its name."""
 
 
-def describe(made: Mapping[str, Any]) -> str:
+def describe(summary: Mapping[str, Any]) -> str:
     """The summary of `fwclass ground`."""
-    units = made["metres_per_unit"]
-    total = made["points"]
+    units = summary["metres_per_unit"]
+    total = summary["points"]
     rows = [
-        ("input", made["input"]),
-        ("coordinates", made["crs"]),
+        ("input", summary["input"]),
+        ("coordinates", summary["crs"]),
         *([("", "the filter works in metres")] if (units["xy"], units["z"]) != (1.0, 1.0) else []),
         ("points", f"{total:,}"),
-        *[("", f"{n:,} {why}: kept, never ground") for why, n in made["unusable"].items()],
+        *[("", f"{n:,} {why}: kept, never ground") for why, n in summary["unusable"].items()],
         *(
-            [("", f"{made['left_out']:,} left out (withheld, synthetic, or noise that stays)")]
-            if made["left_out"]
+            [("", f"{summary['left_out']:,} left out (withheld, synthetic, or noise that stays)")]
+            if summary["left_out"]
             else []
         ),
-        ("last returns", f"{made['last_returns']:,}"),
-        *_measured(made["measured"]),
-        ("filter", made["method"] + (f", preset {made['preset']}" if made["preset"] else "")),
-        *_wrapped("parameters", ", ".join(parameters(made["parameters"]))),
-        ("ground", f"{made['ground']:,} ({share(made['ground'], total)})"),
-        ("noise", f"{made['noise']:,}"),
-        ("seconds", _seconds(made["seconds"])),
-        *[("note", text) for text in made["notes"]],
-        ("written", made["output"]),
-        *([("", made["waveforms"])] if made["waveforms"] else []),
-        *[("", facts["path"]) for facts in made["rasters"].values()],
+        ("last returns", f"{summary['last_returns']:,}"),
+        *_measured(summary["measured"]),
+        ("filter", summary["method"] + (f", preset {summary['preset']}" if summary["preset"] else "")),
+        *_wrapped("parameters", ", ".join(parameters(summary["parameters"]))),
+        ("ground", f"{summary['ground']:,} ({share(summary['ground'], total)})"),
+        ("noise", f"{summary['noise']:,}"),
+        ("seconds", _seconds(summary["seconds"])),
+        *[("note", text) for text in summary["notes"]],
+        ("written", summary["output"]),
+        *([("", summary["waveforms"])] if summary["waveforms"] else []),
+        *[("", facts["path"]) for facts in summary["rasters"].values()],
     ]
     return table(rows)
 
@@ -55,30 +56,30 @@ def _wrapped(name: str, text: str) -> list[tuple[str, str]]:
     return [(name if i == 0 else "", line) for i, line in enumerate(lines)]
 
 
-def _measured(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _measured(measures: Mapping[str, Any]) -> list[tuple[str, str]]:
     """What ``--auto`` measured."""
-    if not found:
+    if not measures:
         return []
-    lines = measured_table(Measured(**found)).splitlines()
+    lines = measured_table(Measured(**measures)).splitlines()
     return [("measured" if i == 0 else "", line) for i, line in enumerate(lines)]
 
 
-def describe_heights(made: Mapping[str, Any]) -> str:
+def describe_heights(summary: Mapping[str, Any]) -> str:
     """The summary of `fwclass normalize`."""
-    found = f"found by {made['method']}" if made["method"] else "by the input's classes"
-    spread = made["heights_m"]
-    told = "{least:.2f} to {greatest:.2f} m, median {median:.2f} m".format(**spread) if spread else "none"
+    origin = f"found by {summary['method']}" if summary["method"] else "by the input's classes"
+    spread = summary["heights_m"]
+    span = "{least:.2f} to {greatest:.2f} m, median {median:.2f} m".format(**spread) if spread else "none"
     rows = [
-        ("input", made["input"]),
-        ("coordinates", made["crs"]),
-        ("points", f"{made['points']:,}"),
-        ("ground", f"{made['ground']:,} points {found}"),
-        ("heights", f"above {_ABOVE[made['height']]}: {told}"),
-        *_without(made),
-        ("seconds", f"{made['seconds']['all']:.1f}"),
-        *[("note", text) for text in made["notes"]],
-        ("written", made["output"]),
-        *([("", made["waveforms"])] if made["waveforms"] else []),
+        ("input", summary["input"]),
+        ("coordinates", summary["crs"]),
+        ("points", f"{summary['points']:,}"),
+        ("ground", f"{summary['ground']:,} points {origin}"),
+        ("heights", f"above {_ABOVE[summary['height']]}: {span}"),
+        *_without(summary),
+        ("seconds", f"{summary['seconds']['all']:.1f}"),
+        *[("note", text) for text in summary["notes"]],
+        ("written", summary["output"]),
+        *([("", summary["waveforms"])] if summary["waveforms"] else []),
     ]
     return table(rows)
 
@@ -86,14 +87,14 @@ def describe_heights(made: Mapping[str, Any]) -> str:
 _ABOVE = {"tin": "the TIN of the ground", "nearest": "the nearest ground point", "raster": "the terrain raster"}
 
 
-def _without(made: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _without(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Points that have no height, and what they got."""
-    if not made["without"]:
+    if not summary["without"]:
         return []
-    text = made["keep_z"] or not made["output"].lower().endswith((".las", ".laz"))
+    text = summary["keep_z"] or not summary["output"].lower().endswith((".las", ".laz"))
     return [
-        ("without terrain", f"{made['without']:,} points, kept with {'no value' if text else 'z = -9999'}"),
-        ("", f"no ground within {made['max_gap']:g} m: --set terrain.max_gap=… reaches further"),
+        ("without terrain", f"{summary['without']:,} points, kept with {'no value' if text else 'z = -9999'}"),
+        ("", f"no ground within {summary['max_gap']:g} m: --set terrain.max_gap=… reaches further"),
     ]
 
 
@@ -121,4 +122,4 @@ def share(part: int, whole: int) -> str:
 
 def table(rows: list[tuple[str, str]]) -> str:
     """Two columns; a row without a name goes on with the one above."""
-    return "\n".join(f"{name:<16}{text}" for name, text in rows)
+    return "\n".join(f"{name:<16}{visible(text)}" for name, text in rows)

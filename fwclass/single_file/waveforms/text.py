@@ -5,23 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 
-def describe(found: dict[str, Any]) -> str:
+def describe(seen: dict[str, Any]) -> str:
     """`look` for a terminal."""
-    shape, lines = found["system_pulse"], [f"file         {found['path']}"]
+    shape, lines = seen["system_pulse"], [f"file         {seen['path']}"]
     kind = "a Gaussian" if shape["shape"] == "gaussian" else f"measured on {shape['echoes']:,} echoes"
     lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
-    if found["noise"]["lag1"] is not None:
-        lines.append(f"noise        {_noise_words(found['noise'])}")
-    lines += [f"places       {text}" for text in found["places"]["remarks"]]
-    if "waveforms" in found:
-        lines.append(f"waveforms    {found['waveforms']:,} with {found['echoes']:,} echoes")
-    for pulse in found["pulses"]:
+    if seen["noise"]["lag1"] is not None:
+        lines.append(f"noise        {_noise_words(seen['noise'])}")
+    lines += [f"places       {text}" for text in seen["places"]["remarks"]]
+    if "waveforms" in seen:
+        lines.append(f"waveforms    {seen['waveforms']:,} with {seen['echoes']:,} echoes")
+    for pulse in seen["pulses"]:
         lines += ["", *_pulse_lines(pulse)]
-    if found.get("unexplained"):
-        lines += ["", *_missed_lines(found["unexplained"])]
-    elif "waveforms" in found:
+    if seen.get("unexplained"):
+        lines += ["", *_missed_lines(seen["unexplained"])]
+    elif "waveforms" in seen:
         lines += ["", "the file has no vendor returns to compare with"]
-    return "\n".join([*lines, "", f"pictures     {found['png']}", f"             {found['pulse_png']}"])
+    return "\n".join([*lines, "", f"pictures     {seen['png']}", f"             {seen['pulse_png']}"])
 
 
 def _noise_words(noise: dict[str, Any]) -> str:

@@ -131,16 +131,16 @@ def _named(
     views: Iterator[Seen], pulses: tuple[int, ...], system: SystemPulse, path: Path
 ) -> tuple[list[Shown], dict[str, Any]]:
     """The pulses asked for, in that order."""
-    found = {}
+    rows = {}
     for seen in views:
         for at, number in enumerate(seen.ids.tolist()):
-            found[number] = _shown(seen, at, system)
+            rows[number] = _shown(seen, at, system)
     for number in pulses:
-        if number not in found:
+        if number not in rows:
             raise InputError(
                 f"pulse {number} has no waveform that can be read", where=path, do="see `fwclass info` for the reason"
             )
-    return [found[number] for number in dict.fromkeys(pulses)], {}
+    return [rows[number] for number in dict.fromkeys(pulses)], {}
 
 
 def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], dict[str, Any]]:

@@ -88,8 +88,8 @@ def timed(
             began = time.process_time()
             features(chunk, names, params)
             turn[k] = time.process_time() - began
-    told = np.median(seconds[1:], axis=0) / max(1, len(chunk.core)) * 1e6
-    return {"microseconds": [round(v, 3) for v in told.tolist()], "echoes": len(chunk.core)}
+    medians = np.median(seconds[1:], axis=0) / max(1, len(chunk.core)) * 1e6
+    return {"microseconds": [round(v, 3) for v in medians.tolist()], "echoes": len(chunk.core)}
 
 
 def parts_of(chosen: Names) -> tuple[dict[str, Names], dict[str, Names], dict[str, Names]]:

@@ -8,8 +8,7 @@ from typing import Any
 import yaml
 
 from fwclass import __version__
-from fwclass.select.front import cheapest, front
-from fwclass.select.score import Names
+from fwclass.select.score import Names, cheapest, front
 from fwclass.select.search import Search, Step
 from fwclass.study.select.cost import parts_of
 
@@ -67,10 +66,10 @@ def _cost(chosen: Names, cost: Mapping[Names, float]) -> dict[str, Any]:
     }
 
 
-def set_file(made: Mapping[str, Any]) -> str:
+def set_file(result: Mapping[str, Any]) -> str:
     """The feature-set file: what a run with ``survey.features`` takes. No times: the same inputs give the same bytes
     (but for a set that was picked by its time)."""
-    picked = made[made["pick"]]
+    picked = result[result["pick"]]
     steps = [
         {
             "tried": s["tried"],
@@ -80,52 +79,52 @@ def set_file(made: Mapping[str, Any]) -> str:
             "accuracy_std": s["accuracy_std"],
             "kappa": s["kappa"],
         }
-        for s in made["steps"]
+        for s in result["steps"]
     ]
     tree = {
-        "about": f"{len(made['chosen'])} of {len(made['candidates'])} candidates by {TITLES[made['method']]} on "
-        f"{made['survey']}",
+        "about": f"{len(result['chosen'])} of {len(result['candidates'])} candidates by {TITLES[result['method']]} on "
+        f"{result['survey']}",
         "source": f"fwclass {__version__} select",
-        "features": made["chosen"],
+        "features": result["chosen"],
         "selection": {
-            "method": made["method"],
-            "pick": made["pick"],
-            "survey": made["survey"],
+            "method": result["method"],
+            "pick": result["pick"],
+            "survey": result["survey"],
             "accuracy": picked["accuracy"],
             "accuracy_std": picked["accuracy_std"],
             "kappa": picked["kappa"],
             "kappa_std": picked["kappa_std"],
-            "candidates": made["candidates"],
-            "left_out": made["left_out"],
-            "sample": made["sample"]["digest"],
-            "rows": made["sample"]["rows"],
-            "params": made["params"],
+            "candidates": result["candidates"],
+            "left_out": result["left_out"],
+            "sample": result["sample"]["digest"],
+            "rows": result["sample"]["rows"],
+            "params": result["params"],
             "steps": steps,
         },
     }
     return str(yaml.safe_dump(tree, sort_keys=False, width=110, default_flow_style=None))
 
 
-def describe(made: Mapping[str, Any]) -> str:
+def describe(result: Mapping[str, Any]) -> str:
     """The curve as a table for a terminal, and what it advises."""
-    sample = made["sample"]
+    sample = result["sample"]
     lines = [
-        f"{TITLES[made['method']]}: {len(made['candidates'])} candidates, {sample['rows']:,} echoes of the training "
-        f"areas in {sample['blocks']} blocks, {made['params']['folds']} folds",
-        *(f"note: {text}" for text in made["notes"]),
-        *(f"left out: {name}, {why}" for name, why in made["left_out"].items()),
+        f"{TITLES[result['method']]}: {len(result['candidates'])} candidates, {sample['rows']:,} echoes of the "
+        f"training areas in {sample['blocks']} blocks, {result['params']['folds']} folds",
+        *(f"note: {text}" for text in result["notes"]),
+        *(f"left out: {name}, {why}" for name, why in result["left_out"].items()),
         "",
         f"{'':2}{'features':>8}  {'accuracy':>15}  {'kappa':>15}  {'us/echo':>8}  tried",
     ]
-    lines += [_row(step, made, k in made["front"]) for k, step in enumerate(made["steps"])]
+    lines += [_row(step, result, k in result["front"]) for k, step in enumerate(result["steps"])]
     lines += ["b best, s smallest and c cheapest set as good as the best; * nothing else is as good at less time", ""]
-    lines += _advice(made)
+    lines += _advice(result)
     return "\n".join(lines)
 
 
-def _row(step: Mapping[str, Any], made: Mapping[str, Any], on_front: bool) -> str:
-    marks = "".join(letter for letter, n in zip("bsc", PICKS, strict=True) if made[n]["features"] == step["features"])
-    sign = "" if made["method"] != "rffs" else "-"
+def _row(step: Mapping[str, Any], result: Mapping[str, Any], on_front: bool) -> str:
+    marks = "".join(letter for letter, n in zip("bsc", PICKS, strict=True) if result[n]["features"] == step["features"])
+    sign = "" if result["method"] != "rffs" else "-"
     tried = step["tried"]
     shown = ", ".join(sign + n for n in tried[:3]) + (f" and {len(tried) - 3} more" if len(tried) > 3 else "")
     shown += "" if step["kept"] else " (no gain, dropped)"
@@ -136,25 +135,25 @@ def _row(step: Mapping[str, Any], made: Mapping[str, Any], on_front: bool) -> st
     return f"{marks:<3}{star}{len(step['features']):>6}  {accuracy:>15}  {kappa:>15}  {time}  {shown}"
 
 
-def _advice(made: Mapping[str, Any]) -> list[str]:
-    cheap, chosen = made["cheapest"], made["chosen"]
-    found = [f"{made['pick']}: {', '.join(made['chosen'])}"]
-    for name, one in made["cost"]["scales"].items():
+def _advice(result: Mapping[str, Any]) -> list[str]:
+    cheap, chosen = result["cheapest"], result["chosen"]
+    lines = [f"{result['pick']}: {', '.join(result['chosen'])}"]
+    for name, one in result["cost"]["scales"].items():
         alone, saved = f"alone {one['alone']:.2f} us", f"without it {one['saved']:.2f} us less"
-        found.append(f"  {name}: {len(one['features'])} features, {alone}, {saved}")
+        lines.append(f"  {name}: {len(one['features'])} features, {alone}, {saved}")
     if list(cheap["features"]) != list(chosen):
-        saved = max(made["cost"]["set"] - cheap["microseconds"], 0.0)
-        found.append(
+        saved = max(result["cost"]["set"] - cheap["microseconds"], 0.0)
+        lines.append(
             f"as good within one standard error as the best: {len(cheap['features'])} features, {saved:.2f} us per "
             f"echo less (--pick cheapest): {', '.join(cheap['features'])}"
         )
-    return found
+    return lines
 
 
 def _percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.1f}"
 
 
-def curve_of(made: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+def curve_of(result: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
     """The steps as the picture takes them."""
-    return [{**s, "size": len(s["features"])} for s in made["steps"]]
+    return [{**s, "size": len(s["features"])} for s in result["steps"]]

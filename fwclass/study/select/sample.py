@@ -57,14 +57,14 @@ def sample_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
         "areas": [list(b.bounds) for b in boxes],
     }
     chosen = tuple(t.key for t in layout.tiles if any(t.box.touches(b) for b in boxes))
-    made = []
+    tasks = []
     for tile in layout.tiles:
         if tile.key in chosen:
             work = partial(_placed, tile, columns, names, boxes, train, config.classes)
             needs = needs_of({**columns, "reference": "label"}, (tile.key,))
-            made.append(Task(PLACED, tile.key, TRAIN_SAMPLE.version, drawn, work, needs=needs))
+            tasks.append(Task(PLACED, tile.key, TRAIN_SAMPLE.version, drawn, work, needs=needs))
     folded = {n: plain(config.select)[n] for n in ("block", "gap", "folds")}
-    made.append(
+    tasks.append(
         Task(
             TRAINING,
             "all",
@@ -74,7 +74,7 @@ def sample_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
             needs=tuple((PLACED, k) for k in chosen),
         )
     )
-    return made
+    return tasks
 
 
 def _placed(
@@ -175,14 +175,14 @@ def _check_classes(sample: Sample, classes: tuple[ClassDef, ...]) -> None:
 
 def useless(sample: Sample) -> dict[str, str]:
     """Columns that cannot tell anything apart, and why: no value in any row, or the same in all."""
-    found = {}
+    reasons = {}
     for k, name in enumerate(sample.features):
         known = sample.X[:, k][~np.isnan(sample.X[:, k])]
         if len(known) == 0:
-            found[name] = "no value in any training row"
+            reasons[name] = "no value in any training row"
         elif known.min() == known.max() and len(known) == sample.rows:
-            found[name] = f"{known[0]:g} in every training row"
-    return found
+            reasons[name] = f"{known[0]:g} in every training row"
+    return reasons
 
 
 _kept: dict[tuple[str, str], tuple[Placed, Folds]] = {}

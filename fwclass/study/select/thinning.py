@@ -58,13 +58,13 @@ def rate_tasks(layout: Layout, names: Names) -> list[Task]:
         "features": list(names),
         "areas": [list(b.bounds) for b in boxes],
     }
-    made = []
+    tasks = []
     for rate in config.select.rates:
         thin = config.thin.model_copy(update={"rate": rate})
         work = partial(
             at_rate, tuple(t.key for t in chosen), columns, names, boxes, thin, train, config.select, config.classes
         )
-        made.append(
+        tasks.append(
             Task(
                 RATE,
                 f"{rate:g}",
@@ -74,7 +74,7 @@ def rate_tasks(layout: Layout, names: Names) -> list[Task]:
                 needs,
             )
         )
-    return made
+    return tasks
 
 
 def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
@@ -110,8 +110,8 @@ def _timed(
             began = time.process_time()
             features(Chunk(whole.table, core, tile), names, params)
             turn[k] = time.process_time() - began
-    told = np.median(seconds[1:], axis=0) / max(1, len(echoes)) * 1e6
-    return {"microseconds": [round(v, 3) for v in told.tolist()]}
+    medians = np.median(seconds[1:], axis=0) / max(1, len(echoes)) * 1e6
+    return {"microseconds": [round(v, 3) for v in medians.tolist()]}
 
 
 def at_rate(
@@ -141,7 +141,7 @@ def at_rate(
     rows = np.flatnonzero(kept)
     some = table.select(names).take(rows)
     X = sample_matrix(some, names, THINNING)
-    found = np.zeros(len(rows), np.int64)
+    answers = np.zeros(len(rows), np.int64)
     trained = []
     for f in range(select.folds):
         judged = folds.judged(f)[rows]
@@ -155,13 +155,13 @@ def at_rate(
         trees = grow_trees(sample, classes, 0, train.trees, train)
         seconds["train"] += time.process_time() - began
         began = time.process_time()
-        found[judged] = predicted(X[judged], trees, names, classes)
+        answers[judged] = predicted(X[judged], trees, names, classes)
         seconds["vote"] += time.process_time() - began
     began = time.process_time()
     followed = taken_from((x, y, z), kept, thin.reach)
     seconds["follow"] = time.process_time() - began
     return {
-        "matrices": _matrices(reference, found[followed], folds.fold, select.folds, len(classes)),
+        "matrices": _matrices(reference, answers[followed], folds.fold, select.folds, len(classes)),
         "rows": table.rows,
         "kept": len(rows),
         "trained": trained,
@@ -197,9 +197,9 @@ def _labelled(
 
 
 def _matrices(
-    reference: NDArray[np.uint8], found: NDArray[np.int64], fold: NDArray[np.int16], folds: int, n: int
+    reference: NDArray[np.uint8], answers: NDArray[np.int64], fold: NDArray[np.int16], folds: int, n: int
 ) -> list[list[list[int]]]:
-    cell = (fold.astype(np.int64) * n + reference) * n + found
+    cell = (fold.astype(np.int64) * n + reference) * n + answers
     return np.bincount(cell, minlength=folds * n * n).reshape(folds, n, n).tolist()
 
 
@@ -241,21 +241,21 @@ def told(
     }
 
 
-def setting(made: Mapping[str, Any]) -> str:
+def setting(result: Mapping[str, Any]) -> str:
     """YAML for a configuration."""
-    return f"thin:\n  rate: {made['lowest']:g}\n"
+    return f"thin:\n  rate: {result['lowest']:g}\n"
 
 
-def describe_thinning(made: Mapping[str, Any]) -> str:
+def describe_thinning(result: Mapping[str, Any]) -> str:
     """The curve as a table."""
     lines = [
-        f"thinning: {made['steps'][0]['rows']:,} echoes of the training areas, {made['params']['folds']} folds",
-        *(f"note: {text}" for text in made["notes"]),
+        f"thinning: {result['steps'][0]['rows']:,} echoes of the training areas, {result['params']['folds']} folds",
+        *(f"note: {text}" for text in result["notes"]),
         "",
         f"{'rate':>6} {'sampled':>9} {'trained':>8}  {'accuracy':>12}  {'kappa':>12}  {'train s':>8}  "
         "us/echo: features + vote + follow",
     ]
-    for s in made["steps"]:
+    for s in result["steps"]:
         acc, kappa = (f"{100 * s[n]:.1f} ± {100 * s[f'{n}_std']:.1f}" for n in ("accuracy", "kappa"))
         m = s["microseconds"]
         lines.append(
@@ -263,10 +263,10 @@ def describe_thinning(made: Mapping[str, Any]) -> str:
             f"{m['total']:8.2f} = {m['features']:.2f} + {m['vote']:.2f} + {m['sample'] + m['follow']:.2f}"
         )
     lines.append(
-        f"lowest rate that is as good as the best within one standard error: --set thin.rate={made['lowest']:g}"
+        f"lowest rate that is as good as the best within one standard error: --set thin.rate={result['lowest']:g}"
     )
     return "\n".join(lines)
 
 
-def draw(made: Mapping[str, Any]) -> bytes:
-    return draw_rates(made["steps"], made["lowest"], f"{made['survey']}: thinning (Xiong 2018)")
+def draw(result: Mapping[str, Any]) -> bytes:
+    return draw_rates(result["steps"], result["lowest"], f"{result['survey']}: thinning (Xiong 2018)")

@@ -40,12 +40,12 @@ class Trials:
         stage = RANKED if ranked else TRIAL
         tasks = {(s, f): self._task(stage, s, f) for s in subsets for f in range(self.config.select.folds)}
         done = require_all(self.runner, list(tasks.values()))
-        made = []
+        trials = []
         for s in subsets:
             metas = [done[tasks[s, f].name].meta for f in range(self.config.select.folds)]
             weight = np.mean([m["importance"] for m in metas], axis=0) if ranked else None
-            made.append(Trial(s, np.array([m["matrix"] for m in metas], np.int64), weight))
-        return made
+            trials.append(Trial(s, np.array([m["matrix"] for m in metas], np.int64), weight))
+        return trials
 
     def _task(self, stage: str, subset: Names, fold: int) -> Task:
         select = self.config.select
@@ -85,14 +85,14 @@ def tried(
     sample = columns_of(placed.sample, subset)
     grown_from, judged = sample.take(folds.trains(fold)), folds.judged(fold)
     trees = grow_trees(grown_from, classes, 0, params.trees, params)
-    found = predicted(sample.X[judged], trees, subset, classes)
+    answers = predicted(sample.X[judged], trees, subset, classes)
     n = len(classes)
-    matrix = np.bincount(sample.y[judged].astype(np.int64) * n + found, minlength=n * n).reshape(n, n)
-    made: dict[str, Any] = {"matrix": matrix.tolist()}
+    matrix = np.bincount(sample.y[judged].astype(np.int64) * n + answers, minlength=n * n).reshape(n, n)
+    plain: dict[str, Any] = {"matrix": matrix.tolist()}
     if repeats:
         lost = importance(grown_from, trees, n, params, repeats)
-        made["importance"] = np.asarray(lost, np.float64).mean(axis=1).tolist()
-    return made
+        plain["importance"] = np.asarray(lost, np.float64).mean(axis=1).tolist()
+    return plain
 
 
 def columns_of(sample: Sample, subset: Names) -> Sample:

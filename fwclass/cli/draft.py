@@ -1,0 +1,38 @@
+"""`fwclass init`: a first survey file for files that nobody has described yet."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from fwclass.cli.base import OVERWRITE, PATH, cli
+from fwclass.errors import ConfigError
+
+
+@cli.command()
+@click.argument("files", nargs=-1, required=True, type=PATH)
+@click.option("--to", type=PATH, help="The survey file to write (default: standard output, to lie here).")
+@click.option("--name", help="Of the survey (default: the directory's).")
+@OVERWRITE
+def init(files: tuple[Path, ...], to: Path | None, name: str | None, overwrite: bool) -> None:
+    """Draft a survey file from FILES, or those of a directory: system, classes, a training area, a size of tiles.
+
+    What the files do not tell is marked TO DO in it, and said here.
+    """
+    from fwclass.operate.draft.survey import draft
+    from fwclass.read.info import files_in
+
+    if to is not None and to.exists() and not overwrite:
+        raise ConfigError("the survey file exists", where=to, do="another --to, or --overwrite")
+    named = tuple(one for path in files for one in (files_in(path) if path.is_dir() else (path,)))
+    draft_of_files = draft(named, to.parent if to is not None else Path(), name)
+    if to is None:
+        click.echo(draft_of_files.text, nl=False)
+    else:
+        to.write_text(draft_of_files.text, encoding="utf-8")
+    for note in draft_of_files.notes:
+        click.echo(f"note: {note}", err=True)
+    if not draft_of_files.notes and to is not None and sys.stderr.isatty():
+        click.echo(f"look at {to}, then: fwclass run {to}", err=True)

@@ -1,0 +1,1 @@
+"""`fwclass diff`: what changed between two deliveries."""

@@ -1,0 +1,256 @@
+"""Two deliveries, of one run or of two: settings, inputs, libraries, accuracy, echoes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass.errors import ConfigError, InputError, visible
+from fwclass.formats.geopackage import rectangles, write_layer
+from fwclass.formats.geoparquet import header
+from fwclass.operate.assess_runs import assess_runs
+from fwclass.operate.difference.echoes import ClassChanges, class_changes
+from fwclass.store.atomic import move_into_place, read_json, staged
+from fwclass.store.generations import Generation
+from fwclass.store.run_store import Store
+
+SHOWN = 10
+"""Rows of a list that are shown; JSON has all settings and files, and so many places."""
+
+FIGURES = ("overall_accuracy", "kappa", "mean_iou")
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A generation of the run `run` and what its report says."""
+
+    run: Path
+    generation: Generation
+    report: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        return f"{self.run} {self.generation.name}"
+
+    @property
+    def classes(self) -> dict[int, str]:
+        return {int(c["code"]): str(c["name"]) for c in self.report["classes"]}
+
+
+def deliveries(run: Path, others: Sequence[str]) -> tuple[Delivery, Delivery]:
+    """The two deliveries that are meant: `others` are up to two numbers of generations of `run`, or another run.
+
+    Without any: the one before the current one, and the current one. With one number: that one and the current one.
+
+    Raises
+    ------
+    ConfigError
+        A run has no such generation, or not two.
+    """
+    if len(others) == 1 and not others[0].isdigit():
+        return _delivery(run, None), _delivery(Path(others[0]), None)
+    if any(not other.isdigit() for other in others) or len(others) > 2:
+        raise ConfigError(
+            "two deliveries are compared",
+            where="fwclass diff",
+            expected="RUN, RUN A, RUN A B with numbers of generations, or RUN RUN",
+            got=" ".join((str(run), *others)),
+        )
+    if others:
+        return _delivery(run, int(others[0])), _delivery(run, int(others[1]) if len(others) == 2 else None)
+    last = _delivery(run, None)
+    earlier = [g.number for g in Store(run, read_only=True).generations.all() if g.number < last.generation.number]
+    if not earlier:
+        raise ConfigError(
+            "the run has delivered once only, or earlier deliveries were removed",
+            where=run,
+            expected="two generations",
+            got=last.generation.name,
+            do="compare with another run: fwclass diff RUN OTHER",
+        )
+    return _delivery(run, earlier[-1]), last
+
+
+def _delivery(run: Path, number: int | None) -> Delivery:
+    """Generation `number` of a run, the current one for None."""
+    kept = Store(run, read_only=True).generations
+    if number is None:
+        chosen = kept.current()
+    else:
+        chosen = next((g for g in kept.all() if g.number == number), None)
+    if chosen is None:
+        raise ConfigError(
+            "the run has no such delivery" if number is not None else "nothing was delivered there",
+            where=run,
+            expected="one of " + (", ".join(g.name for g in kept.all()) or "none"),
+            got=number,
+            do="fwclass history lists what was delivered; run.keep_generations says how many stay",
+        )
+    report = read_json(chosen.path / "report.json")
+    return Delivery(run, chosen, report)
+
+
+def difference(first: Delivery, second: Delivery) -> tuple[dict[str, Any], ClassChanges]:
+    """What changed from `first` to `second` as plain data, and the echoes' classes.
+
+    ``settings``, ``libraries``: by key, before and after, null where it was not there. ``files``: ``added``,
+    ``removed``, ``changed``. ``accuracy``: figures before and after; ``paired`` with intervals where both are runs with
+    the same test echoes, else null and ``why`` not. ``echoes``: counts, ``classes`` and ``matrix`` (rows before,
+    columns after). ``places``: boxes with most changed echoes.
+    """
+    changes = class_changes(_tiles(first), _tiles(second), _sizes(first, second))
+    codes = [k for k in range(256) if changes.matrix[k].any() or changes.matrix[:, k].any()]
+    names = {**first.classes, **second.classes}
+    paired, why = _paired(first, second)
+    return {
+        "first": _facts(first),
+        "second": _facts(second),
+        "settings": _changed(_flat(first.report["config"]), _flat(second.report["config"])),
+        "files": _files(first, second),
+        "libraries": _changed(first.report["libraries"]["here"], second.report["libraries"]["here"]),
+        "accuracy": {
+            **{key: [_figure(first, key), _figure(second, key)] for key in FIGURES},
+            "paired": paired,
+            "why": why,
+        },
+        "echoes": {
+            "common": changes.common,
+            "only_first": changes.only[0],
+            "only_second": changes.only[1],
+            "changed": changes.changed,
+            "classes": [names.get(code, str(code)) for code in codes],
+            "codes": codes,
+            "matrix": changes.matrix[np.ix_(codes, codes)].tolist(),
+        },
+        "places": [{"box": list(box.bounds), "changed": n} for box, n in changes.places()[:SHOWN]],
+    }, changes
+
+
+def _facts(delivery: Delivery) -> dict[str, Any]:
+    when = read_json(delivery.generation.path / "generation.json").get("made")
+    return {"run": str(delivery.run), "generation": delivery.generation.number, "made": when}
+
+
+def _tiles(delivery: Delivery) -> Path:
+    return delivery.generation.path / "parquet"
+
+
+def _sizes(first: Delivery, second: Delivery) -> tuple[float, float]:
+    return float(first.report["config"]["tile"]["size"]), float(second.report["config"]["tile"]["size"])
+
+
+def _flat(config: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Nested settings by dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in config.items():
+        flat |= _flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
+    return flat
+
+
+def _changed(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, list[Any]]:
+    keys = sorted({*before, *after})
+    return {k: [before.get(k), after.get(k)] for k in keys if before.get(k) != after.get(k)}
+
+
+def _files(first: Delivery, second: Delivery) -> dict[str, list[str]]:
+    a, b = ({f["path"]: f for f in d.report["input"]["files"]} for d in (first, second))
+    return {
+        "added": sorted(b.keys() - a.keys()),
+        "removed": sorted(a.keys() - b.keys()),
+        "changed": sorted(k for k in a.keys() & b.keys() if a[k] != b[k]),
+    }
+
+
+def _figure(delivery: Delivery, key: str) -> float | None:
+    accuracy = delivery.report.get("accuracy") or {}
+    return accuracy.get(key)
+
+
+def _paired(first: Delivery, second: Delivery) -> tuple[dict[str, Any] | None, str | None]:
+    """Differences with intervals, and why there are none: an earlier generation of one run has no counts by block."""
+    if first.run.resolve() == second.run.resolve():
+        return None, "counts by block of an earlier generation are not kept: run into two directories to have intervals"
+    try:
+        return assess_runs(first.run, second.run), None
+    except InputError as fault:
+        return None, fault.what
+
+
+def crs_of(delivery: Delivery) -> str | None:
+    """The system of a delivery as WKT, None for none."""
+    tile = next(_tiles(delivery).glob("*.parquet"), None)
+    crs = header(tile)["crs"] if tile is not None else None
+    return None if crs is None else str(crs.to_wkt())
+
+
+def write_places(path: Path, changes: ClassChanges, crs: str | None) -> None:
+    """Every place with changed echoes as a GeoPackage, layer ``places``: how many ``changed`` in each; `crs` as WKT."""
+    places = changes.places()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with staged(path.parent) as directory:
+        layer_file = directory / path.name
+        fields = {"changed": np.array([n for _, n in places], np.int64)}
+        write_layer(layer_file, "places", "Polygon", rectangles([box.bounds for box, _ in places]), fields, crs)
+        move_into_place(layer_file, path)
+
+
+def describe(difference: Mapping[str, Any]) -> str:
+    """The difference for a person."""
+    return "\n".join(_lines(difference))
+
+
+def _lines(difference: Mapping[str, Any]) -> Iterator[str]:
+    for name in ("first", "second"):
+        one = difference[name]
+        yield f"{name:<12}{visible(one['run'])}, generation {one['generation']:04d}, of {one['made']}"
+    yield from _pairs_lines("setting", difference["settings"])
+    for what, paths in difference["files"].items():
+        yield from (f"{'file ' + what:<14}{visible(path)}" for path in paths[:SHOWN])
+        if len(paths) > SHOWN:
+            yield f"{'':<14}and {len(paths) - SHOWN} more"
+    yield from _pairs_lines("library", difference["libraries"])
+    yield from _accuracy_lines(difference["accuracy"])
+    yield from _echo_lines(difference["echoes"])
+    for place in difference["places"]:
+        x, y, x1, y1 = place["box"]
+        yield f"{'place':<12}{place['changed']:>10,} changed in {x:.0f} {y:.0f} to {x1:.0f} {y1:.0f}"
+
+
+def _pairs_lines(word: str, pairs: Mapping[str, Sequence[Any]]) -> Iterator[str]:
+    for key, (before, after) in pairs.items():
+        yield f"{word:<12}{key}: {visible(str(before))} -> {visible(str(after))}"
+
+
+def _accuracy_lines(accuracy: Mapping[str, Any]) -> Iterator[str]:
+    for key in FIGURES:
+        before, after = accuracy[key]
+        if before is not None and after is not None:
+            yield f"{key.replace('_', ' '):<18}{before:.4f} -> {after:.4f} ({after - before:+.4f})"
+    worse = [k for k in FIGURES if None not in accuracy[k] and accuracy[k][1] < accuracy[k][0]]
+    if worse:
+        yield f"LOST        {', '.join(w.replace('_', ' ') for w in worse)}"
+    if accuracy["paired"] is not None:
+        level = 100 * accuracy["paired"]["level"]
+        for key in FIGURES:
+            ends = accuracy["paired"][key]["interval"]
+            if ends is not None:
+                yield f"{'':<12}{key.replace('_', ' ')}: {ends[0]:+.4f} to {ends[1]:+.4f}, {level:.0f} % interval"
+    elif accuracy["why"]:
+        yield f"{'':<12}no intervals: {accuracy['why']}"
+
+
+def _echo_lines(echoes: Mapping[str, Any]) -> Iterator[str]:
+    common, changed = echoes["common"], echoes["changed"]
+    share = f" ({100 * changed / common:.2f} %)" if common else ""
+    yield f"{'echoes':<12}{common:,} in both, {changed:,} of another class{share}"
+    for key, word in (("only_first", "first"), ("only_second", "second")):
+        if echoes[key]:
+            yield f"{'':<12}{echoes[key]:,} in the {word} alone"
+    names, matrix = echoes["classes"], np.array(echoes["matrix"], np.int64).reshape(len(echoes["classes"]), -1)
+    moves = [(int(matrix[i, j]), i, j) for i, j in np.argwhere(matrix) if i != j]
+    for n, i, j in sorted(moves, reverse=True)[:SHOWN]:
+        yield f"{'':<12}{n:>10,} from {names[i]} to {names[j]}"

@@ -1,0 +1,1 @@
+"""`fwclass init`: a first survey file, from what the files hold."""

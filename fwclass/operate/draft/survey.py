@@ -1,0 +1,310 @@
+"""The text of a survey file, drafted from the headers and points of files."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fwclass import conf
+from fwclass.conf.sets import feature_set
+from fwclass.errors import FwclassError, InputError, visible
+from fwclass.features.params import Asked, is_feature
+from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
+from fwclass.operate.estimate.headers import survey_facts
+from fwclass.operate.estimate.limits import room_at
+from fwclass.operate.estimate.whole import planned
+from fwclass.read.info import info
+from fwclass.read.las import LasSource
+from fwclass.read.points import PointReader, coordinates
+from fwclass.read.polygons import is_polygon_file
+from fwclass.read.source import is_beam_file, open_source
+
+LEAST = 500
+"""Points of a class below which it is not proposed: too few to learn from and to judge by."""
+
+SHOWN = 5
+"""Faults of a file that stand in the draft."""
+
+
+WITH_WAVEFORMS = (
+    "",
+    "# radiometry:",
+    "#   platform_altitude: 900.0    # m; or survey.trajectory: {files: [flight.csv]}: for ranges and cross-sections",
+)
+
+
+class Meaning(NamedTuple):
+    """A class as it is proposed: its name, the code it is delivered as, the codes of files that count as it."""
+
+    name: str
+    code: int
+    codes: tuple[int, ...]
+
+
+MEANINGS = (
+    Meaning("ground", 2, (2,)),
+    Meaning("vegetation", 5, (3, 4, 5)),
+    Meaning("building", 6, (6,)),
+    Meaning("water", 9, (9,)),
+    Meaning("rail", 10, (10,)),
+    Meaning("road", 11, (11,)),
+    Meaning("wire", 14, (13, 14, 16)),
+    Meaning("tower", 15, (15,)),
+    Meaning("bridge", 17, (17,)),
+)
+"""Of the LAS specification's codes for point formats 6 to 10."""
+
+NO_CLASS = {0: "never classified", 1: "unclassified", 7: "noise", 12: "overlap", 18: "high noise"}
+
+
+@dataclass
+class Holdings:
+    """What the files hold together: `facts` of each file of points or pulses, `polygons` beside them."""
+
+    facts: list[dict[str, Any]] = field(default_factory=list)
+    polygons: list[Path] = field(default_factory=list)
+    places: ClassPlaces = field(default_factory=ClassPlaces)
+    codes: Counter[int] = field(default_factory=Counter)
+
+    @cached_property
+    def waveforms(self) -> bool:
+        return any(f.get("waveforms") for f in self.facts)
+
+    @cached_property
+    def records(self) -> int:
+        """Points and pulses."""
+        return sum(int(f.get("points") or f.get("pulses") or 0) for f in self.facts)
+
+    def systems(self) -> dict[str, int]:
+        """How many files name each coordinate system."""
+        names = Counter(_system(f.get("crs")) for f in self.facts)
+        return dict(names.most_common())
+
+
+def _system(crs: Mapping[str, Any] | None) -> str:
+    if not crs:
+        return "none"
+    return f"EPSG:{crs['epsg']}" if crs.get("epsg") else str(crs["name"])
+
+
+def look_into(files: Iterable[Path]) -> Holdings:
+    """Read all `files` once more than their headers: classes and where they lie."""
+    held = Holdings()
+    for path in files:
+        if is_polygon_file(path) and not is_beam_file(path):
+            held.polygons.append(path)
+            continue
+        facts = info(path)
+        held.facts.append(facts)
+        if set(facts.get("classes") or ()) - {"0"}:
+            _count_places(path, held)
+    if not held.facts or not held.records:
+        raise InputError(
+            "no file of points or pulses that holds any",
+            where=", ".join(str(f["path"]) for f in held.facts[:3]) or None,
+            do="name the survey's LAS, LAZ or waveform files",
+        )
+    return held
+
+
+def _count_places(path: Path, held: Holdings) -> None:
+    source = open_source(path)
+    if not isinstance(source, LasSource):
+        return
+    with PointReader(source) as reader:
+        for _, points in reader.blocks():
+            x, y, _ = coordinates(source, points)
+            codes = np.asarray(points["classification"], np.uint8)
+            held.places.add(x, y, codes)
+            held.codes.update(dict(enumerate(np.bincount(codes).tolist())))
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A survey file's `text`, and `notes` on what it still lacks."""
+
+    text: str
+    notes: tuple[str, ...]
+
+
+def draft(files: Sequence[Path], beside: Path, name: str | None = None) -> Draft:
+    """A survey file for `files`, to lie in the directory `beside`.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or none holds points or pulses.
+    """
+    held = look_into(files)
+    paths = [Path(f["path"]) for f in held.facts]
+    features = "default-waveform" if held.waveforms else "default"
+    classes, left, split = proposed(held, features)
+    directory, patterns = sources_of(paths, beside)
+    lines = [
+        *_head(held),
+        "survey:",
+        f"  name: {json.dumps(name or _name_of(paths))}",
+        f"  directory: {json.dumps(directory)}    # of the sources, relative to this file",
+        f"  sources: {json.dumps(patterns)}",
+        *_system_lines(held),
+        *_label_lines(held, classes, left),
+        f"  features: {features}    # a set of `fwclass features --list`, or a list of columns",
+        *_area_lines(classes, split),
+        *(WITH_WAVEFORMS if held.waveforms else ()),
+    ]
+    text = "\n".join(lines) + "\n"
+    return Draft(text + _tile_lines(text, beside), tuple(_lacks(held, classes)))
+
+
+def proposed(held: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], Split | None]:
+    """Classes to learn; why others were left out; where to train."""
+    classes = [m for m in MEANINGS if sum(held.codes[c] for c in m.codes) >= LEAST]
+    left = _left_out(held.codes, classes)
+    bounds = [f["bounds"] for f in held.facts if f.get("bounds")]
+    split = None
+    while len(classes) > 1:
+        split = best_split(held.places, [c.codes for c in classes], outer_box(bounds), gap_of(features))
+        if split is None:
+            break
+        both = (split.train >= LEAST / 10) & (split.test >= LEAST / 10)
+        if both.all():
+            return classes, left, split
+        for one in (c for c, there in zip(classes, both, strict=True) if not there):
+            left[_codes(one)] = f"{one.name}: it does not lie on both sides of any line through the survey"
+        classes = [c for c, there in zip(classes, both, strict=True) if there]
+    return classes, left, None
+
+
+def _left_out(codes: Counter[int], classes: Sequence[Meaning]) -> dict[str, str]:
+    """Why codes that the files hold are in no class."""
+    known = {code: m for m in MEANINGS for code in m.codes}
+    taken = {code for m in classes for code in m.codes}
+    left = {}
+    for code, n in sorted(codes.items()):
+        if n and code not in taken:
+            words = NO_CLASS.get(code) or (known[code].name if code in known else "no code of the LAS specification")
+            left[str(code)] = f"{words}, {n:,} points"
+    return left
+
+
+def gap_of(features: str) -> float:
+    """m, in whole metres: how far apart tested echoes share no neighbour with a training area's."""
+    asked = Asked.of(n for n in feature_set(features).features if is_feature(n))
+    return float(math.ceil(2.0 * asked.reach(conf.section("features"))))
+
+
+def sources_of(paths: Sequence[Path], beside: Path) -> tuple[str, list[str]]:
+    """`survey.directory` and `survey.sources` for files, seen from the directory `beside`.
+
+    One pattern where the files are all of their directory with that ending, else their names.
+    """
+    own = [p.resolve() for p in paths]
+    home = Path(os.path.commonpath([p.parent for p in own]))
+    below = home.is_relative_to(beside.resolve())
+    base = beside.resolve() if below else home
+    directory = "." if below else str(home)
+    ending = own[0].suffix
+    alike = all(p.parent == home and p.suffix == ending for p in own)
+    if alike and len(own) > 1 and set(own) == {p.resolve() for p in home.iterdir() if p.suffix == ending}:
+        return directory, [(home.relative_to(base) / f"*{ending}").as_posix()]
+    return directory, sorted(p.relative_to(base).as_posix() for p in own)
+
+
+def _name_of(paths: Sequence[Path]) -> str:
+    """The one file's name, or that of the directory that holds all."""
+    own = [p.resolve() for p in paths]
+    home = own[0].stem if len(own) == 1 else Path(os.path.commonpath([p.parent for p in own])).name
+    return re.sub(r"[^\w .-]", "-", home).lstrip("- .")[:100] or "survey"
+
+
+def _head(held: Holdings) -> list[str]:
+    """What the files are, and what is wrong with them, as comments."""
+    files, area = len(held.facts), held.places.area
+    density = f", {sum(held.codes.values()) / area:.1f}/m2 on {area / 1e6:.3g} km2" if area else ""
+    waves = ", with waveforms" if held.waveforms else ""
+    lines = [f"# Drafted by `fwclass init` from {files} files: {held.records:,} points or pulses{density}{waves}."]
+    for facts in held.facts:
+        faults = facts.get("faults") or []
+        lines += [f"# ! {visible(Path(facts['path']).name)}: {visible(str(fault))}" for fault in faults[:SHOWN]]
+    return lines
+
+
+def _system_lines(held: Holdings) -> list[str]:
+    systems = {visible(name): count for name, count in held.systems().items()}
+    if len(systems) == 1 and "none" not in systems:
+        return [f"  crs: null    # all files: {next(iter(systems))}"]
+    words = ", ".join(f"{name} ({count} files)" for name, count in systems.items())
+    return [f"  crs: null    # TO DO: give one for all, e.g. EPSG:25832; the files name: {words}"]
+
+
+def _label_lines(held: Holdings, classes: Sequence[Meaning], left: Mapping[str, str]) -> list[str]:
+    lines = []
+    if held.polygons:
+        names = json.dumps([str(p) for p in held.polygons])
+        lines += [f"  # reference: {{kind: polygons, files: {names}, field: class}}    # docs/labels.md"]
+    if len(classes) < 2:
+        lines += ["  # TO DO: labels (docs/labels.md) or a trained model (`model: path/to/model`)"]
+    lines += [
+        f"  reference: {{kind: {'source' if len(classes) > 1 else 'none'}}}    # the files' own classes, if `source`"
+    ]
+    lines += ["  classes:" if classes else "  classes: []"]
+    for one in classes:
+        count = sum(held.codes[c] for c in one.codes)
+        lines += [f"    - {{name: {one.name}, code: {one.code}, codes: [{_codes(one)}]}}    # {count:,} points"]
+    return lines + [f"    # not a class: {code} ({words})" for code, words in left.items()]
+
+
+def _area_lines(classes: Sequence[Meaning], split: Split | None) -> list[str]:
+    if split is None:
+        return [
+            "",
+            "areas:",
+            "  train: []    # TO DO: boxes [xmin, ymin, xmax, ymax) that hold all classes; the rest is tested",
+        ]
+    box = ", ".join(f"{v:g}" if abs(v) < 1e5 else f"{v:.1f}" for v in split.box.bounds)
+    lines = ["", "areas:", f"  train: [[{box}]]"]
+    for one, inside, tested in zip(classes, split.train, split.test, strict=True):
+        lines += [f"    # {one.name}: {inside:,} points to train on, {tested:,} to test on"]
+    return [
+        *lines,
+        f"  gap: {split.gap:g}    # m, twice the features' reach: tested echoes share no neighbour with trained ones",
+    ]
+
+
+def _tile_lines(text: str, beside: Path) -> str:
+    """`tile.size` where another than the default suits the survey, by `fwclass plan`."""
+    with tempfile.NamedTemporaryFile("w", suffix=".yaml", dir=beside, prefix=".", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        try:
+            config = conf.load(file.name)
+            plan = planned(config, survey_facts(config, beside), config.run.workers, room_at(beside))
+        except FwclassError:
+            return ""  # what is missing stands in the notes; `fwclass plan` says the rest
+    if plan.best is None or plan.best.size == config.tile.size:
+        return ""
+    return f"\ntile:\n  size: {plan.best.size:g}    # m, by `fwclass plan`\n"
+
+
+def _lacks(held: Holdings, classes: Sequence[Meaning]) -> Iterator[str]:
+    """What the draft needs before it runs."""
+    systems = held.systems()
+    if len(systems) > 1 or "none" in systems:
+        yield "no coordinate system that all files name: set survey.crs"
+    if len(classes) < 2:
+        yield "fewer than two classes with points enough: add labels (docs/labels.md), or set survey.model"
+
+
+def _codes(one: Meaning) -> str:
+    return ", ".join(map(str, one.codes))

@@ -1,0 +1,111 @@
+"""`fwclass diff`: what changed between two deliveries, held against what the strips themselves say."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+
+import lasmaker
+import laspy
+import numpy as np
+import pytest
+from commandline import fwclass
+
+CONFIG = """survey:
+  name: small
+  directory: .
+  sources: [a.las]
+  reference: {kind: source}
+  features: [zc, height_range_c100]
+  classes: [{name: ground, code: 2, codes: [2]}, {name: bush, code: 5, codes: [5]}]
+areas: {train: [[500000, 5400000, 500030, 5400040]], gap: 1}
+tile: {size: 25}
+train: {trees: 5}
+publish: {figure_pixels: 200}
+assess: {block: 5}
+"""
+OTHER = "survey.features=[amplitude]"
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """`r`: two generations, the second by a feature that tells nothing; `s`: its settings in other tiles."""
+    place = tmp_path_factory.mktemp("diff")
+    rng = np.random.default_rng(0)
+    x, y, bush = *rng.uniform(0, 1, (2, 6000)) * [[80], [40]], rng.random(6000) < 0.3
+    xyz = np.c_[500_000 + x, 5_400_000 + y, 200 + 0.05 * x + bush * rng.uniform(0.5, 6, 6000)]
+    classes = np.where(bush, 5, 2)
+    lasmaker.write_las(place / "a.las", xyz, point_format=6, classification=classes, intensity=rng.integers(1, 9, 6000))
+    (place / "s.yaml").write_text(CONFIG)
+    for out, more in (("r", ()), ("r", ("--set", OTHER)), ("s", ("--set", "tile.size=40"))):
+        ended = fwclass("run", "s.yaml", "--out", out, "--workers", 0, *more, cwd=place)
+        assert ended.returncode == 0, ended.stderr
+    return place
+
+
+def classes_of(place, name):
+    return np.asarray(laspy.read(place / name / "laz" / "strips" / "a.laz").classification)
+
+
+def test_two_generations(runs):
+    ended = fwclass("diff", "r", "--json", "--gpkg", "d.gpkg", cwd=runs)
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads(ended.stdout)
+    before, after = (classes_of(runs, f"r/generations/{n}") for n in ("0001", "0002"))
+    echoes = found["echoes"]
+    assert (echoes["common"], echoes["changed"]) == (6000, int((before != after).sum())) and echoes["changed"] > 500
+    codes = echoes["codes"]
+    matrix = [[int(((before == a) & (after == b)).sum()) for b in codes] for a in codes]
+    assert echoes["matrix"] == matrix and echoes["only_first"] == echoes["only_second"] == 0
+    assert found["settings"] == {"survey.features": [["zc", "height_range_c100"], ["amplitude"]]}
+    assert found["files"] == {"added": [], "removed": [], "changed": []} and found["libraries"] == {}
+    assert found["accuracy"]["kappa"][0] > found["accuracy"]["kappa"][1] and found["accuracy"]["paired"] is None
+    with sqlite3.connect(runs / "d.gpkg") as layers:
+        inside = layers.execute("select sum(changed) from places").fetchone()[0]
+    assert 0.5 * echoes["changed"] < inside <= echoes["changed"]
+
+
+def test_the_history_has_the_accuracy(runs):
+    shown = fwclass("history", "r", cwd=runs).stdout.splitlines()
+    report = json.loads((runs / "r" / "report.json").read_text())
+    assert f"{100 * report['accuracy']['overall_accuracy']:.1f} %" in shown[2] and "6,000" in shown[2]
+
+
+def test_a_run_that_is_worse_than_the_one_before_says_so(runs):
+    said = []
+    for more in ((), ("--set", OTHER), ("--set", OTHER, "--set", "train.trees=4")):
+        ended = fwclass("run", "s.yaml", "--out", "u", "--workers", 0, *more, cwd=runs)
+        assert ended.returncode == 0, ended.stderr
+        said.append("points of overall accuracy against the run of" in ended.stderr)
+    assert said == [False, True, False]
+
+
+def test_the_words_say_what_was_lost(runs):
+    ended = fwclass("diff", "r", "1", "2", cwd=runs)
+    assert "survey.features: ['zc', 'height_range_c100'] -> ['amplitude']" in ended.stdout
+    assert "LOST        overall accuracy, kappa, mean iou" in ended.stdout and "from bush to ground" in ended.stdout
+
+
+def test_other_tiles_change_no_class(runs):
+    found = json.loads(fwclass("diff", "r", "s", "--json", cwd=runs).stdout)
+    assert found["echoes"]["common"] == 6000 and found["echoes"]["only_second"] == 0
+    fwclass("run", "s.yaml", "--out", "t", "--workers", 0, "--set", "tile.size=15", cwd=runs)
+    found = json.loads(fwclass("diff", "s", "t", "--json", cwd=runs).stdout)
+    assert (found["echoes"]["common"], found["echoes"]["changed"]) == (6000, 0)
+    assert found["settings"] == {"tile.size": [40.0, 15.0]}
+    assert found["accuracy"]["paired"]["kappa"]["difference"] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("s",), "delivered once only"),
+        (("r", "7"), "no such delivery"),
+        (("nothing",), "nothing was delivered there"),
+        (("r", "1", "2", "3"), "two deliveries"),
+        (("r", "1", "s"), "two deliveries"),
+    ],
+)
+def test_what_cannot_be_compared(runs, words, says):
+    ended = fwclass("diff", *words, cwd=runs)
+    assert ended.returncode == 2 and says in ended.stderr

@@ -1,0 +1,140 @@
+"""`fwclass init`: what it drafts is a survey file that runs, and what it cannot know it says."""
+
+from __future__ import annotations
+
+import json
+
+import lasmaker
+import numpy as np
+import pytest
+import yaml
+from commandline import fwclass
+
+from fwclass import conf
+from fwclass.grid import Box
+from fwclass.operate.draft import areas
+from fwclass.operate.draft.areas import ClassPlaces, best_split
+
+CODES = np.array([2, 5, 6])
+
+
+def town(folder, name="a", n=12_000, east=0.0, codes=CODES, crs=lasmaker.UTM33, seed=0):
+    """A file of points on 200 m × 60 m whose class changes every few metres; its x and codes."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0, 200, n), rng.uniform(0, 60, n)
+    held = codes[(x // 7 + y // 9).astype(int) % len(codes)]
+    xyz = np.c_[500_000 + east + x, 5_400_000 + y, 200 + (held == 6) * 8.0]
+    lasmaker.write_las(
+        folder / f"{name}.las", xyz, point_format=6, classification=held, gps_time=1000 + np.arange(n) * 1e-3, keys=crs
+    )
+    return xyz[:, 0], held
+
+
+def test_a_draft_is_a_survey_that_plans(tmp_path):
+    x, codes = town(tmp_path)
+    ended = fwclass("init", "a.las", "--to", "s.yaml", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    config = conf.load(tmp_path / "s.yaml")
+    assert [(c.name, c.code, c.codes) for c in config.survey.classes] == [
+        ("ground", 2, (2,)),
+        ("vegetation", 5, (3, 4, 5)),
+        ("building", 6, (6,)),
+    ]
+    box, gap = Box(*config.areas.train[0]), config.areas.gap
+    inside = (x >= box.xmin) & (x < box.xmax)
+    tested = (x < box.xmin - gap) | (x >= box.xmax + gap)
+    for code in CODES:
+        assert (codes[inside] == code).sum() > 1000 and (codes[tested] == code).sum() > 1000
+        assert f"{(codes[inside] == code).sum():,} points to train on" in (tmp_path / "s.yaml").read_text()
+    planned = fwclass("plan", "s.yaml", cwd=tmp_path)
+    assert planned.returncode == 0, planned.stderr
+
+
+def test_standard_output_is_the_file_alone(tmp_path):
+    town(tmp_path)
+    town(tmp_path, "b", east=200.0)
+    ended = fwclass("init", ".", cwd=tmp_path)
+    assert ended.returncode == 0 and ended.stderr == ""
+    made = yaml.safe_load(ended.stdout)
+    assert made["survey"]["sources"] == ["*.las"] and made["survey"]["directory"] == "."
+    ended = fwclass("init", "b.las", "--name", "x", cwd=tmp_path)
+    assert yaml.safe_load(ended.stdout)["survey"]["sources"] == ["b.las"]
+    assert yaml.safe_load(ended.stdout)["survey"]["name"] == "x"
+
+
+def test_files_elsewhere_are_named_from_there(tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "work").mkdir()
+    town(tmp_path / "data")
+    ended = fwclass("init", "../data/a.las", "--to", "s.yaml", cwd=tmp_path / "work")
+    assert ended.returncode == 0, ended.stderr
+    assert conf.load(tmp_path / "work" / "s.yaml").survey.directory == str(tmp_path / "data")
+    again = fwclass("init", "../data/a.las", "--to", "s.yaml", cwd=tmp_path / "work")
+    assert again.returncode == 2 and "exists" in again.stderr
+
+
+def test_what_files_do_not_tell_is_said(tmp_path):
+    town(tmp_path, codes=np.array([1, 2, 64]), crs=None)
+    ended = fwclass("init", "a.las", cwd=tmp_path)
+    assert ended.returncode == 0
+    assert "survey.crs" in ended.stderr and "fewer than two classes" in ended.stderr
+    assert "64 (no code of the LAS specification" in ended.stdout and "1 (unclassified" in ended.stdout
+    made = yaml.safe_load(ended.stdout)
+    assert made["areas"]["train"] == [] and made["survey"]["reference"] == {"kind": "none"}
+    assert ended.stdout.count("TO DO") == 3
+
+
+def test_a_class_in_one_corner_is_left_out(tmp_path):
+    """No straight line has it on both sides, a gap apart."""
+    town(tmp_path)
+    rng = np.random.default_rng(1)
+    xyz = np.c_[500_190 + rng.uniform(0, 5, 900), 5_400_000 + rng.uniform(0, 5, 900), np.full(900, 190.0)]
+    lasmaker.write_las(tmp_path / "b.las", xyz, point_format=6, classification=np.full(900, 9), keys=lasmaker.UTM33)
+    ended = fwclass("init", "a.las", "b.las", cwd=tmp_path)
+    assert "water: it does not lie on both sides" in ended.stdout
+    assert [c["name"] for c in yaml.safe_load(ended.stdout)["survey"]["classes"]] == [
+        "ground",
+        "vegetation",
+        "building",
+    ]
+
+
+def test_names_break_no_yaml(tmp_path):
+    place = tmp_path / 'q"uo: te #'
+    place.mkdir()
+    town(place)
+    (place / "a.las").rename(place / 'a" #: x.las')
+    ended = fwclass("init", ".", cwd=place)
+    made = yaml.safe_load(ended.stdout)
+    assert made["survey"]["sources"] == ['a" #: x.las'] and conf.find(_written(place, ended.stdout))
+
+
+def _written(place, text):
+    (place / "s.yaml").write_text(text)
+    return place / "s.yaml"
+
+
+def test_files_that_are_none(tmp_path):
+    (tmp_path / "a.las").write_bytes(b"no lidar")
+    (tmp_path / "b.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": []}))
+    for name, words in (("a.las", "a.las"), ("b.geojson", "no file of points or pulses")):
+        ended = fwclass("init", name, cwd=tmp_path)
+        assert ended.returncode in (1, 2) and words in ended.stderr and "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("most", [1_100, 10**6])
+def test_cells_double_and_keep_their_counts(monkeypatch, most):
+    monkeypatch.setattr(areas, "MOST_CELLS", most)
+    rng = np.random.default_rng(2)
+    places = ClassPlaces()
+    for _ in range(3):
+        places.add(*rng.uniform(-500, 500, (2, 4000)), rng.choice(CODES, 4000).astype(np.uint8))
+    assert sum(places.counts.values()) == 12_000 and len(places.counts) <= most
+    split = best_split(places, [[2], [5], [6]], Box(-500, -500, 500, 500), 5.0)
+    assert split is None or 0.25 <= split.train.sum() / 12_000 <= 0.65
+
+
+def test_the_whole_survey_at_one_place_is_not_split():
+    places = ClassPlaces()
+    places.add(np.zeros(10), np.zeros(10), np.full(10, 2, np.uint8))
+    assert best_split(places, [[2], [5]], Box(0, 0, 1, 1), 5.0) is None

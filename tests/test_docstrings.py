@@ -1,0 +1,88 @@
+"""Public functions of numeric rooms say what they do; those of arrays or quantities, in what shape or unit.
+
+Run as a program it counts them.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "fwclass"
+
+ROOMS = (
+    *("assess", "classify", "decompose", "features", "grid", "ground", "label", "model", "neighbours"),
+    *("radiometry", "select", "simulate", "thin", "tile", "train", "waveforms"),
+)
+NOT_YET = frozenset(("classify", "decompose", "train"))
+"""Rooms of which some functions do not state them."""
+
+QUANTITY = re.compile(r"NDArray|ArrayLike|\bfloat\b")
+STATES = re.compile(
+    r"\[[^\]]+\]|\((?:\w+,|\w+ \+ 1,|n|…)|``\(|\bshape\b|\b(?:bool|int\d+|uint\d+|float\d+) ?\(|\bm²?\b|metres"
+    r"|\brad(?:ians)?\b|degrees|\bns\b|counts?\b|\bshares?\b|Parameters\n|Returns\n|\bAs `|[nN]umber of|\bindex\b"
+    r"|[Ii]ndices|\buint64\b|\bNaN\b|0 to 1|\bevery (?:row|point|echo|cell|strip|sample|node)\b|[Tt]rue where"
+    r"|[Ww]hether|millimetres|[Hh]ow many"
+)
+"""A shape, a type with its shape, a unit, or words that are one; a section of parameters or returns has them."""
+
+
+def public(path: Path) -> Iterator[tuple[str, ast.FunctionDef, str]]:
+    """(name, function, docstring) of every public function and method; what overrides another has the other's."""
+    tree = ast.parse(path.read_text())
+    known: dict[str, str] = {}
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
+            yield node.name, node, ast.get_docstring(node) or ""
+        elif isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            for method in (m for m in node.body if isinstance(m, ast.FunctionDef) and not m.name.startswith("_")):
+                text = ast.get_docstring(method) or (known.get(method.name, "") if node.bases else "")
+                known.setdefault(method.name, text)
+                yield f"{node.name}.{method.name}", method, text
+
+
+def is_numeric(function: ast.FunctionDef) -> bool:
+    """It takes or gives arrays or quantities, as its types tell; a kernel has none and always does."""
+    types = [a.annotation for a in (*function.args.args, *function.args.kwonlyargs)]
+    texts = [ast.unparse(t) for t in (*types, function.returns) if t is not None]
+    kernel = any("kernel" in ast.unparse(d) or "inlined" in ast.unparse(d) for d in function.decorator_list)
+    return kernel or any(map(QUANTITY.search, texts))
+
+
+def counted(room: str) -> tuple[int, list[str], list[str]]:
+    """Functions of a room; those without a docstring; numeric ones that state neither shape nor unit."""
+    files = sorted((PACKAGE / room).rglob("*.py")) or [PACKAGE / f"{room}.py"]
+    total, bare, silent = 0, [], []
+    for path in files:
+        for name, function, text in public(path):
+            total += 1
+            where = f"{path.relative_to(PACKAGE.parent)}:{function.lineno} {name}: {text.splitlines()[:1]}"
+            if not text:
+                bare.append(where)
+            elif is_numeric(function) and not STATES.search(text):
+                silent.append(where)
+    return total, bare, silent
+
+
+@pytest.mark.parametrize("room", [r for r in ROOMS if r not in NOT_YET])
+def test_public_functions_state_what_they_take_and_give(room):
+    _, bare, silent = counted(room)
+    assert not bare and not silent, "\n".join([*bare, *silent])
+
+
+if __name__ == "__main__":
+    rows = {room: counted(room) for room in ROOMS}
+    for room, (total, bare, silent) in rows.items():
+        sys.stdout.write(
+            f"{room:12} {total:4} functions, {len(bare):3} without a docstring, {len(silent):3} without shape or unit"
+        )
+        if "-v" in sys.argv:
+            print("\n".join([*bare, *silent]))
+    every = sum(total for total, _, _ in rows.values())
+    lacking = sum(len(bare) + len(silent) for _, bare, silent in rows.values())
+    print(f"all          {every:4} functions, {1.0 - lacking / every:.0%} state them")
