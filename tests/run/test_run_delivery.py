@@ -137,13 +137,21 @@ def test_documented_queries_run_in_duckdb(query: str, root: Path) -> None:
     )
 
 
+def notebook() -> str:
+    cells = json.loads((ROOT / "docs" / "delivery.ipynb").read_text(encoding="utf-8"))["cells"]
+    return "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
+
+
 @pytest.mark.slow
-def test_documented_python_runs(root: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("which", ["page", "notebook"])
+def test_documented_python_runs(which: str, root: Path, tmp_path: Path) -> None:
     pytest.importorskip("geopandas")
     (tmp_path / "demo-run").symlink_to(root)
-    code = "\n".join(blocks("python")).replace('("confidence", "<", 0.7)', '("confidence", "<", 1.1)')
+    code = "\n".join(blocks("python")) if which == "page" else notebook()
+    code = code.replace('("confidence", "<", 0.7)', '("confidence", "<", 1.1)')
     made = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert made.returncode == 0, made.stderr[-2000:]
+    assert which == "page" or (tmp_path / "delivery.png").stat().st_size > 1000
 
 
 def test_a_box_and_a_condition_choose_echoes(root: Path) -> None:
