@@ -82,14 +82,16 @@ _LAST_CHANGE = "2000-01-01T00:00:00.000Z"
 """What GeoPackages that are written say of their day: nothing, or no two would be the same."""
 
 
-def write_polygons(path: Path, layer: str, geometry: Sequence[bytes], fields: Mapping[str, Any], crs: Any) -> None:
+def write_polygons(
+    path: Path, layer: str, geometry: Sequence[bytes], fields: Mapping[str, Any], crs: str | None
+) -> None:
     """Add a layer of polygons (WKB) to a GeoPackage, which is made where it is not there; the same ones give the same
     bytes.
 
     Parameters
     ----------
     fields : numpy columns by name; object ones hold texts, NaN is written as null.
-    crs : `pyproj.CRS`, or None for an unknown one.
+    crs : WKT, or None for an unknown one.
     """
     import numpy as np
 
@@ -104,7 +106,7 @@ def write_polygons(path: Path, layer: str, geometry: Sequence[bytes], fields: Ma
             layer=layer,
             driver="GPKG",
             geometry_type="Polygon",
-            crs=crs.to_wkt("WKT1_GDAL") if crs is not None else None,
+            crs=crs,
             append=place.exists(),
             dataset_options={"VERSION": "1.3"},  # what QGIS of 2022 knows
             layer_options={"SPATIAL_INDEX": "YES"},

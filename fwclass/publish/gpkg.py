@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fwclass.formats.gdal import write_polygons
 from fwclass.grid import Box
 from fwclass.publish.files import whole
+from fwclass.publish.laz import wkt
 
 RING = np.dtype([("order", "u1"), ("kind", "<u4"), ("rings", "<u4"), ("points", "<u4"), ("xy", "<f8", (5, 2))])
 """ISO WKB of a polygon of four sides."""
@@ -47,7 +48,7 @@ def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> d
         beside.unlink(missing_ok=True)
         for layer in layers:
             fields = {name: np.asarray(v, object if _texts(v) else None) for name, v in layer.fields.items()}
-            write_polygons(beside, layer.name, _wkb(layer.boxes), fields, crs)
+            write_polygons(beside, layer.name, _wkb(layer.boxes), fields, wkt(crs) if crs is not None else None)
         size = beside.stat().st_size
     return {"path": str(path), "layers": [layer.name for layer in layers], "bytes": size}
 

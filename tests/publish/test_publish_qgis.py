@@ -11,6 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
+import pyogrio
 import pyproj
 import pytest
 
@@ -156,3 +157,26 @@ def test_qgis_opens_the_project_and_draws_the_classes(params: PublishParams, tmp
     assert made["pixels"] == [[palette[c] for c in row] for row in codes[::-1].tolist()]
     shutil.rmtree(tmp_path / "home")
     assert sorted(p.name for p in tmp_path.rglob("*")) == before, "QGIS leaves no file in a delivery"
+
+
+COMPOUND = pyproj.CRS("EPSG:25832+5773")
+LOCAL = pyproj.CRS.from_proj4("+proj=tmerc +lat_0=48 +lon_0=9 +k=1 +x_0=5e5 +ellps=GRS80 +units=m")
+ONLY_WKT2 = pyproj.CRS.from_wkt(
+    "BOUNDCRS[SOURCECRS["
+    + pyproj.CRS(25832).to_wkt("WKT2_2019")
+    + "],TARGETCRS["
+    + pyproj.CRS(4326).to_wkt("WKT2_2019")
+    + '],ABRIDGEDTRANSFORMATION["none",METHOD["Geocentric translations (geog2D domain)",ID["EPSG",9603]],'
+    'PARAMETER["X-axis translation",0],PARAMETER["Y-axis translation",0],PARAMETER["Z-axis translation",0]]]'
+)
+
+
+@pytest.mark.parametrize("crs", [None, COMPOUND, LOCAL, ONLY_WKT2], ids=["none", "compound", "local", "bound"])
+def test_any_system_or_none_makes_files(crs: pyproj.CRS | None, tmp_path: Path) -> None:
+    box = Box(512_000, 5_403_000, 512_100, 5_403_100)
+    write_gpkg([Layer("tiles", [box], {"tile": ["1_1"]})], tmp_path / "t.gpkg", crs)
+    write_project("t", {"g": [MapLayer("n", "vector", "t.gpkg", [])]}, box.bounds, tmp_path / "s.qgz", crs)
+    write_vpc({"tiles/1_1.copc.laz": FACTS}, tmp_path / "s.vpc", crs, point_schema(()))
+    item = json.loads((tmp_path / "s.vpc").read_text())["features"][0]
+    assert ("proj:wkt2" in item["properties"]) == (crs is not None)
+    assert len(pyogrio.raw.read(tmp_path / "t.gpkg")[2]) == 1
