@@ -14,7 +14,7 @@ from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
 from fwclass.grid import Box, TileGrid
-from fwclass.publish.copc import STREAMED, write_tile_copc
+from fwclass.publish.copc import streamed, write_tile_copc
 from fwclass.publish.files import whole
 from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.publish.laz import NEEDED, without_reflectance
@@ -167,8 +167,8 @@ def _area_layers(areas: Mapping[str, list[list[float]]]) -> list[Layer]:
 
 
 def _overview_columns(plan: Plan) -> Names:
-    wanted = (*NEEDED, *OF_FIELDS, *STREAMED)
-    return tuple(c for c in columns_of_tiles(plan) if c in wanted or c.startswith("probability_"))
+    columns = columns_of_tiles(plan)
+    return tuple(dict.fromkeys((*(c for c in columns if c in (*NEEDED, *OF_FIELDS)), *streamed(columns))))
 
 
 def _streamed(plan: Plan) -> Names:

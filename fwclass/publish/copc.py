@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,23 +26,37 @@ from fwclass.publish.laz import (
 )
 from fwclass.publish.octree import GRID_BITS, Octree, octree
 from fwclass.publish.params import PublishParams
-from fwclass.schema import Table, require
+from fwclass.schema import Table, require, split_name
 
-STREAMED = (
-    "pulse",
-    "amplitude",
-    "amplitude_db",
-    "width",
-    "fit_flags",
-    "height_above_ground",
-    "confidence",
-    "entropy",
-    "range",
-    "incidence",
-    "reflectance",
-    "radiometry_flags",
+PARQUET_ALONE = frozenset(
+    {
+        "time",
+        "energy",
+        "amplitude_sigma",
+        "width_sigma",
+        "range_sigma",
+        "deviation",
+        "baseline",
+        "noise_level",
+        "misfit",
+        "cross_section",
+        "backscatter",
+        "zc",
+        "echo_ratio",
+        "inclination",
+    }
 )
-"""Columns that become extra bytes, beside probabilities; all are whole numbers there. Parquet has every column."""
+"""Columns with a name as an extra byte that would be floating-point here, and nobody colours a map by."""
+
+
+def streamed(names: Iterable[str]) -> tuple[str, ...]:
+    """Those of `names` that become extra bytes; a user's own columns are among them."""
+    return tuple(c.name for c in published(names) if _base(c.name) not in PARQUET_ALONE)
+
+
+def _base(name: str) -> str:
+    return name if name.startswith("probability_") else split_name(name)[0]
+
 
 CODES, LONGEST = 256, 15
 """Entries of the record of class names, and the bytes of a name (LAS 1.4 R15, classification lookup)."""
@@ -60,8 +74,8 @@ def write_tile_copc(
 ) -> dict[str, Any]:
     """Write echoes as COPC 1.0; the same echoes give the same bytes, in whatever order they come.
 
-    Point format, coordinates and extra bytes are those of `laz.write_tile_laz`, of the columns `STREAMED` and of
-    probabilities alone. Which level an echo is in follows from a hash of its strip, pulse and number.
+    Point format, coordinates and extra bytes are those of `laz.write_tile_laz`, of the columns `streamed` alone. Which
+    level an echo is in follows from a hash of its strip, pulse and number.
 
     Parameters
     ----------
@@ -79,8 +93,7 @@ def write_tile_copc(
         A column is missing, or coordinates do not fit the format's 32 bits.
     """
     require(table, NEEDED, path)
-    shown = [c for c in published(table) if c.name in STREAMED or c.name.startswith("probability_")]
-    extras = extra_bytes(shown, table)
+    extras = extra_bytes(published(streamed(table)), table)
     offset, units = local_millimetres(table, path)
     points, counts = point_records(table, units)
     tree = octree(np.stack(units, axis=1), table, params.copc_leaf)

@@ -9,7 +9,7 @@ import numpy as np
 
 from fwclass.formats.extra_bytes import published
 from fwclass.grid import millimetres
-from fwclass.publish.copc import STREAMED
+from fwclass.publish.copc import streamed
 from fwclass.schema import Table
 
 MEASURED = ("z", "height_above_ground", "confidence")
@@ -81,7 +81,7 @@ def _figures(table: Table, name: str) -> dict[str, float] | None:
 
 def point_schema(columns: tuple[str, ...]) -> list[dict[str, Any]]:
     """Dimensions of a delivered tile with `columns`, as PDAL names and types them."""
-    extras = [c for c in published(columns) if c.name in STREAMED or c.name.startswith("probability_")]
+    extras = published(streamed(columns))
     kinds = {"u": "unsigned", "i": "signed", "f": "floating", "b": "unsigned"}
     more = []
     for col in extras:

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 import pyproj
 
 from fwclass import conf
-from fwclass.publish.copc import STREAMED, write_tile_copc
+from fwclass.publish.copc import streamed, write_tile_copc
 from fwclass.publish.geoparquet import rounded, write_geoparquet
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.params import PublishParams
@@ -52,7 +52,7 @@ def main() -> None:
         out = Path(folder)
         write_tile_copc(tables[0], out / "warm.copc.laz", CRS, params, {})
         write_tile_laz(tables[0].select(FIELDS), out / "warm.laz", CRS, params)
-        same = [t.select([n for n in t if n in FIELDS or n in STREAMED]) for t in tables]
+        same = [t.select([n for n in t if n in FIELDS or n in streamed(t)]) for t in tables]
         rounds = []
         for _ in range(3):
             copc = [took(lambda t=t: write_tile_copc(t, out / "a.copc.laz", CRS, params, {})) for t in same]
