@@ -9,6 +9,8 @@ import click
 
 from fwclass.cli import (
     ahead,
+    backscatter,
+    clean,
     difference,
     draft,
     features,
@@ -20,6 +22,7 @@ from fwclass.cli import (
     seams,
     select,
     status,
+    street,
     survey,
 )
 from fwclass.cli.base import cli
@@ -29,6 +32,8 @@ from fwclass.redact import redacted
 
 __all__ = [
     "ahead",
+    "backscatter",
+    "clean",
     "cli",
     "difference",
     "draft",
@@ -42,6 +47,7 @@ __all__ = [
     "seams",
     "select",
     "status",
+    "street",
     "survey",
 ]
 

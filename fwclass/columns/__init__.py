@@ -12,9 +12,10 @@ from fwclass.columns.echoes import ECHOES
 from fwclass.columns.features import FEATURES
 from fwclass.columns.record import PER_CODE, SCALES, Column
 from fwclass.columns.results import RESULTS
+from fwclass.columns.street import STREET
 from fwclass.errors import ConfigError
 
-__all__ = ["COLUMNS", "FEATURES", "PER_CODE", "SCALES", "Column", "declare"]
+__all__ = ["COLUMNS", "FEATURES", "PER_CODE", "SCALES", "STREET", "Column", "declare"]
 
 _NAME = re.compile(r"(?!.*_(?:[rckg][0-9]+|opt|[0-9]+)$)[a-z][a-z0-9_]{0,63}")
 """Of a user's column: none that would be read as another one's at a scale, or of a class."""
@@ -30,7 +31,7 @@ _LAS_FIELDS = frozenset(
 )
 """Names of the fields of LAS points, as laspy has them."""
 
-_DECLARED = (*ECHOES, *FEATURES, *RESULTS)
+_DECLARED = (*ECHOES, *FEATURES, *STREET, *RESULTS)
 COLUMNS: dict[str, Column] = {c.name: c for c in _DECLARED}
 
 

@@ -15,7 +15,7 @@ from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sets import feature_set, listed_once
-from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams
+from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams, SampleParams, StackParams
 from fwclass.errors import visible
 from fwclass.features.params import FeaturesParams
 from fwclass.grid import Box
@@ -29,10 +29,12 @@ from fwclass.read.params import ReadParams
 from fwclass.select.params import SelectParams
 from fwclass.simulate.params import SimulateParams
 from fwclass.store.params import StoreParams
+from fwclass.street.params import StreetParams, StreetSceneParams
 from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.params import TrainParams
+from fwclass.voxels.params import ProfileParams, VoxelParams
 
 
 class Section(BaseModel):
@@ -206,6 +208,10 @@ PARAMS: dict[str, type[BaseModel]] = {
     "pulse": PulseParams,
     "decompose": DecomposeParams,
     "plausibility": PlausibilityParams,
+    "stack": StackParams,
+    "samples": SampleParams,
+    "voxels": VoxelParams,
+    "profile": ProfileParams,
     "tile": TileParams,
     "label": LabelParams,
     "ground": GroundParams,
@@ -219,6 +225,8 @@ PARAMS: dict[str, type[BaseModel]] = {
     "thin": ThinParams,
     "compare": CompareParams,
     "papers": PapersSection,
+    "street": StreetParams,
+    "street_scene": StreetSceneParams,
     "classify": ClassifyParams,
     "assess": AssessParams,
     "publish": PublishParams,
@@ -246,6 +254,10 @@ class Config:
     pulse: PulseParams
     decompose: DecomposeParams
     plausibility: PlausibilityParams
+    stack: StackParams
+    samples: SampleParams
+    voxels: VoxelParams
+    profile: ProfileParams
     tile: TileParams
     label: LabelParams
     ground: GroundParams
@@ -259,6 +271,8 @@ class Config:
     thin: ThinParams
     compare: CompareParams
     papers: PapersSection
+    street: StreetParams
+    street_scene: StreetSceneParams
     classify: ClassifyParams
     assess: AssessParams
     publish: PublishParams

@@ -99,7 +99,22 @@ class _Xiong(_Paper):
     thinning: _Thinning
 
 
-_MODELS: dict[str, type[_Paper]] = {"fan2013": _Fan, "xiong2018": _Xiong}
+class _Single(_Printed):
+    radius: float
+    error: float
+    best: float
+    order: list[str]
+
+
+class _Li(_Paper):
+    points: dict[str, int]
+    share: float
+    radii: list[float]
+    bounds: dict[str, float]
+    single: _Single
+
+
+_MODELS: dict[str, type[_Paper]] = {"fan2013": _Fan, "xiong2018": _Xiong, "li2018": _Li}
 
 
 def paper(name: str) -> dict[str, Any]:

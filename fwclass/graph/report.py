@@ -342,6 +342,8 @@ def _plain(value: Any) -> Any:
 
 def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     """The last words of a run, for the terminal; what it delivered lies below `root`."""
+    if "words" in report:  # of a workflow that has no echoes
+        return "\n".join([*report["words"], *(f"{'page':<11} {root / name}" for name in report["outputs"])])
     counts = report["counts"]
     decomposed, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
     balance = "all of them in tiles" if decomposed == kept else f"{kept:,} of them in the tiles of this run"

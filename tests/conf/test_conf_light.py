@@ -26,7 +26,7 @@ def test_every_workflow_is_a_function_of_its_name() -> None:
     assert len(WORKFLOWS) == len(list(WORKFLOWS)) >= 3
     for name in WORKFLOWS:
         workflow = WORKFLOWS[name]
-        assert workflow.name == name and workflow.what and workflow.stages
+        assert workflow.name == name and workflow.what and (workflow.stages or workflow.walk)
     assert "nonsense" not in WORKFLOWS
     with pytest.raises(KeyError):
         WORKFLOWS["nonsense"]

@@ -9,12 +9,17 @@ from typing import Any
 
 from fwclass.publish.files import whole
 from fwclass.publish.papers.fan import fan_view
+from fwclass.publish.papers.li import li_view
 from fwclass.publish.papers.tables import VERDICTS
 from fwclass.publish.papers.xiong import xiong_view
 from fwclass.publish.report import TEMPLATE as REPORT
 from fwclass.publish.report import data_uri, environment
 
-VIEWS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {"fan2013": fan_view, "xiong2018": xiong_view}
+VIEWS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
+    "fan2013": fan_view,
+    "li2018": li_view,
+    "xiong2018": xiong_view,
+}
 
 
 def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) -> dict[str, Any]:

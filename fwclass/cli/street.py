@@ -1,0 +1,184 @@
+"""Commands on recordings of a vehicle's 2-D scanner: street info, simulate, train, classify, run, annotate."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fwclass.cli.base import JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.runner import open_runner
+from fwclass.errors import ConfigError
+
+CONF = click.option("--conf", type=PATH, help="A street's configuration, for mounting, speed and scanner.")
+MODEL = click.option("--model", type=PATH, required=True, help="Directory of the model.")
+
+
+@cli.group()
+def street() -> None:
+    """Street-tree crowns from a vehicle's 2-D scanner, frame by frame (docs/street.md)."""
+
+
+def _config(conf: Path | None, settings: tuple[str, ...]) -> Any:
+    """The sections of a street's configuration, or the base's."""
+    from fwclass import conf as configuration
+
+    return configuration.load(conf if conf is not None else "street-sim", settings)
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)
+
+
+@street.command()
+@click.argument("recordings", metavar="REC…", type=PATH, nargs=-1, required=True)
+@CONF
+@SET
+@JSON
+def info(recordings: tuple[Path, ...], conf: Path | None, settings: tuple[str, ...], as_json: bool) -> None:
+    """Tell what recordings hold, and what is wrong with them."""
+    from fwclass.single_file.street.info import describe
+    from fwclass.single_file.street.info import info as look
+
+    params = _config(conf, settings).street
+    made = [look(path, params) for path in recordings]
+    if as_json:
+        click.echo(json.dumps(made, indent=1))
+    else:
+        click.echo("\n\n".join(map(describe, made)))
+
+
+@street.command()
+@click.argument("conf", type=PATH, default=Path("street-sim"))
+@click.option("--out", type=PATH, required=True, help="Parquet file that is written.")
+@SET
+@OVERWRITE
+def simulate(conf: Path, out: Path, settings: tuple[str, ...], overwrite: bool) -> None:
+    """Simulate a drive along a street; a class code for every return (section street_scene)."""
+    from fwclass.conf.street import scanner
+    from fwclass.publish.files import whole
+    from fwclass.street.recording_parquet import write_recording
+    from fwclass.street.simulate import simulated
+
+    config = _config(conf, settings)
+    if out.exists() and not overwrite:
+        raise ConfigError("the recording exists", where=out, do="choose another name, or add --overwrite")
+    frames = simulated(config.street_scene, scanner(config.street.scanner), config.street.mounting)
+    with whole(out) as beside:
+        count = write_recording(beside, frames)
+    _say(f"recording    {out}: {count} frames, {config.street_scene.length:g} m of street")
+
+
+@street.command()
+@click.argument("conf", type=PATH)
+@click.option("--model", "target", type=PATH, required=True, help="Directory that the model is written to.")
+@click.option("--method", metavar="NAME", help="forest, linear-svm, rbf-svm, sklearn-forest or boosting.")
+@click.option("--recordings", "directory", type=PATH, help="Where the recordings lie (default: survey.directory).")
+@click.option("--assess/--no-assess", default=True, help="Judge the model on the returns that are left (default: yes).")
+@SET
+@OVERWRITE
+@JSON
+def train(conf: Path, target: Path, method: str | None, settings: tuple[str, ...], as_json: bool, **asked: Any) -> None:
+    """Train a model on labelled recordings, at random or by stretches of road (street.split), and judge it."""
+    from fwclass.cli.model import _known
+    from fwclass.single_file.street.train import describe
+    from fwclass.single_file.street.train import train as training
+
+    if method is not None:
+        settings = (*settings, f"train.method={_known(method, '--method')}")
+    made = training(_config(conf, settings), target, say=_say, **asked)
+    click.echo(describe(made), err=True)
+    if as_json:
+        click.echo(json.dumps(made, indent=1))
+
+
+@street.command()
+@click.argument("recording", metavar="REC", type=PATH)
+@click.argument("output", metavar="OUT", type=PATH)
+@MODEL
+@CONF
+@SET
+@SCHEDULER
+@WORKERS
+@OVERWRITE
+@JSON
+def classify(
+    recording: Path, output: Path, model: Path, conf: Path | None, settings: tuple[str, ...], **asked: Any
+) -> None:
+    """Classify a recording: answers and prescription map in the directory OUT, the bytes of `street run`."""
+    from fwclass.graph.street import trajectory_of
+    from fwclass.single_file.street.batch import Work, check
+    from fwclass.single_file.street.batch import classify as work
+    from fwclass.single_file.street.online import describe_batch
+    from fwclass.single_file.street.output import prepare
+
+    config = _config(conf, settings)
+    count = config.run.workers if asked["workers"] is None else asked["workers"]
+    job = Work(recording.resolve(), model.resolve(), config.street, trajectory_of(config))
+    check(job)
+    prepare(output, asked["overwrite"])
+    with (
+        tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}-") as beside,
+        open_runner(Path(beside), int(count), asked["scheduler"], config.run) as runner,
+    ):
+        made = work(job, output, runner, config.assess.block)
+    click.echo(describe_batch(made, output), err=True)
+    if asked["as_json"]:
+        click.echo(json.dumps(made, indent=1))
+
+
+@street.command()
+@click.argument("source", metavar="REC|-|tcp://HOST:PORT")
+@MODEL
+@click.option("--out", "target", type=PATH, required=True, help="Directory that answers are appended in.")
+@click.option(
+    "--pace", type=click.Choice(["recorded", "fastest"]), default="fastest", help="Of a recording (default: fastest)."
+)
+@CONF
+@SET
+@OVERWRITE
+@JSON
+def run(
+    source: str, model: Path, target: Path, pace: str, conf: Path | None, settings: tuple[str, ...], **asked: Any
+) -> None:
+    """Answer frames as they come: crowns while the vehicle drives.
+
+    The source is a recording, - for standard input, or tcp://host:port to listen at (docs/street.md tells the bytes).
+    SIGINT ends it cleanly.
+    """
+    from fwclass.graph.street import trajectory_of
+    from fwclass.single_file.street.online import Run, describe
+    from fwclass.single_file.street.online import run as work
+
+    config = _config(conf, settings)
+    job = Run(source, model, target, pace == "recorded", asked["overwrite"], trajectory_of(config))
+    made = work(job, config.street, _say)
+    click.echo(f"{describe(made)}\nanswers      {target}", err=True)
+    if asked["as_json"]:
+        click.echo(json.dumps(made, indent=1))
+
+
+@street.command()
+@click.argument("recording", metavar="REC", type=PATH)
+@click.argument("file", metavar="ANNOTATION", type=PATH)
+@click.option("--out", type=PATH, help="Parquet file that the recording is written to with its labels.")
+@click.option("--preview", type=PATH, help="Directory for pictures of the slices, and of the next one.")
+@click.option("--slice", "slice_", type=click.FloatRange(0.01), default=2.0, help="m of road of the next slice.")
+@CONF
+@SET
+@OVERWRITE
+@JSON
+def annotate(
+    recording: Path, file: Path, conf: Path | None, settings: tuple[str, ...], as_json: bool, **asked: Any
+) -> None:
+    """Label returns by rectangles in slices of road (docs/street.md): check them, show them, go on where they end."""
+    from fwclass.single_file.street.annotate import annotate as work
+    from fwclass.single_file.street.annotate import describe
+
+    made = work(recording, file, params=_config(conf, settings).street, **asked)
+    click.echo(describe(made), err=True)
+    if as_json:
+        click.echo(json.dumps(made, indent=1))

@@ -1,0 +1,335 @@
+"""Recordings of a vehicle's scanner: rows that train and test, the model, and how good it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.assess.blocks import BlockCounts
+from fwclass.assess.confusion import figures
+from fwclass.assess.intervals import DRAWS, LEVEL, SEED, intervals
+from fwclass.classify.shares import answer
+from fwclass.conf import Config
+from fwclass.conf.street import scanner
+from fwclass.errors import ConfigError, InputError
+from fwclass.hashing import hashed
+from fwclass.model import ClassDef, Model, assemble, class_index
+from fwclass.read.trajectory import read_trajectory
+from fwclass.schema import Table
+from fwclass.street.frames import Frame, Recording, Scan, Track
+from fwclass.street.params import StreetParams
+from fwclass.street.recordings import open_recording
+from fwclass.street.ring import Ring, Seen, feature_names
+from fwclass.street.sphere_kernels import UNIT
+from fwclass.train.baselines.params import CompareParams
+from fwclass.train.baselines.stage import train_other
+from fwclass.train.params import TrainParams
+from fwclass.train.sample import Sample, draw, join
+from fwclass.train.stage import card, grow_trees
+
+BLOCK = 100
+"""Frames whose rows are held at a time."""
+
+LEAST = 5
+"""Blocks of road that an interval needs; see `assess.intervals`."""
+
+
+def recordings_of(config: Config, directory: Path | None = None) -> list[Path]:
+    """The survey's recordings in order; `ConfigError` where there are none. `directory`: in place of the survey's."""
+    base = directory or config.path.parent / (config.survey.directory or ".")
+    found = [path for pattern in config.survey.sources for path in sorted(base.glob(pattern))]
+    if not found:
+        raise ConfigError(
+            "no recording of this name",
+            where=f"{config.path}: survey.sources",
+            expected=f"files in {base}",
+            got=", ".join(config.survey.sources),
+            do="check survey.directory and survey.sources",
+        )
+    return list(dict.fromkeys(found))
+
+
+def computed(params: StreetParams) -> dict[str, Any]:
+    """What the values of the features depend on; plain data for a model's card."""
+    return {
+        "street": {
+            "radii": list(params.radii),
+            "features": params.features,
+            "window": params.window,
+            "most_frames": params.most_frames,
+        }
+    }
+
+
+def params_of(model: Model, params: StreetParams, where: object) -> StreetParams:
+    """`params` with what the features of `model` were computed by; `ConfigError` for a model of other features."""
+    told = model.card.get("computed", {})
+    told = told.get("street") if isinstance(told, Mapping) else None
+    try:
+        changed = StreetParams.model_validate({**params.model_dump(), **told}) if isinstance(told, Mapping) else None
+    except ValueError:
+        changed = None
+    if changed is None or feature_names(changed) != model.features:
+        raise ConfigError(
+            "the model does not decide by features of frames",
+            where=where,
+            expected="a model of `fwclass street train`",
+            got=", ".join(model.features[:5]) + (" …" if len(model.features) > 5 else ""),
+            do="train one: fwclass street train CONF --model DIR",
+        )
+    return changed
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Returns of some frames, in order.
+
+    Attributes
+    ----------
+    X : float32 (rows, features). codes : uint8 (rows,), reference class codes, 0 none.
+    key : uint64 (rows,), of recording, frame and beam. place, depth : float64 (rows,), along the road and to the
+        left [m].
+    """
+
+    X: NDArray[np.float32]
+    codes: NDArray[np.uint8]
+    key: NDArray[np.uint64]
+    place: NDArray[np.float64]
+    depth: NDArray[np.float64]
+
+    def take(self, rows: NDArray) -> Rows:
+        return Rows(self.X[rows], self.codes[rows], self.key[rows], self.place[rows], self.depth[rows])
+
+
+def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Iterator[Rows]:
+    """All returns of the recordings, by blocks of frames."""
+    for number, path in enumerate(paths):
+        held: list[Rows] = []
+        for at, one in enumerate(seen_frames(path, params, trajectory)):
+            held.append(_rows(number, at, one))
+            if len(held) == BLOCK:
+                yield joined(held)
+                held = []
+        if held:
+            yield joined(held)
+
+
+def trajectory_of(config: Config) -> tuple[Path, ...]:
+    """The files of `survey.trajectory`, relative to survey.directory; `ConfigError` for one that is not there."""
+    base = config.path.parent / (config.survey.directory or ".")
+    found = tuple(base / name for name in config.survey.trajectory.files)
+    for path in found:
+        if not path.is_file():
+            raise ConfigError("no such trajectory", where=f"{config.path}: survey.trajectory.files", got=path)
+    return found
+
+
+@dataclass(frozen=True)
+class OnTrajectory:
+    """A recording whose frames are placed along the way of a trajectory: by its length in plan, straight between fixes.
+
+    The trajectory's clock is the frames'. Frames outside its time have no place.
+    """
+
+    recording: Recording
+    files: tuple[Path, ...]
+
+    @property
+    def told(self) -> Mapping[str, Any]:
+        return self.recording.told
+
+    def frames(self) -> Iterator[Frame]:
+        fixes = [read_trajectory(path) for path in self.files]
+        time, x, y = (np.concatenate([f[n] for f in fixes]) for n in ("gps_time", "x", "y"))
+        order = np.argsort(time, kind="stable")
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x[order]), np.diff(y[order])))])
+        for frame in self.recording.frames():
+            yield replace(frame, place=float(np.interp(frame.time, time[order], way, math.nan, math.nan)))
+
+
+def opened(path: Path, params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Recording:
+    """The recording at `path`, placed along a trajectory where there is one."""
+    recording = open_recording(path, Scan.of(scanner(params.scanner)), params.topic)
+    return OnTrajectory(recording, trajectory) if trajectory else recording
+
+
+def seen_frames(path: Path, params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Iterator[Seen]:
+    """The frames of a recording with their features."""
+    track, ring = Track(params), None
+    for frame in opened(path, params, trajectory).frames():
+        placed = track.take(frame)
+        if placed is None:
+            continue
+        if ring is None and track.geometry is not None:
+            ring = Ring(track.geometry, params)
+        if ring is not None:
+            yield from ring.take(placed)
+    if ring is not None:
+        yield from ring.rest()
+
+
+def _rows(recording: int, at: int, one: Seen) -> Rows:
+    frame = one.frame
+    beams = np.flatnonzero(~np.isnan(frame.r))
+    codes = frame.labels[beams] if frame.labels is not None else np.zeros(len(beams), np.uint8)
+    key = (np.uint64(recording) << np.uint64(48)) | (np.uint64(at) << np.uint64(16))
+    return Rows(
+        one.features[beams],
+        codes,
+        key | beams.astype(np.uint64),
+        np.full(len(beams), frame.place * UNIT, np.float64),
+        frame.y[beams].astype(np.float64) * UNIT,
+    )
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    return Rows(
+        np.concatenate([p.X for p in parts]),
+        np.concatenate([p.codes for p in parts]),
+        np.concatenate([p.key for p in parts]),
+        np.concatenate([p.place for p in parts]),
+        np.concatenate([p.depth for p in parts]),
+    )
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which returns train and which test: a `share` at random, or those in `boxes` [m along the road, to the left]
+    and those further than `gap` along the road from all of them."""
+
+    kind: str
+    share: float
+    seed: int
+    boxes: tuple[tuple[float, float, float, float], ...]
+    gap: float
+
+    @classmethod
+    def of(cls, config: Config) -> Split:
+        street = config.street
+        return cls(street.split, street.share, config.train.seed, config.areas.train, config.areas.gap)
+
+    def trains(self, rows: Rows) -> NDArray[np.bool_]:
+        if self.kind == "random":
+            return hashed(self.seed, rows.key) < np.uint64(min(self.share * 2.0**64, 2.0**64 - 2048))
+        inside = np.zeros(len(rows.place), bool)
+        for x0, y0, x1, y1 in self.boxes:
+            inside |= (rows.place >= x0) & (rows.place < x1) & (rows.depth >= y0) & (rows.depth < y1)
+        return inside
+
+    def tests(self, rows: Rows) -> NDArray[np.bool_]:
+        if self.kind == "random":
+            return ~self.trains(rows)
+        far = np.ones(len(rows.place), bool)
+        for x0, _, x1, _ in self.boxes:
+            far &= (rows.place < x0 - self.gap) | (rows.place >= x1 + self.gap)
+        return far
+
+
+def sample_of(
+    blocks: Iterable[Rows], names: tuple[str, ...], split: Split, classes: Sequence[ClassDef], per_class: int
+) -> Sample:
+    """The training rows; `InputError` where no return trains."""
+    parts = []
+    for rows in blocks:
+        inside = split.trains(rows) & (class_index(rows.codes, classes) >= 0)
+        if inside.any():
+            few = rows.take(inside)
+            table = Table({n: few.X[:, k] for k, n in enumerate(names)})
+            every = np.ones(len(few.key), bool)
+            parts.append(draw(table, few.codes, few.key, every, classes, per_class, split.seed))
+    if not parts:
+        raise InputError(
+            "no labelled return trains",
+            where="areas.train" if split.kind == "stretch" else "street.share",
+            expected="frames with labels in the recordings",
+            got="none",
+            do="label some (fwclass street annotate), or give boxes along the road that they lie in",
+        )
+    return join(parts, per_class)
+
+
+def fitted(
+    sample: Sample, params: StreetParams, train: TrainParams, compare: CompareParams, classes: Sequence[ClassDef]
+) -> Model:
+    """A model of the method that `train` names, whose card says how its features were computed.
+
+    Where an RBF SVM takes fewer rows than there are, they are drawn from all: classes keep their shares.
+    """
+    most = compare.rbf_svm.max_rows
+    if train.method == "rbf-svm" and sample.rows > most:
+        sample = sample.take(np.sort(np.argsort(sample.hash, kind="stable")[:most]))
+    if train.method == "forest":
+        made: Any = assemble(grow_trees(sample, classes, 0, train.trees, train), card(sample, classes, train))
+    else:
+        made = train_other(sample, train, compare, classes, train.method)
+    return replace(made, card={**made.card, "computed": computed(params)})
+
+
+def judged(
+    blocks: Iterable[Rows],
+    answers: Callable[[Rows], NDArray[np.uint8]],
+    split: Split | None,
+    classes: Sequence[ClassDef],
+    block: float,
+) -> dict[str, Any]:
+    """Figures of the test rows (all without `split`), plain data; see `told`. `block` of road [m] for intervals."""
+    parts = []
+    for rows in blocks:
+        chosen = class_index(rows.codes, classes) >= 0
+        if split is not None:
+            chosen &= split.tests(rows)
+        few = rows.take(chosen)
+        if len(few.key):
+            road = few.place + 1e6 * (few.key >> np.uint64(48))  # recordings are apart
+            parts.append(BlockCounts.of(road, np.zeros(len(road)), few.codes, answers(few), classes, block))
+    return told(BlockCounts.merged(parts, len(classes)), classes)
+
+
+def by_model(model: Model) -> Callable[[Rows], NDArray[np.uint8]]:
+    """Class codes that `model` gives rows."""
+    return lambda rows: model.codes[answer(rows.X, model)[0]]
+
+
+CROWN_FIGURES = ("error", "detection", "false_alarm")
+
+
+def told(blocks: BlockCounts, classes: Sequence[ClassDef]) -> dict[str, Any]:
+    """Figures of `confusion.figures`, and of the first class, the crowns, those of Li 2018 with 95 % intervals.
+
+    error: wrong / all. detection: crown returns found / crown returns. false_alarm: other returns taken for crown /
+    other returns.
+    """
+    counts = blocks.counts[:, :, : len(classes)]
+    matrix = counts.sum(axis=0)
+    values, ends = crown_figures(matrix[None])[0], None
+    if len(counts) >= LEAST:
+        random = np.random.Generator(np.random.PCG64(SEED))
+        flat = counts.reshape(len(counts), -1)
+        drawn = np.stack([flat[random.integers(0, len(flat), len(flat))].sum(axis=0) for _ in range(DRAWS)])
+        tails = (0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
+        ends = np.nanquantile(crown_figures(drawn.reshape(-1, *matrix.shape)), tails, axis=0)
+    made: dict[str, Any] = {**figures(matrix, [c.name for c in classes]), "rows": int(matrix.sum())}
+    made["intervals"] = intervals(counts)
+    made["blocks"] = len(counts)
+    for k, name in enumerate(CROWN_FIGURES):
+        made[name] = None if np.isnan(values[k]) else float(values[k])
+        made[f"{name}_interval"] = None if ends is None else [float(v) for v in ends[:, k]]
+    return made
+
+
+def crown_figures(matrices: NDArray[np.int64]) -> NDArray[np.float64]:
+    """(matrices, 3): error, detection and false alarm of the first class; NaN for 0 / 0."""
+    m = matrices.astype(float)
+    rows = m.sum(axis=2)
+    right = np.trace(m, axis1=1, axis2=2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        error = 1.0 - right / rows.sum(axis=1)
+        detection = m[:, 0, 0] / rows[:, 0]
+        alarm = m[:, 1:, 0].sum(axis=1) / rows[:, 1:].sum(axis=1)
+    return np.stack([error, detection, alarm], axis=1)

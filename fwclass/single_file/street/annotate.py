@@ -1,0 +1,144 @@
+"""Annotation: rectangles applied, checked and shown, slice by slice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass.conf.street import scanner
+from fwclass.errors import ConfigError, InputError
+from fwclass.publish.files import whole
+from fwclass.publish.street_pictures import draw_slice
+from fwclass.street.annotation import HEAD, Box, Labeller, ended, overlaps, read_boxes
+from fwclass.street.frames import Frame, Scan, Track
+from fwclass.street.params import StreetParams
+from fwclass.street.recording_parquet import write_recording
+from fwclass.street.recordings import open_recording
+from fwclass.street.sphere_kernels import UNIT
+
+MOST_SHOWN = 200_000
+"""Returns of a picture; of more, evenly chosen ones."""
+
+MOST_PICTURES = 200
+
+Seen = tuple[list[Any], list[Any], list[Any]]
+
+
+def annotate(
+    source: Path,
+    file: Path,
+    out: Path | None,
+    preview: Path | None,
+    slice_: float,
+    overwrite: bool,
+    params: StreetParams,
+) -> dict[str, Any]:
+    """Apply the rectangles of `file` to a recording; plain data.
+
+    `out`: the recording is written there with its labels. `preview`: a directory for a picture of every slice that has
+    rectangles, and of the next one, `slice_` metres long. A `file` that is not there is begun.
+    """
+    if out is not None and out.exists() and not overwrite:
+        raise ConfigError("the recording exists", where=out, do="choose another name, or add --overwrite")
+    begun = not file.exists()
+    if begun:
+        with whole(file) as beside:
+            beside.write_text(",".join(HEAD) + "\n")
+    boxes = read_boxes(file)
+    track = Track(params)
+    labeller = Labeller(boxes, track)
+    slices: dict[tuple[float, float], Seen] = {(b.begin, b.end): ([], [], []) for b in boxes}
+    last = ended(boxes)
+    ahead: list[tuple[float, float]] = [] if last is None else [(last, last + slice_)]
+    places: list[float] = []
+
+    def labelled() -> Any:
+        for frame, placed in labeller.frames(
+            open_recording(source, Scan.of(scanner(params.scanner)), params.topic).frames()
+        ):
+            place = placed.place * UNIT
+            places.append(place)
+            if not ahead:
+                ahead.append((place, place + slice_))
+            if preview is not None:
+                for begin, end in {*slices, *ahead}:
+                    if begin <= place < end:
+                        _keep(slices.setdefault((begin, end), ([], [], [])), frame, placed)
+            yield frame
+
+    if out is None:
+        for _ in labelled():
+            pass
+    else:
+        with whole(out) as beside:
+            write_recording(beside, labelled())
+    if not places:
+        raise InputError("no frame of the recording can be used", where=source, do="fwclass street info")
+    pictures = _pictures(preview, slices, boxes, ahead[0]) if preview is not None else []
+    return {
+        "recording": str(source),
+        "annotation": str(file),
+        "begun": begun,
+        "metres": [min(places), max(places)],
+        "next": list(ahead[0]) if ahead[0][0] < max(places) else None,
+        "labels": {str(k): int(n) for k, n in enumerate(labeller.labels) if n and k},
+        "unlabelled": float(labeller.labels[0] / max(1, labeller.labels.sum())),
+        "remarks": _remarks(boxes, labeller),
+        "pictures": pictures,
+        "out": None if out is None else str(out),
+    }
+
+
+def _keep(held: Seen, frame: Frame, placed: Any) -> None:
+    here = ~np.isnan(placed.r)
+    held[0].append(placed.y[here] * UNIT)
+    held[1].append(placed.z[here] * UNIT)
+    held[2].append(np.zeros(int(here.sum()), np.uint8) if frame.labels is None else frame.labels[here])
+
+
+def _remarks(boxes: list[Box], labeller: Labeller) -> list[str]:
+    said = [
+        f"line {box.line}: no return lies in this rectangle ({box.kind})"
+        for box, held in zip(boxes, labeller.held, strict=True)
+        if not held and box.kind != "rest"
+    ]
+    return said + [
+        f"lines {a.line} and {b.line}: class {a.code} and {b.code} overlap; the later line wins"
+        for a, b in overlaps(boxes)
+    ]
+
+
+def _pictures(
+    preview: Path, slices: dict[tuple[float, float], Seen], boxes: list[Box], ahead: tuple[float, float]
+) -> list[str]:
+    preview.mkdir(parents=True, exist_ok=True)
+    made = []
+    for (begin, end), held in sorted(slices.items())[-MOST_PICTURES:]:
+        if not held[0]:
+            continue
+        y, z, codes = (np.concatenate(v) for v in held)
+        few = slice(None, None, max(1, len(y) // MOST_SHOWN))
+        inside = [b for b in boxes if b.begin < end and b.end > begin and b.kind != "rest"]
+        name = "next.png" if (begin, end) == ahead else f"slice-{begin:09.2f}.png"
+        title = f"{begin:g} to {end:g} m" + (": to be annotated" if (begin, end) == ahead else "")
+        with whole(preview / name) as beside:
+            beside.write_bytes(draw_slice(y[few], z[few], codes[few], inside, title))
+        made.append(str(preview / name))
+    return made
+
+
+def describe(made: dict[str, Any]) -> str:
+    """The same for a terminal."""
+    lines = [f"begun        {made['annotation']}"] if made["begun"] else []
+    labels = ", ".join(f"{k}: {n}" for k, n in made["labels"].items()) or "none"
+    lines += [
+        f"road         {made['metres'][0]:.2f} to {made['metres'][1]:.2f} m",
+        f"labels       {labels}; {100 * made['unlabelled']:.1f} % of the returns have none",
+        *(f"remark       {text}" for text in made["remarks"]),
+        *(f"picture      {path}" for path in made["pictures"]),
+    ]
+    if made["next"]:
+        lines.append(f"next         {made['next'][0]:g} to {made['next'][1]:g} m")
+    return "\n".join([*lines, *([f"recording    {made['out']}"] if made["out"] else [])])

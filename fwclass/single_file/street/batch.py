@@ -1,0 +1,185 @@
+"""A whole recording classified in chunks of frames on Dask: the bytes of the on-line run."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.assess.blocks import BlockCounts
+from fwclass.conf.street import scanner
+from fwclass.errors import InputError
+from fwclass.graph.street import opened, params_of, told
+from fwclass.model import Model
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Task
+from fwclass.run.runner import Runner, require_all
+from fwclass.single_file.street.online import classified
+from fwclass.single_file.street.output import finish
+from fwclass.store.models import load_model, model_digest
+from fwclass.street.answers import ANSWERS, END, Writer, read_answers
+from fwclass.street.frames import Geometry, Placed, Scan, Track
+from fwclass.street.params import StreetParams
+from fwclass.street.prescription import segments
+from fwclass.street.ring import Ring
+
+FRAMES, CHUNK, VERSION = "street-frames", "street-chunk", 1
+PART = "frames.bin"
+_COLUMNS = {"number": "<i8", "time": "<f8", "place": "<i8", "road": "<f8"}
+_GRIDS = {"ranges": "<f4", "x": "<i4", "y": "<i4", "z": "<i4", "labels": "u1"}
+"""What is kept of a frame's beams; x only of a leaning scanner, labels only where there are some."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is classified by what."""
+
+    recording: Path
+    model: Path
+    params: StreetParams
+    trajectory: tuple[Path, ...] = ()
+
+
+def check(work: Work) -> None:
+    """`InputError` or `ConfigError` where the model or the recording cannot be used, before anything is written."""
+    params_of(load_model(work.model), work.params, work.model)
+    opened(work.recording, work.params)
+
+
+def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
+    """Take the frames of the recording one after the other and keep those that are used, as flat files."""
+    scan = Scan.of(scanner(work.params.scanner))
+    track = Track(work.params)
+    columns: dict[str, list[Any]] = {n: [] for n in _COLUMNS}
+    files: dict[str, BinaryIO] = {}
+    kept: tuple[str, ...] = ()
+    try:
+        for frame in opened(work.recording, work.params, work.trajectory).frames():
+            placed = track.take(frame)
+            if placed is None:
+                continue
+            if not files and track.geometry is not None:
+                leaning = ("x",) if track.geometry.tilted else ()
+                kept = ("ranges", *leaning, "y", "z", *(("labels",) if placed.labels is not None else ()))
+                files = {n: (directory / f"{n}.bin").open("wb") for n in kept}
+            for name in _COLUMNS:
+                columns[name].append(getattr(placed, name))
+            for name in kept:
+                values = placed.r if name == "ranges" else getattr(placed, name)
+                none = np.zeros(len(placed.r), np.uint8)
+                files[name].write(np.ascontiguousarray(none if values is None else values, _GRIDS[name]).tobytes())
+    finally:
+        for file in files.values():
+            file.close()
+    for name, kind in _COLUMNS.items():
+        (directory / f"{name}.bin").write_bytes(np.array(columns[name], kind).tobytes())
+    found = track.geometry.scan if track.geometry else scan
+    return {
+        "frames": track.used,
+        "kept": list(kept),
+        "scan": [found.beams, found.first, found.step, found.range_min, found.range_max],
+        "told": track.told(),
+    }
+
+
+def _scan(meta: Mapping[str, Any]) -> Scan:
+    return Scan(int(meta["scan"][0]), *map(float, meta["scan"][1:]))
+
+
+def chunk(work: Work, first: int, last: int, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
+    """Answer the frames `first` to `last`, with as many before and after as their spheres may reach over."""
+    meta = inputs.meta(FRAMES, "all")
+    scan, model = _scan(meta), load_model(work.model)
+    halo = work.params.most_frames
+    low, high = max(0, first - halo), min(int(meta["frames"]), last + halo)
+    ring = Ring(Geometry.of(scan, work.params.mounting), work.params, range(first - low, last - low))
+    writer = Writer(scan.beams)
+    most = cut = 0
+    with (directory / PART).open("wb") as file:
+        for frame in _frames(inputs, meta, scan, low, high):
+            for one in ring.take(frame):
+                most, cut = max(most, one.frames), cut + int(one.cut)
+                file.write(writer.frame(classified(one, model)))
+        for one in ring.rest():
+            most, cut = max(most, one.frames), cut + int(one.cut)
+            file.write(writer.frame(classified(one, model)))
+    return {"most": most, "cut": cut}
+
+
+def _frames(inputs: PartInputs, meta: Mapping[str, Any], scan: Scan, low: int, high: int) -> Iterator[Placed]:
+    def column(name: str) -> NDArray:
+        return np.fromfile(inputs.path(FRAMES, "all", f"{name}.bin"), _COLUMNS[name])[low:high]
+
+    def grid(name: str) -> NDArray:
+        kind = np.dtype(_GRIDS[name])
+        path = inputs.path(FRAMES, "all", f"{name}.bin")
+        values = np.fromfile(path, kind, (high - low) * scan.beams, offset=low * scan.beams * kind.itemsize)
+        return values.reshape(high - low, scan.beams)
+
+    columns = {n: column(n) for n in _COLUMNS}
+    grids = {n: grid(n) for n in meta["kept"] if n != "labels"}
+    none = np.empty(0, np.int32)
+    for k in range(high - low):
+        x = grids["x"][k] if "x" in grids else none
+        row = (grids["y"][k], grids["z"][k], grids["ranges"][k])
+        number, time, place, road = (columns[n][k] for n in _COLUMNS)
+        yield Placed(int(number), float(time), int(place), float(road), x, *row)
+
+
+def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str, Any]:
+    """Classify a recording into `target` (see `output`), judged where it has labels; plain data."""
+    model = load_model(work.model)
+    work = replace(work, params=params_of(model, work.params, work.model))
+    about = [str(work.recording), model_digest(work.model), work.params.model_dump(mode="json")]
+    first = Task(FRAMES, "all", VERSION, about, partial(read, work))
+    meta = require_all(runner, [first])[first.name].meta
+    count, step = int(meta["frames"]), work.params.chunk
+    if not count:
+        raise InputError(
+            "no frame of the recording can be used", where=work.recording, got=meta["told"], do="fwclass street info"
+        )
+    tasks = [
+        Task(CHUNK, f"{at:09d}", VERSION, about, partial(chunk, work, at, min(at + step, count)), needs=(first.name,))
+        for at in range(0, count, step)
+    ]
+    done = require_all(runner, tasks)
+    with (target / ANSWERS).open("wb") as file:
+        file.write(Writer(_scan(meta).beams).head)
+        for task in tasks:
+            with runner.store.path(CHUNK, task.part, PART).open("rb") as part:
+                shutil.copyfileobj(part, file, 1 << 20)
+        file.write(END)
+    accuracy = _judged(runner, meta, model, target, block) if "labels" in meta["kept"] else None
+    most, cut = (f(done[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
+    held = 2 * work.params.most_frames + 1
+    made = {
+        **meta["told"],
+        "neighbourhood": {"most_frames": most, "held": held, "cut": cut},
+        "accuracy": accuracy,
+        "street": work.params.model_dump(mode="json"),
+    }
+    finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), made)
+    return made
+
+
+def _judged(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path, block: float) -> dict[str, Any] | None:
+    """Figures where the recording has labels."""
+    scan = _scan(meta)
+    labels = np.memmap(runner.store.path(FRAMES, "all", "labels.bin"), np.uint8, "r").reshape(-1, scan.beams)
+    parts = []
+    for row, one in zip(labels, read_answers(target / ANSWERS), strict=True):
+        here = one.classification > 0
+        place = np.full(int(here.sum()), one.place)
+        parts.append(
+            BlockCounts.of(place, np.zeros_like(place), row[here], one.classification[here], model.classes, block)
+        )
+        if len(parts) > 500:
+            parts = [BlockCounts.merged(parts, len(model.classes))]
+    found = told(BlockCounts.merged(parts, len(model.classes)), model.classes)
+    return found if found["rows"] else None

@@ -1,0 +1,283 @@
+"""Crowns while the vehicle drives: frames as they come, the middle one answered, files whole at every moment."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import math
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass.classify.shares import answer
+from fwclass.conf.street import scanner
+from fwclass.errors import InputError
+from fwclass.graph.street import opened, params_of
+from fwclass.model import Model
+from fwclass.single_file.street.latency import Latency
+from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
+from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
+from fwclass.single_file.street.train import crown_lines
+from fwclass.store.models import load_model
+from fwclass.street.answers import ANSWERS, END, Answer, Writer, answered
+from fwclass.street.frames import Frame, Scan, Track
+from fwclass.street.params import StreetParams
+from fwclass.street.prescription import Prescriber, Segment
+from fwclass.street.ring import Ring, Seen
+
+WARM = 40
+"""Frames that everything is gone through with before anything is listened to, so that nothing compiles later."""
+
+
+def classified(one: Seen, model: Model) -> Answer:
+    """Classes and shares of a frame's returns."""
+    here = ~np.isnan(one.frame.r)
+    if not here.any():
+        return answered(one.frame, np.empty(0, np.uint8), np.empty(0))
+    winner, shares = answer(one.features[here], model)
+    return answered(one.frame, model.codes[winner], np.take_along_axis(shares, winner[:, None], axis=1)[:, 0])
+
+
+@dataclass
+class Loop:
+    """One frame in, the answers that it completes out; the same for every source."""
+
+    model: Model
+    params: StreetParams
+
+    def __post_init__(self) -> None:
+        self.track = Track(self.params)
+        self.ring: Ring | None = None
+        self.cut = self.most = 0
+
+    def take(self, frame: Frame) -> Iterator[Answer]:
+        placed = self.track.take(frame)
+        if placed is None:
+            return
+        if self.ring is None and self.track.geometry is not None:
+            self.ring = Ring(self.track.geometry, self.params)
+        if self.ring is not None:
+            yield from map(self._answer, self.ring.take(placed))
+
+    def rest(self) -> Iterator[Answer]:
+        if self.ring is not None:
+            yield from map(self._answer, self.ring.rest())
+
+    def _answer(self, one: Seen) -> Answer:
+        self.cut += one.cut
+        self.most = max(self.most, one.frames)
+        return classified(one, self.model)
+
+
+@dataclass
+class Files:
+    """The answers and segments of a run, appended."""
+
+    target: Path
+    params: StreetParams
+    crown: int
+
+    def __post_init__(self) -> None:
+        self._writer: Writer | None = None
+        self._prescriber = Prescriber(self.params, self.crown)
+        self._answers = (self.target / ANSWERS).open("wb", buffering=0)
+        self._csv = (self.target / CSV).open("wb", buffering=0)
+        self._csv.write(HEAD.encode())
+
+    def write(self, one: Answer) -> None:
+        if self._writer is None:
+            self._writer = Writer(len(one.classification))
+            self._answers.write(self._writer.head)
+        self._answers.write(self._writer.frame(one))
+        self._append(self._prescriber.take(one))
+
+    def _append(self, segments: Iterator[Segment]) -> None:
+        for segment in segments:
+            self._csv.write((segment.line() + "\n").encode())
+
+    def end(self) -> None:
+        self._append(self._prescriber.rest())
+        if self._writer is not None:
+            self._answers.write(END)
+        for file in (self._answers, self._csv):
+            os.fsync(file.fileno())
+            file.close()
+
+
+@dataclass(frozen=True)
+class Run:
+    """What `fwclass street run` was asked for."""
+
+    source: str
+    model: Path
+    target: Path
+    paced: bool
+    overwrite: bool
+    trajectory: tuple[Path, ...] = ()
+
+
+def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str, Any]:
+    """Answer a source of frames until it ends; plain data on latency and faults.
+
+    Raises
+    ------
+    InputError
+        The source broke off, stalled or holds no frame; what was answered stays.
+    KeyboardInterrupt
+        The user ended it; the files are whole.
+    """
+    model = load_model(asked.model)
+    params = params_of(model, params, asked.model)
+    if asked.source.startswith("tcp://"):
+        place_of(asked.source)
+    elif asked.source != "-":
+        opened(Path(asked.source), params, asked.trajectory)
+    prepare(asked.target, asked.overwrite)
+    warm(model, params)
+    with interruptible() as ended, ExitStack() as stack, without_garbage():
+        faults: Counter[str] = Counter()
+        frames, stream = _source(asked, params, ended, say, stack)
+        files = Files(asked.target, params, int(model.codes[0]))
+        loop, latency, late = Loop(model, params), Latency(), 0
+        broken: InputError | None = None
+        try:
+            for frame, there in frames:
+                given = False
+                for one in loop.take(frame):
+                    files.write(one)
+                    given = True
+                took = time.perf_counter() - there
+                if given:
+                    latency.add(took)
+                late += math.isfinite(loop.track.period) and took > loop.track.period
+        except InputError as fault:
+            broken = fault
+        for one in loop.rest():
+            files.write(one)
+        files.end()
+        interrupted = ended()
+        faults.update(stream.faults if stream is not None else {})
+    told = _summary(loop, latency, late, faults, params)
+    finish(asked.target, None, told)
+    if broken is not None:
+        raise broken
+    if stream is not None and stream.stalled:
+        raise InputError(
+            f"nothing came for {params.stream.stall:g} s",
+            where=asked.source,
+            got=f"{told['frames']} frames before",
+            do="what was answered stays; look at the sender, or give --set street.stream.stall=SECONDS",
+        )
+    if interrupted:
+        raise KeyboardInterrupt
+    if not told["frames"]:
+        raise InputError("not one frame came", where=asked.source, expected="frames", got=dict(faults) or "nothing")
+    return told
+
+
+def _source(
+    asked: Run, params: StreetParams, ended: Callable[[], bool], say: Callable[[str], None], stack: ExitStack
+) -> tuple[Iterator[tuple[Frame, float]], Any]:
+    if asked.source == "-":
+        stream = standard_input(params.stream, ended)
+        return stream.frames(), stream
+    if asked.source.startswith("tcp://"):
+        stream = stack.enter_context(listening(asked.source, params.stream, ended, say))
+        return stream.frames(), stream
+    recording = opened(Path(asked.source), params, asked.trajectory)
+    return from_recording(recording, asked.paced, ended), None
+
+
+def warm(model: Model, params: StreetParams) -> None:
+    """Go through everything once, in memory: kernels are loaded, or compiled, before the first frame."""
+    scan = Scan.of(scanner(params.scanner))
+    loop = Loop(model, params.model_copy(update={"speed": 1.0}))
+    random = np.random.default_rng(1)
+    writer, prescriber = Writer(scan.beams), Prescriber(params, int(model.codes[0]))
+    answers = []
+    for k in range(WARM):
+        ranges = random.uniform(0.5 * scan.range_max, scan.range_max, scan.beams).astype(np.float32)
+        answers += list(loop.take(Frame(k, 0.025 * k, scan, ranges)))
+    answers += list(loop.rest())
+    for one in answers:
+        writer.frame(one)
+        list(prescriber.take(one))
+
+
+@contextmanager
+def without_garbage() -> Iterator[None]:
+    """No collector meanwhile: nothing of the loop refers to itself, and a full collection takes some milliseconds."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+@contextmanager
+def interruptible() -> Iterator[Callable[[], bool]]:
+    """A function that says whether SIGINT or SIGTERM came."""
+    seen: list[int] = []
+    before = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(ValueError):  # not the main thread
+            before[number] = signal.signal(number, lambda s, _: seen.append(s))
+    try:
+        yield lambda: bool(seen)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _summary(loop: Loop, latency: Latency, late: int, faults: Counter[str], params: StreetParams) -> dict[str, Any]:
+    return {
+        **loop.track.told(),
+        "latency": latency.told(),
+        "late": int(late),
+        "stream": {name: n for name, n in faults.items() if n},
+        "neighbourhood": {"most_frames": loop.most, "held": 2 * params.most_frames + 1, "cut": int(loop.cut)},
+        "street": params.model_dump(mode="json"),
+    }
+
+
+def describe(made: dict[str, Any]) -> str:
+    """The same for a terminal."""
+    spent, near = made["latency"], made["neighbourhood"]
+    lines = [f"frames       {made['frames']}, {made['used']} used, {made['returns']} returns"]
+    if spent["frames"]:
+        lines.append(
+            f"latency      median {spent['median_ms']:.2f} ms, 99 % {spent['p99_ms']:.2f}, 99.9 % "
+            f"{spent['p999_ms']:.2f}, most {spent['most_ms']:.2f}"
+        )
+    lines.append(f"late         {made['late']} frames took longer than the next one")
+    lines.append(
+        f"spheres      reach over up to {near['most_frames']} frames of {near['held']} held; {near['cut']} cut"
+    )
+    counts = {**made["faults"], **made["stream"]}
+    if counts:
+        lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in counts.items()))
+    return "\n".join(lines)
+
+
+def describe_batch(made: dict[str, Any], target: Path) -> str:
+    """What `street classify` tells."""
+    near = made["neighbourhood"]
+    lines = [
+        f"frames       {made['frames']}, {made['used']} used, {made['returns']} returns",
+        f"spheres      reach over up to {near['most_frames']} frames of {near['held']} held; {near['cut']} cut",
+    ]
+    if made["faults"]:
+        lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in made["faults"].items()))
+    lines += crown_lines(made["accuracy"]) if made["accuracy"] else []
+    return "\n".join([*lines, f"answers      {target}"])

@@ -1,0 +1,273 @@
+"""Frames of a 2-D scanner: what one is, where its returns lie, and which of a recording's can be used."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.street.params import MountingParams, ScannerParams, StreetParams
+from fwclass.street.place_kernels import CAUSES, place_frame
+from fwclass.street.sphere_kernels import UNIT
+
+
+@dataclass(frozen=True)
+class Scan:
+    """The beams of a frame: how many, the angle of the first and the step between them [rad], valid ranges [m]."""
+
+    beams: int
+    first: float
+    step: float
+    range_min: float
+    range_max: float
+
+    @classmethod
+    def of(cls, scanner: ScannerParams) -> Scan:
+        """The beams of a data sheet [deg], in radians."""
+        return cls(
+            scanner.beams,
+            math.radians(scanner.first_angle),
+            math.radians(scanner.step),
+            scanner.range_min,
+            scanner.range_max,
+        )
+
+    @property
+    def wraps(self) -> bool:
+        """The beams go full circle."""
+        return self.beams * self.step > 2.0 * math.pi - 1.5 * self.step
+
+    def like(self, other: Scan) -> bool:
+        """The same beams, to a hundredth of a step."""
+        near = 0.01 * self.step
+        return (
+            self.beams == other.beams
+            and abs(self.first - other.first) <= near
+            and abs(self.step - other.step) * self.beams <= near
+        )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One scan.
+
+    Attributes
+    ----------
+    number : as the source counts it. time : [s].
+    ranges : float32 (beams,) [m]; NaN, infinite, below `range_min` or above `range_max` is no return.
+    speed : of the vehicle [m/s], place : along the road [m]; NaN where the source has none.
+    labels : uint8 (beams,) class codes, 0 none; or None.
+    """
+
+    number: int
+    time: float
+    scan: Scan
+    ranges: NDArray[np.float32]
+    speed: float = math.nan
+    place: float = math.nan
+    labels: NDArray[np.uint8] | None = None
+
+
+class Recording(Protocol):
+    """A source of frames. `told`: what the source says of itself, plain data."""
+
+    @property
+    def told(self) -> Mapping[str, Any]:
+        """Kind, columns or topics, rows: plain data."""
+        ...
+
+    def frames(self) -> Iterator[Frame]:
+        """The frames in the source's order; `InputError` where it cannot be read further."""
+        ...
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A frame that is used: coordinates from the scanner [units of `sphere_kernels.UNIT`].
+
+    Attributes
+    ----------
+    place : along the road [units]. road : height of the road above the scanner [m].
+    x : int32 (beams,), or (0,) where the scan plane is at right angles to the road. y, z : int32 (beams,).
+    r : float32 (beams,) [m], NaN without a return.
+    """
+
+    number: int
+    time: float
+    place: int
+    road: float
+    x: NDArray[np.int32]
+    y: NDArray[np.int32]
+    z: NDArray[np.int32]
+    r: NDArray[np.float32]
+    labels: NDArray[np.uint8] | None = None
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Directions of the beams on the vehicle, (beams, 3): x forward, y left, z up."""
+
+    scan: Scan
+    direction: NDArray[np.float64]
+    tilted: bool
+    lean: float
+
+    @classmethod
+    def of(cls, scan: Scan, mounting: MountingParams) -> Geometry:
+        """The directions of `scan`'s beams, unit vectors, on a vehicle that carries it so."""
+        angle = scan.first + scan.step * np.arange(scan.beams) + math.radians(mounting.roll)
+        side = 1.0 if mounting.side == "left" else -1.0
+        plane = np.stack([np.zeros(scan.beams), side * np.cos(angle), np.sin(angle)], axis=1)
+        p, w = math.radians(mounting.pitch), math.radians(mounting.yaw)
+        about_y = np.array([[math.cos(p), 0, math.sin(p)], [0, 1, 0], [-math.sin(p), 0, math.cos(p)]])
+        about_z = np.array([[math.cos(w), -math.sin(w), 0], [math.sin(w), math.cos(w), 0], [0, 0, 1]])
+        turn = about_z @ about_y
+        normal = turn[:, 0]
+        tilted = mounting.pitch != 0 or mounting.yaw != 0
+        return cls(scan, np.ascontiguousarray(plane @ turn.T), tilted, math.sqrt(max(0.0, 1.0 - normal[0] ** 2)))
+
+    @property
+    def reach(self) -> float:
+        """How far frames may be apart along the road for a sphere of radius 1 m to touch both [m]."""
+        return 1.0 / math.sqrt(1.0 - self.lean**2)
+
+
+FAULTS = (
+    "out of order",
+    "doubled",
+    "other beams",
+    "clock leaps",
+    "dropped before",
+    "reversing",
+    "standing",
+    "no speed",
+)
+"""What frames are counted for; the first three are left out."""
+
+
+@dataclass
+class Track:
+    """Takes frames one after the other: leaves out what cannot be used, and places the others along the road.
+
+    What it says of a frame follows from the frames before it alone: the same on-line and in a recording.
+    """
+
+    params: StreetParams
+    faults: Counter[str] = field(default_factory=Counter)
+    missing: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(CAUSES), np.int64))
+    frames: int = 0
+    used: int = 0
+    returns: int = 0
+    blind: int = 0
+    geometry: Geometry | None = None
+    _time: float = math.nan
+    _number: int = -1
+    _along: float = 0.0
+    _speed: float = math.nan
+    _given: float = math.nan
+    _steps: list[float] = field(default_factory=list)
+    _road: float = math.nan
+
+    @property
+    def period(self) -> float:
+        """Median time between the first frames [s]; NaN of fewer than two."""
+        return float(np.median(self._steps)) if self._steps else math.nan
+
+    def take(self, frame: Frame) -> Placed | None:
+        """The frame with its coordinates, or None if it is left out."""
+        self.frames += 1
+        if self.geometry is None:
+            self.geometry = Geometry.of(frame.scan, self.params.mounting)
+            self._road = -self.params.mounting.height
+        if not frame.scan.like(self.geometry.scan) or len(frame.ranges) != frame.scan.beams:
+            self.faults["other beams"] += 1
+            return None
+        if not self._in_time(frame):
+            return None
+        self.used += 1
+        return self._placed(frame, self.geometry)
+
+    def _in_time(self, frame: Frame) -> bool:
+        """Whether the frame comes after the one before; how far along the road it is."""
+        if not math.isfinite(frame.time):
+            self.faults["out of order"] += 1
+            return False
+        step = frame.time - self._time if self.used else 0.0
+        if self.used and -self.params.clock_jump <= step <= 0:
+            self.faults["doubled" if step == 0 else "out of order"] += 1
+            return False
+        period = self.period
+        if abs(step) > self.params.clock_jump:
+            self.faults["clock leaps"] += 1
+            step = period if math.isfinite(period) and step < 0 else max(step, 0.0)
+        elif math.isfinite(period) and step > 1.5 * period:
+            self.faults["dropped before"] += round(step / period) - 1
+        if self.used and len(self._steps) < 99 and step > 0:
+            self._steps.append(step)
+        self._advance(frame, step)
+        self._time = frame.time
+        return True
+
+    def _advance(self, frame: Frame, step: float) -> None:
+        if math.isfinite(frame.place):
+            moved = frame.place - self._given if math.isfinite(self._given) else 0.0
+            if not self.used:
+                self._along = frame.place
+            self._given = frame.place
+        else:
+            speed = frame.speed if math.isfinite(frame.speed) else self.params.speed
+            if speed is None:
+                self.faults["no speed"] += 1
+                speed = self._speed
+            if not math.isfinite(speed):
+                raise InputError(
+                    "nothing tells how the vehicle moved",
+                    where="the recording's first frame",
+                    expected="a column speed or place, or street.speed",
+                    got="neither",
+                    do="give --set street.speed=M_PER_S, or odometry in the recording",
+                )
+            self._speed = speed
+            moved = speed * step
+        self._along += moved
+        if self.used:
+            self.faults["reversing"] += moved < 0
+            self.faults["standing"] += moved == 0
+
+    def _placed(self, frame: Frame, geometry: Geometry) -> Placed:
+        beams = geometry.scan.beams
+        x = np.empty(beams if geometry.tilted else 0, np.int32)
+        y, z, r = np.empty(beams, np.int32), np.empty(beams, np.int32), np.empty(beams, np.float32)
+        under = np.empty(beams)
+        limits = geometry.scan.range_min, geometry.scan.range_max
+        below = -0.5 * self.params.mounting.height
+        near = self.params.road_half_width
+        count = place_frame(frame.ranges, geometry.direction, *limits, near, below, x, y, z, r, self.missing, under)
+        here = beams - int(np.isnan(r).sum())
+        self.returns += here
+        self.blind += here == 0
+        if count >= FEWEST_ROAD:
+            self._road = float(np.median(under[:count]))
+        place = round(self._along / UNIT)
+        return Placed(frame.number, frame.time, place, self._road, x, y, z, r, frame.labels)
+
+    def told(self) -> dict[str, Any]:
+        """Counts by cause, plain data."""
+        return {
+            "frames": self.frames,
+            "used": self.used,
+            "returns": self.returns,
+            "blind": self.blind,
+            "missing": dict(zip(CAUSES, self.missing.tolist(), strict=True)),
+            "faults": {name: self.faults[name] for name in FAULTS if self.faults[name]},
+        }
+
+
+FEWEST_ROAD = 5
+"""Returns beside the vehicle that tell the height of the road; with fewer the last one holds."""

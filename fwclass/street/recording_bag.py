@@ -1,0 +1,133 @@
+"""ROS bags: ROS 1, and ROS 2 as sqlite3 or MCAP, with `sensor_msgs/LaserScan`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass.errors import ConfigError, InputError
+from fwclass.street.frames import Frame, Scan
+from fwclass.street.recording_columns import MOST_BEAMS, frame_of
+
+SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
+
+LARGEST = 64 << 30
+"""Bytes of a bag."""
+
+MESSAGE = 64 + 8 * MOST_BEAMS + 4096
+"""Bytes of a scan at most."""
+
+
+class BagRecording:
+    """Scans of a topic; the vehicle's speed from `nav_msgs/Odometry`, the last one before a scan, if the bag has it."""
+
+    def __init__(self, path: Path, scan: Scan, topic: str | None) -> None:
+        self.path, self._scan = path, scan
+        size = sum(p.stat().st_size for p in ([path] if path.is_file() else sorted(path.iterdir())) if p.is_file())
+        if size > LARGEST:
+            raise InputError("the bag is too large", where=path, expected=f"at most {LARGEST} bytes", got=size)
+        with self._opened() as reader:
+            kinds = {(c.topic, c.msgtype): 0 for c in reader.connections}
+            for c in reader.connections:
+                kinds[c.topic, c.msgtype] += int(c.msgcount)
+        scans = sorted({t for t, kind in kinds if kind == SCAN})
+        self.topic = self._chosen(scans, topic, kinds)
+        self._odometry = next((t for t, kind in sorted(kinds) if kind == ODOMETRY), None)
+        self.told: Mapping[str, Any] = {
+            "kind": "ROS bag",
+            "topic": self.topic,
+            "rows": kinds[self.topic, SCAN],
+            "odometry": self._odometry,
+            "topics": {f"{t} ({kind})": n for (t, kind), n in sorted(kinds.items())},
+        }
+
+    def _chosen(self, scans: list[str], asked: str | None, kinds: Mapping[tuple[str, str], int]) -> str:
+        if asked is None and len(scans) == 1:
+            return scans[0]
+        if asked in scans:
+            return str(asked)
+        held = ", ".join(f"{t} ({kind})" for t, kind in sorted(kinds)) or "nothing"
+        if not scans:
+            raise InputError(
+                "the bag has no laser scans", where=self.path, expected=SCAN, got=held, do="record the scanner's topic"
+            )
+        if asked is None:
+            raise InputError(
+                "the bag has laser scans of several topics",
+                where=self.path,
+                expected="one, or its name",
+                got=", ".join(scans),
+                do=f"choose one: --set street.topic={scans[0]}",
+            )
+        raise ConfigError(
+            "the bag has no laser scans of this topic", where="street.topic", expected=", ".join(scans), got=asked
+        )
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        try:
+            from rosbags.highlevel import AnyReader
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError as fault:
+            raise ConfigError(
+                "ROS bags are read by the library rosbags", where=self.path, do="pip install 'fwclass[street]'"
+            ) from fault
+        try:
+            reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            reader.open()
+        except Exception as fault:  # the library lets through whatever its parsers raise
+            raise self._damaged(fault) from fault
+        try:
+            yield reader
+        finally:
+            reader.close()
+
+    def frames(self) -> Iterator[Frame]:
+        """As `Recording.frames`."""
+        speed = math.nan
+        with self._opened() as reader:
+            wanted = [c for c in reader.connections if c.topic in (self.topic, self._odometry)]
+            coming = iter(reader.messages(connections=wanted))
+            at = 0
+            while True:
+                try:
+                    connection, _, raw = next(coming)
+                    if len(raw) > MESSAGE:
+                        raise ValueError(f"a message of {len(raw)} bytes")
+                    message = reader.deserialize(raw, connection.msgtype)
+                except StopIteration:
+                    return
+                except Exception as fault:
+                    raise self._damaged(fault, at) from fault
+                if connection.msgtype == ODOMETRY:
+                    speed = float(message.twist.twist.linear.x)
+                    continue
+                yield self._frame(message, at, speed)
+                at += 1
+
+    def _frame(self, message: Any, at: int, speed: float) -> Frame:
+        stamp = message.header.stamp
+        numbers = {
+            "frame": float(getattr(message.header, "seq", at)),
+            "time": stamp.sec + 1e-9 * stamp.nanosec,
+            "speed": speed,
+            "angle_min": float(message.angle_min),
+            "angle_increment": float(message.angle_increment),
+            "range_min": float(message.range_min),
+            "range_max": float(message.range_max),
+        }
+        return frame_of(at, numbers, np.asarray(message.ranges, np.float32), None, self._scan, self.path)
+
+    def _damaged(self, fault: Exception, at: int = -1) -> InputError:
+        return InputError(
+            "the bag cannot be read" + (f" further than frame {at}" if at >= 0 else ""),
+            where=self.path,
+            expected="a whole ROS 1 bag, or a ROS 2 bag's directory",
+            got=f"{type(fault).__name__}: {fault}"[:300],
+            do="it is cut short or damaged: `rosbag reindex`, `ros2 bag reindex`, or copy it again",
+        )

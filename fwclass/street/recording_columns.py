@@ -1,0 +1,117 @@
+"""Columns of a recording, the same for every door: a row a frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError, nearest
+from fwclass.street.frames import Frame, Scan
+
+MOST_BEAMS = 30_000
+"""Of a frame; scanners have up to 25 200."""
+
+NUMBERS = ("frame", "time", "speed", "place", "angle_min", "angle_increment", "range_min", "range_max")
+LISTS = ("ranges", "labels", "intensities")
+COLUMNS = (*NUMBERS, *LISTS)
+"""frame: number; time [s]; speed [m/s]; place along the road [m]; angle_min, angle_increment [rad]; range_min,
+range_max [m]; ranges [m] per beam; labels: class codes per beam, 0 none; intensities per beam, passed over."""
+
+
+def check_columns(names: Iterable[str], path: Path) -> None:
+    """`InputError` for a column that is none of `COLUMNS`, or one that is missing."""
+    held = list(names)
+    for name in held:
+        if name not in COLUMNS:
+            raise InputError(
+                "a column is unknown",
+                where=f"{path}: column {name}",
+                expected=", ".join(COLUMNS),
+                got=name,
+                do=f"{nearest(name, COLUMNS)}, or leave it out",
+            )
+    lacking = [n for n in ("time", "ranges") if n not in held]
+    if lacking:
+        raise InputError(
+            "a column is missing", where=path, expected="time, ranges", got=", ".join(held), do=f"write {lacking[0]}"
+        )
+
+
+def scan_of(numbers: Mapping[str, float], scan: Scan, beams: int) -> Scan:
+    """`scan` with what a frame says itself; an angle [rad] that is missing is the recording's."""
+
+    def told(name: str, other: float) -> float:
+        value = numbers.get(name, math.nan)
+        return value if math.isfinite(value) else other
+
+    return replace(
+        scan,
+        beams=beams,
+        first=told("angle_min", scan.first),
+        step=told("angle_increment", scan.step),
+        range_min=told("range_min", scan.range_min),
+        range_max=told("range_max", scan.range_max),
+    )
+
+
+def frame_of(
+    at: int,
+    numbers: Mapping[str, float],
+    ranges: NDArray[np.float32],
+    labels: NDArray[np.uint8] | None,
+    scan: Scan,
+    path: Path | str,
+) -> Frame:
+    """A frame from row `at`: `ranges` (beams,) [m], `scan` what holds where the row is silent."""
+    if not 0 < len(ranges) <= MOST_BEAMS:
+        raise InputError(
+            "a frame has no beams, or more than any scanner",
+            where=f"{path}: row {at + 1}",
+            expected=f"1 to {MOST_BEAMS} ranges",
+            got=len(ranges),
+            do="write the recording again",
+        )
+    if labels is not None and len(labels) != len(ranges):
+        raise InputError(
+            "a frame has not one label for every beam",
+            where=f"{path}: row {at + 1}",
+            expected=f"{len(ranges)} labels",
+            got=len(labels),
+            do="write the labels again",
+        )
+    number = numbers.get("frame", math.nan)
+    own = scan_of(numbers, scan, len(ranges))
+    if not 0 < own.step <= math.pi:
+        raise InputError(
+            "beams have no step",
+            where=f"{path}: row {at + 1}",
+            expected="an angle_increment above 0, in radians",
+            got=own.step,
+            do="mend it, or name the scanner (street.scanner)",
+        )
+    return Frame(
+        int(number) if math.isfinite(number) else at,
+        numbers["time"],
+        own,
+        np.ascontiguousarray(ranges, np.float32),
+        numbers.get("speed", math.nan),
+        numbers.get("place", math.nan),
+        labels,
+    )
+
+
+def settings_of(told: Mapping[str, Any], scan: Scan) -> Scan:
+    """`scan` with what the file's own settings say."""
+    numbers = {}
+    for name in ("angle_min", "angle_increment", "range_min", "range_max"):
+        try:
+            numbers[name] = float(told.get(name, math.nan))
+        except (TypeError, ValueError):
+            numbers[name] = math.nan
+    return scan_of(numbers, scan, scan.beams)

@@ -1,0 +1,164 @@
+"""Recordings as Parquet: a row a frame, lists of ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError
+from fwclass.street.frames import Frame, Scan
+from fwclass.street.recording_columns import COLUMNS, LISTS, MOST_BEAMS, NUMBERS, check_columns, frame_of, settings_of
+
+BLOCK = 64
+"""Frames that are held at a time."""
+
+FEWEST_BYTES = 1 / 2000
+"""A number takes at least so many bytes of a file, on average."""
+
+ROWS = 512
+"""Frames of a row group that is written."""
+
+Lists = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
+
+
+class ParquetRecording:
+    """Frames of a Parquet file; see `recording_columns`. Settings that hold for all may stand in its metadata."""
+
+    def __init__(self, path: Path, scan: Scan) -> None:
+        self.path = path
+        try:
+            with pq.ParquetFile(path) as file:
+                schema, meta = file.schema_arrow, file.metadata
+                groups = [meta.row_group(g) for g in range(meta.num_row_groups)]
+                values = sum(g.column(c).num_values for g in groups for c in range(meta.num_columns))
+                rows = [g.num_rows for g in groups]
+        except (pa.ArrowException, OSError) as fault:
+            raise damaged(path, fault) from None
+        check_columns(schema.names, path)
+        for name in schema.names:
+            kind = schema.field(name).type
+            nested = any(test(kind) for test in Lists)
+            inner = kind.value_type if nested else kind
+            if nested != (name in LISTS) or not (pa.types.is_integer(inner) or pa.types.is_floating(inner)):
+                raise InputError(
+                    "a column has a type that it cannot have",
+                    where=f"{path}: column {name}",
+                    expected="lists of numbers" if name in LISTS else "numbers",
+                    got=str(kind),
+                    do="write the column again",
+                )
+            if pa.types.is_fixed_size_list(kind) and kind.list_size > MOST_BEAMS:
+                raise InputError(
+                    "a frame has more beams than any scanner",
+                    where=f"{path}: column {name}",
+                    expected=f"at most {MOST_BEAMS}",
+                    got=kind.list_size,
+                )
+        size = path.stat().st_size
+        if min([*rows, 0]) < 0 or values * FEWEST_BYTES > size or sum(rows) * FEWEST_BYTES > size:
+            raise InputError(
+                "the file counts more than it can hold",
+                where=path,
+                expected=f"numbers of {size} bytes",
+                got=f"{sum(rows)} frames, {values} numbers",
+                do="the file is damaged; write it again",
+            )
+        held = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
+        self._names = [n for n in schema.names if n != "intensities"]
+        self._scan = settings_of(held, scan)
+        self.told: Mapping[str, Any] = {"kind": "Parquet", "rows": sum(rows), "columns": list(schema.names)}
+
+    def frames(self) -> Iterator[Frame]:
+        """As `Recording.frames`."""
+        at = 0
+        try:
+            with pq.ParquetFile(self.path) as file:
+                for batch in file.iter_batches(BLOCK, columns=self._names, use_threads=False):
+                    numbers = {n: _numbers(batch.column(n)) for n in self._names if n in NUMBERS}
+                    for row in range(batch.num_rows):
+                        here = {n: float(v[row]) for n, v in numbers.items()}
+                        ranges = _list(batch, "ranges", row, np.float32)
+                        labels = _list(batch, "labels", row, np.uint8) if "labels" in self._names else None
+                        yield frame_of(at, here, ranges, labels, self._scan, self.path)
+                        at += 1
+        except (pa.ArrowException, OSError) as fault:
+            raise damaged(self.path, fault) from None
+
+
+def _numbers(column: pa.Array) -> NDArray[np.float64]:
+    return np.asarray(column.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy(zero_copy_only=False))
+
+
+def _list(batch: pa.RecordBatch, name: str, row: int, kind: Any) -> NDArray:
+    values = batch.column(name)[row].values
+    if values is None:
+        return np.empty(0, kind)
+    if kind is np.uint8:
+        return np.asarray(values.cast(pa.uint8(), safe=False).fill_null(0).to_numpy(zero_copy_only=False))
+    if values.null_count or values.type != pa.float32():
+        values = values.cast(pa.float32(), safe=False).fill_null(np.nan)
+    return np.asarray(values.to_numpy(zero_copy_only=False))
+
+
+def damaged(path: Path, fault: Exception) -> InputError:
+    """The words for a file that Arrow refuses."""
+    return InputError(
+        "the Parquet file cannot be read",
+        where=path,
+        expected=f"a row a frame: {', '.join(COLUMNS)}",
+        got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
+        do="it is cut short or damaged; write it again",
+    )
+
+
+def write_recording(path: Path, frames: Iterable[Frame]) -> int:
+    """Write frames, of one scan each like the first, as `ParquetRecording` reads them; return their number."""
+    writer: pq.ParquetWriter | None = None
+    held: list[Frame] = []
+    count = 0
+
+    def flush() -> None:
+        nonlocal writer, held
+        if not held:
+            return
+        table = _table(held)
+        writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")
+        writer.write_table(table)
+        held = []
+
+    try:
+        for frame in frames:
+            held.append(frame)
+            count += 1
+            if len(held) == ROWS:
+                flush()
+        flush()
+    finally:
+        if writer is not None:
+            writer.close()
+    return count
+
+
+def _table(frames: list[Frame]) -> pa.Table:
+    scan, beams = frames[0].scan, frames[0].scan.beams
+    columns: dict[str, pa.Array] = {
+        "frame": pa.array([f.number for f in frames], pa.int64()),
+        "time": pa.array([f.time for f in frames], pa.float64()),
+        "speed": pa.array([f.speed for f in frames], pa.float64()),
+    }
+    if not all(np.isnan(f.place) for f in frames):
+        columns["place"] = pa.array([f.place for f in frames], pa.float64())
+    ranges = pa.array(np.concatenate([f.ranges for f in frames]), pa.float32())
+    columns["ranges"] = pa.FixedSizeListArray.from_arrays(ranges, beams)
+    if frames[0].labels is not None:
+        labels = pa.array(np.concatenate([f.labels for f in frames if f.labels is not None]), pa.uint8())
+        columns["labels"] = pa.FixedSizeListArray.from_arrays(labels, beams)
+    told = {"angle_min": scan.first, "angle_increment": scan.step, "range_min": scan.range_min}
+    told["range_max"] = scan.range_max
+    return pa.table(columns).replace_schema_metadata({k: repr(float(v)) for k, v in told.items()})

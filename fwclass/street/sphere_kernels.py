@@ -1,0 +1,220 @@
+"""Spheres over the variable-scale grid: neighbours of a frame's returns among frames and beams, and their sums.
+
+Cell (i, j) of the grid is beam j of frame i (Li 2018, 2.1). Coordinates are whole units, so that a sphere's members and
+its sums are exact, whatever the order: equal for a ring of frames, for a chunk of a recording, on any processor.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fwclass.kernel import inlined, kernel, vectorised
+
+UNIT = 1.0 / 1024.0
+"""m, of the stored coordinates: scanners tell whole millimetres."""
+
+FAR = 1 << 22
+"""units, where a beam without return lies: 4 km, out of every sphere."""
+
+LARGEST_RADIUS = 1.2
+"""m; the squares of `RUN` offsets fit into 31 bits."""
+
+RUN = 1024
+"""Beams whose sums are taken in 32 bits."""
+
+_EDGE = 2047
+"""units that an offset is cut to: more than the largest radius, and two squares of it add up in 32 bits."""
+
+_ROUNDING = 2.0
+"""units, by which the distance of two returns may be off as coordinates are rounded: √2 at most."""
+
+SUMS = 14
+"""Count, sums (x, y, z, xx, yy, zz, xy, xz, yz), lowest and highest y, lowest and highest z; offsets in units."""
+
+
+@vectorised
+def _flat_run(Y, Z, first, last, y0, z0, rest, out):  # type: ignore[no-untyped-def]
+    """Count, sums and extremes of y and z offsets of the beams `first` to `last` of one frame."""
+    n = sy = sz = syy = szz = syz = np.int32(0)
+    yl = yh = zl = zh = np.int32(0)
+    edge, low = np.int32(_EDGE), np.int32(-_EDGE)
+    for s in range(first, last):
+        dy = np.int32(Y[s] - y0)
+        dz = np.int32(Z[s] - z0)
+        dy = min(max(dy, low), edge)
+        dz = min(max(dz, low), edge)
+        inside = np.int32(np.int32(dy * dy) + np.int32(dz * dz)) <= rest
+        dy = dy if inside else np.int32(0)
+        dz = dz if inside else np.int32(0)
+        n = np.int32(n + np.int32(inside))
+        sy = np.int32(sy + dy)
+        sz = np.int32(sz + dz)
+        syy = np.int32(syy + np.int32(dy * dy))
+        szz = np.int32(szz + np.int32(dz * dz))
+        syz = np.int32(syz + np.int32(dy * dz))
+        yl, yh = min(yl, dy), max(yh, dy)  # the centre is a member: the zeros of others change nothing
+        zl, zh = min(zl, dz), max(zh, dz)
+    out[0], out[1], out[2], out[3], out[4], out[5] = n, sy, sz, syy, szz, syz
+    out[6], out[7], out[8], out[9] = yl, yh, zl, zh
+
+
+@kernel
+def _add_flat(Y, Z, first, last, y0, z0, dx, rest, part, sums):  # type: ignore[no-untyped-def]
+    for begin in range(first, last, RUN):
+        _flat_run(Y, Z, begin, min(begin + RUN, last), y0, z0, rest, part)
+        n = np.int64(part[0])
+        sums[0] += n
+        sums[1] += dx * n
+        sums[2] += part[1]
+        sums[3] += part[2]
+        sums[4] += dx * dx * n
+        sums[5] += part[3]
+        sums[6] += part[4]
+        sums[7] += dx * part[1]
+        sums[8] += dx * part[2]
+        sums[9] += part[5]
+        sums[10], sums[11] = min(sums[10], part[6]), max(sums[11], part[7])
+        sums[12], sums[13] = min(sums[12], part[8]), max(sums[13], part[9])
+
+
+@kernel
+def _add_tilted(X, Y, Z, first, last, x0, y0, z0, most, sums):  # type: ignore[no-untyped-def]
+    """As `_add_flat` where the scan plane leans along the road: every return has its own x."""
+    for s in range(first, last):
+        dx, dy, dz = np.int64(X[s]) - x0, np.int64(Y[s]) - y0, np.int64(Z[s]) - z0
+        if dx * dx + dy * dy + dz * dz <= most:
+            sums[0] += 1
+            sums[1] += dx
+            sums[2] += dy
+            sums[3] += dz
+            sums[4] += dx * dx
+            sums[5] += dy * dy
+            sums[6] += dz * dz
+            sums[7] += dx * dy
+            sums[8] += dx * dz
+            sums[9] += dy * dz
+            sums[10], sums[11] = min(sums[10], dy), max(sums[11], dy)
+            sums[12], sums[13] = min(sums[12], dz), max(sums[13], dz)
+
+
+@kernel
+def frame_sums(X, Y, Z, R, place, rows, middle, radius, step, lean, wraps, narrow, sums):  # type: ignore[no-untyped-def]
+    """Sums over the sphere of every return of one frame.
+
+    Parameters
+    ----------
+    X, Y, Z : int32 (rows, beams), coordinates from the scanner [units], `FAR` in y and z without a return; X has no
+        rows where the scan plane is at right angles to the road.
+    R : float32 (rows, beams), range [m], NaN without a return.
+    place : int64 (rows,), of the frames along the road [units].
+    rows : int64, rows of the frames that may have members, the middle one among them.
+    radius : of the sphere [m]; step : between beams [rad].
+    lean : length along the scan plane of one unit along the road, 0 where X has no rows.
+    wraps : the beams go full circle. narrow : the paper's window δ / (r Δα) instead of the exact one.
+    sums : int64 (beams, `SUMS`), filled; the count is 0 without a return.
+    """
+    beams = Y.shape[1]
+    reach = radius / UNIT
+    most = np.int64(math.floor(reach * reach))
+    part = np.empty(10, np.int32)
+    tilted = len(X) > 0
+    share = np.empty(len(rows))
+    for q in range(len(rows)):
+        along = abs(place[rows[q]] - place[middle])
+        inner = math.sqrt(max(reach * reach - (along * along if not tilted else 0), 0.0))
+        share[q] = (inner + _ROUNDING) / (reach + _ROUNDING)
+    for j in range(beams):
+        sums[j, :] = 0
+        r = np.float64(R[middle, j])
+        if not r > 0:
+            continue
+        y0, z0 = Y[middle, j], Z[middle, j]
+        for q in range(len(rows)):
+            k = rows[q]
+            dx = place[k] - place[middle]
+            if not tilted and dx * dx > most:
+                continue
+            wide = radius + _ROUNDING * UNIT + abs(dx) * lean * UNIT
+            if narrow:
+                half = int(radius / (r * step)) if r > radius else beams
+            elif r <= wide:
+                half = beams
+            else:  # asin(t s) <= t asin(s): the circle in which the sphere cuts a frame aside is smaller
+                half = int(share[q] * math.asin(wide / r) / step) + 1
+            half = min(half, beams)
+            first, last = j - half, j + half + 1
+            if wraps and last - first >= beams:
+                first, last = 0, beams
+            before, after = max(-first, 0), max(last - beams, 0)
+            first, last = max(first, 0), min(last, beams)
+            if tilted:
+                x0 = np.int64(X[middle, j]) - dx
+                _add_tilted(X[k], Y[k], Z[k], first, last, x0, y0, z0, most, sums[j])
+                if wraps and before:
+                    _add_tilted(X[k], Y[k], Z[k], beams - before, beams, x0, y0, z0, most, sums[j])
+                if wraps and after:
+                    _add_tilted(X[k], Y[k], Z[k], 0, after, x0, y0, z0, most, sums[j])
+            else:
+                rest = np.int32(most - dx * dx)
+                _add_flat(Y[k], Z[k], first, last, y0, z0, dx, rest, part, sums[j])
+                if wraps and before:
+                    _add_flat(Y[k], Z[k], beams - before, beams, y0, z0, dx, rest, part, sums[j])
+                if wraps and after:
+                    _add_flat(Y[k], Z[k], 0, after, y0, z0, dx, rest, part, sums[j])
+
+
+@inlined
+def _eigenvalues(a, b, c, d, e, f):  # type: ignore[no-untyped-def]
+    """Eigenvalues of [[a, d, e], [d, b, f], [e, f, c]], falling, none below 0 (trigonometric form)."""
+    q = (a + b + c) / 3.0
+    p2 = (a - q) ** 2 + (b - q) ** 2 + (c - q) ** 2 + 2.0 * (d * d + e * e + f * f)
+    if p2 <= 1e-24 * q * q or p2 == 0.0:
+        return max(q, 0.0), max(q, 0.0), max(q, 0.0)
+    p = math.sqrt(p2 / 6.0)
+    A, B, C, D, E, F = (a - q) / p, (b - q) / p, (c - q) / p, d / p, e / p, f / p
+    half = 0.5 * (A * (B * C - F * F) - D * (D * C - F * E) + E * (D * F - B * E))
+    angle = math.acos(min(1.0, max(-1.0, half))) / 3.0
+    first = q + 2.0 * p * math.cos(angle)
+    third = q + 2.0 * p * math.cos(angle + 2.0 * math.pi / 3.0)
+    return max(first, 0.0), max(3.0 * q - first - third, 0.0), max(third, 0.0)
+
+
+@kernel
+def features_of(sums, y, z, road, from_road, out):  # type: ignore[no-untyped-def]
+    """The eleven features of Li 2018 from `frame_sums`; NaN without a return.
+
+    Parameters
+    ----------
+    sums : int64 (beams, `SUMS`). y, z : int32 (beams,), of the centres [units].
+    road : height of the road beside the vehicle above the scanner [m]; taken from the mean height if `from_road`.
+    out : float32 (beams, 11), filled, in the paper's order.
+    """
+    for j in range(len(sums)):
+        n = np.float64(sums[j, 0])
+        if n == 0:
+            out[j, :] = np.nan
+            continue
+        s, per = sums[j], UNIT * UNIT / (n * n)
+        side = 1.0 if y[j] >= 0 else -1.0
+        xx = (n * s[4] - np.float64(s[1]) * s[1]) * per
+        yy = (n * s[5] - np.float64(s[2]) * s[2]) * per
+        zz = (n * s[6] - np.float64(s[3]) * s[3]) * per
+        xy = (n * s[7] - np.float64(s[1]) * s[2]) * per
+        xz = (n * s[8] - np.float64(s[1]) * s[3]) * per
+        yz = (n * s[9] - np.float64(s[2]) * s[3]) * per
+        l1, l2, l3 = _eigenvalues(xx, yy, zz, xy, xz, yz)
+        out[j, 0] = (z[j] + s[3] / n) * UNIT - (road if from_road else 0.0)
+        out[j, 1] = zz
+        out[j, 2] = (s[13] - s[12]) * UNIT
+        out[j, 3] = side * (y[j] + s[2] / n) * UNIT
+        out[j, 4] = yy
+        out[j, 5] = (s[11] - s[10]) * UNIT
+        out[j, 6] = n
+        out[j, 7] = (l1 * l2 * l3) ** (1.0 / 3.0)
+        if l1 > 0.0:
+            g1, g2, g3 = math.sqrt(l1), math.sqrt(l2), math.sqrt(l3)
+            out[j, 8], out[j, 9], out[j, 10] = (g1 - g2) / g1, (g2 - g3) / g1, g3 / g1
+        else:
+            out[j, 8], out[j, 9], out[j, 10] = 0.0, 0.0, 0.0

@@ -1,0 +1,73 @@
+"""Rectangles by hand: applied in their order, checked, shown, continued."""
+
+import numpy as np
+import pytest
+from streetmaker import config, directory
+
+from fwclass.errors import InputError
+from fwclass.single_file.street.annotate import annotate
+from fwclass.street.annotation import read_boxes
+from fwclass.street.frames import Scan
+from fwclass.street.recordings import open_recording
+
+HEAD = "begin,end,y0,y1,z0,z1,kind,class\n"
+SCAN = Scan(1081, -2.356, 0.00436, 0.1, 30.0)
+
+
+def annotated(tmp_path, lines, out=True, preview=False):
+    path = tmp_path / "a.csv"
+    if lines is not None:
+        path.write_text(HEAD + lines)
+    there = tmp_path / "out.parquet" if out else None
+    shown = tmp_path / "shown" if preview else None
+    return annotate(directory() / "drive.parquet", path, there, shown, 2.0, True, config().street)
+
+
+def test_rectangles_give_labels_in_their_order(tmp_path):
+    made = annotated(
+        tmp_path,
+        "0,2,-20,0,1,20,include,5\n0,2,-20,0,3,4,exclude,\n0,2,,,,,rest,2\n1,3,50,60,0,1,include,5\n",
+        preview=True,
+    )
+    assert any("line 5: no return" in text for text in made["remarks"])
+    assert made["next"] == [2.0, 4.0]
+    assert {p.rsplit("/", 1)[1] for p in made["pictures"]} >= {"slice-000000.00.png", "next.png"}
+    frames = list(open_recording(tmp_path / "out.parquet", SCAN).frames())
+    for frame in frames[::20]:
+        here = np.isfinite(frame.ranges)
+        z = frame.ranges * np.sin(frame.scan.first + frame.scan.step * np.arange(1081))
+        inner = here & (z > 3.01) & (z < 3.99)
+        if frame.place < 2:
+            assert (frame.labels[here] > 0).all()
+            assert not (frame.labels[inner] == 5).any()
+        else:
+            assert not frame.labels.any()
+    assert set(np.unique(np.concatenate([f.labels for f in frames]))) == {0, 2, 5}
+
+
+def test_an_annotation_is_begun_and_goes_on(tmp_path):
+    made = annotated(tmp_path, None, out=False, preview=True)
+    assert made["begun"]
+    assert made["next"] == [0.0, 2.0]
+    assert made["unlabelled"] == 1.0
+    made = annotated(tmp_path, "0,2,,,,,rest,2\n", out=False)
+    assert made["next"] == [2.0, 4.0]
+
+
+def test_boxes_that_overlap_are_told(tmp_path):
+    made = annotated(tmp_path, "0,2,-9,0,1,9,include,5\n1,2,-9,0,1,9,include,6\n", out=False)
+    assert any("lines 2 and 3: class 5 and 6 overlap" in text for text in made["remarks"])
+
+
+def test_all_that_is_wrong_is_told_at_once(tmp_path):
+    (tmp_path / "a.csv").write_text(
+        HEAD
+        + "2,0,0,1,0,1,include,5\n0,1,1,0,0,1,include,5\n0,1,0,1,0,1,maybe,5\n"
+        + "0,1,0,1,0,1,include,300\n0,1\n0,x,0,1,0,1,include,5\n"
+    )
+    with pytest.raises(InputError, match="6 rectangles cannot be used") as told:
+        read_boxes(tmp_path / "a.csv")
+    assert "line 2: begin, end are turned round" in str(told.value)
+    (tmp_path / "b.csv").write_text("x,y\n")
+    with pytest.raises(InputError, match="another heading"):
+        read_boxes(tmp_path / "b.csv")

@@ -1,0 +1,172 @@
+"""Doors: Parquet, CSV, bags; frames that cannot be used are counted, files that cannot be read are told."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from streetmaker import config, drive
+
+from fwclass.errors import InputError
+from fwclass.single_file.street.info import info
+from fwclass.street.frames import Scan, Track
+from fwclass.street.recording_parquet import write_recording
+from fwclass.street.recordings import open_recording
+
+SCAN = Scan(1081, -2.356, 0.00436, 0.1, 30.0)
+
+
+def taken(frames, **changed):
+    track = Track(config().street.model_copy(update=changed))
+    return [p for f in frames if (p := track.take(f)) is not None], track
+
+
+def test_the_public_bag(shared_data):
+    made = info(shared_data / "street" / "sick_lms1xx.bag", config("street.speed=null").street)
+    assert (made["frames"], made["used"], made["scan"]["beams"]) == (89, 89, 541)
+    assert made["missing"]["below range_min"] == 6220
+    assert made["returns"] == 48149 - 6220
+    assert made["topic"] == "/sick_lms_1xx/scan"
+    assert made["period_ms"] == pytest.approx([19.806, 20.005, 20.533], abs=0.01)
+    assert any("12.9 %" in text for text in made["remarks"])
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.7, 0.98])
+def test_a_bag_that_was_cut_is_told(tmp_path, shared_data, share):
+    data = (shared_data / "street" / "sick_lms1xx.bag").read_bytes()
+    (tmp_path / "cut.bag").write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError, match="bag"):
+        list(open_recording(tmp_path / "cut.bag", SCAN).frames())
+
+
+def laser_bag(path, topics, ros2=False):
+    """A bag by the library's own writer, with two scans of three beams on every topic."""
+    from rosbags.rosbag1 import Writer as One
+    from rosbags.rosbag2 import Writer as Two
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE if ros2 else Stores.ROS1_NOETIC)
+    types = store.types
+    Time, Header, Laser = (
+        types[n] for n in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "sensor_msgs/msg/LaserScan")
+    )
+    with Two(path, version=9) if ros2 else One(path) as writer:
+        for topic, kind in topics.items():
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for k in range(2):
+                stamp = Time(sec=10, nanosec=k * 25_000_000)
+                head = Header(stamp=stamp, frame_id="") if ros2 else Header(seq=k, stamp=stamp, frame_id="")
+                ranges = np.array([1.0, np.inf, 0.01], np.float32)
+                scan = Laser(head, -0.1, 0.1, 0.1, 0.0, 0.025, 0.1, 30.0, ranges, np.zeros(0, np.float32))
+                message = scan if kind.endswith("LaserScan") else head
+                raw = store.serialize_cdr(message, kind) if ros2 else store.serialize_ros1(message, kind)
+                writer.write(connection, 10_000_000_000 + k, raw)
+
+
+@pytest.mark.parametrize("ros2", [False, True])
+def test_bags_of_both_kinds(tmp_path, ros2):
+    bag = tmp_path / ("directory" if ros2 else "one.bag")
+    laser_bag(bag, {"/scan": "sensor_msgs/msg/LaserScan"}, ros2)
+    frames = list(open_recording(bag, SCAN).frames())
+    assert [f.time for f in frames] == pytest.approx([10.0, 10.025])
+    assert frames[0].scan.beams == 3
+    placed, track = taken(frames)
+    assert len(placed) == 2
+    assert track.told()["missing"] == {"below range_min": 2, "above range_max": 0, "NaN": 0, "infinite": 2}
+
+
+def test_a_bag_with_no_or_two_topics_of_scans(tmp_path):
+    scan = "sensor_msgs/msg/LaserScan"
+    laser_bag(tmp_path / "two.bag", {"/a": scan, "/b": scan})
+    with pytest.raises(InputError, match=r"(?s)several topics.*street.topic=/a"):
+        open_recording(tmp_path / "two.bag", SCAN)
+    assert len(list(open_recording(tmp_path / "two.bag", SCAN, "/b").frames())) == 2
+    laser_bag(tmp_path / "none.bag", {"/h": "std_msgs/msg/Header"})
+    with pytest.raises(InputError, match="no laser scans"):
+        open_recording(tmp_path / "none.bag", SCAN)
+
+
+def test_parquet_gives_back_what_was_written(tmp_path):
+    write_recording(tmp_path / "r.parquet", drive()[:40])
+    back = list(open_recording(tmp_path / "r.parquet", SCAN).frames())
+    for a, b in zip(drive()[:40], back, strict=True):
+        assert (a.number, a.time, a.scan) == (b.number, b.time, b.scan)
+        assert np.array_equal(a.ranges, b.ranges, equal_nan=True)
+        assert np.array_equal(a.labels, b.labels)
+
+
+def test_csv(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("time,speed,angle_min,angle_increment,ranges\n0,1.5,-0.1,0.1,1,nan,2\n0.1,,-0.1,0.1,1,,inf\n")
+    frames = list(open_recording(path, SCAN).frames())
+    assert [f.time for f in frames] == [0.0, 0.1]
+    assert frames[0].speed == 1.5
+    assert math.isnan(frames[1].speed)
+    assert frames[0].scan.beams == 3
+    for text, match in (
+        ("time,velocity,ranges\n0,1,1\n", "a column is unknown"),
+        ("time,ranges\n0,1,x\n", "a line cannot be read"),
+        ("time,ranges\n0\n", "a line cannot be read"),
+        ("speed,ranges\n0,1\n", "a column is missing"),
+        ("time,ranges,speed\n0,1\n", "does not end with ranges"),
+    ):
+        path.write_text(text)
+        with pytest.raises(InputError, match=match):
+            list(open_recording(path, SCAN).frames())
+
+
+def test_damaged_parquet_is_told(tmp_path):
+    write_recording(tmp_path / "r.parquet", drive()[:10])
+    data = (tmp_path / "r.parquet").read_bytes()
+    rng = np.random.default_rng(3)
+    for k in range(60):
+        broken = bytearray(data)
+        for at in rng.integers(0, len(data), 4):
+            broken[at] = rng.integers(0, 256)
+        (tmp_path / "b.parquet").write_bytes(broken[: len(data) - 50 * (k % 3)])
+        try:
+            for frame in open_recording(tmp_path / "b.parquet", SCAN).frames():
+                assert len(frame.ranges) <= 30_000
+        except InputError:
+            pass
+
+
+def test_frames_that_cannot_be_used_are_counted():
+    frames = list(drive()[:30])
+    frames[5] = replace(frames[5], time=frames[3].time)  # out of order
+    frames[8] = replace(frames[8], time=frames[7].time)  # doubled
+    frames[10] = replace(frames[10], ranges=frames[10].ranges[:500])
+    frames[12] = replace(frames[12], scan=replace(frames[12].scan, first=0.0))
+    frames[15] = replace(frames[15], ranges=np.full(1081, np.inf, np.float32))  # blind
+    del frames[20:23]
+    placed, track = taken(frames)
+    told = track.told()
+    assert told["faults"] == {"out of order": 1, "doubled": 1, "other beams": 2, "dropped before": 3 + 4}
+    assert len(placed) == told["used"] == 23
+    assert told["blind"] == 1
+
+
+def test_a_clock_that_leaps_and_a_vehicle_that_goes_back():
+    frames = [replace(f, speed=2.0 if k < 6 else -2.0) for k, f in enumerate(drive()[:12])]
+    frames = [replace(f, time=f.time + (1e6 if k >= 9 else 0.0) * (-1)) for k, f in enumerate(frames)]
+    placed, track = taken(frames)
+    assert len(placed) == 12
+    assert track.told()["faults"] == {"clock leaps": 1, "reversing": 6}
+    assert placed[5].place > placed[11].place
+
+
+def test_speed_that_is_nowhere():
+    bare = [replace(f, speed=math.nan) for f in drive()[:5]]
+    with pytest.raises(InputError, match="nothing tells how the vehicle moved"):
+        taken(bare, speed=None)
+    placed, _ = taken(bare, speed=2.0)
+    assert placed[4].place == pytest.approx(4 * 0.025 * 2.0 * 1024, abs=1)
+    given = [replace(f, place=10.0 + 0.1 * k) for k, f in enumerate(bare)]
+    placed, _ = taken(given, speed=None)
+    assert placed[0].place == 10240
+    assert placed[4].place == pytest.approx(10.4 * 1024, abs=1)
+
+
+def test_the_height_of_the_road_is_found():
+    placed, _ = taken(drive()[:40])
+    assert np.median([p.road for p in placed]) == pytest.approx(-1.8, abs=0.05)

@@ -1,0 +1,181 @@
+"""The spheres of the variable-scale grid are those of a k-d tree over the same frames, and so are their features."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from fwclass import conf
+from fwclass.street.frames import Frame, Geometry, Scan, Track
+from fwclass.street.ring import seen
+from fwclass.street.sphere_kernels import UNIT
+
+
+def street_params(**changed):
+    base = conf.section("street")
+    mounting = base.mounting.model_copy(update=changed.pop("mounting", {}))
+    return base.model_copy(update={"speed": 1.0, "mounting": mounting, **changed})
+
+
+def random_frames(seed, count, beams, steps, wide=270.0, far=6.0):
+    """Ranges between the scanner itself and `far`, a tenth missing in every way; `steps` along the road [m]."""
+    rng = np.random.default_rng(seed)
+    step = np.radians(wide) / (beams - 1)
+    scan = Scan(beams, -np.radians(wide) / 2, step, 0.05, far)
+    place = 0.0
+    for k in range(count):
+        knots = np.arange(0, beams + 40, 40)
+        smooth = np.interp(np.arange(beams), knots, rng.uniform(0.06, far, len(knots)))
+        ranges = (smooth + rng.normal(0, 0.03, beams)).astype(np.float32)
+        ranges[rng.random(beams) < 0.1] = rng.choice([np.nan, np.inf, 0.0, 99.0])
+        place += steps[k]
+        yield Frame(k, 0.025 * k, scan, ranges, place=place)
+
+
+def by_tree(frames, seen_frame, radius, most):
+    """Members of every return of a frame: a k-d tree over the frames that are held, in whole units."""
+    at = next(k for k, f in enumerate(frames) if f.number == seen_frame.frame.number)
+    reach = radius / UNIT
+    first = last = at
+    while first > 0 and at - first < most and abs(frames[first - 1].place - frames[at].place) <= reach * seen_reach:
+        first -= 1
+    while (
+        last + 1 < len(frames)
+        and last - at < most
+        and abs(frames[last + 1].place - frames[at].place) <= reach * seen_reach
+    ):
+        last += 1
+    held = [points(f, frames[at].place) for f in frames[first : last + 1]]
+    cloud = np.concatenate(held)
+    own = points(frames[at], frames[at].place)
+    lists = cKDTree(cloud).query_ball_point(own, np.sqrt(np.floor(reach**2)) + 1e-7) if len(own) else []
+    return own, [cloud[i] for i in lists]
+
+
+seen_reach = 1.0
+
+
+def points(frame, origin):
+    here = ~np.isnan(frame.r)
+    x = frame.x[here] if len(frame.x) else np.zeros(here.sum())
+    return np.stack([x + float(frame.place - origin), frame.y[here], frame.z[here]], axis=1).astype(float)
+
+
+def check(frames, params):
+    global seen_reach
+    track = Track(params)
+    placed = [p for f in frames if (p := track.take(f)) is not None]
+    seen_reach = track.geometry.reach
+    checked = 0
+    for one in seen(placed, track.geometry, params):
+        if one.frame.number % 3:
+            continue
+        for k, radius in enumerate(params.radii):
+            biggest = max(params.radii)
+            own, members = by_tree(placed, one, biggest, params.most_frames)
+            members = [
+                m[((m - p) ** 2).sum(1) <= np.floor((radius / UNIT) ** 2)] for m, p in zip(members, own, strict=True)
+            ]
+            got = one.features[~np.isnan(one.frame.r), 11 * k : 11 * k + 11]
+            assert np.array_equal(got[:, 6], [len(m) for m in members])
+            for row, m, p in zip(got, members, own, strict=True):
+                expect(row, m * UNIT, p * UNIT)
+                checked += 1
+    return checked
+
+
+def expect(row, members, centre):
+    """Formulas of Li 2018, evaluated on the members by themselves."""
+    side = 1.0 if centre[1] >= 0 else -1.0
+    z, y = members[:, 2], members[:, 1]
+    l3, l2, l1 = np.maximum(np.linalg.eigvalsh(np.cov(members.T, bias=True)), 0) if len(members) > 1 else np.zeros(3)
+    assert row[:6] == pytest.approx(
+        [z.mean(), z.var(), np.ptp(z), side * y.mean(), y.var(), np.ptp(y)], rel=1e-5, abs=1e-6
+    )
+    assert row[7] == pytest.approx((l1 * l2 * l3) ** (1 / 3), rel=1e-3, abs=2e-6)
+    if l1 > 1e-9:
+        g1, g2, g3 = np.sqrt([l1, l2, l3])
+        near = {"abs": 2e-3 if l2 > 1e-4 * l1 else 2e-2}
+        assert row[8:] == pytest.approx([(g1 - g2) / g1, (g2 - g3) / g1, g3 / g1], **near)
+        assert row[8:].sum() == pytest.approx(1.0, abs=1e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0.1, 0.3, 0.8]),
+    st.sampled_from([0.0, 0.01, 0.025, 0.2, 1.0]),
+    st.booleans(),
+)
+def test_spheres_hold_what_a_tree_finds(seed, radius, step, stops):
+    rng = np.random.default_rng(seed)
+    steps = step * rng.uniform(0.2, 1.8, 24)
+    if stops:
+        steps[8:14] = 0.0
+    params = street_params(radii=(radius,), most_frames=7)
+    assert check(list(random_frames(seed, 24, 80, steps)), params) > 100
+
+
+@pytest.mark.parametrize(
+    "mounting", [{"pitch": 20.0}, {"yaw": -35.0}, {"pitch": 10, "yaw": 15, "roll": 30, "side": "left"}]
+)
+def test_spheres_of_a_leaning_scanner(mounting):
+    params = street_params(radii=(0.3, 0.6), most_frames=9, mounting=mounting)
+    assert check(list(random_frames(5, 20, 80, np.full(20, 0.06))), params) > 100
+
+
+def test_spheres_of_a_scanner_that_goes_full_circle():
+    params = street_params(radii=(0.5,), most_frames=9)
+    frames = list(random_frames(6, 20, 90, np.full(20, 0.06), wide=360.0 * 89 / 90))
+    assert frames[0].scan.wraps
+    assert check(frames, params) > 100
+
+
+def test_spheres_where_the_vehicle_goes_back():
+    params = street_params(radii=(0.3,), most_frames=9)
+    steps = np.r_[np.full(12, 0.07), np.full(12, -0.05)]
+    assert check(list(random_frames(7, 24, 80, steps)), params) > 100
+
+
+def test_the_window_of_the_paper_loses_members_near_the_scanner():
+    frames = list(random_frames(8, 30, 540, np.full(30, 0.025), far=2.0))
+    counts = []
+    for window in ("exact", "paper"):
+        params = street_params(radii=(0.8,), window=window)
+        track = Track(params)
+        placed = [track.take(f) for f in frames]
+        rows = [s.features[:, 6].copy() for s in seen(placed, track.geometry, params)]
+        counts.append(np.concatenate(rows))
+    exact, paper = (c[~np.isnan(c)] for c in counts)
+    assert (paper <= exact).all()
+    assert 0.02 < (paper < exact).mean() < 0.9
+
+
+def test_the_tilted_kernel_gives_what_the_flat_one_gives():
+    params = street_params(radii=(0.4,))
+    track = Track(params)
+    placed = [track.take(f) for f in random_frames(9, 30, 200, np.full(30, 0.03))]
+    flat = [s.features.copy() for s in seen(placed, track.geometry, params)]
+    tilted = dataclasses.replace(track.geometry, tilted=True)
+    with_x = [dataclasses.replace(p, x=np.zeros_like(p.y)) for p in placed]
+    general = [s.features.copy() for s in seen(with_x, tilted, params)]
+    assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(flat, general, strict=True))
+
+
+def test_a_radius_beyond_the_kernel_is_refused():
+    from fwclass.errors import ConfigError
+
+    with pytest.raises(ConfigError, match="radii"):
+        conf.section("street", ("street.radii=[1.3]",))
+
+
+def test_geometry_faces_the_side_it_is_told():
+    scan = Scan(3, -np.pi / 2, np.pi / 2, 0.0, 10.0)
+    right = Geometry.of(scan, street_params().mounting)
+    left = Geometry.of(scan, street_params(mounting={"side": "left"}).mounting)
+    assert right.direction[1] == pytest.approx([0, -1, 0])
+    assert left.direction[1] == pytest.approx([0, 1, 0])
+    assert right.direction[2] == pytest.approx([0, 0, 1])

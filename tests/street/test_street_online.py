@@ -1,0 +1,264 @@
+"""On-line and whole: the same bytes; what is emitted stays; streams that misbehave."""
+
+import contextlib
+import json
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from streetmaker import config, directory, drive
+
+from fwclass.cli.runner import open_runner
+from fwclass.errors import ConfigError, InputError
+from fwclass.single_file.street import batch, online
+from fwclass.single_file.street.output import prepare
+from fwclass.street.answers import ANSWERS, read_answers
+from fwclass.street.stream import HEAD, MAGIC, Decoder, encoded
+
+
+def run_online(tmp_path, source=None, name="on", **changed):
+    asked = online.Run(
+        str(source or directory() / "drive.parquet"), directory() / "model", tmp_path / name, False, False
+    )
+    params = config(*(f"street.{k}={v}" for k, v in changed.items())).street
+    return online.run(asked, params, print), tmp_path / name
+
+
+def run_batch(tmp_path, workers, name, **changed):
+    made = config(*(f"street.{k}={v}" for k, v in changed.items()))
+    prepare(tmp_path / name, False)
+    with open_runner(tmp_path / f".{name}", workers, None, made.run) as runner:
+        work = batch.Work(directory() / "drive.parquet", directory() / "model", made.street)
+        return batch.classify(work, tmp_path / name, runner, 1.0), tmp_path / name
+
+
+@pytest.fixture(scope="module")
+def once(tmp_path_factory):
+    return run_online(tmp_path_factory.mktemp("street"))
+
+
+OUTPUTS = (ANSWERS, "prescription.csv", "prescription.parquet", "prescription.png")
+
+
+def test_online_and_whole_give_the_same_bytes(tmp_path, once):
+    told, there = once
+    assert told["latency"]["frames"] > 100
+    for workers, chunk in ((0, 400), (0, 37)):
+        made, other = run_batch(tmp_path, workers, f"w{workers}-{chunk}", chunk=chunk)
+        assert made["accuracy"]["detection"] > 0.9
+        for name in OUTPUTS:
+            assert (there / name).read_bytes() == (other / name).read_bytes(), (name, chunk)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_give_the_same_bytes(tmp_path, once, workers):
+    _, other = run_batch(tmp_path, workers, "many", chunk=50)
+    assert (once[1] / ANSWERS).read_bytes() == (other / ANSWERS).read_bytes()
+
+
+def test_every_frame_is_answered_in_order(once):
+    answers = list(read_answers(once[1] / ANSWERS))
+    assert [a.number for a in answers] == [f.number for f in drive()]
+    for one, frame in zip(answers, drive(), strict=True):
+        assert np.array_equal(one.classification > 0, ~np.isnan(one.y))
+        assert (one.classification > 0).sum() <= np.isfinite(frame.ranges).sum()
+
+
+def test_answers_that_were_cut_are_read_up_to_the_last_whole_frame(tmp_path, once):
+    data = (once[1] / ANSWERS).read_bytes()
+    for cut in (len(data) - 9, len(data) // 2, len(data) // 3 + 7):
+        (tmp_path / "cut").write_bytes(data[:cut])
+        got = [a.number for a in read_answers(tmp_path / "cut")]
+        assert got == [f.number for f in drive()][: len(got)]
+        assert len(got) >= cut // (len(data) // len(drive())) - 2
+    (tmp_path / "other").write_bytes(b"nothing of the kind")
+    with pytest.raises(InputError, match="no file of answers"):
+        list(read_answers(tmp_path / "other"))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.one_of(st.integers(0, 9), st.binary(max_size=300)), max_size=12), st.integers(1, 5000))
+def test_a_stream_with_garbage_gives_the_frames_that_are_whole(pieces, size):
+    data = b"".join(encoded(drive()[p]) if isinstance(p, int) else p for p in pieces)
+    wanted = [p for p in pieces if isinstance(p, int)]
+    decoder = Decoder(2000)
+    got = [f.number for at in range(0, len(data), size) for f in decoder.feed(data[at : at + size])]
+    decoder.end()
+    if not any(isinstance(p, bytes) and MAGIC[:1] in p for p in pieces):
+        assert got == wanted
+    assert set(got) <= set(wanted)
+
+
+def test_frames_with_a_flipped_bit_or_impossible_sizes_are_passed_over():
+    decoder = Decoder(2000)
+    good, bad = encoded(drive()[0]), bytearray(encoded(drive()[1]))
+    bad[500] ^= 4
+    huge = HEAD.pack(MAGIC, 1 << 31, 0, 0.0, 1.0, 0.0, 0.0, 0.1, 0.0, 1.0, 0)
+    got = list(decoder.feed(good + bytes(bad) + huge + good))
+    assert [f.number for f in got] == [0, 0]
+    assert decoder.faults["bad sum"] == 1
+    assert decoder.faults["impossible frame"] == 1
+
+
+def connect(told, source_port=None):
+    for _ in range(600):
+        for line in list(told):
+            if line.startswith("listening"):
+                return socket.create_connection(("127.0.0.1", int(line.rsplit(":", 1)[1])))
+        time.sleep(0.05)
+    raise AssertionError(told)
+
+
+def served(tmp_path, send, name="tcp", **changed):
+    told, ended = [], []
+
+    def client():
+        with connect(told) as there:
+            send(there)
+
+    thread = threading.Thread(target=client)
+    asked = online.Run("tcp://:0", directory() / "model", tmp_path / name, False, False)
+    params = config(*(f"street.{k}={v}" for k, v in changed.items())).street
+    thread.start()
+    try:
+        ended.append(online.run(asked, params, told.append))
+    finally:
+        thread.join()
+    return ended[0], tmp_path / name
+
+
+def test_a_socket_gives_what_the_recording_gives(tmp_path, once):
+    def send(there):
+        for frame in drive():
+            there.sendall(encoded(frame))
+
+    told, out = served(tmp_path, send)
+    assert told["frames"] == len(drive())
+    # speeds are doubles, ranges floats in both: nothing is lost on the way
+    assert (out / ANSWERS).read_bytes() == (once[1] / ANSWERS).read_bytes()
+
+
+def test_a_sender_that_breaks_off_within_a_frame(tmp_path):
+    def send(there):
+        for frame in drive()[:60]:
+            there.sendall(encoded(frame))
+        there.sendall(encoded(drive()[60])[:700])
+
+    told, out = served(tmp_path, send)
+    assert told["stream"] == {"cut frame": 1}
+    assert len(list(read_answers(out / ANSWERS))) == 60
+
+
+def test_a_sender_that_falls_silent(tmp_path):
+    def send(there):
+        for frame in drive()[:30]:
+            there.sendall(encoded(frame))
+        with contextlib.suppress(OSError):
+            there.recv(1)
+
+    with pytest.raises(InputError, match="nothing came for 1 s"):
+        served(tmp_path, send, name="silent", **{"stream.stall": 1.0})
+    assert len(list(read_answers(tmp_path / "silent" / ANSWERS))) == 30
+
+
+def test_nothing_but_garbage(tmp_path):
+    with pytest.raises(InputError, match="not one frame came"):
+        served(tmp_path, lambda there: there.sendall(b"GET / HTTP/1.1\r\n\r\n" * 100), name="http")
+
+
+def test_an_address_that_is_none(tmp_path):
+    with pytest.raises(ConfigError, match="no address"):
+        run_online(tmp_path, "tcp://localhost")
+
+
+def command(*words):
+    return [sys.executable, "-m", "fwclass", "street", *map(str, words)]
+
+
+@pytest.mark.slow
+def test_a_kill_leaves_whole_frames_and_an_interrupt_ends_cleanly(tmp_path):
+    for sent, code in ((signal.SIGKILL, -signal.SIGKILL), (signal.SIGINT, 130)):
+        out = tmp_path / sent.name
+        words = command("run", "-", "--model", directory() / "model", "--out", out)
+        with subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path) as child:
+            for frame in drive()[:80]:
+                child.stdin.write(encoded(frame))
+            child.stdin.flush()
+            until = time.monotonic() + 120
+            while time.monotonic() < until and (
+                not (out / ANSWERS).exists() or (out / ANSWERS).stat().st_size < 400_000
+            ):
+                time.sleep(0.05)
+            child.send_signal(sent)
+            child.stdin.close()
+            child.wait(60)
+            assert child.returncode == code
+        got = [a.number for a in read_answers(out / ANSWERS)]
+        assert got == list(range(len(got)))
+        assert len(got) >= 30
+        assert (out / "summary.json").exists() == (sent == signal.SIGINT)
+
+
+@pytest.mark.slow
+def test_standard_input_by_the_command_line(tmp_path, once):
+    data = b"".join(encoded(f) for f in drive())
+    words = command("run", "-", "--model", directory() / "model", "--out", tmp_path / "o", "--json")
+    done = subprocess.run([*words, "--set", "street.speed=1.5"], input=data, capture_output=True, check=True)
+    assert json.loads(done.stdout)["frames"] == len(drive())
+    assert (tmp_path / "o" / ANSWERS).read_bytes() == (once[1] / ANSWERS).read_bytes()
+
+
+def test_an_output_is_not_overwritten(tmp_path, once):
+    with pytest.raises(ConfigError, match="output already"):
+        prepare(once[1], False)
+    (tmp_path / "mine").write_text("x")
+    with pytest.raises(ConfigError, match="something else"):
+        prepare(tmp_path, True)
+
+
+def test_a_model_of_airborne_features_is_refused(tmp_path):
+    from fwclass.graph.street import params_of
+    from fwclass.model import Forest
+
+    card = {"features": ["zc", "amplitude"], "computed": {}}
+    model = Forest(*(np.zeros(0) for _ in range(4)), card=card)
+    with pytest.raises(ConfigError, match="features of frames"):
+        params_of(model, config().street, "there")
+
+
+def test_the_protocol_is_what_its_description_says():
+    frame = drive()[3]
+    data = encoded(frame)
+    assert len(data) == 68 + 4 * 1081
+    assert struct.unpack_from("<4sIQd", data) == (b"FWS1", 1081, 3, frame.time)
+    assert data[68:] == frame.ranges.tobytes()
+
+
+def test_memory_of_the_loop_does_not_grow():
+    import tracemalloc
+    from dataclasses import replace
+
+    from fwclass.single_file.street.latency import Latency
+    from fwclass.store.models import load_model
+
+    loop = online.Loop(load_model(directory() / "model"), config().street)
+    latency, held = Latency(), []
+    tracemalloc.start()
+    for k in range(700):
+        frame = replace(drive()[k % 100], number=k, time=0.025 * k)
+        for _ in loop.take(frame):
+            latency.add(0.001 * (k % 7))
+        if k in (300, 699):
+            held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert held[1] < 1.05 * held[0]
+    assert latency.told()["frames"] > 600

@@ -1,0 +1,33 @@
+"""Li 2018 as a run: streets are simulated, tables 1 and 2 made, and a page sets our figures beside the paper's."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.conf.papers import paper
+from fwclass.errors import ConfigError
+from fwclass.graph.area_of_interest import Area
+from fwclass.graph.workflow import Workflow
+from fwclass.run.runner import Runner, require_all
+from fwclass.study.papers.li import drive_tasks, facts, table_tasks
+from fwclass.study.papers.li_page import deliver
+
+NAME = "li2018"
+
+
+def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = None) -> dict[str, Any]:
+    """Drive along three streets, train and judge at all radii and by each feature alone; return the report.
+
+    There are no tiles to choose.
+    """
+    if tiles is not None:
+        raise ConfigError("a street has no tiles", where="--tiles", do="leave --tiles out")
+    printed = paper(NAME)
+    made = dict(require_all(runner, drive_tasks(config)))
+    made |= require_all(runner, table_tasks(config, printed))
+    runner.finish(whole=True)
+    return runner.tell(lambda: deliver(runner, facts(config, printed, made)))
+
+
+li2018 = Workflow(NAME, "Li 2018: street-tree crowns from a 2-D scanner, figures beside the paper's", (), walk)
