@@ -11,12 +11,13 @@ from fwclass.graph.backscatter import (
     FILL_VOXELS,
     SAMPLE_WAVES,
 )
+from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
 from fwclass.graph.learn import DRAW_SAMPLE, GROW_TREES, MERGE_SAMPLE, TRAIN_BASELINE, TRAIN_FOREST, WEIGH_FEATURES
-from fwclass.graph.outputs import DELIVER_RASTERS, DELIVER_STRIP, DELIVER_TILE, MAP_CLASSES
+from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
 from fwclass.graph.radiometry import (
     CALIBRATE_STRIPS,
     CHECK_POINTING,
@@ -24,6 +25,7 @@ from fwclass.graph.radiometry import (
     MEASURE_RADIOMETRY,
     READ_TRAJECTORY,
 )
+from fwclass.graph.raster_outputs import DELIVER_RASTERS, MAP_CLASSES
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
 from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
@@ -87,6 +89,9 @@ classification = Workflow(
         DELIVER_STACK,
         MAP_CLASSES,
         DELIVER_RASTERS,
+        DELIVER_OVERVIEW,
+        DELIVER_CATALOGUE,
+        DELIVER_POLYGONS,
         # for those who want the waveform, not echoes
         SAMPLE_WAVES,
         FILL_VOXELS,
