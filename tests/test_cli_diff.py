@@ -5,25 +5,12 @@ from __future__ import annotations
 import json
 import sqlite3
 
-import lasmaker
 import laspy
 import numpy as np
 import pytest
 from commandline import fwclass
+from smallsurvey import small_survey
 
-CONFIG = """survey:
-  name: small
-  directory: .
-  sources: [a.las]
-  reference: {kind: source}
-  features: [zc, height_range_c100]
-  classes: [{name: ground, code: 2, codes: [2]}, {name: bush, code: 5, codes: [5]}]
-areas: {train: [[500000, 5400000, 500030, 5400040]], gap: 1}
-tile: {size: 25}
-train: {trees: 5}
-publish: {figure_pixels: 200}
-assess: {block: 5}
-"""
 OTHER = "survey.features=[amplitude]"
 
 
@@ -31,12 +18,7 @@ OTHER = "survey.features=[amplitude]"
 def runs(tmp_path_factory):
     """`r`: two generations, the second by a feature that tells nothing; `s`: its settings in other tiles."""
     place = tmp_path_factory.mktemp("diff")
-    rng = np.random.default_rng(0)
-    x, y, bush = *rng.uniform(0, 1, (2, 6000)) * [[80], [40]], rng.random(6000) < 0.3
-    xyz = np.c_[500_000 + x, 5_400_000 + y, 200 + 0.05 * x + bush * rng.uniform(0.5, 6, 6000)]
-    classes = np.where(bush, 5, 2)
-    lasmaker.write_las(place / "a.las", xyz, point_format=6, classification=classes, intensity=rng.integers(1, 9, 6000))
-    (place / "s.yaml").write_text(CONFIG)
+    small_survey(place)
     for out, more in (("r", ()), ("r", ("--set", OTHER)), ("s", ("--set", "tile.size=40"))):
         ended = fwclass("run", "s.yaml", "--out", out, "--workers", 0, *more, cwd=place)
         assert ended.returncode == 0, ended.stderr

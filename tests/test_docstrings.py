@@ -78,7 +78,7 @@ def test_public_functions_state_what_they_take_and_give(room):
 if __name__ == "__main__":
     rows = {room: counted(room) for room in ROOMS}
     for room, (total, bare, silent) in rows.items():
-        sys.stdout.write(
+        print(
             f"{room:12} {total:4} functions, {len(bare):3} without a docstring, {len(silent):3} without shape or unit"
         )
         if "-v" in sys.argv:

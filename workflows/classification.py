@@ -3,6 +3,14 @@
 from __future__ import annotations
 
 from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
+from fwclass.graph.backscatter import (
+    DELIVER_PROFILES,
+    DELIVER_SAMPLES,
+    DELIVER_VOXELS,
+    FILL_PROFILES,
+    FILL_VOXELS,
+    SAMPLE_WAVES,
+)
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -18,6 +26,7 @@ from fwclass.graph.radiometry import (
 )
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
+from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
@@ -45,6 +54,8 @@ classification = Workflow(
         # what is known of every echo
         FILTER_GROUND,
         GATHER_GROUND,
+        MAKE_FIRST_TERRAIN,
+        STACK_PULSES,
         MAKE_TERRAIN,
         GATHER_HEIGHT,
         THIN_ECHOES,
@@ -73,7 +84,15 @@ classification = Workflow(
         ASSESS,
         DELIVER_TILE,
         DELIVER_STRIP,
+        DELIVER_STACK,
         MAP_CLASSES,
         DELIVER_RASTERS,
+        # for those who want the waveform, not echoes
+        SAMPLE_WAVES,
+        FILL_VOXELS,
+        FILL_PROFILES,
+        DELIVER_SAMPLES,
+        DELIVER_VOXELS,
+        DELIVER_PROFILES,
     ),
 )

@@ -9,6 +9,8 @@ import click
 
 from fwclass.cli import (
     ahead,
+    backscatter,
+    clean,
     difference,
     draft,
     features,
@@ -30,6 +32,8 @@ from fwclass.redact import redacted
 
 __all__ = [
     "ahead",
+    "backscatter",
+    "clean",
     "cli",
     "difference",
     "draft",

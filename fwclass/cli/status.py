@@ -19,7 +19,7 @@ WORKFLOW = click.option(
     "--workflow",
     default="classification",
     show_default=True,
-    help="Which workflow: a name (classification, fan2013, xiong2018), or a Python file of your own.",
+    help="Which workflow: a name (classification, fan2013, xiong2018, backscatter), or a Python file of your own.",
 )
 
 

@@ -27,7 +27,7 @@ class How:
     verify: bool = False
 
 
-def _run(
+def run_survey(
     conf: Path, out: Any, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str, how: How
 ) -> None:
     little_garbage()
@@ -187,7 +187,7 @@ def run(
     settings += ("read.mirror_beams=true",) if mirror_beams else ()
     if only is None:
         how = How(scheduler, workers, not keep_going, report, verify)
-        _run(conf, out, settings, chosen(tiles, aoi), workflow, how)
+        run_survey(conf, out, settings, chosen(tiles, aoi), workflow, how)
         return
     if tiles or aoi or scheduler or workers or verify or report is not None:
         raise ConfigError(
@@ -203,7 +203,7 @@ def run(
 @WORKERS
 def demo(out: Path, workers: int | None) -> None:
     """Simulate a small survey, run everything, print where to look."""
-    _run(Path("demo"), out, (), None, "classification", How(None, workers))
+    run_survey(Path("demo"), out, (), None, "classification", How(None, workers))
 
 
 @cli.command()

@@ -15,7 +15,7 @@ from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sets import feature_set, listed_once
-from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams
+from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams, SampleParams, StackParams
 from fwclass.errors import visible
 from fwclass.features.params import FeaturesParams
 from fwclass.grid import Box
@@ -34,6 +34,7 @@ from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.params import TrainParams
+from fwclass.voxels.params import ProfileParams, VoxelParams
 
 
 class Section(BaseModel):
@@ -207,6 +208,10 @@ PARAMS: dict[str, type[BaseModel]] = {
     "pulse": PulseParams,
     "decompose": DecomposeParams,
     "plausibility": PlausibilityParams,
+    "stack": StackParams,
+    "samples": SampleParams,
+    "voxels": VoxelParams,
+    "profile": ProfileParams,
     "tile": TileParams,
     "label": LabelParams,
     "ground": GroundParams,
@@ -249,6 +254,10 @@ class Config:
     pulse: PulseParams
     decompose: DecomposeParams
     plausibility: PlausibilityParams
+    stack: StackParams
+    samples: SampleParams
+    voxels: VoxelParams
+    profile: ProfileParams
     tile: TileParams
     label: LabelParams
     ground: GroundParams

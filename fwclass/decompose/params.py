@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from fwclass.stage import Params
 
@@ -113,3 +113,58 @@ class PlausibilityParams(Params):
     max_blank: float = Field(ge=0.0, le=1.0)
     least: int = Field(ge=0, le=1_000_000_000)
     accept: bool
+
+
+class StackParams(Params):
+    """Parameters of stacking pulses along the terrain; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    enabled : weak ground echoes are looked for, and the terrain is made once more with them.
+    pulses, least : pulses that are added up at most and at least, the nearest ones in plan.
+    radius : none is further from the middle one [m].
+    gap : where a single pulse has shown the ground this close [m], nothing is looked for.
+    window : the surface may be off by so much, up and down along the beam [m].
+    clear : a pulse with an echo less than this above the surface, or below it, is not looked at [m].
+    threshold : least height of the sum over its standard deviation.
+    decoy : so far beneath the surface the same is tried where nothing can be [m], to tell how often noise does it.
+    max_false : share of the echoes of a block that noise may have made; a higher threshold is taken for it.
+    """
+
+    enabled: bool
+    pulses: int = Field(ge=2, le=49)
+    least: int = Field(ge=2, le=49)
+    radius: float = Field(gt=0.0, le=100.0)
+    gap: float = Field(ge=0.0, le=100.0)
+    window: float = Field(gt=0.0, le=20.0)
+    clear: float = Field(ge=0.0, le=100.0)
+    threshold: float = Field(gt=0.0)
+    decoy: float = Field(gt=0.0, le=100.0)
+    max_false: float = Field(ge=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _apart(self) -> StackParams:
+        if self.least > self.pulses:
+            raise ValueError("least must not exceed pulses")
+        if self.decoy < 2.0 * self.window:
+            raise ValueError("decoy must be at least twice the window: else it sees the surface itself")
+        return self
+
+
+class SampleParams(Params):
+    """Parameters of waveforms freed of the pulse; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    write : the samples are delivered as points.
+    method : ``gold`` or ``richardson-lucy``.
+    iterations : how often the ratio is taken; more are sharper, and make spikes of noise.
+    threshold : a sample belongs to a signal that is so high, behind the matched filter, in standard deviations.
+    least : lower ones are left out afterwards, in standard deviations of the noise.
+    """
+
+    write: bool
+    method: Literal["gold", "richardson-lucy"]
+    iterations: int = Field(ge=1, le=10_000)
+    threshold: float = Field(ge=0.0)
+    least: float = Field(ge=0.0)

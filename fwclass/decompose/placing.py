@@ -64,11 +64,21 @@ def from_anchor(
     several as one. Elsewhere the vendor's location holds for the strip, not for the row.
     Where the anchor is at the sensor, `late` is the time origin.
     """
-    pulses = waves.pulses
-    after = fits.time - offsets_of(fits, pulses, placement)
-    after -= (pulses["anchor_time"].astype(np.float64) + late)[fits.row]
-    at_return = waves.returns.rows > 0  # a format without returns has the sensor, or a point beside it, for anchor
-    distance = np.abs(after)
+    after = fits.time - offsets_of(fits, waves.pulses, placement)
+    after -= (waves.pulses["anchor_time"].astype(np.float64) + late)[fits.row]
+    shift, gap = row_shifts(fits, after, waves, params, placement)
+    if waves.returns.rows == 0:  # such a format has the sensor, or a point beside it, for anchor
+        return after, np.zeros(len(after), bool)
+    far = gap > params.vendor_tolerance
+    return after - shift[fits.row], far[fits.row]
+
+
+def row_shifts(
+    fits: Fits, after: NDArray[np.float64], waves: Waveforms, params: DecomposeParams, placement: Placement
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """What is taken off `after`, the time of every echo after its anchor, in each row, and how far the row's nearest
+    echo is from its anchor [ns]; infinite without one."""
+    pulses, distance = waves.pulses, np.abs(after)
     gap = np.full(pulses.rows, np.inf)
     np.minimum.at(gap, fits.row, distance)
     nearest = np.flatnonzero(distance == gap[fits.row])[::-1]  # of two equally near ones the first is written last
@@ -78,10 +88,7 @@ def from_anchor(
     shift[fits.row[nearest]] = after[nearest] * (alone | lacking[fits.row[nearest]])
     phase = PHASE_REACH * pulses["sample_spacing"] * (params.register_within > 0.0)
     shift[gap > np.where(lacking, phase, np.where(unknown, params.register_within, 0.0))] = 0.0
-    if not at_return:
-        return after, np.zeros(len(after), bool)
-    far = gap > params.vendor_tolerance
-    return after - shift[fits.row], far[fits.row]
+    return shift, gap
 
 
 def detection_limits(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse) -> NDArray[np.float64]:

@@ -109,7 +109,8 @@ def refuse_unless_flat(
             where=where,
             expected="a projected coordinate system in metres: every distance here is a length, and z is up",
             got=f"{crs.name}; {x}, {y}, {z}" if crs is not None else f"no coordinate system named; {x}, {y}, {z}",
-            do="reproject the file first (for example with PDAL's filters.reprojection, or fwclass decompose --crs)"
+            do="reproject the file first (for example with PDAL's filters.reprojection), or bring it into "
+            "another system: fwclass decompose --crs, in a run read.project_to"
             + (", or name the system that its metres are in" if crs is None else "")
             + ("; naming a system (--crs, survey.crs) transforms nothing" if _named(crs) else ""),
         )

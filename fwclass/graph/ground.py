@@ -95,19 +95,28 @@ def of_flags(around: Surroundings, flags: Flags) -> Made:
     }
 
 
+STACK = "stack"
+"""The stage whose echoes, of several pulses together, are ground too."""
+
+
 def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
     """Terrain rasters of a block, and the heights above ground of its echoes, tile after tile."""
     core = Window.covering(here.tile.box, params.cell)
     around = around_block(here)
-    t = around.table
-    rasters = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], around.own, core, params)
+    t, own = around.table.select(TERRAIN.reads), around.own
+    more = [here.inputs.table(STACK, key, "xyz") for key in here.parts(STACK)]
+    for table in more:
+        no, yes = np.zeros(table.rows, bool), np.ones(table.rows, bool)
+        t, own = Table.concat([t, table.with_columns({"ground": yes, "noise": no})]), np.concatenate([own, no])
+    rasters = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], own, core, params)
     write_rasters(here.directory, {"dtm": rasters.dtm, "dsm": rasters.dsm, "support": rasters.support}, core)
-    heights = Table({"height_above_ground": rasters.height})
+    heights = Table({"height_above_ground": rasters.height[: len(around.own)]})
     return heights, {
         **around.facts(heights),
         "measured": int((rasters.support == 0).sum()),
         "beyond": int((rasters.support == 2).sum()),
-        "without_terrain": int(np.isnan(rasters.height).sum()),
+        "without_terrain": int(np.isnan(heights["height_above_ground"]).sum()),
+        **({"stacked": sum(table.rows for table in more)} if more else {}),
     }
 
 
@@ -209,6 +218,15 @@ def terrain_blocks(layout: Layout) -> tuple[Tile, ...]:
     return tuple(b for b in blocks if b.box.touches(layout.box))
 
 
+def _stacked_around(plan: Plan, block: Tile) -> list[Name]:
+    """The blocks whose stacked echoes reach into a block of the terrain and its halo."""
+    if not plan.config.stack.enabled:
+        return []
+    edge = plan.config.terrain.block
+    box = block.box.grown(TERRAIN.halo(plan.config.terrain) + plan.config.stack.window)
+    return [(STACK, b.key) for b in TileGrid(edge).touching(box) if b.key in plan.layout.occupied[edge]]
+
+
 def _gathers(name: str, source: Stage, columns: Names, block: Any) -> Stage:
     """The stage that puts what blocks wrote about echoes into the rows of their tiles."""
 
@@ -258,6 +276,8 @@ MAKE_TERRAIN = Stage(
     writes=TERRAIN.writes,
     halo=lambda plan: TERRAIN.halo(plan.config.terrain),
     area=lambda plan, block: Window.covering(block.box, plan.config.terrain.cell).box,
+    after=(STACK,),
+    needs=_stacked_around,
 )
 GATHER_HEIGHT = _gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)
 CHECK_SEAMS = Stage(

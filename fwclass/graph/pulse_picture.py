@@ -2,19 +2,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.publish.waveplot import draw_pulse
+from fwclass.publish.waveplot import ReceiverPicture, draw_pulse, draw_receiver
 
 LEAST_REACH = 25.0
 """Time after the peak that is shown at least [ns]: ringing comes late."""
 
 
+FREQUENCIES = 257
+"""Of the noise's spectrum, up to half of the sampling rate."""
+
+
 def pulse_picture(pulse: SystemPulse, of: str) -> bytes:
     """PNG of the system's pulse of `of`, beside a Gaussian of its width."""
-    time = np.linspace(-2.0 * pulse.fwhm, max(4.0 * pulse.fwhm, LEAST_REACH), 1201)
+    time = _times(pulse)
+    return draw_pulse(time, pulse.at(time), SystemPulse.gaussian(pulse.fwhm).at(time), _title(pulse, of))
+
+
+def receiver_picture(
+    pulse: SystemPulse, recorded: SystemPulse | None, places: Mapping[str, Any] | None, of: str
+) -> bytes:
+    """PNG of all that is known of the receiver of `of`: its pulse beside the recorded outgoing one, the spectrum of its
+    noise, and its vendor's offset over the height (`places`, see `describe_placement`)."""
+    time = _times(pulse)
+    spectra = []
+    for channel in pulse.channels:
+        noise, rate = channel.autoregression, 1.0 / channel.sample_spacing
+        frequency = np.linspace(0.0, 0.5 * rate, FREQUENCIES)
+        turn = np.exp(-2j * np.pi * np.outer(frequency / rate, np.arange(len(noise.filter))))
+        power = noise.innovation / np.abs(turn @ noise.filter) ** 2
+        spectra.append((_channel(channel.sample_spacing, channel.saturation), frequency, power))
+    offsets = [
+        (_channel(c["sample_spacing"], c["saturation"]), np.array(c["heights"]), np.array(c["offsets"]))
+        for c in (places or {}).get("vendor_offset", ())
+    ]
+    gaussian = SystemPulse.gaussian(pulse.fwhm).at(time)
+    left = None if recorded is None else recorded.at(time)
+    return draw_receiver(ReceiverPicture(_title(pulse, of), time, pulse.at(time), gaussian, left, spectra, offsets))
+
+
+def _channel(spacing: float, saturation: float) -> str:
+    return f"{spacing:g} ns, up to {saturation:g} DN"
+
+
+def _times(pulse: SystemPulse) -> np.ndarray:
+    return np.linspace(-2.0 * pulse.fwhm, max(4.0 * pulse.fwhm, LEAST_REACH), 1201)
+
+
+def _title(pulse: SystemPulse, of: str) -> str:
     origin = f"from {pulse.echoes:,} echoes" if pulse.echoes else "not measured"
     origin = f"of {pulse.outgoing:,} recorded outgoing pulses" if pulse.outgoing else origin
-    title = f"System's pulse of {of}: {pulse.shape}, {pulse.fwhm:.2f} ns wide, {origin}"
-    return draw_pulse(time, pulse.at(time), SystemPulse.gaussian(pulse.fwhm).at(time), title)
+    return f"System's pulse of {of}: {pulse.shape}, {pulse.fwhm:.2f} ns wide, {origin}"

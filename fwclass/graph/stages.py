@@ -10,6 +10,14 @@ from fwclass.conf import Config
 from fwclass.errors import ConfigError, nearest
 from fwclass.features.params import MAX_REACH, NO_FEATURE, Asked, check_scale, is_feature, meant
 from fwclass.graph.assess import ASSESS, COUNT_CONFUSION
+from fwclass.graph.backscatter import (
+    DELIVER_PROFILES,
+    DELIVER_SAMPLES,
+    DELIVER_VOXELS,
+    FILL_PROFILES,
+    FILL_VOXELS,
+    SAMPLE_WAVES,
+)
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -25,6 +33,7 @@ from fwclass.graph.radiometry import (
 )
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
+from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
 from fwclass.graph.stage import Plan, Stage, named
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
@@ -38,6 +47,8 @@ TO_TILES = (READ_POLYGONS, INDEX, *OF_STRIPS, SPLIT_REFERENCE, TILE_ECHOES, TILE
 TO_LABELS = (
     FILTER_GROUND,
     GATHER_GROUND,
+    MAKE_FIRST_TERRAIN,
+    STACK_PULSES,
     MAKE_TERRAIN,
     GATHER_HEIGHT,
     THIN_ECHOES,
@@ -63,8 +74,10 @@ LEARNING = (
 )
 CLASSIFYING = (CLASSIFY_ECHOES, CLASSIFY_THINNED)
 JUDGING = (COUNT_CONFUSION, ASSESS)
-DELIVERY = (DELIVER_TILE, DELIVER_STRIP, MAP_CLASSES, DELIVER_RASTERS)
-STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY)
+DELIVERY = (DELIVER_TILE, DELIVER_STRIP, DELIVER_STACK, MAP_CLASSES, DELIVER_RASTERS)
+OF_WAVEFORMS = (SAMPLE_WAVES, FILL_VOXELS, FILL_PROFILES, DELIVER_SAMPLES, DELIVER_VOXELS, DELIVER_PROFILES)
+"""For those who want the waveform, not echoes."""
+STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY, *OF_WAVEFORMS)
 """Every stage that any run has; what a run takes is reckoned by this list."""
 
 

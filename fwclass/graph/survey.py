@@ -14,6 +14,7 @@ from fwclass.conf import Config
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
+from fwclass.formats.projected import project
 from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, found_files, joint_bounds
 from fwclass.graph.layout import Strip, Survey
@@ -38,6 +39,9 @@ from fwclass.store.url import Url, is_url, url_of
 
 SIMULATED = "survey"
 """Where a simulated survey lies below its run directory."""
+
+EDGE_POINTS = 5
+"""Along each edge of a box that is brought into another system."""
 
 LOOKED_AT = 100_000
 """Points at the start of a file that its header is held against."""
@@ -126,9 +130,9 @@ def gather(config: Config, runner: Runner) -> Survey:
         )
     given, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
     numbered = numbers(s.path.stem for s in opened)
-    bounds = {s.path: _true_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
+    bounds = {s.path: flat_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
     for source in full:
-        own, ends = given or source.crs, bounds[source.path]
+        own, ends = given or system_of(source), bounds[source.path]
         refuse_unless_flat(own, ends[:3], ends[3:], source.path, max(source.scales[:2]))
     box = joint_bounds(bounds.values())
     check_areas(config, box)  # before all files are read for their digests
@@ -244,16 +248,42 @@ def _true_bounds(source: Source) -> tuple[float, ...]:
     return (*least.tolist(), *most.tolist())
 
 
+def system_of(source: Source) -> CRS | None:
+    """The system that a file is read in: the one that it is brought into, or its own."""
+    return source.crs if source.target is None else given_crs(source.target, "read.project_to")
+
+
+def flat_bounds(source: Source) -> tuple[float, ...]:
+    """Where a file's points lie in the system that it is read in, `_true_bounds`; of one that is brought into another
+    the box around its box, with what curves between."""
+    bounds, system = _true_bounds(source), system_of(source)
+    if source.target is None or system is None:
+        return bounds
+    sides = [np.linspace(bounds[k], bounds[k + 3], EDGE_POINTS) for k in range(3)]
+    grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
+    there = project(source.crs, system, grid, source.path)
+    return (*there.min(axis=0).tolist(), *there.max(axis=0).tolist())
+
+
 def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str | None:
     """The survey's CRS as text (WKT), None where the configuration says `none`; what the user names wins."""
     given = given_crs(config.survey.crs, "survey.crs")
     for source in opened:
-        refuse_source(source, given or source.crs)
-        refuse_other_system(source, given)
+        if source.target is None:
+            refuse_source(source, given or source.crs)
+            refuse_other_system(source, given)
+        elif given is not None and not given.equals(system_of(source), ignore_axis_order=True):
+            raise ConfigError(
+                "the files are brought into another system than the survey's",
+                where=f"{config.path}: read.project_to, survey.crs",
+                expected=f"{source.target} twice, or no survey.crs",
+                got=f"{source.target} and {config.survey.crs}",
+                do="name one system",
+            )
     if config.survey.crs is not None and given is None:
         return None
     systems: dict[str, Path] = {}
-    for path, crs in ((source.path, source.crs) for source in opened):
+    for path, crs in ((source.path, system_of(source)) for source in opened):
         if given is not None and crs is not None and not crs.equals(given, ignore_axis_order=True):
             runner.display.say(f"note: survey.crs ({given.name}) is used for {path.name}, which names {crs.name}")
         crs = given or crs

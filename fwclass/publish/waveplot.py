@@ -215,6 +215,79 @@ def _keys() -> list[Any]:
     ]
 
 
+@dataclass(frozen=True)
+class ReceiverPicture:
+    """What is known of a receiver; arrays of its channels, each under a name.
+
+    Attributes
+    ----------
+    title : line above.
+    time, pulse, gaussian : [ns] after the peak; heights as shares of the peak's.
+    recorded : likewise, the outgoing pulse as it was recorded; None where it was not.
+    spectra : name, frequency [GHz] and power of the noise over that of white noise of its variance.
+    offsets : name, height of echoes [DN] and how much later than the vendor's location they are [ns].
+    """
+
+    title: str
+    time: NDArray[np.float64]
+    pulse: NDArray[np.float64]
+    gaussian: NDArray[np.float64]
+    recorded: NDArray[np.float64] | None
+    spectra: Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]
+    offsets: Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]
+
+
+def draw_receiver(picture: ReceiverPicture) -> bytes:
+    """PNG of the system's pulse beside the recorded one, the spectrum of the noise, and the vendor's offset."""
+    figure = Figure(figsize=(7.6, 5.9), dpi=DPI, facecolor=PAPER)
+    FigureCanvasAgg(figure)
+    panels = [figure.add_axes((left, low, 0.41, 0.34)) for low in (0.56, 0.08) for left in (0.075, 0.575)]
+    limit = 1.0 / TAIL_ENLARGED
+    for axes, (low, high) in zip(panels, ((-0.08, 1.08), (-0.6 * limit, 1.08 * limit)), strict=False):
+        axes.axhline(0, color=QUIET, linewidth=0.6)
+        axes.plot(
+            picture.time, picture.gaussian, color=ECHO, linewidth=1.1, dashes=(4, 2), label="Gaussian of that width"
+        )
+        axes.plot(picture.time, picture.pulse, color=SUM, linewidth=1.5, label="system's pulse")
+        if picture.recorded is not None:
+            axes.plot(
+                picture.time, picture.recorded, color=VENDOR, linewidth=1.1, dashes=(1, 1), label="recorded outgoing"
+            )
+        axes.set_xlim(float(picture.time.min()), float(picture.time.max()))
+        axes.set_ylim(low, high)
+    for axes, (across, up) in zip(panels, _RECEIVER, strict=True):
+        axes.set_xlabel(across, fontsize=8, color=INK)
+        axes.set_ylabel(up, fontsize=8, color=INK)
+        _style(axes)
+    for axes, curves, style in ((panels[2], picture.spectra, "-"), (panels[3], picture.offsets, "o-")):
+        for (name, x, y), colour in zip(curves, (SUM, ECHO, VENDOR, NEW), strict=False):
+            axes.plot(x, y, style, color=colour, linewidth=1.3, markersize=3.5, label=name)
+        if not curves:
+            axes.text(
+                0.5, 0.5, "not known", ha="center", va="center", transform=axes.transAxes, fontsize=9, color=QUIET
+            )
+    panels[2].axhline(1.0, color=QUIET, linewidth=0.6, dashes=(4, 2))
+    panels[3].axhline(0.0, color=QUIET, linewidth=0.6)
+    if picture.offsets:
+        panels[3].set_xscale("log")
+        for axis in (panels[3].xaxis.set_major_formatter, panels[3].xaxis.set_minor_formatter):
+            axis(lambda value, _: f"{value:g}" if f"{value:.0e}"[0] in "125" else "")
+    for axes in (panels[0], panels[2], panels[3]):
+        if axes.get_legend_handles_labels()[1]:
+            axes.legend(frameon=False, fontsize=7.0, labelcolor=INK, loc="best", borderaxespad=0.1)
+    figure.text(0.075, 0.975, picture.title, ha="left", va="top", fontsize=10, color=INK, weight="bold")
+    return png(figure)
+
+
+_RECEIVER = (
+    ("time after the peak [ns]", "height, share of the peak"),
+    ("time after the peak [ns]", f"the same, {TAIL_ENLARGED:.0f} times enlarged"),
+    ("frequency [GHz]", "power of the noise, over white"),
+    ("height of the echo [DN]", "later than the vendor's place [ns]"),
+)
+"""Labels of the panels of `draw_receiver`."""
+
+
 def draw_pulse(
     time: NDArray[np.float64], values: NDArray[np.float64], gaussian_values: NDArray[np.float64], title: str
 ) -> bytes:

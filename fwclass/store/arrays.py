@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,56 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray], attributes: Mapping[
         file = path / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(content.as_numpy_array())
+
+
+@dataclass(frozen=True)
+class Grid:
+    """An array of a whole survey that is written piece by piece.
+
+    Attributes
+    ----------
+    shape, chunks : of the whole, and of the pieces that it is stored in; a piece of nothing is no file.
+    dtype, fill : of its values, and what stands where none are written.
+    axes : names of its dimensions.
+    attributes : unit, meaning.
+    """
+
+    shape: tuple[int, ...]
+    chunks: tuple[int, ...]
+    dtype: str
+    fill: float
+    axes: tuple[str, ...]
+    attributes: Mapping[str, Any]
+
+
+def write_grids(
+    path: Path,
+    grids: Mapping[str, Grid],
+    attributes: Mapping[str, Any],
+    pieces: Iterable[Mapping[str, tuple[tuple[slice, ...], NDArray]]],
+) -> None:
+    """Write arrays of a survey as one Zarr group at `path`, from pieces that begin at the edges of chunks."""
+    import zarr
+    from zarr.codecs import BloscCodec
+
+    group = zarr.open_group(str(path), mode="w", zarr_format=3, attributes=dict(attributes))
+    codec = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
+    made = {
+        name: group.create_array(
+            name,
+            shape=g.shape,
+            chunks=g.chunks,
+            dtype=g.dtype,
+            fill_value=g.fill,
+            compressors=codec,
+            dimension_names=g.axes,
+            attributes=dict(g.attributes),
+        )
+        for name, g in grids.items()
+    }
+    for piece in pieces:
+        for name, (where, values) in piece.items():
+            made[name][where] = values
 
 
 @counted("reading")

@@ -200,6 +200,14 @@ class Generations:
             self._retire(names, [*there, latest], keep, before, pointer[1])
         return latest
 
+    def retire_earlier(self) -> list[str]:
+        """Remove all generations but the current one and a later one that is not whole; names of those that went."""
+        pointer, names = self.files.pointer(), self._names()
+        shown = self._named(pointer[0]) if pointer else None
+        if pointer and shown is not None:
+            self._retire(names, self._all(names), 1, shown, pointer[1])
+        return sorted(set(names) - set(self._names()))
+
     def _reports_stand(self, generation: Generation) -> bool:
         """The reports that wait are those that the generation has."""
         manifest, own = self.manifest(generation) or {}, self.pending

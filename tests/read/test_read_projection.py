@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import laspy
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from commandline import fwclass
 from lasmaker import METRES_PER_NS, digitise, gaussian, write_las
@@ -80,3 +81,23 @@ def test_a_system_that_is_none_of_metres_is_refused(tmp_path, crs, words):
     ended = fwclass("decompose", path, tmp_path / "o.laz", "--crs", crs)
     assert ended.returncode == 1 and words in ended.stderr and "Traceback" not in ended.stderr
     assert not (tmp_path / "o.laz").exists()
+
+
+@pytest.mark.parametrize(("write", "name"), [(in_degrees, "a.las"), (geocentric, "a.pls")])
+def test_a_run_brings_files_into_the_system_of_its_configuration(tmp_path, write, name):
+    ground, sensor = truth()
+    path = write(tmp_path / name, ground, sensor)
+    words = ("profile", path, "--out", tmp_path / "run", "--samples", "--workers", "0", "--set", "profile.least=1")
+    refused = fwclass(*words)
+    assert refused.returncode == 1 and "read.project_to" in refused.stderr, refused.stderr
+    ended = fwclass(*words, "--crs", UTM)
+    assert ended.returncode == 0, ended.stderr
+    tables = [pq.read_table(p) for p in sorted((tmp_path / "run" / "samples").glob("*.parquet"))]
+    x, y, z, energy = (
+        np.concatenate([t.column(n).to_numpy() for t in tables]) for n in ("x", "y", "z", "returned_energy")
+    )
+    bright = np.stack([x, y, z], axis=1)[energy > np.quantile(energy, 0.9)]
+    off = np.array([np.linalg.norm(ground - one, axis=1).min() for one in bright])
+    assert np.median(off) < 0.15  # within a sample
+    other = fwclass(*words, "--set", f"read.project_to={UTM}", "--set", "survey.crs=EPSG:32632")
+    assert other.returncode == 2 and "another system than the survey" in other.stderr, other.stderr

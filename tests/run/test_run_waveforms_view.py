@@ -47,9 +47,9 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_shows_what_a_user_wants_to_see(survey: Path, tmp_path: Path) -> None:
     found = look(survey, (), (), tmp_path / "a.png", False)
     why = {p["pulse"]: p["why"] for p in found["pulses"]}
-    assert why[0] == "weakest single" and why[SINGLES - 1] == "brightest single"
-    assert why[SATURATED] == "saturated" and why[EMPTY] == "kept without echo"
-    assert why[SEVERAL] == "most echoes, echo the vendor lacks"
+    assert why[0].startswith("weakest single") and why[SINGLES - 1].startswith("brightest single")
+    assert why[SATURATED].startswith("saturated") and why[EMPTY] == "kept without echo"
+    assert why[SEVERAL].startswith("most echoes, echo the vendor lacks")
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
     several = next(p for p in found["pulses"] if p["pulse"] == SEVERAL)
     assert [e["return"] for e in several["echoes"]] == [1, 2, 3, None]

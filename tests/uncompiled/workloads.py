@@ -17,6 +17,7 @@ import numpy as np
 import plsmaker
 import shapely
 import wavemaker
+import woodmaker
 from numpy.typing import NDArray
 
 from fwclass import conf
@@ -24,16 +25,20 @@ from fwclass.assess.distribution import distribution
 from fwclass.classify.stage import classify
 from fwclass.classify.vote import walkable, winners
 from fwclass.columns import FEATURES
+from fwclass.decompose.deconvolution import backscatter_samples
 from fwclass.decompose.least_squares import evaluate
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
+from fwclass.decompose.params import DecomposeParams, SampleParams, StackParams
+from fwclass.decompose.placement import AS_STORED
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.quiet import with_correlated_noise
 from fwclass.decompose.shapes import lookup
+from fwclass.decompose.stacking import Surface, candidates, stacked
 from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.features.stage import features
 from fwclass.formats.wkb import shapes
-from fwclass.grid import Tile, Window
+from fwclass.grid import Box, Tile, Window
 from fwclass.ground.filters import FILTERS, ground_points
 from fwclass.ground.measure import measure
 from fwclass.ground.params import GroundParams
@@ -58,6 +63,7 @@ from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 from fwclass.train.stage import grow_tree, grow_trees, out_of_bag, train
 from fwclass.units import METRES_PER_NS
+from fwclass.voxels.traversal import follow
 
 EAST, NORTH = 512_000.0, 5_403_200.0
 ENDS = {"r": ("r150",), "c": ("c200",), "k": ("k7",), "g": ("g250",), "o": ("opt",)}
@@ -387,6 +393,37 @@ def work_ground_on_a_terrace(_: Path) -> Any:
     z = z + 2.5 * (x > EAST + 12.0)
     own = section("ground")["ptd"] | {"res": 5.0, "max_slope": 10.0}
     return ground_points(x, y, z, np.ones(len(x), bool), GroundParams(**section("ground", method="ptd", ptd=own)))
+
+
+def work_stacking(_: Path) -> Any:
+    """A wood of 5 x 5 pulses whose ground no single one shows."""
+    waves, _ground = woodmaker.flown(100.0, 1.5, seed=1, side=5)
+    heights, box = np.full((20, 20), 100.0, np.float32), Box(-5.0, -5.0, 10.0, 10.0)
+    asked, fit = StackParams(**section("stack", threshold=2.0, max_false=1.0)), DecomposeParams(**section("decompose"))
+    told = SystemPulse.gaussian(wavemaker.PULSE_WIDTH), AS_STORED
+    found = candidates(waves, 1, Surface(heights, Window(1.0, -10, -10, 20, 20)), box, asked, fit, *told)
+    table, counts = stacked(found, np.empty((0, 2)), box, 0.0, asked)
+    return [*dict(table).values(), np.array(list(counts.values()))]
+
+
+def work_deconvolution(_: Path) -> Any:
+    waves, _ground = woodmaker.flown(100.0, 30.0, seed=2, side=3)
+    pulse, fit = SystemPulse.gaussian(wavemaker.PULSE_WIDTH), DecomposeParams(**section("decompose"))
+    answers = []
+    for method in ("gold", "richardson-lucy"):
+        asked = SampleParams(**section("samples", method=method, iterations=4))
+        answers += list(dict(backscatter_samples(waves, 1, asked, fit, pulse, AS_STORED)[0]).values())
+    return answers
+
+
+def work_voxels(_: Path) -> Any:
+    rng = np.random.default_rng(3)
+    start, end = rng.uniform(0.0, 6.0, (9, 3)) + np.array([0.0, 0.0, 6.0]), rng.uniform(0.0, 6.0, (9, 3))
+    end[0, :2] = start[0, :2]
+    shares = np.stack([rng.uniform(0.0, 5.0, 9), np.ones(9)], axis=1)
+    counts = [np.zeros((8, 6, 6), kind) for kind in (np.uint32, np.uint32, float, float)]
+    follow(start, end, shares[:, 0].copy(), shares, np.arange(10), 1.0, 0.0, *counts)
+    return counts
 
 
 WORK: dict[str, Callable[[Path], Any]] = {

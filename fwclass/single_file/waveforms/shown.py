@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.fitting import Fits, fit_waveforms
+from fwclass.decompose.fitting import OVERLAPPING, Fits, fit_waveforms, pulses_of
 from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.shapes import height_error
 from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.units import FWHM_PER_SIGMA
 from fwclass.waveforms import Waveforms
 
 JITTER = 1.0
@@ -27,6 +29,7 @@ class Seen:
     matched, gap : per echo, the row of `returns` that it explains or -1, and the distance of the nearest return of
         its pulse (infinite without one).
     complete : per pulse, whether the file has all the returns that its vendor counted; cropped files lack some.
+    chance : per echo, the probability that noise alone makes one so high anywhere in a waveform as long.
     returns, return_pulse, return_time : rows of the returns that have a waveform, and as for the echoes.
     """
 
@@ -39,6 +42,7 @@ class Seen:
     matched: NDArray[np.int64]
     gap: NDArray[np.float64]
     complete: NDArray[np.bool_]
+    chance: NDArray[np.float64]
     returns: NDArray[np.int64]
     return_pulse: NDArray[np.int64]
     return_time: NDArray[np.float64]
@@ -54,8 +58,13 @@ class Seen:
             return np.asarray(self.fits.amplitude / self.fits.amplitude_sigma)
 
 
-def see(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, only: tuple[int, ...]) -> Seen:
-    """Fit the waveforms (of pulses `only`, if there are any) and tie echoes to returns."""
+def see(
+    waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, only: tuple[int, ...], inflation: float = 1.0
+) -> Seen:
+    """Fit the waveforms (of pulses `only`, if there are any) and tie echoes to returns.
+
+    `inflation`: standard deviation of the matched filter's output over what the fit takes it for.
+    """
     if only:
         waves = _rows(waves, np.flatnonzero(np.isin(waves.pulses["pulse"], only)))
     fits = fit_waveforms(waves, params, pulse)
@@ -70,7 +79,33 @@ def see(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, only: tup
     return_time = waves.returns["location"].astype(np.float64)[returns]
     matched, gap = tie(owner, time, fits.amplitude, place[returns], return_time, params.vendor_tolerance)
     matched = np.where(matched >= 0, returns[matched], -1) if len(returns) else matched
-    return Seen(waves, fits, ids, of_row, owner, time, matched, gap, complete, returns, place[returns], return_time)
+    chance = noise_chances(fits, waves, pulse, inflation)
+    return Seen(
+        waves, fits, ids, of_row, owner, time, matched, gap, complete, chance, returns, place[returns], return_time
+    )
+
+
+def noise_chances(fits: Fits, waves: Waveforms, pulse: SystemPulse, inflation: float) -> NDArray[np.float64]:
+    """How likely noise alone reaches every echo's height somewhere in its waveform, behind the matched filter.
+
+    By the rate at which a stationary normal process crosses a level upwards (Rice 1945), the filter that of a Gaussian
+    pulse of the system's width. NaN where the noise is not known, and for echoes that overlap: whether there are two of
+    them a fit's gain tells, and no height.
+    """
+    spacing = waves.pulses["sample_spacing"].astype(np.float64)
+    kinds, kind = pulses_of(waves, pulse)
+    known = [*(c for c in pulse.channels if c.freedom > 0.0), None]
+    error, sigma = np.full(len(spacing), np.nan), np.full(len(spacing), np.nan)
+    for k, (own, channel) in enumerate(zip(kinds, known, strict=True)):
+        mine = (kind == k) & (spacing > 0.0)
+        error[mine] = height_error(own, channel) if channel else np.sqrt(spacing[mine] / own.energy)
+        sigma[mine] = own.fwhm / (FWHM_PER_SIGMA * spacing[mine])
+    row = fits.row
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        height = fits.amplitude / (fits.noise * error * inflation)[row] if len(row) else fits.amplitude
+        rate = np.diff(waves.offsets) / (2.0 * np.pi * np.sqrt(2.0) * sigma)
+        chance = -np.expm1(-rate[row] * np.exp(-0.5 * height**2))
+    return np.where((fits.flags & OVERLAPPING) > 0, np.nan, chance)
 
 
 def _complete(n: int, pulse: NDArray[np.int64], declared: NDArray) -> NDArray[np.bool_]:

@@ -56,7 +56,9 @@ def _echo_words(echo: dict[str, Any], compared: bool) -> str:
     if echo["return"] is not None:
         back = f"{echo['return']} ({echo['from_return']:+.2f} ns)"
     else:
-        back = "NONE OF THE VENDOR'S" if echo["missed"] else "none in the file" if compared else ""
+        by_noise = echo["noise_chance"]
+        chance = "" if by_noise is None else f", noise makes one so high with {by_noise:.2g}"
+        back = f"NONE OF THE VENDOR'S{chance}" if echo["missed"] else "none in the file" if compared else ""
     return " ".join(cells) + "  " + "; ".join(t for t in (back, ", ".join(echo["flags"])) if t)
 
 
@@ -67,18 +69,19 @@ def _missed_lines(missed: dict[str, Any]) -> list[str]:
     if not missed["strongest"]:
         return lines
     lines += ["the strongest:", f"  {'pulse':>9} {'GPS time [s]':>18} {'time [ns]':>17} {'height [DN]':>18} {'A/σ':>7}"]
-    lines[-1] += f" {'nearest return [ns]':>20}  flags"
+    lines[-1] += f" {'by noise':>9} {'nearest return [ns]':>20}  flags"
     for e in missed["strongest"]:
         lines.append(
             f"  {e['pulse']:>9} {_number(e['gps_time'], 6):>18} {_pair(e['time'], e['time_sigma'], 3):>17} "
             f"{_pair(e['amplitude'], e['amplitude_sigma'], 2):>18} {_number(e['significance'], 1):>7} "
-            f"{_number(e['nearest_return'], 2):>20}  {', '.join(e['flags'])}".rstrip()
+            f"{_number(e['noise_chance'], 2, 'g'):>9} {_number(e['nearest_return'], 2):>20}  "
+            f"{', '.join(e['flags'])}".rstrip()
         )
     return lines
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
+def _number(value: float | None, digits: int, kind: str = "f") -> str:
+    return "–" if value is None else f"{value:.{digits}{kind}}"
 
 
 def _pair(value: float | None, sigma: float | None, digits: int) -> str:

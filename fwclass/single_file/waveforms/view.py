@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.decompose.fitting import EDGE, OVERLAPPING, POOR, SATURATED, model_of, pulses_of, reached_limits
 from fwclass.decompose.params import DecomposeParams
+from fwclass.decompose.pulse_sample import outgoing_of
+from fwclass.decompose.recorded_pulse import recorded_pulse
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.plausibility import place_remarks
-from fwclass.graph.pulse_picture import pulse_picture
+from fwclass.graph.pulse_picture import receiver_picture
 from fwclass.graph.sources import StripSpan
 from fwclass.publish.files import whole
 from fwclass.publish.waveplot import WavePicture, draw_waveforms
 from fwclass.read.source import open_source
 from fwclass.read.stage import ReadParams, check_source
-from fwclass.single_file.strip import strip_of
+from fwclass.single_file.strip import FileStrip, strip_of
 from fwclass.single_file.waveforms.shown import Seen, see
 
 STRONGEST = 20
@@ -31,6 +33,13 @@ STRONGEST = 20
 
 KINDS = ("brightest single", "most echoes", "weakest single", "echo the vendor lacks", "saturated", "kept without echo")
 """What a shown pulse stands for, in the order of the panels."""
+
+SIX = 6
+SEVERAL = ("a best fit", "a worst fit", "an unsure extra echo")
+"""Kinds of which so many are shown, behind `KINDS`."""
+
+SURE = 10.0
+"""Standard errors of its highest echo from which a pulse may be one of the best or worst fits."""
 
 MOST_PULSES = 30
 """Panels of one picture at most."""
@@ -83,12 +92,17 @@ def look(
     with strip_of(source, settings) as strip:
         pulse, noise, places = strip.pulse(), strip.noise(), strip.places()
         wanted = strip.spans if not pulses else _with(strip.spans, pulses, path)
-        views = (see(strip.waves(span), params, pulse, pulses) for span in wanted)
+        inflation = float(noise["inflation"] or 1.0)
+        views = (see(strip.waves(span), params, pulse, pulses, inflation) for span in wanted)
+        recorded = _recorded(strip, settings)
         chosen, counts = _named(views, pulses, pulse, path) if pulses else _telling(views, pulse)
     if not chosen:
         raise InputError("no waveform of the file can be drawn", where=path, do="see `fwclass info` for what is wrong")
     heading = f"{path.name}: {'chosen' if pulses else 'telling'} pulses, {_pulse_words(pulse)}"
-    drawn = ((target, draw_waveforms([p for p, _ in chosen], heading)), (beside_it, pulse_picture(pulse, path.name)))
+    drawn = (
+        (target, draw_waveforms([p for p, _ in chosen], heading)),
+        (beside_it, receiver_picture(pulse, recorded, places, path.name)),
+    )
     for place, picture_bytes in drawn:
         with whole(place) as beside:
             beside.write_bytes(picture_bytes)
@@ -105,6 +119,16 @@ def look(
             "pulses": [f for _, f in chosen],
         }
     )
+
+
+def _recorded(strip: FileStrip, settings: tuple[str, ...]) -> SystemPulse | None:
+    """The outgoing pulse as the first waveforms of the file that have one show it; None without."""
+    for span in strip.spans[:1]:
+        waves = strip.waves(span)
+        rows = np.flatnonzero(np.diff(waves.outgoing_offsets) > 0)
+        if len(rows):
+            return recorded_pulse(outgoing_of(waves, rows), conf.section("pulse", settings))
+    return None
 
 
 def _refuse(target: Path, pulses: tuple[int, ...], overwrite: bool) -> None:
@@ -146,6 +170,7 @@ def _named(
 def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], dict[str, Any]]:
     """One pulse of every kind that a user wants to see, and the figures of the whole file."""
     best: dict[str, tuple[float, Shown]] = {}
+    many: dict[str, list[tuple[float, Shown]]] = {}
     rows: list[dict[str, Any]] = []
     waveforms = echoes = returns = missed = cropped = 0
     for seen in views:
@@ -153,6 +178,12 @@ def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], d
             at = int(np.argmax(score)) if len(score) else -1
             if at >= 0 and score[at] > best.get(why, (-np.inf,))[0]:
                 best[why] = (float(score[at]), _shown(seen, at, system))
+        for why, score in _scores_of_several(seen).items():
+            least = many.get(why, [])[SIX - 1 :]
+            top = np.argsort(-score, kind="stable")[:SIX]
+            more = [(float(score[at]), at) for at in top.tolist() if score[at] > (least[0][0] if least else -np.inf)]
+            some = [*many.get(why, []), *((value, _shown(seen, at, system)) for value, at in more)]
+            many[why] = sorted(some, key=lambda one: (-one[0], one[1][1]["pulse"]))[:SIX]
         new = np.flatnonzero(seen.missed)
         cropped += int((~seen.complete).sum())
         waveforms, echoes = waveforms + seen.waves.pulses.rows, echoes + len(seen.pulse)
@@ -167,21 +198,40 @@ def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], d
             "incomplete_pulses": cropped,
             "strongest": strongest,
         }
-    return _merged(best), counts
+    return _merged([*best.items(), *((why, one) for why in SEVERAL for one in many.get(why, ()))]), counts
 
 
-def _merged(best: dict[str, tuple[float, Shown]]) -> list[Shown]:
+def _merged(chosen: Sequence[tuple[str, tuple[float, Shown]]]) -> list[Shown]:
     """Every chosen pulse once, with all that it stands for."""
+    order = (*KINDS, *SEVERAL)
     reasons: dict[int, list[str]] = {}
-    for why in (kind for kind in KINDS if kind in best):
-        reasons.setdefault(best[why][1][1]["pulse"], []).append(why)
-    chosen = {facts["pulse"]: (picture, facts) for _, (picture, facts) in best.values()}
+    pictures: dict[int, Shown] = {}
+    for why, (_, shown) in sorted(chosen, key=lambda one: order.index(one[0])):
+        reasons.setdefault(shown[1]["pulse"], []).append(why)
+        pictures[shown[1]["pulse"]] = shown
     out = []
     for number, whys in reasons.items():
-        picture, facts = chosen[number]
+        picture, facts = pictures[number]
         why = ", ".join(whys)
-        out.append((replace(picture, subtitle=f"{why}; {picture.subtitle}"), {**facts, "why": why}))
+        extra = [e["noise_chance"] for e in facts["echoes"] if e["missed"] and np.isfinite(e["noise_chance"])]
+        extra = extra if SEVERAL[2] in whys else []
+        told = f"{why}: by noise with {max(extra):.1g}" if extra else f"{why}; {picture.subtitle}"
+        out.append((replace(picture, subtitle=told), {**facts, "why": why}))
     return out
+
+
+def _scores_of_several(seen: Seen) -> dict[str, NDArray[np.float64]]:
+    """As `_scores`, of the kinds of which several are shown."""
+    n, fits = len(seen.ids), seen.fits
+    surest, extra, misfit = np.full(n, -np.inf), np.full(n, -np.inf), np.full(n, -np.inf)
+    significance = np.nan_to_num(seen.significance, nan=0.0)
+    np.maximum.at(surest, seen.pulse, significance)
+    known = np.flatnonzero(seen.missed & np.isfinite(seen.chance))
+    np.maximum.at(extra, seen.pulse[known], seen.chance[known])
+    np.maximum.at(misfit, seen.pulse, np.nan_to_num(fits.misfit[fits.row], nan=-np.inf))
+    clear = (surest >= SURE) & np.isfinite(misfit)
+    best, worst = np.where(clear, -misfit, -np.inf), np.where(clear, misfit, -np.inf)
+    return dict(zip(SEVERAL, (best, worst, extra), strict=True))
 
 
 def _scores(seen: Seen) -> dict[str, NDArray[np.float64]]:
@@ -243,6 +293,7 @@ def _echo(seen: Seen, e: int) -> dict[str, Any]:
         "return": int(seen.waves.returns["return_number"][back]) if back >= 0 else None,
         "from_return": float(seen.time[e]) - float(seen.waves.returns["location"][back]) if back >= 0 else None,
         "missed": bool(seen.missed[e]),
+        "noise_chance": float(seen.chance[e]),
         "nearest_return": float(seen.gap[e]),
     }
 

@@ -1,0 +1,32 @@
+"""`fwclass clean`: room, once a run has delivered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from fwclass.cli.base import RUN, cli
+from fwclass.cli.status import run_at
+
+
+@cli.command()
+@click.argument("run", type=RUN)
+@click.option(
+    "--keep",
+    type=click.Choice(["delivery", "latest"]),
+    required=True,
+    help="delivery: only what readers see now; latest: that, and the parts that the next run goes on from.",
+)
+def clean(run: Any, keep: Any) -> None:
+    """Remove earlier deliveries of a run and, with --keep delivery, the parts that the current one was made from.
+
+    What was delivered stays as it is; the next run makes all that is missing.
+    """
+    from fwclass.operate.clean import clean as remove
+
+    gone = remove(run_at(run), keep, lambda text: click.echo(text, err=True))
+    some = ", ".join(gone.generations) or "none"
+    click.echo(f"generations {some} removed")
+    click.echo(f"parts       {gone.parts:,} removed")
+    click.echo(f"size        {gone.before / 1e6:,.1f} MB before, {gone.after / 1e6:,.1f} MB now")

@@ -1,0 +1,74 @@
+"""`fwclass clean`: what a run keeps beside its delivery goes, or earlier deliveries."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from fwclass.errors import ConfigError
+from fwclass.store.bucket import Remote
+from fwclass.store.run_location import RunLocation, locked, open_store
+
+Keep = Literal["delivery", "latest"]
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """What went: `generations` by name, how many `parts` of the store; bytes of the run `before` and `after`."""
+
+    generations: tuple[str, ...]
+    parts: int
+    before: int
+    after: int
+
+
+def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cleaned:
+    """Remove earlier deliveries and, to keep the ``delivery`` alone, the parts that it was made from.
+
+    A simulated survey's files, the history and the words of the last run stay. The same run makes all parts anew, and
+    the same delivery.
+
+    Raises
+    ------
+    ConfigError
+        Only the delivery is to stay, and there is none that is whole.
+    LockedError
+        A run is under way.
+    """
+    with locked(location, tell) as (own, _):
+        store = open_store(own)
+        current = store.generations.current()
+        if keep == "delivery" and (current is None or not current.whole):
+            raise ConfigError(
+                "nothing would be left: the run has no whole delivery",
+                where=store.where,
+                expected="a current generation that is whole",
+                got="none" if current is None else f"{current.name}, which is not",
+                do="finish the run first, or --keep latest",
+            )
+        before = used(own)
+        generations = store.generations.retire_earlier()
+        parts = []
+        if keep == "delivery":
+            kept = {receipt.part for receipt in store.receipts("simulate")}
+            parts = [name for name in store.parts() if name[0] != "simulate" or name[1] not in kept]
+            store.remove_all(parts)
+        store.clear_staging()
+        return Cleaned(tuple(generations), len(parts), before, used(own))
+
+
+def used(location: RunLocation) -> int:
+    """Bytes that a run takes: of files with several names once, as a delivery's are the store's."""
+    if isinstance(location, Remote):
+        return sum(held.size for held in location.objects.list(""))
+    seen: dict[tuple[int, int], int] = {}
+    for directory, _, names in os.walk(location):
+        for name in names:
+            try:
+                facts = os.lstat(f"{directory}/{name}")
+            except FileNotFoundError:  # it went just now
+                continue
+            seen[facts.st_dev, facts.st_ino] = facts.st_size
+    return sum(seen.values())

@@ -1,0 +1,34 @@
+"""A survey of 6 000 points with classes and no waveforms, which runs in seconds, for tests of commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import lasmaker
+import numpy as np
+
+CONFIG = """survey:
+  name: small
+  directory: .
+  sources: [a.las]
+  reference: {kind: source}
+  features: [zc, height_range_c100]
+  classes: [{name: ground, code: 2, codes: [2]}, {name: bush, code: 5, codes: [5]}]
+areas: {train: [[500000, 5400000, 500030, 5400040]], gap: 1}
+tile: {size: 25}
+train: {trees: 5}
+publish: {figure_pixels: 200}
+assess: {block: 5}
+"""
+
+
+def small_survey(place: Path) -> Path:
+    """``a.las``, a slope of 80 m × 40 m with bushes, and ``s.yaml`` beside it, which is returned."""
+    rng = np.random.default_rng(0)
+    x, y, bush = *rng.uniform(0, 1, (2, 6000)) * [[80], [40]], rng.random(6000) < 0.3
+    xyz = np.c_[500_000 + x, 5_400_000 + y, 200 + 0.05 * x + bush * rng.uniform(0.5, 6, 6000)]
+    classes = np.where(bush, 5, 2)
+    lasmaker.write_las(place / "a.las", xyz, point_format=6, classification=classes, intensity=rng.integers(1, 9, 6000))
+    path = place / "s.yaml"
+    path.write_text(CONFIG)
+    return path

@@ -1,0 +1,63 @@
+"""`fwclass clean`: what was delivered stays, what is left runs again to the same bytes."""
+
+from __future__ import annotations
+
+import hashlib
+
+import pytest
+from commandline import fwclass
+from smallsurvey import small_survey
+
+from fwclass.operate.clean import used
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A run ``r`` with two generations."""
+    place = tmp_path_factory.mktemp("clean")
+    small_survey(place)
+    for more in (("--set", "train.trees=3"), ()):
+        ended = fwclass("run", "s.yaml", "--out", "r", "--workers", 0, *more, cwd=place)
+        assert ended.returncode == 0, ended.stderr
+    return place
+
+
+def delivered(root):
+    """Digests of all that readers see, links followed; the reports tell times."""
+    files = sorted(p for p in (root / "current").resolve().rglob("*") if p.is_file())
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in files}
+
+
+def test_earlier_deliveries_go_then_the_store_and_a_run_makes_the_same(place):
+    root = place / "r"
+    before, size = delivered(root), used(root)
+    ended = fwclass("clean", "r", "--keep", "latest", cwd=place)
+    assert ended.returncode == 0 and "0001 removed" in ended.stdout, ended.stderr
+    again = fwclass("run", "s.yaml", "--out", "r", "--workers", 0, cwd=place)
+    assert again.returncode == 0 and "computed" not in again.stdout and delivered(root) == before
+    ended = fwclass("clean", "r", "--keep", "delivery", cwd=place)
+    assert ended.returncode == 0 and delivered(root) == before and used(root) < 0.6 * size
+    assert "not done" in fwclass("status", "r", cwd=place).stdout
+    assert fwclass("history", "r", cwd=place).stdout.count("done (0)") == 3
+    again = fwclass("run", "s.yaml", "--out", "r", "--workers", 0, cwd=place)
+    assert again.returncode == 0, again.stderr
+    files = delivered(root)
+    told = {"report.html", "report.json", "generation.json", "manifest.json"}
+    assert {n: d for n, d in files.items() if n not in told} == {n: d for n, d in before.items() if n not in told}
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [(("nothing", "--keep", "delivery"), "no such run"), (("r",), "--keep"), (("r", "--keep", "all"), "--keep")],
+)
+def test_what_cannot_be_cleaned(place, words, says):
+    ended = fwclass("clean", *words, cwd=place)
+    assert ended.returncode == 2 and says in ended.stderr
+
+
+def test_a_run_without_a_delivery_is_left_alone(place):
+    ended = fwclass("run", "s.yaml", "--out", "half", "--workers", 0, "--set", "train.trees=0", cwd=place)
+    assert ended.returncode == 2
+    (place / "half" / "store" / "tile" / "0_0").mkdir(parents=True)
+    ended = fwclass("clean", "half", "--keep", "delivery", cwd=place)
+    assert ended.returncode == 2 and (place / "half" / "store" / "tile" / "0_0").exists()
