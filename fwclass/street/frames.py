@@ -93,7 +93,8 @@ class Placed:
 
     Attributes
     ----------
-    place : along the road [units]. road : height of the road above the scanner [m], measured where features count from it, else the mounting's.
+    place : along the road [units]. road : height of the road above the scanner [m]; measured where features count from
+        it, else the mounting's.
     x : int32 (beams,), or (0,) where the scan plane is at right angles to the road. y, z : int32 (beams,).
     r : float32 (beams,) [m], NaN without a return.
     """
