@@ -4,8 +4,7 @@
 project. Returns within 30 m, vegetation against the rest, depth is |y|. Its rings turn about a mast, so neighbours come
 from a k-d tree; formulas are those of `fwclass street`. Error, detection, false alarm in %, at random (5 %), on the
 street's other side (trained on y < 0, judged on y > 0), and ahead (trained on x < 0, judged on x > 0: another piece of
-street). Nothing is chosen here: all that was tried is
-listed.
+street). Nothing is chosen here: all that was tried is listed.
 """
 
 from __future__ import annotations
