@@ -4,7 +4,7 @@ PYTHON ?= python3
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: demo test check unit uncompiled faults format bench fuzz clean
+.PHONY: demo test check unit uncompiled faults format bench docs fuzz clean
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || \
@@ -42,6 +42,9 @@ format: $(READY)
 
 bench: $(READY)
 	for file in tests/bench/bench_*.py; do echo "== $$file"; $(PY) $$file; done
+
+docs: $(READY)
+	$(VENV)/bin/mkdocs build --strict --quiet
 
 fuzz: $(READY)
 	$(PY) -m pytest -n auto -m hypothesis --hypothesis-profile default

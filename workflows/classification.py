@@ -11,6 +11,7 @@ from fwclass.graph.backscatter import (
     FILL_VOXELS,
     SAMPLE_WAVES,
 )
+from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -24,7 +25,7 @@ from fwclass.graph.learn import (
     TRY_MACHINES,
     WEIGH_FEATURES,
 )
-from fwclass.graph.outputs import DELIVER_RASTERS, DELIVER_STRIP, DELIVER_TILE, MAP_CLASSES
+from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
 from fwclass.graph.radiometry import (
     CALIBRATE_STRIPS,
     CHECK_POINTING,
@@ -32,6 +33,7 @@ from fwclass.graph.radiometry import (
     MEASURE_RADIOMETRY,
     READ_TRAJECTORY,
 )
+from fwclass.graph.raster_outputs import DELIVER_RASTERS, MAP_CLASSES
 from fwclass.graph.refine import (
     ANSWER_COARSE,
     CLASSIFY_REFINED,
@@ -115,6 +117,9 @@ classification = Workflow(
         DELIVER_STACK,
         MAP_CLASSES,
         DELIVER_RASTERS,
+        DELIVER_OVERVIEW,
+        DELIVER_CATALOGUE,
+        DELIVER_POLYGONS,
         # for those who want the waveform, not echoes
         SAMPLE_WAVES,
         FILL_VOXELS,

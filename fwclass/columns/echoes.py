@@ -7,7 +7,14 @@ from fwclass.columns.record import NAN, Column
 ECHOES = (
     # who an echo is; (strip, pulse, echo_number) is unique and the canonical order
     Column("strip", "u2", "", "number of the source file, which follows from its name; report.json lists them"),
-    Column("pulse", "u4", "", "index of the pulse in its strip, in order of first appearance in the file"),
+    Column(
+        "pulse",
+        "u4",
+        "",
+        "index of the pulse in its strip, in order of first appearance in the file",
+        las="pulse",
+        las_about="its place in the source file",
+    ),
     Column(
         "echo_number",
         "u1",
@@ -40,6 +47,8 @@ ECHOES = (
         low=0,
         las="amplitude DN",
         las_about="height above the baseline",
+        las_dtype="u4",
+        las_scale=0.1,
     ),
     Column(
         "amplitude_db",
@@ -62,6 +71,8 @@ ECHOES = (
         low=0,
         las="echo width",
         las_about="full width at half maximum",
+        las_dtype="u2",
+        las_scale=0.01,
     ),
     Column(
         "time",

@@ -16,6 +16,8 @@ RESULTS = (
         null=NAN,
         las="HeightAboveGround",
         las_about="above the terrain model",
+        las_dtype="i2",
+        las_scale=0.01,
     ),
     # thinning
     Column("sampled", "bool", "", "the classifier is asked about the echo; the others follow the nearest such one"),
@@ -33,6 +35,8 @@ RESULTS = (
         low=0,
         las="range",
         las_about="from sensor to echo",
+        las_dtype="u4",
+        las_scale=0.01,
     ),
     Column(
         "incidence",
@@ -44,6 +48,8 @@ RESULTS = (
         high=90,
         las="incidence angle",
         las_about="beam to local normal",
+        las_dtype="u1",
+        las_scale=0.5,
     ),
     Column(
         "cross_section",
@@ -103,6 +109,8 @@ RESULTS = (
         high=1,
         las="confidence",
         las_about="share of votes, or probability",
+        las_dtype="u1",
+        las_scale=0.005,
     ),
     Column(
         "entropy",
@@ -113,6 +121,8 @@ RESULTS = (
         high=1,
         las="entropy",
         las_about="of the classes: 0 sure, 1 not",
+        las_dtype="u1",
+        las_scale=0.005,
     ),
     Column(
         "probability",
@@ -124,5 +134,7 @@ RESULTS = (
         scales=PER_CODE,
         las="probability",
         las_about="share of this class",
+        las_dtype="u1",
+        las_scale=0.005,
     ),
 )

@@ -117,7 +117,7 @@ def _placed(
     columns = {
         "strip": np.full(len(row), strip),
         "pulse": pulses["pulse"][row],
-        "sample": sample + np.rint(pulses["segment_start"] / pulses["sample_spacing"]).astype(np.int64)[row],
+        "sample": sample + _before(pulses)[row],
         **{axis: quantised(place[:, c]) for c, axis in enumerate("xyz")},
         "gps_time": pulses["gps_time"][row],
         "sample_value": waves.samples[kept] - level[kept],
@@ -125,6 +125,12 @@ def _placed(
         "share": energy[kept] / np.maximum(whole[of[row]], TINY),
     }
     return Table({n: columns[n] for n in SAMPLE_COLUMNS}), {"energy": total, "dropped": total - sure}
+
+
+def _before(pulses: Table) -> NDArray[np.int64]:
+    """Samples of the pulse that lie before every row's first one."""
+    late = pulses["segment_start"].astype(np.float64) / pulses["sample_spacing"]
+    return np.nan_to_num(np.rint(late), nan=0.0, posinf=0.0, neginf=0.0).astype(np.int64)
 
 
 def first_samples(

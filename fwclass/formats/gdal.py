@@ -8,9 +8,10 @@ from __future__ import annotations
 import os
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from fwclass.errors import FwclassError
@@ -75,3 +76,38 @@ def offline() -> Iterator[Any]:
             yield module
         finally:
             os.environ.update(kept)
+
+
+_LAST_CHANGE = "2000-01-01T00:00:00.000Z"
+"""What GeoPackages that are written say of their day: nothing, or no two would be the same."""
+
+
+def write_polygons(
+    path: Path, layer: str, geometry: Sequence[bytes], fields: Mapping[str, Any], crs: str | None
+) -> None:
+    """Add a layer of polygons (WKB) to a GeoPackage, which is made where it is not there; the same ones give the same
+    bytes.
+
+    Parameters
+    ----------
+    fields : numpy columns by name; object ones hold texts, NaN is written as null.
+    crs : WKT, or None for an unknown one.
+    """
+    import numpy as np
+
+    place = path.absolute()
+    with offline() as module:
+        module.set_gdal_config_options({"OGR_CURRENT_DATE": _LAST_CHANGE})
+        module.raw.write(
+            str(place),
+            np.array(geometry, dtype=object),
+            list(fields.values()),
+            np.array(list(fields), dtype=object),
+            layer=layer,
+            driver="GPKG",
+            geometry_type="Polygon",
+            crs=crs,
+            append=place.exists(),
+            dataset_options={"VERSION": "1.3"},  # what QGIS of 2022 knows
+            layer_options={"SPATIAL_INDEX": "YES"},
+        )

@@ -57,7 +57,29 @@ def judged(
     blocks = BlockCounts.of(table["x"], table["y"], table["reference"], table["classification"], classes, block)
     kept = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
     write_arrays(here.directory / COUNTS, kept)
-    return {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist()}
+    sure = by_confidence(table, classes).tolist()
+    return {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist(), "sure": sure}
+
+
+PERCENT = 101
+
+
+def by_confidence(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
+    """(2, 101) labelled echoes: wrong and right ones (rows), by the confidence of their class [%]."""
+    reference, given = (class_index(table[n], classes) for n in ("reference", "classification"))
+    known = (reference >= 0) & np.isfinite(table["confidence"])
+    percent = np.floor(100 * table["confidence"][known].astype(np.float64) + 1e-4).astype(np.int64)
+    cells = PERCENT * (reference[known] == given[known]) + np.clip(percent, 0, PERCENT - 1)
+    return np.bincount(cells, minlength=2 * PERCENT).reshape(2, PERCENT).astype(np.int64)
+
+
+def automation(counts: NDArray[np.int64]) -> list[list[float]]:
+    """(confidence, share of the echoes that are as sure or surer, share of these that are right), by ascending
+    confidence; empty without an echo."""
+    total = int(counts.sum())
+    left = counts[:, ::-1].cumsum(axis=1)[:, ::-1]
+    rows = [(k, int(left[:, k].sum()), int(left[1, k])) for k in range(PERCENT)]
+    return [[k / 100, some / total, right / some] for k, some, right in rows if some] if total else []
 
 
 def ground_counts(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
@@ -86,12 +108,13 @@ def assessed(
     """
     n = len(classes)
     matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
-    parts, counted = [], []
+    parts, counted, sure = [], [], np.zeros((2, PERCENT), np.int64)
     for tile in here.parts("confusion"):
         meta = here.inputs.meta("confusion", tile)
         matrix += np.array(meta["matrix"], np.int64)
         lost += np.array(meta["lost"], np.int64)
         filtered += np.array(meta["ground"], np.int64)
+        sure += np.array(meta["sure"], np.int64)
         arrays, _ = here.inputs.arrays("confusion", tile, COUNTS)
         counted.append((arrays["places"], arrays["counts"]))
         parts.append(BlockCounts(arrays["place"], arrays["blocks"]))
@@ -108,6 +131,7 @@ def assessed(
         "accuracy": accuracy if matrix.any() or lost.any() else None,
         "distribution": summary(histograms, called, quantiles),
         "ground": figures(filtered, ("ground", "other")) if filtered.any() else None,
+        "automation": automation(sure),
     }
 
 
@@ -124,7 +148,7 @@ COUNT_CONFUSION = Stage(
     judged,
     when=labelled,
     arguments=_judging,
-    own=lambda plan: (*IDENTITY_AND_PLACE, *described(plan), "reference", "classification", "ground"),
+    own=lambda plan: (*IDENTITY_AND_PLACE, *described(plan), "reference", "classification", "confidence", "ground"),
     check=True,
 )
 ASSESS = Stage(

@@ -1,38 +1,28 @@
-"""Stages that deliver: classified tiles and strips, GeoParquet, class blocks and rasters."""
+"""Stages that deliver echoes: classified tiles as COPC and GeoParquet, and strips."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from fwclass.errors import InputError, StoreError
+from fwclass.errors import StoreError
 from fwclass.graph.classify import classes_written
-from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.layout import FileDigests, Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
-from fwclass.graph.rasters import Mosaic, stripes, write_rasters
-from fwclass.graph.sites import WHOLE, Site, sites
 from fwclass.graph.sources import link_table, spans_of, strip_of
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
 from fwclass.graph.tiling import tiles_of_strips
-from fwclass.grid import Box, Tile, TileGrid, Window
-from fwclass.ground.stage import TERRAIN
-from fwclass.publish.class_raster import class_raster
-from fwclass.publish.cog import STRIPE, cog
-from fwclass.publish.geoparquet import write_geoparquet
-from fwclass.publish.laz import without_reflectance, write_tile_laz
-from fwclass.publish.palette import colours
+from fwclass.publish.copc import write_tile_copc
+from fwclass.publish.geoparquet import about_delivery, rounded, write_geoparquet
+from fwclass.publish.laz import without_reflectance
 from fwclass.publish.params import PublishParams
-from fwclass.publish.shade import hillshade
 from fwclass.publish.strips import write_strip_laz
+from fwclass.publish.tile_facts import tile_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import Table
 from fwclass.store.remote_file import Location
@@ -65,6 +55,11 @@ DELIVERED = (
 )
 """Columns of the delivered tiles, besides the forest's features and radiometry."""
 
+EXACT = ("range", "confidence")
+"""Columns that Parquet has as they are: a range's standard error is a hundred-thousandth of it, votes are few."""
+
+TILES, TILE_ENDING = "laz/tiles", ".copc.laz"
+
 NO_BYTE = frozenset({"raster_cache", "figure_pixels"})
 """Settings that change no byte of what these parts write."""
 
@@ -78,18 +73,27 @@ def crs_of(text: str | None) -> CRS | None:
 
 
 def delivered_tile(
-    here: StageInputs, params: PublishParams, columns: Names, crs: str | None, standard_time: bool, calibrated: bool
+    here: StageInputs,
+    params: PublishParams,
+    columns: Names,
+    crs: str | None,
+    standard_time: bool,
+    calibrated: bool,
+    names: Mapping[str, str],
 ) -> Made:
-    """A tile as LAZ and as GeoParquet. Without a calibration no LAZ has `reflectance`: other programs show its no-data
-    number as a value."""
+    """A tile as COPC and as GeoParquet. Without a calibration the COPC has no `reflectance`: other programs show its
+    no-data number as a value. `names` of classes by code."""
     table, directory = here.rows(), here.directory
-    for name in ("laz/tiles", "parquet"):
+    for name in (TILES, "parquet"):
         (directory / name).mkdir(parents=True)
-    path = directory / "laz" / "tiles" / f"{here.part}.laz"
+    path = directory / TILES / f"{here.part}{TILE_ENDING}"
     shown = table if calibrated else without_reflectance(table)
-    write_tile_laz(shown, path, crs_of(crs), params, standard_time=standard_time)
-    write_geoparquet(table, directory / "parquet" / f"{here.part}.parquet", crs_of(crs), params)
-    return {"rows": table.rows}
+    called = {int(code): name for code, name in names.items()}
+    made = write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
+    about = about_delivery(called, params.parquet_bits)
+    plain = rounded(table, params.parquet_bits, EXACT)
+    write_geoparquet(plain, directory / "parquet" / f"{here.part}.parquet", crs_of(crs), params, about)
+    return {"rows": table.rows, "beyond": made["beyond"], "facts": tile_facts(table)}
 
 
 def delivered_strip(here: StageInputs, params: PublishParams, codes: Mapping[str, int]) -> Made:
@@ -138,112 +142,6 @@ def _classes_of_strip(
     return keys[order], table["classification"][order]
 
 
-def class_block(here: StageInputs, params: PublishParams) -> Made:
-    """Class of the highest echo of every cell of one block of the fixed grid."""
-    window = Window.covering(here.tile.box, params.class_cell)
-    points = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
-    raster = class_raster(points["x"], points["y"], points["z"], points["classification"], window)
-    write_rasters(here.directory, {"classes": raster}, window)
-    return {"cells": int((raster > 0).sum())}
-
-
-def delivered_rasters(
-    here: StageInputs,
-    params: PublishParams,
-    crs: str | None,
-    names: Mapping[str, str],
-    cell: float,
-    block: float,
-    bounds: tuple[float, float, float, float],
-) -> Made:
-    """Terrain, surface, their difference, hillshade and class map of a box as cloud-optimised GeoTIFF.
-
-    They are made in stripes from north to south: memory grows with the box's width alone. `names` of classes by code.
-    """
-    target = here.directory / ("rasters" if here.part == WHOLE else f"rasters/{here.part}")
-    target.mkdir(parents=True)
-    box, grid = Box(*bounds), TileGrid(block)
-    windows = Window.covering(box, cell), Window.covering(box, params.class_cell)
-    for window in windows:
-        if math.prod(window.shape) > MAX_CELLS:
-            raise InputError(
-                "the survey's rasters would be too large",
-                where="rasters",
-                expected=f"at most {MAX_CELLS:,} cells",
-                got=f"{window.ncols:,} x {window.nrows:,} cells of {window.cell:g} m from {box.bounds}",
-                do="look for stray points with `fwclass info` and remove them, or choose larger terrain.cell and "
-                "publish.class_cell",
-            )
-    system, blocks = crs_of(crs), tuple(grid.tile(key) for key in here.parts(TERRAIN.name))
-    called = {int(code): name for code, name in names.items()}
-    return {
-        "dtm_cells": _terrain_rasters(windows[0], blocks, system, params, here.inputs, target),
-        "class_cells": _class_raster(windows[1], blocks, called, system, params, here.inputs, target),
-    }
-
-
-_TERRAIN = {
-    "dtm": "terrain height [m]",
-    "dsm": "height of the highest echo [m]",
-    "ndsm": "highest echo above the terrain [m]",
-}
-
-
-def _terrain_rasters(
-    window: Window, blocks: tuple[Tile, ...], crs: CRS | None, params: PublishParams, inputs: PartInputs, target: Path
-) -> int:
-    """Write heights and shaded relief; cells with terrain."""
-    nothing = np.float32(np.nan)
-    mosaic = Mosaic(inputs, "terrain", blocks, window.cell, {"dtm": nothing, "dsm": nothing})
-    cells = 0
-    with ExitStack() as files:
-        put = {
-            name: files.enter_context(
-                cog(nothing.dtype, window, target / f"{name}.tif", crs, params, np.nan, tags={"what": what})
-            )
-            for name, what in _TERRAIN.items()
-        }
-        what = {"what": "shaded relief, 1 to 255"}
-        shade = files.enter_context(
-            cog(np.dtype(np.uint8), window, target / "hillshade.tif", crs, params, 0, tags=what)
-        )
-        for stripe in stripes(window, STRIPE):
-            if not mosaic.touches(stripe):
-                continue
-            around = stripe.grown(1).common(window) or stripe  # light asks for the cells beside
-            heights, inner = mosaic.laid(around), stripe.within(around)
-            dtm = heights["dtm"]
-            there = np.isfinite(dtm)
-            tone = np.where(there, 1 + 254 * hillshade(dtm, window.cell, params), 0).astype(np.uint8)
-            for name, raster in {**heights, "ndsm": heights["dsm"] - dtm}.items():
-                put[name](stripe, raster[inner])
-            shade(stripe, tone[inner])
-            cells += int(there[inner].sum())
-    return cells
-
-
-def _class_raster(
-    window: Window,
-    blocks: tuple[Tile, ...],
-    names: Mapping[int, str],
-    crs: CRS | None,
-    params: PublishParams,
-    inputs: PartInputs,
-    target: Path,
-) -> int:
-    """Write the class map; cells with a class."""
-    mosaic = Mosaic(inputs, "class-block", blocks, window.cell, {"classes": np.uint8(0)})
-    shown = colours([{"name": name, "code": code} for code, name in names.items()])
-    cells = 0
-    with cog(np.dtype(np.uint8), window, target / "classes.tif", crs, params, 0, shown, names=names) as put:
-        for stripe in stripes(window, STRIPE):
-            if mosaic.touches(stripe):
-                classes = mosaic.laid(stripe)["classes"]
-                put(stripe, classes)
-                cells += int((classes > 0).sum())
-    return cells
-
-
 @dataclass(frozen=True)
 class _Strip:
     """A strip with points, the tiles that hold its echoes, and its chunks."""
@@ -277,21 +175,19 @@ def _strip_file(plan: Plan, part: _Strip) -> tuple[Location, FileDigests]:
 def columns_of_tiles(plan: Plan) -> Names:
     """The columns that a delivered tile has."""
     measured = MEASURE_RADIOMETRY.columns(plan)
-    every = (*DELIVERED, *classes_written(plan), *measured, *plan.names, *plan.config.features.also)
-    return tuple(dict.fromkeys(every))
+    wanted = plan.config.publish.parquet_features
+    features = {"all": (*plan.names, *plan.config.features.also), "used": plan.names, "none": ()}[wanted]
+    return tuple(dict.fromkeys((*DELIVERED, *classes_written(plan), *measured, *features)))
 
 
-def _terrain_and_classes(plan: Plan, site: Site) -> list[tuple[str, str]]:
-    return [(stage, b.key) for stage in (TERRAIN.name, "class-block") for b in site.blocks]
-
-
-def _box_of_cells(plan: Plan, block: Tile) -> Box:
-    return Window.covering(block.box, plan.config.publish.class_cell).box
+def class_names(plan: Plan) -> dict[str, str]:
+    """Names of the survey's classes by code."""
+    return {str(c.code): c.name for c in plan.config.survey.classes}
 
 
 DELIVER_TILE = Stage(
     "publish-tile",
-    3,
+    4,
     "tile",
     "echo",
     delivered_tile,
@@ -301,6 +197,7 @@ DELIVER_TILE = Stage(
         "crs": plan.survey.crs,
         "standard_time": plan.survey.standard_time,
         "calibrated": plan.config.radiometry.calibrates,
+        "names": class_names(plan),
     },
     silent=NO_BYTE,
     own=columns_of_tiles,
@@ -322,40 +219,5 @@ DELIVER_STRIP = Stage(
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
     ],
     source=_strip_file,
-    where="deliver",
-)
-MAP_CLASSES = Stage(
-    "class-block",
-    1,
-    "block",
-    "cell",
-    class_block,
-    parts=lambda plan: terrain_blocks(plan.layout),
-    edge=lambda plan: plan.config.terrain.block,
-    arguments=lambda plan: {"params": plan.config.publish},
-    silent=NO_BYTE,
-    reads=("z", "classification"),
-    halo=0.0,
-    area=_box_of_cells,
-)
-DELIVER_RASTERS = Stage(
-    "publish-rasters",
-    3,
-    "survey",
-    "cell",
-    delivered_rasters,
-    parts=lambda plan: sites(plan.layout),
-    key=lambda site: site.name,
-    arguments=lambda plan: {
-        "params": plan.config.publish,
-        "crs": plan.survey.crs,
-        "names": {str(c.code): c.name for c in plan.config.survey.classes},
-        "cell": plan.config.terrain.cell,
-        "block": plan.config.terrain.block,
-    },
-    each=lambda plan, site: {"bounds": site.box.bounds},
-    silent=NO_BYTE,
-    after=("terrain", "class-block"),
-    needs=_terrain_and_classes,
     where="deliver",
 )

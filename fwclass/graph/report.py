@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from fwclass import __version__
 from fwclass.assess.stage import caution
@@ -19,17 +15,15 @@ from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.layout import Layout, Survey
 from fwclass.graph.plausibility import UNREADABLE, of_strip, receiver_facts, remarks
-from fwclass.graph.rasters import Mosaic
+from fwclass.graph.report_facts import made_in_run, place_of, some_waves, sureness
+from fwclass.graph.report_figures import report_figures
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
-from fwclass.graph.sources import pulse_of
-from fwclass.grid import TileGrid, Window
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import reported
 from fwclass.run.runner import Runner, Tally
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.directory import link
-from fwclass.store.receipts import Receipt
 from fwclass.store.url import Url
 
 REPORT, PAGE = "report.json", "report.html"
@@ -42,9 +36,6 @@ JUDGING = ("label", "confusion", "assess")
 
 SHOWN = 4
 """Chunks that are named of those that failed."""
-
-MAP_CELLS = 4_000_000
-"""A map is drawn from all cells up to this many; of a larger survey's only those that it shows are taken."""
 
 
 def write_report(
@@ -78,7 +69,21 @@ def write_report(
         "accuracy": (accuracy := _accuracy(runner, config)),
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(runner, names),
-        "sampling": (counted := sampling(config, *(_made(runner, s) for s in (LABELS, SAMPLES, "label", "polygons")))),
+        "place": place_of(
+            (tiles := made_in_run(runner, "publish-tile")),
+            survey.crs,
+            survey.standard_time,
+            sum(r.meta["class_cells"] for r in made_in_run(runner, "publish-rasters")),
+            config.publish.class_cell,
+        ),
+        "sureness": sureness(tiles, [{"name": c.name, "code": c.code} for c in config.classes]),
+        "automation": next((r.meta["automation"] for r in made_in_run(runner, "assess")), []),
+        "waves": some_waves(
+            made_in_run(runner, "read"), {r.part for r in made_in_run(runner, "decompose")}, PartInputs(runner.store)
+        ),
+        "sampling": (
+            counted := sampling(config, *(made_in_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons")))
+        ),
         "distribution": _distribution(runner),
         "waveforms": _waveforms(runner, survey),
         "plausibility": (plausible := _plausibility(runner, survey, config)),
@@ -102,7 +107,7 @@ def write_report(
         "seconds": round(max((t.ended for t in runner.tallies.values()), default=0.0) - runner.began, 3),
     }
     write_json(runner.pending / REPORT, report)
-    render_report(report, _figures(config, runner, layout, report), runner.pending / PAGE)
+    render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)
     return report
 
 
@@ -127,17 +132,11 @@ def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:
     return dict(standing)
 
 
-def _made(runner: Runner, stage: str) -> list[Receipt]:
-    """Receipts of a stage's parts that are done in this run; what an earlier run left is not this run's result."""
-    parts = sorted(part for name, part in runner.outcomes if name == stage and runner.made(stage, part))
-    return [r for r in (runner.store.receipt(stage, part) for part in parts) if r is not None]
-
-
 def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
     faults: Counter[str] = Counter()
     for meta in _read(runner):
         faults.update(meta["faults"])
-    indexed = {r.part: r.meta for r in _made(runner, "index")}
+    indexed = {r.part: r.meta for r in made_in_run(runner, "index")}
     files = []
     for strip in survey.strips:
         meta = indexed.get(f"{strip.number:05d}", {})
@@ -148,18 +147,18 @@ def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
 
 def _read(runner: Runner) -> list[Mapping[str, Any]]:
     """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
-    return [r.meta for stage in ("read", "decompose") for r in _made(runner, stage) if "returns" in r.meta]
+    return [r.meta for stage in ("read", "decompose") for r in made_in_run(runner, stage) if "returns" in r.meta]
 
 
 def _counts(runner: Runner) -> dict[str, int]:
     reads = _read(runner)
-    tiles = _made(runner, "tile")
+    tiles = made_in_run(runner, "tile")
     return {
-        "pulses": sum(r.meta["pulses"] for r in _made(runner, "index")),
+        "pulses": sum(r.meta["pulses"] for r in made_in_run(runner, "index")),
         "returns": sum(m["returns"] for m in reads),
-        "returns_without_packet": sum(r.meta["kept_returns"] for r in _made(runner, "decompose")),
-        "returns_without_echo": sum(r.meta["returns_without_echo"] for r in _made(runner, "decompose")),
-        "echoes_decomposed": sum(r.meta["echoes"] for r in _made(runner, "decompose")),
+        "returns_without_packet": sum(r.meta["kept_returns"] for r in made_in_run(runner, "decompose")),
+        "returns_without_echo": sum(r.meta["returns_without_echo"] for r in made_in_run(runner, "decompose")),
+        "echoes_decomposed": sum(r.meta["echoes"] for r in made_in_run(runner, "decompose")),
         "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
         "tiles": len(tiles),
     }
@@ -167,12 +166,12 @@ def _counts(runner: Runner) -> dict[str, int]:
 
 def _crowded(runner: Runner, config: Config) -> list[str]:
     """That some places are too dense for all echoes of a neighbourhood to count."""
-    crowd = Crowd.of_parts(r.meta.get("dense") for r in _made(runner, "features"))
+    crowd = Crowd.of_parts(r.meta.get("dense") for r in made_in_run(runner, "features"))
     return [crowd.text(config.features)] if crowd else []
 
 
 def _stage(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:
-    receipts = _made(runner, name)
+    receipts = made_in_run(runner, name)
     return {
         "name": name,
         "parts": tally.parts,
@@ -186,7 +185,7 @@ def _stage(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:
 
 
 def _accuracy(runner: Runner, config: Config) -> dict[str, Any] | None:
-    receipt = next(iter(_made(runner, "assess")), None)
+    receipt = next(iter(made_in_run(runner, "assess")), None)
     if receipt is None or receipt.meta["accuracy"] is None:
         return None
     gap = config.areas.gap
@@ -210,7 +209,7 @@ def _of_accuracy(
 
 
 def _training(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | None:
-    receipt = next(iter(_made(runner, "train")), None)
+    receipt = next(iter(made_in_run(runner, "train")), None)
     if receipt is None:
         return None
     card = receipt.meta["card"]
@@ -227,7 +226,7 @@ def _training(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | None:
 
 
 def _distribution(runner: Runner) -> dict[str, Any] | None:
-    receipt = next(iter(_made(runner, "assess")), None)
+    receipt = next(iter(made_in_run(runner, "assess")), None)
     if receipt is None:
         return None
     distribution = receipt.meta["distribution"]
@@ -243,8 +242,8 @@ def _distribution(runner: Runner) -> dict[str, Any] | None:
 
 def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
     """The system's pulse of every strip with waveforms, and how radiometry was calibrated."""
-    pulses = {r.part: r.meta for r in _made(runner, "pulse") if r.meta["sampled"]}
-    calibration: dict[str, Any] | None = next((r.meta["calibration"] for r in _made(runner, "calibrate")), None)
+    pulses = {r.part: r.meta for r in made_in_run(runner, "pulse") if r.meta["sampled"]}
+    calibration: dict[str, Any] | None = next((r.meta["calibration"] for r in made_in_run(runner, "calibrate")), None)
     balanced = {s["strip"]: s["gain"] for s in (calibration or {}).get("strips", ()) if s["error"] is not None}
     strips = [
         {"name": s.path.stem, **pulses[f"{s.number:05d}"], "gain": balanced.get(s.number)}
@@ -253,7 +252,7 @@ def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
     ]
     if not strips:
         return None
-    metas = [r.meta for r in _made(runner, "radiometry")]
+    metas = [r.meta for r in made_in_run(runner, "radiometry")]
     angles = [m["pointing_error"] for m in metas if m["pointing_error"] is not None]
     return {
         "strips": strips,
@@ -265,13 +264,13 @@ def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
 
 def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, Any] | None:
     """What the echoes of every strip with waveforms look like beside its returns; None without waveforms."""
-    noise = {r.part: r.meta for r in _made(runner, "pulse") if r.meta["sampled"]}
-    places = {r.part: r.meta["places"] for r in _made(runner, "places")}
+    noise = {r.part: r.meta for r in made_in_run(runner, "pulse") if r.meta["sampled"]}
+    places = {r.part: r.meta["places"] for r in made_in_run(runner, "places")}
     counts: dict[str, list[dict[str, int]]] = {}
-    for receipt in _made(runner, "decompose"):
+    for receipt in made_in_run(runner, "decompose"):
         counts.setdefault(receipt.part.split("-")[0], []).append(receipt.meta["plausibility"])
     returns, pulses, faults = Counter[str](), Counter[str](), dict[str, Counter[str]]()
-    for receipt in _made(runner, "read"):
+    for receipt in made_in_run(runner, "read"):
         part = receipt.part.split("-")[0]
         returns[part] += receipt.meta["returns"]
         pulses[part] += receipt.meta["waveforms"] + sum(receipt.meta["faults"].get(name, 0) for name in UNREADABLE)
@@ -297,69 +296,40 @@ def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, A
 
 def _ground(runner: Runner, config: Config) -> dict[str, Any]:
     """The filter, what it found, and what cutting the survey into blocks changed."""
-    blocks = [r.meta for r in _made(runner, "ground-filter")]
-    seams = next((r.meta for r in _made(runner, "seams")), None)
-    judged = next((r.meta["ground"] for r in _made(runner, "assess")), None)
+    blocks = [r.meta for r in made_in_run(runner, "ground-filter")]
+    seams = next((r.meta for r in made_in_run(runner, "seams")), None)
+    judged = next((r.meta["ground"] for r in made_in_run(runner, "assess")), None)
     return {
         "method": config.ground.method,
         "echoes": sum(m["rows"] for m in blocks),
         "ground": sum(m["ground"] for m in blocks),
         "noise": sum(m["noise"] for m in blocks),
-        "without_terrain": sum(r.meta["without_terrain"] for r in _made(runner, "terrain")),
+        "without_terrain": sum(r.meta["without_terrain"] for r in made_in_run(runner, "terrain")),
         "block": config.ground.block,
         "accuracy": judged,
         "seams": dict(seams) if seams else None,
     }
 
 
-def _pulse_figure(runner: Runner, report: Mapping[str, Any]) -> dict[str, bytes]:
-    """The system's pulse of the first strip that has one."""
-    from fwclass.graph.pulse_picture import pulse_picture
-
-    receipts = [r for r in _made(runner, "pulse") if r.meta["sampled"]]
-    if not receipts:
-        return {}
-    pulse = pulse_of(int(receipts[0].part), PartInputs(runner.store))
-    return {"pulse": pulse_picture(pulse, report["waveforms"]["strips"][0]["name"])}
-
-
 def _outputs(runner: Runner) -> dict[str, list[str]]:
-    stages = ("publish-tile", "publish-strip", "publish-rasters", "train")
-    names = [n for stage in stages for r in _made(runner, stage) for n in r.outputs]
-    kinds = {"laz": "laz/", "parquet": "parquet/", "rasters": "rasters/", "model": "model/"}
-    return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
-
-
-def _figures(config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any]) -> dict[str, bytes]:
-    """Maps of classes and terrain; none of what failed."""
-    from fwclass.publish.figures import class_map, relief  # matplotlib is slow to load, and only a report needs it
-    from fwclass.publish.sampling_map import sampling_map
-
-    others = _pulse_figure(runner, report)
-    if report["sampling"]:
-        others["sampling"] = sampling_map(report["sampling"])
-    inputs = PartInputs(runner.store)
-    terrain = Window.covering(layout.box, config.terrain.cell)
-    window = Window.covering(layout.box, config.publish.class_cell)
-    grid = TileGrid(config.terrain.block)
-    surfaces, blocks = ([grid.tile(r.part) for r in _made(runner, stage)] for stage in ("terrain", "class-block"))
-    surface = drawable(Mosaic(inputs, "terrain", surfaces, terrain.cell, {"dtm": np.float32(np.nan)}), terrain, config)
-    classes = drawable(Mosaic(inputs, "class-block", blocks, window.cell, {"classes": np.uint8(0)}), window, config)
-    return {
-        "map": class_map(*classes, report["classes"], config.publish, surface, report["areas"]),
-        "relief": relief(*surface, config.publish),
-        **others,
+    stages = (
+        "publish-tile",
+        "publish-strip",
+        "publish-rasters",
+        "publish-overview",
+        "publish-catalogue",
+        "publish-polygons",
+        "train",
+    )
+    names = [n for stage in stages for r in made_in_run(runner, stage) for n in r.outputs]
+    kinds: dict[str, str | tuple[str, ...]] = {
+        "laz": "laz/",
+        "parquet": "parquet/",
+        "rasters": "rasters/",
+        "model": "model/",
+        "gis": ("survey.qgz", "tiles.gpkg"),
     }
-
-
-def drawable(mosaic: Mosaic, window: Window, config: Config) -> tuple[NDArray, Any]:
-    """A mosaic's one raster in `window`, thinned where it is too large to hold, and the place of its cells."""
-    from fwclass.publish.drawing import View
-    from fwclass.publish.figures import step_of
-
-    step = step_of(window, config.publish.figure_pixels) if math.prod(window.shape) > MAP_CELLS else 1
-    (raster,) = (mosaic.thinned(window, step) if step > 1 else mosaic.laid(window)).values()
-    return raster, View.of(window, step)
+    return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
 
 
 def _plain(value: Any) -> Any:
@@ -406,6 +376,10 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
     rows += [f"remark      {text}" for text in report.get("remarks", ())]
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
-    rows += [f"{kind:<11} {root / kind}  ({len(names)} files)" for kind, names in report["outputs"].items() if names]
+    for kind, names in report["outputs"].items():
+        if kind == "gis":
+            rows += [f"{'qgis':<11} {root / name}" for name in names if name.endswith(".qgz")]
+        elif names:
+            rows.append(f"{kind:<11} {root / kind}  ({len(names)} files)")
     rows.append(f"report      {root / 'report.html'}")
     return "\n".join(rows)

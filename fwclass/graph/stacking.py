@@ -84,13 +84,25 @@ def _blocks(plan: Plan) -> tuple[Tile, ...]:
 
 def chunks_near(plan: Plan, box: Box) -> Names:
     """Chunks with waveforms that have an echo in a tile that `box`, grown by `ASIDE`, touches."""
-    grid, wide, near = TileGrid(plan.config.tile.size), box.grown(ASIDE), []
-    for stage, part in sorted(plan.splits):
-        if stage != SPLIT_ECHOES.name or not plan.indexed["index", part.split("-")[0]].meta["pulses"]:
-            continue
-        if any(grid.tile(key).box.touches(wide) for key in plan.splits[stage, part].meta["tiles"]):
-            near.append(part)
-    return tuple(near)
+    held = _chunks_of_tiles(plan)
+    tiles = TileGrid(plan.config.tile.size).touching(box.grown(ASIDE))
+    return tuple(sorted({chunk for tile in tiles for chunk in held.get(tile.key, ())}))
+
+
+_known: list[tuple[Plan, dict[str, list[str]]]] = []
+"""Of the plan that was asked about last: blocks are planned one after the other."""
+
+
+def _chunks_of_tiles(plan: Plan) -> dict[str, list[str]]:
+    """For every tile the chunks with waveforms that have an echo in it."""
+    if not _known or _known[0][0] is not plan:
+        held: dict[str, list[str]] = {}
+        for stage, part in plan.splits:
+            if stage == SPLIT_ECHOES.name and plan.indexed["index", part.split("-")[0]].meta["pulses"]:
+                for key in plan.splits[stage, part].meta["tiles"]:
+                    held.setdefault(key, []).append(part)
+        _known[:] = [(plan, held)]
+    return _known[0][1]
 
 
 def _stack_needs(plan: Plan, block: Tile) -> list[Name]:

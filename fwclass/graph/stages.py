@@ -18,6 +18,7 @@ from fwclass.graph.backscatter import (
     FILL_VOXELS,
     SAMPLE_WAVES,
 )
+from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -31,7 +32,7 @@ from fwclass.graph.learn import (
     TRY_MACHINES,
     WEIGH_FEATURES,
 )
-from fwclass.graph.outputs import DELIVER_RASTERS, DELIVER_STRIP, DELIVER_TILE, MAP_CLASSES
+from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
 from fwclass.graph.radiometry import (
     CALIBRATE_STRIPS,
     CHECK_POINTING,
@@ -39,6 +40,7 @@ from fwclass.graph.radiometry import (
     MEASURE_RADIOMETRY,
     READ_TRAJECTORY,
 )
+from fwclass.graph.raster_outputs import DELIVER_RASTERS, MAP_CLASSES
 from fwclass.graph.refine import (
     ANSWER_COARSE,
     CLASSIFY_REFINED,
@@ -100,7 +102,16 @@ LEARNING = (
 )
 CLASSIFYING = (CLASSIFY_ECHOES, CLASSIFY_THINNED, CLASSIFY_REFINED)
 JUDGING = (COUNT_CONFUSION, ASSESS)
-DELIVERY = (DELIVER_TILE, DELIVER_STRIP, DELIVER_STACK, MAP_CLASSES, DELIVER_RASTERS)
+DELIVERY = (
+    DELIVER_TILE,
+    DELIVER_STRIP,
+    DELIVER_STACK,
+    MAP_CLASSES,
+    DELIVER_RASTERS,
+    DELIVER_OVERVIEW,
+    DELIVER_CATALOGUE,
+    DELIVER_POLYGONS,
+)
 OF_WAVEFORMS = (SAMPLE_WAVES, FILL_VOXELS, FILL_PROFILES, DELIVER_SAMPLES, DELIVER_VOXELS, DELIVER_PROFILES)
 """For those who want the waveform, not echoes."""
 STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY, *OF_WAVEFORMS)

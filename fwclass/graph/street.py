@@ -257,13 +257,7 @@ def sample_of(
 def fitted(
     sample: Sample, params: StreetParams, train: TrainParams, compare: CompareParams, classes: Sequence[ClassDef]
 ) -> Model:
-    """A model of the method that `train` names, whose card says how its features were computed.
-
-    Where an RBF SVM takes fewer rows than there are, they are drawn from all: classes keep their shares.
-    """
-    most = compare.rbf_svm.max_rows
-    if train.method == "rbf-svm" and sample.rows > most:
-        sample = sample.take(np.sort(np.argsort(sample.hash, kind="stable")[:most]))
+    """A model of the method that `train` names, whose card says how its features were computed."""
     if train.method == "forest":
         made: Any = assemble(grow_trees(sample, classes, 0, train.trees, train), card(sample, classes, train))
     else:

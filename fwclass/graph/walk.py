@@ -148,7 +148,7 @@ def _wanted(layout: Layout, tiles: frozenset[str]) -> list[tuple[str, str]]:
             where="--tiles",
             expected="keys of tiles with echoes, for example " + ", ".join(t.key for t in layout.tiles[:3]),
             got=", ".join(unknown),
-            do="the keys are the names of the files in laz/tiles",
+            do="the keys are the names of the files in laz/tiles, without .copc.laz",
         )
     return [(DELIVER_TILE.name, key) for key in sorted(tiles)]
 

@@ -120,6 +120,7 @@ def cog(
         "predictor": _predictor(dtype, codes),
         "bigtiff": "IF_SAFER",
         "overview_resampling": "MODE" if codes else "AVERAGE",
+        "statistics": "YES",  # or QGIS reckons them, and leaves a file beside
     }
     with whole(path) as beside, rasterio.Env(GDAL_CACHEMAX=params.raster_cache << 20):
         raw = beside.with_name(f"{beside.name}.raw")

@@ -64,9 +64,9 @@ class View:
         return self.nrows * self.cell
 
 
-def frame(view: View) -> tuple[Figure, Any]:
-    """A figure whose map keeps the ground's proportions, with a column for the legend at the right."""
-    wide, legend, margin = 7.2, 1.75, 0.75
+def frame(view: View, aside: bool = True) -> tuple[Figure, Any]:
+    """A figure whose map keeps the ground's proportions; `aside`: with a column for a legend at the right."""
+    wide, legend, margin = (7.2, 1.75, 0.75) if aside else (8.2, 0.1, 0.45)
     tall = min(max(wide * view.height / view.width, 1.6), 9.5)
     drawn = min(wide, tall * view.width / view.height)
     size = (margin + drawn + legend, tall + 0.55)

@@ -27,6 +27,7 @@ def class_map(
     params: PublishParams,
     dtm: tuple[NDArray[np.float32], Window | View] | None = None,
     areas: Areas | None = None,
+    aside: bool = True,
 ) -> bytes:
     """Class raster, shaded by the terrain's relief, with legend, scale bar and the outlined areas.
 
@@ -36,6 +37,7 @@ def class_map(
     names : ``[{"name", "code"}]``, order of the legend; a code that occurs but is not named is drawn grey.
     dtm : heights [m] and their window, of any cell and extent; None draws without shading.
     areas : ``{"train": [[xmin, ymin, xmax, ymax]], "test": [...]}``, or None.
+    aside : with a legend inside the picture; without one it stands beside it as text.
     """
     part, view = thinned(classes, window, params.figure_pixels)
     table = np.full((256, 3), 165, np.float32)
@@ -48,7 +50,7 @@ def class_map(
     if dtm is not None:
         light = _sampled(hillshade(dtm[0], dtm[1].cell, params), View.of(dtm[1]), view, flat_light(params))
         image = np.where((part > 0)[..., None], image * (0.62 + 0.48 * light[..., None]), image)
-    figure, axes = frame(view)
+    figure, axes = frame(view, aside)
     draw(axes, image, view)
     handles: list[Any] = [
         Patch(facecolor=css(palette[int(c["code"])]), edgecolor="#00000030", label=str(c["name"])) for c in names
@@ -56,12 +58,17 @@ def class_map(
     if (part == 0).any():
         handles.append(Patch(facecolor=PAPER, edgecolor="#00000060", label="no data"))
     handles += outline(axes, areas or {}, view)
-    legend(axes, handles, "Class")
+    if aside:
+        legend(axes, handles, "Class")
     return png(figure)
 
 
 def relief(
-    dtm: NDArray[np.float32], window: Window | View, params: PublishParams, heights: tuple[float, float] | None = None
+    dtm: NDArray[np.float32],
+    window: Window | View,
+    params: PublishParams,
+    heights: tuple[float, float] | None = None,
+    aside: bool = True,
 ) -> bytes:
     """Shaded relief of the terrain model, tinted by height; cells without height stay blank.
 
@@ -69,6 +76,7 @@ def relief(
     ----------
     dtm : float32 ``window.shape`` [m], row 0 in the south, NaN where there is none.
     heights : lowest and highest tint [m]; None takes them from `dtm`.
+    aside : as for `class_map`.
     """
     part, view = thinned(dtm, window, params.figure_pixels)
     low, high = heights if heights is not None else tint_range(part)
@@ -76,8 +84,10 @@ def relief(
     tint = _tint(share)
     light = hillshade(part, view.cell, params)
     image = np.where(np.isfinite(part)[..., None], tint * (0.35 + 0.78 * light[..., None]), 255.0)
-    figure, axes = frame(view)
+    figure, axes = frame(view, aside)
     draw(axes, image, view)
+    if not aside:
+        return png(figure)
     steps = np.linspace(low, high, 5)
     shades = _tint(np.linspace(0, 1, 5)) / 255
     handles = [
@@ -85,6 +95,30 @@ def relief(
         for step, shade in zip(steps[::-1], shades[::-1], strict=True)
     ]
     legend(axes, handles, "Height")
+    return png(figure)
+
+
+SURE = ((0.0, (178, 24, 43)), (0.5, (253, 219, 199)), (1.0, (33, 102, 172)))
+"""Red is unsure, blue sure; as in the QGIS project."""
+
+WRONG = ((0.0, (245, 247, 249)), (0.2, (252, 174, 110)), (0.6, (215, 48, 31)), (1.0, (90, 0, 20)))
+
+
+def share_map(
+    shares: NDArray[np.float32],
+    window: Window | View,
+    params: PublishParams,
+    ramp: Sequence[tuple[float, tuple[int, int, int]]],
+    areas: Areas | None = None,
+) -> bytes:
+    """Shares of 0 to 1 in colours of `ramp`, without a legend; NaN stays blank."""
+    part, view = thinned(shares, window, params.figure_pixels)
+    stops = [stop for stop, _ in ramp]
+    known = np.nan_to_num(part)
+    image = np.stack([np.interp(known, stops, [c[i] for _, c in ramp]) for i in range(3)], axis=-1)
+    figure, axes = frame(view, aside=False)
+    draw(axes, np.where(np.isfinite(part)[..., None], image, 255.0), view)
+    outline(axes, areas or {}, view)
     return png(figure)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from fwclass.cost import counted
 from fwclass.formats.arrow import arrow_array
 from fwclass.lazy_module import LazyModule
 from fwclass.publish.files import whole
+from fwclass.publish.palette import colours, css
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Column, Table, column, require
 
@@ -36,7 +37,9 @@ Bounds = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Least and greatest x, y, z [m]."""
 
 
-def write_geoparquet(table: Table, path: Path, crs: pyproj.CRS | None, params: PublishParams) -> dict[str, Any]:
+def write_geoparquet(
+    table: Table, path: Path, crs: pyproj.CRS | None, params: PublishParams, about: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Write every column of `table` and a `geometry`, in the table's row order.
 
     The same rows give the same bytes. Units and meanings of the schema stand as metadata of the fields. An
@@ -47,6 +50,7 @@ def write_geoparquet(table: Table, path: Path, crs: pyproj.CRS | None, params: P
     ----------
     table : at least x, y, z.
     crs : None where it is unknown.
+    about : plain data for the file's metadata, under the key ``fwclass``; see `about_delivery`.
 
     Returns
     -------
@@ -58,12 +62,24 @@ def write_geoparquet(table: Table, path: Path, crs: pyproj.CRS | None, params: P
         x, y or z is missing.
     """
     require(table, ("x", "y", "z"), path)
-    return write_geoparquet_parts([table], bounds_of(table) if table.rows else None, path, crs, params)
+    return write_geoparquet_parts([table], bounds_of(table) if table.rows else None, path, crs, params, about)
+
+
+def about_delivery(names: Mapping[int, str], bits: int) -> dict[str, Any]:
+    """What the metadata of a delivered tile tell besides units and meanings: classes with colours, the rounding."""
+    shown = colours([{"name": name, "code": code} for code, name in names.items()])
+    classes = [{"code": code, "name": names[code], "color": css(colour)} for code, colour in sorted(shown.items())]
+    return {"classes": classes, "relative_step": 2.0**-bits}
 
 
 @counted("writing")
 def write_geoparquet_parts(
-    parts: Iterable[Table], bounds: Bounds | None, path: Path, crs: pyproj.CRS | None, params: PublishParams
+    parts: Iterable[Table],
+    bounds: Bounds | None,
+    path: Path,
+    crs: pyproj.CRS | None,
+    params: PublishParams,
+    about: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """As `write_geoparquet`, of tables with the same columns one after another, each in row groups of its own.
 
@@ -75,7 +91,8 @@ def write_geoparquet_parts(
     first = next(rest)
     fields = [_field(column(name)) for name in first]
     fields += [pa.field("geometry", pa.binary(), nullable=False), pa.field("bbox", _box_type(), nullable=False)]
-    schema, rows = pa.schema(fields, metadata={b"geo": _geo(bounds, crs)}), 0
+    more = {b"fwclass": json.dumps(about, sort_keys=True).encode()} if about else {}
+    schema, rows = pa.schema(fields, metadata={b"geo": _geo(bounds, crs), **more}), 0
     with whole(path) as beside:
         with pq.ParquetWriter(beside, schema, **_options(first, params)) as writer:
             for table in chain([first], rest):
@@ -103,12 +120,42 @@ def wkb_points(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.flo
 
 
 def _box_type() -> pa.DataType:
-    return pa.struct([pa.field(side, pa.float64(), nullable=False) for side in SIDES])
+    return pa.struct([pa.field(side, pa.float32(), nullable=False) for side in SIDES])
 
 
 def _boxes(x: NDArray[np.float64], y: NDArray[np.float64]) -> pa.Array:
-    east, north = arrow_array(x), arrow_array(y)
-    return pa.StructArray.from_arrays([east, north, east, north], fields=list(_box_type()))
+    """A box around every point, rounded outwards: it serves to leave out, never to place."""
+    sides = [_outwards(x, -np.inf), _outwards(y, -np.inf), _outwards(x, np.inf), _outwards(y, np.inf)]
+    return pa.StructArray.from_arrays([arrow_array(side) for side in sides], fields=list(_box_type()))
+
+
+def _outwards(values: NDArray[np.float64], towards: float) -> NDArray[np.float32]:
+    near = values.astype(np.float32)
+    beyond = near < values if towards > 0 else near > values
+    return np.where(beyond, np.nextafter(near, np.float32(towards)), near).astype(np.float32)
+
+
+def rounded(table: Table, bits: int, exact: Iterable[str] = ()) -> Table:
+    """`table` with every float32 column, besides those that are `exact`, rounded to a relative step of 2^-`bits`.
+
+    What is dropped is no information where it lies below the value's standard error, and it does not compress. NaN and
+    infinity stay.
+    """
+    kept = set(exact)
+    names = [n for n in table if table[n].dtype == np.float32 and n not in kept]
+    return table.with_columns({n: _rounded(table[n], bits) for n in names}) if names else table
+
+
+def _rounded(values: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
+    """To the nearest number with `bits` bits behind the leading one, half to even."""
+    drop = 23 - bits
+    if drop <= 0:
+        return values
+    whole = values.view(np.uint32)
+    half = np.uint32((1 << (drop - 1)) - 1)
+    near = (whole + half + ((whole >> np.uint32(drop)) & np.uint32(1))) & np.uint32(~((1 << drop) - 1) & 0xFFFFFFFF)
+    made = near.view(np.float32)
+    return np.where(np.isfinite(values) & np.isfinite(made), made, values).astype(np.float32)
 
 
 def _field(col: Column) -> pa.Field:

@@ -28,6 +28,8 @@ WITHHELD = 4
 """Classification flag of point format 6: not to be used for anything; other programs leave such points out."""
 OFFSET_STEP = 1_000_000
 """The stored coordinates count from a whole kilometre [mm]."""
+PER_METRE = 1000
+"""Dividing by it rounds once; 0.001 is no binary fraction, and multiplying by it rounds twice."""
 
 POINT6 = np.dtype(
     [
@@ -81,9 +83,9 @@ def write_tile_laz(
     """
     require(table, NEEDED, path)
     extras = extra_bytes(published(table), table)
-    offset, whole_mm = _local(table, path)
-    points, counts = _points(table, whole_mm)
-    head = _head(extras, points, offset, crs, standard_time)
+    offset, whole_mm = local_millimetres(table, path)
+    points, counts = point_records(table, whole_mm)
+    head = assemble(header_block(extras, points, offset, standard_time), header_records(extras, crs))
     rows = points.view(np.uint8).reshape(len(points), POINT6.itemsize)
     rows = np.concatenate([rows, packed(extras, table)], axis=1) if extras else rows
     with whole(path) as beside:
@@ -103,7 +105,7 @@ def write_tile_laz(
     }
 
 
-def _local(table: Table, path: Path) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
+def local_millimetres(table: Table, path: Path) -> tuple[NDArray[np.int64], list[NDArray[np.int64]]]:
     """The offset [mm] and the coordinates from it."""
     axes = [millimetres(table[a]) for a in ("x", "y", "z")]
     low = [int(a.min()) // OFFSET_STEP * OFFSET_STEP if len(a) else 0 for a in axes[:2]]
@@ -121,7 +123,7 @@ def _local(table: Table, path: Path) -> tuple[NDArray[np.int64], list[NDArray[np
     return offset, local
 
 
-def _points(table: Table, local: list[NDArray[np.int64]]) -> tuple[NDArray, dict[str, int]]:
+def point_records(table: Table, local: list[NDArray[np.int64]]) -> tuple[NDArray, dict[str, int]]:
     """Records of point format 6."""
     out = np.zeros(table.rows, POINT6)
     out["X"], out["Y"], out["Z"] = local
@@ -139,32 +141,32 @@ def _points(table: Table, local: list[NDArray[np.int64]]) -> tuple[NDArray, dict
     return out, {"clipped": int(np.count_nonzero(count > 15)), "without_time": int(np.count_nonzero(~known))}
 
 
-def _head(
-    extras: tuple[ExtraByte, ...],
-    points: NDArray,
-    offset: NDArray[np.int64],
-    crs: pyproj.CRS | None,
-    standard_time: bool,
+def header_block(
+    extras: tuple[ExtraByte, ...], points: NDArray, offset: NDArray[np.int64], standard_time: bool
 ) -> bytes:
-    """Header block and records of the uncompressed file."""
-    size = POINT_SIZE[6] + extra_size(extras)
+    """The public header block of the uncompressed file."""
     block = bytearray(HEADER_SIZE[4])
     block[:4], block[24], block[25] = b"LASF", 1, 4
     struct.pack_into("<H", block, 6, WKT | (STANDARD_GPS_TIME if standard_time else 0))
     struct.pack_into("<32s32s", block, 26, b"fwclass", b"fwclass")
     struct.pack_into("<HHH", block, 90, 0, 0, HEADER_SIZE[4])
-    struct.pack_into("<BH", block, 104, 6, size)
-    struct.pack_into("<6d", block, 131, QUANTUM, QUANTUM, QUANTUM, *(offset * QUANTUM))
+    struct.pack_into("<BH", block, 104, 6, POINT_SIZE[6] + extra_size(extras))
+    struct.pack_into("<6d", block, 131, QUANTUM, QUANTUM, QUANTUM, *(offset / PER_METRE))
     struct.pack_into("<6d", block, 179, *_bounds(points, offset))
     struct.pack_into("<Q", block, 247, len(points))
     by_return = np.bincount(points["returns"] & 15, minlength=16)[1:16]
     struct.pack_into("<15Q", block, 255, *(int(n) for n in by_return))
+    return bytes(block)
+
+
+def header_records(extras: tuple[ExtraByte, ...], crs: pyproj.CRS | None) -> list[bytes]:
+    """Variable length records: the CRS, and what the extra bytes are."""
     records = []
     if crs is not None:
         records.append(record("LASF_Projection", 2112, "OGC WKT", wkt(crs).encode() + b"\0"))
     if extras:
         records.append(record(*EXTRA_BYTES, "Extra Bytes Record", b"".join(map(descriptor, extras))))
-    return assemble(bytes(block), records)
+    return records
 
 
 def _bounds(points: NDArray, offset: NDArray[np.int64]) -> list[float]:
@@ -173,10 +175,7 @@ def _bounds(points: NDArray, offset: NDArray[np.int64]) -> list[float]:
         return [0.0] * 6
     out = []
     for name, start in zip("XYZ", offset, strict=True):
-        out += [
-            int(points[name].max()) * QUANTUM + start * QUANTUM,
-            int(points[name].min()) * QUANTUM + start * QUANTUM,
-        ]
+        out += [(int(points[name].max()) + int(start)) / PER_METRE, (int(points[name].min()) + int(start)) / PER_METRE]
     return out
 
 

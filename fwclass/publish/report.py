@@ -13,6 +13,18 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from fwclass.publish.files import whole
 from fwclass.publish.ground_section import ground
+from fwclass.publish.overview_section import (
+    LAYERS,
+    class_key,
+    curve,
+    importance,
+    layers,
+    next_steps,
+    sure_rows,
+    surveyed,
+    verdict,
+    waves,
+)
 from fwclass.publish.plausibility_section import plausibility
 from fwclass.publish.sampling_section import sampling
 from fwclass.publish.sections import (
@@ -33,13 +45,6 @@ TEMPLATE = "report.html.j2"
 LISTED = 8
 """Outputs of a kind that are listed openly; the others unfold."""
 
-CAPTIONS = {
-    "map": (
-        "Classes",
-        "Class of the highest echo in every cell, shaded by the terrain; single empty cells are filled.",
-    ),
-    "relief": ("Terrain", "Shaded relief of the terrain model, tinted by height."),
-}
 PULSE, SAMPLING = "pulse", "sampling"
 """Figures that stand in sections of their own, not among the maps."""
 
@@ -54,8 +59,8 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     report : ``survey, fwclass, input {files, faults}, counts, stages, graph, classes, accuracy, training, sampling,
         distribution, waveforms, plausibility, remarks, areas, outputs, config, seconds``; plain data, any key may be
         missing.
-    figures : PNG by name; ``map`` and ``relief`` come first, others follow under their names; ``pulse`` stands with
-        the waveforms, ``sampling`` with the labels.
+    figures : PNG by name; ``map, confidence, errors, relief`` are layers of one map, others follow under their names;
+        ``pulse`` stands with the waveforms, ``sampling`` with the labels.
 
     Returns
     -------
@@ -69,8 +74,14 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
     shown = [
         name
         for name in (
+            "layers",
             "maps",
             "accuracy",
+            "sure",
+            "curve",
+            "importance",
+            "waves",
+            "next_steps",
             "sampling",
             "distribution",
             "waveforms",
@@ -110,7 +121,16 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "total": report.get("seconds"),
         "summary": _summary(report, classes, counts),
         "facts": _facts(report, counts),
-        "maps": _images({n: f for n, f in figures.items() if n not in (PULSE, SAMPLING)}),
+        "verdict": verdict(report),
+        "surveyed": surveyed(report),
+        "layers": layers({n: data_uri(f) for n, f in figures.items() if n in LAYERS}, classes),
+        "key": class_key(classes),
+        "next_steps": [{**step, "href": _link(step["path"]) if step["path"] else ""} for step in next_steps(report)],
+        "sure": sure_rows(report),
+        "curve": curve(report.get("automation")),
+        "importance": importance(report.get("training")),
+        "waves": waves(report.get("waves")),
+        "maps": _images({n: f for n, f in figures.items() if n not in (PULSE, SAMPLING, *LAYERS)}),
         "remarks": [str(text) for text in report.get("remarks") or ()],
         "waveforms": waveforms(report.get("waveforms")),
         "plausibility": plausibility(report.get("plausibility")),
@@ -182,12 +202,7 @@ def _balance(counts: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _images(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
-    names = [n for n in CAPTIONS if n in figures] + [n for n in figures if n not in CAPTIONS]
-    out = []
-    for name in names:
-        title, caption = CAPTIONS.get(name, (name.replace("_", " ").capitalize(), ""))
-        out.append({"title": title, "caption": caption, "uri": data_uri(figures[name])})
-    return out
+    return [{"title": n.replace("_", " ").capitalize(), "uri": data_uri(f)} for n, f in figures.items()]
 
 
 def data_uri(picture: bytes) -> str:
@@ -201,6 +216,7 @@ def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
         "parquet": "GeoParquet",
         "rasters": "Rasters (GeoTIFF)",
         "model": "Trained model",
+        "gis": "QGIS project and tile map",
     }
     out = []
     for kind, items in outputs.items():

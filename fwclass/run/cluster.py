@@ -14,7 +14,7 @@ import signal
 import threading
 import time
 import uuid
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from functools import cache
@@ -411,3 +411,10 @@ class Cluster:
     @property
     def window(self) -> int:
         return self._window
+
+
+def data_frame(read: Callable[[str], Any], files: Sequence[str]) -> Any:
+    """A Dask data frame, a partition a file: `read` gives a pandas frame, on the worker, when it is asked for."""
+    import dask.dataframe
+
+    return dask.dataframe.from_map(read, list(files))

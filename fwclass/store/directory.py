@@ -221,7 +221,17 @@ class Directory:
 
     def check_links(self) -> None:
         """`StoreError` where something of the user's stands in a place that a delivery needs."""
-        for name in (CURRENT, "laz", "parquet", "rasters", "model", "report.html", "report.json"):
+        for name in (
+            CURRENT,
+            "laz",
+            "parquet",
+            "rasters",
+            "model",
+            "survey.qgz",
+            "tiles.gpkg",
+            "report.html",
+            "report.json",
+        ):
             path = self.root / name
             if path.exists() and not path.is_symlink():
                 raise StoreError(

@@ -93,7 +93,8 @@ class Placed:
 
     Attributes
     ----------
-    place : along the road [units]. road : height of the road above the scanner [m].
+    place : along the road [units]. road : height of the road above the scanner [m]; measured where features count from
+        it, else the mounting's.
     x : int32 (beams,), or (0,) where the scan plane is at right angles to the road. y, z : int32 (beams,).
     r : float32 (beams,) [m], NaN without a return.
     """
@@ -252,7 +253,7 @@ class Track:
         here = beams - int(np.isnan(r).sum())
         self.returns += here
         self.blind += here == 0
-        if count >= FEWEST_ROAD:
+        if count >= FEWEST_ROAD and self.params.features == "road":
             self._road = float(np.median(under[:count]))
         place = round(self._along / UNIT)
         return Placed(frame.number, frame.time, place, self._road, x, y, z, r, frame.labels)

@@ -50,13 +50,13 @@ class Seen:
 class Ring:
     """Takes frames in order and gives those back whose neighbourhood is complete.
 
-    Memory and work of a frame are bounded by ``2 × most_frames + 1`` frames, at any speed.
+    Work of a frame is bounded by ``2 × most_frames + 1`` frames, memory by half as many more, at any speed.
     """
 
     def __init__(self, geometry: Geometry, params: StreetParams, asked: range | None = None) -> None:
         """`asked`: only frames of these numbers, counted from the first that is taken, are given back; None for all."""
         self.geometry, self.params, self.asked = geometry, params, asked
-        self.size = 2 * params.most_frames + 1
+        self.size = 3 * params.most_frames + 2
         beams = geometry.scan.beams
         self._x = np.zeros((self.size if geometry.tilted else 0, beams), np.int32)
         self._y, self._z = (np.zeros((self.size, beams), np.int32) for _ in range(2))
@@ -74,18 +74,31 @@ class Ring:
         return self._taken - self._answered
 
     def take(self, frame: Placed) -> Iterator[Seen]:
-        """Put a frame in; the frames whose neighbourhood it completes, in order. Ask for all before the next frame."""
+        """Put a frame in; frames whose neighbourhood is complete, in order. Ask for all before the next frame.
+
+        One is given for one that comes, two as long as more than two are complete: a speed that wavers, or a vehicle
+        that starts again, makes no burst.
+        """
         row = self._taken % self.size
         if self.geometry.tilted:
             self._x[row] = frame.x
         self._y[row], self._z[row], self._r[row] = frame.y, frame.z, frame.r
         self._place[row], self._frames[row] = frame.place, frame
         self._taken += 1
-        while self.waiting:
-            last = self._end(self._answered)
-            if last == self._taken - 1 and last - self._answered < self.params.most_frames:
+        given = 0
+        while self._complete(self._answered):
+            late = self.waiting > 2 * self.params.most_frames
+            if given and not late and (given == 2 or not self._complete(self._answered + 1)):
                 return
-            yield from self._given(last)
+            yield from self._given(self._end(self._answered))
+            given += 1
+
+    def _complete(self, middle: int) -> bool:
+        """No frame that is still to come can be of the run after `middle`."""
+        if middle >= self._taken:
+            return False
+        last = self._end(middle)
+        return last < self._taken - 1 or last - middle >= self.params.most_frames
 
     def rest(self) -> Iterator[Seen]:
         """The frames that are still waiting when no other will come."""

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fwclass import conf
-from fwclass.graph.outputs import delivered_rasters
+from fwclass.graph.raster_outputs import delivered_rasters
 from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, TileGrid, Window
 from fwclass.store.run_store import peak_mib
@@ -37,7 +37,9 @@ class Noise:
             dtm = (100 + np.cumsum(rng.normal(0, 0.1, window.shape), axis=0)).astype(np.float32)
             arrays = {"dtm": dtm, "dsm": dtm + 10 * rng.random(window.shape, np.float32)}
         else:
-            arrays = {"classes": rng.choice(np.array([0, 2, 5, 6], np.uint8), window.shape)}
+            classes = rng.choice(np.array([0, 2, 5, 6], np.uint8), window.shape)
+            sure = rng.integers(0, 101, window.shape).astype(np.uint8)
+            arrays = {"classes": classes, "confidence": sure, "echoes": (classes > 0).astype(np.uint32)}
         return arrays, {n: getattr(window, n) for n in ("cell", "col", "row", "ncols", "nrows")}
 
 

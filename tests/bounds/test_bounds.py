@@ -1,4 +1,7 @@
-"""No kernel leaves its arrays, whatever it is given: hostile inputs, every place of every array looked at."""
+"""No kernel leaves its arrays, whatever it is given: hostile inputs, every place of every array looked at.
+
+200 000 waveforms: ``python tests/bounds/child.py checked decompose 50000 SEED`` of four seeds, two CPU minutes each.
+"""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from fwclass import conf
 from fwclass.errors import InputError
 from fwclass.grid import Window
-from fwclass.publish.class_raster import class_raster
+from fwclass.publish.class_raster import NO_CONFIDENCE, class_rasters
 from fwclass.publish.cog import STRIPE, cog, write_cog
 from fwclass.publish.params import PublishParams
 
@@ -201,5 +201,12 @@ def test_the_highest_echo_gives_the_class_in_any_order(rows: list, data: st.Data
     wanted = slow_class_raster(rows)
     for some in (rows, shuffled):
         x, y, z, k = (np.array([r[i] for r in some], float) for i in range(4))
-        found = class_raster(x / 1000, y / 1000, z / 1000, k.astype(np.uint8), cell)
-        assert np.array_equal(found, wanted)
+        sure = (np.abs(z) / 4 + k / 100).astype(np.float32)
+        made = class_rasters(x / 1000, y / 1000, z / 1000, k.astype(np.uint8), sure, cell)
+        assert np.array_equal(made.classes, wanted)
+        inside = [r for r in some if r[3] and 0 <= r[0] // 1000 - 10 < 3 and 0 <= r[1] // 1000 - 20 < 2]
+        assert made.echoes.sum() == len(inside)
+        assert np.array_equal(made.confidence == NO_CONFIDENCE, wanted == 0)
+    if rows:
+        percent = np.rint(100 * sure).astype(np.uint8)
+        assert set(np.unique(made.confidence)) <= {NO_CONFIDENCE, *percent.tolist()}

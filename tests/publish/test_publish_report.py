@@ -7,8 +7,14 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from browser import seen
 
+from fwclass import conf
+from fwclass.grid import Window
+from fwclass.publish.figures import SURE, class_map, share_map
+from fwclass.publish.params import PublishParams
 from fwclass.publish.report import render_report
 from fwclass.publish.sections import measure, number, percent, quantity, seconds
 
@@ -60,8 +66,36 @@ def full(survey: str = "city") -> dict[str, Any]:
             },
             "width": {"ground": {"p5": None, "p25": None, "p50": None, "p75": None, "p95": None, "n": 0}},
         },
+        "place": {
+            "crs": "ETRS89 / UTM zone 32N" if survey == "city" else survey,
+            "code": "EPSG:25832",
+            "bounds": [0, 0, 200, 100],
+            "flown": ["2021-03-17", "2021-03-18"],
+            "area": 20000.0,
+            "density": 4.25,
+        },
+        "sureness": {
+            "classes": [{"name": c["name"], "code": c["code"], "echoes": 10, "confidence": 0.9} for c in CLASSES],
+            "tiles": [{"tile": "1_2", "file": "laz/tiles/1_2.copc.laz", "confidence": 0.61, "echoes": 1200}],
+        },
+        "automation": [[0.5, 1.0, 0.9], [0.8, 0.7, 0.97], [1.0, 0.2, 1.0]],
+        "waves": [
+            {
+                "strip": 3,
+                "pulse": 77,
+                "start": 0.0,
+                "spacing": 1.0,
+                "samples": [10, 11, 40, 90, 42, 12, 10],
+                "baseline": 10.2,
+                "echoes": [[3.0, 80.0, 2.1]],
+            }
+        ],
         "areas": {"train": [[0, 0, 100, 100]], "test": [[100, 0, 200, 100]]},
-        "outputs": {"laz": [f"laz/tiles/{i}.laz" for i in range(12)], "parquet": [], "rasters": ["rasters/dtm.tif"]},
+        "outputs": {
+            "laz": [f"laz/tiles/{i}.copc.laz" for i in range(12)],
+            "parquet": [],
+            "rasters": ["rasters/dtm.tif"],
+        },
         "config": {"tile": {"size": 100.0}},
         "seconds": 12.5,
     }
@@ -70,7 +104,7 @@ def full(survey: str = "city") -> dict[str, Any]:
 class Page(HTMLParser):
     """Tags in balance, the text, and every address the page names."""
 
-    VOID = frozenset({"meta", "img", "br"})
+    VOID = frozenset({"meta", "img", "br", "input"})
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -107,7 +141,10 @@ def rendered(report: dict[str, Any], tmp_path: Path, figures: dict[str, bytes] |
 
 def test_everything_is_there(tmp_path: Path) -> None:
     text, page = rendered(full(), tmp_path, {"relief": PNG, "map": PNG})
-    assert page.ids == ["maps", "accuracy", "training", "distribution", "input", "stages", "outputs", "config"]
+    layers = ["layer-map", "layer-relief"]
+    after = ["training", "distribution", "waveforms", "input", "stages", "outputs", "config"]
+    assert page.ids == ["maps", *layers, "accuracy", "confidence", "next", *after]
+    assert {f"#{i}" for i in page.ids if i not in layers} == {a for a in page.addresses if a.startswith("#")}
     said = re.sub(r"\s+", " ", page.text)
     for words in (
         "90.0 %",
@@ -122,16 +159,21 @@ def test_everything_is_there(tmp_path: Path) -> None:
         "one tile",
         "echo ratio ER, r = 1 m",
         "12.5 s",
+        "EPSG:25832",
+        "4.2 echoes per m²",
+        "90.0 % of the test echoes have the right class",
+        "strip 3, pulse 77: 1 echo",
+        "Tile 1_2",
         "4 more",
     ):
         assert words in said, words
-    assert text.index('alt="Classes"') < text.index('alt="Terrain"'), "the map comes first"
+    assert text.index('alt="Classes:') < text.index('alt="Terrain:'), "the classes come first"
     assert text.count("width:100.0%") == 1 and text.count("width:25.0%") == 1, "bars of 8 s and 2 s"
 
 
 def test_nothing_is_fetched(tmp_path: Path) -> None:
     text, page = rendered(full(), tmp_path, {"map": PNG})
-    assert all(a.startswith(("data:image/png;base64,", "./")) for a in page.addresses) and page.addresses
+    assert all(a.startswith(("data:image/png;base64,", "./", "#")) for a in page.addresses) and page.addresses
     assert "http" not in text.replace("http-equiv", "") and "@import" not in text and "url(" not in text
     assert "<script" not in text
 
@@ -150,7 +192,7 @@ def test_texts_from_files_are_escaped(tmp_path: Path) -> None:
     report["classes"] = [{"name": EVIL, "code": 3}]
     text, page = rendered(report, tmp_path, {EVIL: PNG})
     assert "<script" not in text and "49" not in re.findall(r"alert\('x'\).{0,30}", page.text)
-    links = [a for a in page.addresses if not a.startswith("data:")]
+    links = [a for a in page.addresses if not a.startswith(("data:", "#"))]
     assert "./laz/a%20b%26c.laz" in links and all(a.startswith("./") for a in links)
     assert not any("javascript" in a or "passwd" in a or ".." in a for a in links)
 
@@ -234,3 +276,26 @@ def test_numbers_are_written_for_reading() -> None:
         "–",
         "–",
     ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 390])
+def test_it_fits_its_window_and_prints(width: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    window = Window(1.0, 0, 0, 300, 280)
+    params = PublishParams(**conf.section("publish").model_dump())
+    codes = rng.choice(np.array([0, 2, 6], np.uint8), window.shape)
+    figures = {
+        "map": class_map(codes, window, CLASSES, params, aside=False),
+        "confidence": share_map(rng.random(window.shape).astype(np.float32), window, params, SURE),
+    }
+    report = full("word " * 30 + "averylongwordwithoutanyspace" * 6)
+    boxes = {"p5": 1.0, "p25": 2.0, "p50": 3.0, "p75": 4.0, "p95": 5.0, "n": 9}
+    report["distribution"] = {f"height_std_c{k}": {"ground": boxes, "building": boxes} for k in range(1, 64)}
+    report["stages"] = [{**report["stages"][0], "name": f"stage-{k}"} for k in range(30)]
+    render_report(report, figures, tmp_path / "report.html")
+    page = seen(tmp_path / "report.html", width)
+    assert page.width <= width, "no sideways scroll"
+    assert page.height <= (6000 if width == 1280 else 12_000)
+    assert page.requests == [] and page.pdf.startswith(b"%PDF")
+    assert (tmp_path / "report.html").stat().st_size <= 4 << 20

@@ -137,7 +137,7 @@ def test_a_failed_part_of_the_delivery_is_not_whole(far, tmp_path, monkeypatch):
     def broken(*_):
         raise InputError("no")
 
-    monkeypatch.setattr("fwclass.graph.outputs._terrain_rasters", broken)
+    monkeypatch.setattr("fwclass.graph.raster_outputs._terrain_rasters", broken)
     runner, _, made = walked(far, tmp_path / "run", "survey.sources=[a.las]")
     assert runner.failures
     assert not made.whole

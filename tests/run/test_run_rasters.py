@@ -11,8 +11,8 @@ import pytest
 import rasterio
 
 from fwclass import conf
-from fwclass.graph import report
-from fwclass.graph.outputs import delivered_rasters
+from fwclass.graph import report_figures as report
+from fwclass.graph.raster_outputs import delivered_rasters
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
@@ -43,7 +43,10 @@ def block_rasters(block: Tile, cell: float) -> tuple[dict[str, np.ndarray], Wind
     rng = np.random.default_rng((block.ix, block.iy))
     dtm = np.where(rng.random(window.shape) < 0.1, np.nan, rng.normal(100, 3, window.shape)).astype(np.float32)
     dsm = dtm + rng.random(window.shape, np.float32)
-    return {"dtm": dtm, "dsm": dsm, "classes": rng.choice(np.array([0, 2, 6], np.uint8), window.shape)}, window
+    classes = rng.choice(np.array([0, 2, 6], np.uint8), window.shape)
+    confidence = np.where(classes > 0, rng.integers(0, 101, window.shape), 255).astype(np.uint8)
+    echoes = np.where(classes > 0, rng.integers(1, 9, window.shape), 0).astype(np.uint32)
+    return {"dtm": dtm, "dsm": dsm, "classes": classes, "confidence": confidence, "echoes": echoes}, window
 
 
 def written(arrays: dict[str, np.ndarray], window: Window, directory: Path) -> dict:
@@ -58,7 +61,7 @@ def laid(request, tmp_path: Path):
     blocks = tuple(b for b in TileGrid(SIZE).touching(BOX) if b.iy % 5 not in (2, 3))
     for block in blocks:
         arrays, window = block_rasters(block, cell)
-        for stage, names in (("terrain", ("dtm", "dsm")), ("class-block", ("classes",))):
+        for stage, names in (("terrain", ("dtm", "dsm")), ("class-block", ("classes", "confidence", "echoes"))):
             work = partial(written, {n: arrays[n] for n in names}, window)
             store.commit(stage, block.key, "k", {}, "store", work)
     return Counted(store), blocks, cell
@@ -68,6 +71,8 @@ def expected(blocks: tuple[Tile, ...], cell: float, window: Window) -> dict[str,
     """Cell by cell: what the last block that has it says."""
     out = {n: np.full(window.shape, np.nan, np.float32) for n in ("dtm", "dsm")}
     out["classes"] = np.zeros(window.shape, np.uint8)
+    out["confidence"] = np.full(window.shape, 255, np.uint8)
+    out["echoes"] = np.zeros(window.shape, np.uint32)
     for block in blocks:
         arrays, own = block_rasters(block, cell)
         for r in range(own.nrows):
@@ -132,13 +137,22 @@ def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> N
     names = {str(code): name for code, name in NAMES.items()}
     told = delivered_rasters(here, params, "EPSG:25832", names, cell, SIZE, BOX.bounds)
     there = np.isfinite(whole["dtm"])
+    ranges = told.pop("ranges")
     assert told == {"dtm_cells": there.sum(), "class_cells": (whole["classes"] > 0).sum()}
+    for name in ("dtm", "dsm"):
+        low, high = ranges[name]
+        assert np.nanmin(whole[name]) - 0.01 <= low < high <= np.nanmax(whole[name]) + 0.01
+    many = whole.pop("echoes")
+    whole["density"] = np.where(many > 0, many / cell**2, np.nan).astype(np.float32)
     tone = np.where(there, 1 + 254 * hillshade(whole["dtm"], cell, params), 0).astype(np.uint8)
     wanted = {**whole, "ndsm": whole["dsm"] - whole["dtm"], "hillshade": tone}
     assert sorted(p.name for p in (tmp_path / "rasters").iterdir()) == sorted(
-        ["classes.tif.aux.xml", *(f"{n}.tif" for n in wanted)]
+        ["classes.tif.aux.xml", *(f"{n}.tif" for n in wanted), *(f"{n}.qml" for n in wanted)]
     )
     for name, raster in wanted.items():
         with rasterio.open(tmp_path / "rasters" / f"{name}.tif") as file:
             assert file.bounds == rasterio.coords.BoundingBox(*window.box.bounds)
-            assert np.array_equal(file.read(1)[::-1], raster, equal_nan=name not in ("classes", "hillshade")), name
+            assert np.array_equal(file.read(1)[::-1], raster, equal_nan=raster.dtype.kind == "f"), name
+            held = file.tags(1)
+            known = raster[raster != 255] if name == "confidence" else raster[np.isfinite(raster) & (raster != 0)]
+            assert float(held["STATISTICS_MAXIMUM"]) == pytest.approx(float(known.max()), rel=1e-6), name

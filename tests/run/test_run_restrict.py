@@ -80,7 +80,7 @@ def test_a_run_of_an_area_delivers_its_tiles_aside(survey, finished, tmp_path):
     root = tmp_path / "copy"
     shutil.copytree(finished[0], root, symlinks=True)
     whole = delivered(root)
-    key = sorted(p.stem for p in (root / "laz" / "tiles").glob("*.laz"))[0]
+    key = sorted(p.name.removesuffix(".copc.laz") for p in (root / "laz" / "tiles").glob("*.laz"))[0]
     size = 100.0
     inner = TileGrid(size).tile(key).box.grown(-1.0)
     area = Area(write(tmp_path / "a.gpkg", shapely.box(*inner.bounds)))
@@ -88,5 +88,7 @@ def test_a_run_of_an_area_delivers_its_tiles_aside(survey, finished, tmp_path):
     assert {part for stage, part in road.outcomes if stage == "publish-tile"} == {key}
     assert delivered(root) == whole
     aside = root / "generations" / "0002"
-    assert [p.stem for p in (aside / "laz" / "tiles").iterdir()] == [key] and not (aside / "rasters").exists()
+    assert [p.name for p in (aside / "laz" / "tiles").iterdir()] == [f"{key}.copc.laz"] and not (
+        aside / "rasters"
+    ).exists()
     assert (root / "current").resolve().name == "0001"

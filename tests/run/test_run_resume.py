@@ -74,7 +74,7 @@ def test_chosen_tiles_of_a_finished_run_are_reported_alone(survey, finished, cop
     key = sorted(n for n in delivered(finished[0]) if n.startswith("parquet/"))[0].split("/")[1].split(".")[0]
     runner, report = walk(survey, copy, tiles=frozenset({key}))
     assert statuses(runner)["publish-tile"] == {"skipped"} and not report["whole"]
-    assert report["outputs"]["laz"] == [f"laz/tiles/{key}.laz"] and not report["outputs"]["rasters"]
+    assert report["outputs"]["laz"] == [f"laz/tiles/{key}.copc.laz"] and not report["outputs"]["rasters"]
     assert delivered(copy) == delivered(finished[0])  # it lies aside
 
 
@@ -84,7 +84,7 @@ def test_chosen_tiles_come_out_as_in_a_whole_run(survey, finished, tmp_path):
     runner, _ = walk(survey, tmp_path, tiles=frozenset({key}))
     assert not runner.failures
     part = delivered(tmp_path)
-    assert {n for n in part if "model" not in n} == {f"parquet/{key}.parquet", f"laz/tiles/{key}.laz"}
+    assert {n for n in part if "model" not in n} == {f"parquet/{key}.parquet", f"laz/tiles/{key}.copc.laz"}
     assert part == {n: whole[n] for n in part}
     with pytest.raises(ConfigError, match="no such tile"):
         walk(survey, tmp_path, tiles=frozenset({"1_1"}))

@@ -129,7 +129,7 @@ def test_heights_of_one_file_are_the_run_s(returns, tmp_path):
     ours = np.asarray(laspy.read(tmp_path / "n.laz")["HeightAboveGround"])
     run = of_run(root, {"height_above_ground": "height"})["height_above_ground"]
     assert np.array_equal(np.isnan(ours), np.isnan(run))
-    np.testing.assert_allclose(ours, run, rtol=0, atol=0.0005)
+    np.testing.assert_allclose(ours, run, rtol=0, atol=0.0055)  # centimetres in the file, 2^-12 in Parquet
 
 
 def test_echoes_lie_where_the_scene_sent_them_back(survey, tmp_path):

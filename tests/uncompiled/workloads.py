@@ -51,7 +51,7 @@ from fwclass.label.polygons import Polygons, owners
 from fwclass.label.stage import from_cloud
 from fwclass.model import ClassDef
 from fwclass.neighbours import nearest_within
-from fwclass.publish.class_raster import class_raster
+from fwclass.publish.class_raster import class_rasters
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span
 from fwclass.read.text import read_text
 from fwclass.schema import Table
@@ -325,7 +325,8 @@ def work_histograms(_: Path) -> Any:
 def work_highest_class(_: Path) -> Any:
     x, y, z = town()
     codes = np.random.default_rng(11).integers(0, 7, len(x)).astype(np.uint8)
-    return class_raster(x, y, z, codes, Window(1.0, int(EAST), int(NORTH), 24, 20))
+    sure = np.random.default_rng(12).random(len(x)).astype(np.float32)
+    return class_rasters(x, y, z, codes, sure, Window(1.0, int(EAST), int(NORTH), 24, 20))
 
 
 def _read(path: Path, **changes: Any) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from fwclass.conf import Config
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic
-from fwclass.graph.report import drawable
+from fwclass.graph.report_figures import drawable
 from fwclass.grid import TileGrid, Window
 from fwclass.publish.papers.page import render_paper
 from fwclass.run.inputs import PartInputs

@@ -1,0 +1,8 @@
+"""A finished run in Python: `fwclass.open(run)` and `fwclass.process(survey)`."""
+
+from __future__ import annotations
+
+from fwclass.delivery.opened import Delivery, open_run
+from fwclass.delivery.process import process
+
+__all__ = ["Delivery", "open_run", "process"]

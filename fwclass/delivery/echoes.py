@@ -1,0 +1,98 @@
+"""Echoes of a delivery: chosen by place, column and condition, read when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fwclass.errors import InputError, nearest
+from fwclass.lazy_module import LazyModule
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.dataset as ds
+    import pyarrow.parquet as pq
+else:
+    pa, pc = LazyModule("pyarrow"), LazyModule("pyarrow.compute")
+    ds, pq = LazyModule("pyarrow.dataset"), LazyModule("pyarrow.parquet")
+
+Bounds = tuple[float, float, float, float]
+GEOMETRY = ("geometry", "bbox")
+
+
+class Echoes:
+    """A choice of echoes; `len` counts them, the other methods read them."""
+
+    def __init__(self, files: Sequence[Path], box: Bounds | None, columns: Sequence[str] | None, where: Any) -> None:
+        self._files = [str(f) for f in files]
+        self._data = ds.dataset(self._files, format="parquet")
+        names = self._data.schema.names
+        for name in columns or ():
+            if name not in names:
+                raise InputError("there is no such column", where="columns", got=name, do=nearest(name, names))
+        self.columns = list(columns) if columns is not None else [n for n in names if n not in GEOMETRY]
+        self._filter = self._condition(box, where)
+
+    def _condition(self, box: Bounds | None, where: Any) -> Any:
+        condition = pq.filters_to_expression(where) if isinstance(where, (list, tuple)) else where
+        if box is None:
+            return condition
+        xmin, ymin, xmax, ymax = box
+        if not (xmin < xmax and ymin < ymax):
+            raise InputError("this box holds nothing", where="box", expected="xmin < xmax, ymin < ymax", got=box)
+        x, y = pc.field("x"), pc.field("y")
+        inside = (x >= xmin) & (x < xmax) & (y >= ymin) & (y < ymax)
+        return inside if condition is None else inside & condition
+
+    def __len__(self) -> int:
+        return int(self._data.count_rows(filter=self._filter))
+
+    def to_arrow(self) -> pa.Table:
+        """A pyarrow table; metadata of its fields tell unit and meaning."""
+        return self._data.to_table(columns=self.columns, filter=self._filter)
+
+    def to_pandas(self) -> Any:
+        """A pandas data frame."""
+        return self.to_arrow().to_pandas()
+
+    def to_geopandas(self) -> Any:
+        """A geopandas frame with points and the survey's CRS; needs geopandas."""
+        import json
+
+        geopandas = _needed("geopandas")
+        import pyproj
+
+        table = self._data.to_table(columns=[*self.columns, "geometry"], filter=self._filter)
+        about = json.loads(self._data.schema.metadata[b"geo"])["columns"]["geometry"]
+        crs = pyproj.CRS.from_json_dict(about["crs"]) if about["crs"] else None
+        points = geopandas.GeoSeries.from_wkb(table["geometry"].to_pandas(), crs=crs)
+        return geopandas.GeoDataFrame(table.select(self.columns).to_pandas(), geometry=points)
+
+    def dask(self) -> Any:
+        """A Dask data frame with a partition a tile; needs pandas."""
+        _needed("pandas")
+        from fwclass.run.cluster import data_frame
+
+        return data_frame(_Part(self.columns, self._filter), self._files)
+
+
+class _Part:
+    """Reads one tile; it travels to Dask's workers."""
+
+    def __init__(self, columns: list[str], condition: Any) -> None:
+        self.columns, self.condition = columns, condition
+
+    def __call__(self, file: str) -> Any:
+        return ds.dataset(file, format="parquet").to_table(columns=self.columns, filter=self.condition).to_pandas()
+
+
+def _needed(name: str) -> Any:
+    """A library that only some of the methods need."""
+    import importlib
+
+    try:
+        return importlib.import_module(name)
+    except ImportError as fault:
+        raise InputError(f"this needs {name}", where="fwclass.open", got=fault, do=f"pip install {name}") from fault

@@ -1,0 +1,101 @@
+"""Why an echo has its class: what the model answers, and what it would answer with one feature at a usual value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fwclass.classify.stage import classify
+from fwclass.delivery.echoes import Echoes
+from fwclass.errors import InputError
+from fwclass.model.matrix import sample_matrix
+from fwclass.run.inputs import TABLE, PartInputs
+from fwclass.schema import IDENTITY, Table
+from fwclass.store.models import load_model
+from fwclass.store.run_store import Store
+from fwclass.store.tables import open_parquet
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What decided.
+
+    Attributes
+    ----------
+    shares : share of every class by name, the largest first.
+    features : (name, value, effect), the largest effect first. Effect: share of the given class less what it would be
+        were this feature at the median of the tile's echoes.
+    """
+
+    strip: int
+    pulse: int
+    echo_number: int
+    tile: str
+    shares: dict[str, float]
+    features: tuple[tuple[str, float, float], ...]
+
+    def __str__(self) -> str:
+        (name, share), *rest = self.shares.items()
+        others = ", ".join(f"{n} {s:.0%}" for n, s in rest if s)
+        lines = [f"{name} {share:.0%}" + (f" ({others})" if others else "")]
+        lines += [f"  {f} = {v:.4g}: {e:+.0%}" for f, v, e in self.features[:5] if e]
+        return "\n".join(lines)
+
+
+def explained(store: Store, model: Path, echoes: Echoes, row: Mapping[str, Any]) -> Explanation:
+    """See `Delivery.explain`."""
+    strip, pulse, number = (int(row[name]) for name in IDENTITY)
+    forest = load_model(model)
+    inputs = PartInputs(store)
+    tile, place = _place(store, inputs, strip, pulse, number)
+    table = _features(store, inputs, tile, forest.features)
+    X = sample_matrix(table, forest.features, tile)
+    usual = np.nanmedian(np.where(np.isfinite(X), X, np.nan), axis=0)
+    asked = np.repeat(X[[place]], 1 + X.shape[1], axis=0)
+    for k in range(X.shape[1]):
+        asked[1 + k, k] = usual[k]
+    answers = classify(np.ascontiguousarray(asked, np.float32), forest, True)
+    shares = {c.name: answers[f"probability_{c.code}"] for c in forest.classes}
+    given = max(shares, key=lambda name: float(shares[name][0]))
+    effects = shares[given][0] - shares[given][1:]
+    order = np.argsort(-np.abs(effects), kind="stable")
+    return Explanation(
+        strip,
+        pulse,
+        number,
+        tile,
+        {n: float(s[0]) for n, s in sorted(shares.items(), key=lambda item: -float(item[1][0]))},
+        tuple((forest.features[k], float(X[place, k]), float(effects[k])) for k in order),
+    )
+
+
+def _place(store: Store, inputs: PartInputs, strip: int, pulse: int, number: int) -> tuple[str, int]:
+    """Tile and row of an echo."""
+    for receipt in store.receipts("tile"):
+        who = inputs.table("tile", receipt.part, IDENTITY)
+        here = (who["strip"] == strip) & (who["pulse"] == pulse) & (who["echo_number"] == number)
+        if here.any():
+            return receipt.part, int(np.flatnonzero(here)[0])
+    raise InputError(
+        "there is no such echo",
+        where=store.where,
+        expected="strip, pulse and echo_number of an echo of .echoes()",
+        got=f"strip {strip}, pulse {pulse}, echo {number}",
+        do="look it up in .echoes()",
+    )
+
+
+def _features(store: Store, inputs: PartInputs, tile: str, names: tuple[str, ...]) -> Table:
+    """The model's features of a tile, from whichever stages wrote them."""
+    known: dict[str, Any] = {}
+    for stage, part in store.parts():
+        if part != tile or not (path := store.path(stage, part, TABLE)).is_file():
+            continue
+        mine = [n for n in open_parquet(path).schema_arrow.names if n in names and n not in known]
+        if mine:
+            known |= dict(inputs.table(stage, part, mine))
+    return Table({n: known[n] for n in names if n in known})

@@ -1,0 +1,181 @@
+"""A delivery as an object: echoes, rasters, tiles, the report, waveforms, and why an echo has its class."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from fwclass.delivery.echoes import Bounds, Echoes
+from fwclass.delivery.explain import Explanation, explained
+from fwclass.delivery.rasters import Raster, read_raster
+from fwclass.delivery.waves import Waveform, waveform_of
+from fwclass.errors import InputError
+from fwclass.store.atomic import read_json
+from fwclass.store.directory import CURRENT
+from fwclass.store.run_store import Store
+
+
+class Delivery:
+    """What a run delivered, as it stood when it was opened: a run that goes on meanwhile changes nothing of it.
+
+    Nothing is read before it is asked for, and nothing is written. Coordinates are those of the survey's CRS [m];
+    a missing value is NaN.
+    """
+
+    def __init__(self, root: Path, generation: Path) -> None:
+        self.root, self.path = root, generation
+
+    def __repr__(self) -> str:
+        return f"Delivery({str(self.root)!r}, {self.path.name})"
+
+    def echoes(self, box: Bounds | None = None, columns: Sequence[str] | None = None, where: Any = None) -> Echoes:
+        """Classified echoes, to be had as pyarrow, pandas, geopandas or Dask.
+
+        Parameters
+        ----------
+        box : xmin, ymin, xmax, ymax [m], half-open; None for everywhere.
+        columns : names; None for all.
+        where : a pyarrow expression, or a list of (column, operator, value), all of which hold.
+
+        Raises
+        ------
+        InputError
+            There is no such column, or the box is none.
+        """
+        return Echoes(sorted(self._part("parquet").glob("*.parquet")), box, columns, where)
+
+    def raster(self, name: str) -> Raster:
+        """``classes, confidence, density, dtm, dsm, ndsm`` or ``hillshade``; of a survey of several places
+        ``PLACE/dtm`` and so on.
+
+        Raises
+        ------
+        InputError
+            There is no such raster.
+        """
+        return read_raster(self._part("rasters"), name)
+
+    def waveform(self, strip: int, pulse: int) -> Waveform:
+        """The recorded waveform of a pulse, and the echoes that were found in it.
+
+        Parameters
+        ----------
+        strip, pulse : as the echoes have them.
+
+        Raises
+        ------
+        InputError
+            The run has no such waveform, or keeps none.
+        """
+        return waveform_of(
+            self._store, self.echoes(where=[("strip", "==", strip), ("pulse", "==", pulse)]), strip, pulse
+        )
+
+    def explain(self, echo: tuple[int, int, int] | Mapping[str, Any]) -> Explanation:
+        """Why an echo has its class: the share of every class, and what each feature did to it.
+
+        Parameters
+        ----------
+        echo : (strip, pulse, echo_number), or a row that has these.
+
+        Raises
+        ------
+        InputError
+            There is no such echo.
+        """
+        row = echo if isinstance(echo, Mapping) else dict(zip(("strip", "pulse", "echo_number"), echo, strict=True))
+        return explained(self._store, self._part("model"), self.echoes(), row)
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """``report.json``: accuracy, counts, inputs, settings."""
+        return dict(read_json(self.path / "report.json"))
+
+    @cached_property
+    def tiles(self) -> list[dict[str, Any]]:
+        """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax)."""
+        made = read_json(self._part("laz") / "survey.vpc")
+        return [
+            {
+                "tile": item["id"],
+                "file": str(self.path / "laz" / item["assets"]["data"]["href"].removeprefix("./")),
+                "echoes": item["properties"]["pc:count"],
+                "bounds": tuple(item["properties"]["proj:bbox"]),
+            }
+            for item in made["features"]
+        ]
+
+    @cached_property
+    def _store(self) -> Store:
+        return Store(self.root, read_only=True)
+
+    def _part(self, name: str) -> Path:
+        path = self.path / name
+        if not path.exists():
+            there = sorted(p.name for p in self.path.iterdir())
+            raise InputError(
+                f"this delivery has no {name}",
+                where=self.path,
+                expected=name,
+                got=", ".join(there) or "nothing",
+                do="a run of chosen tiles, or one with a given model, delivers a part alone; run the whole survey",
+            )
+        return path
+
+
+def open_run(run: str | os.PathLike[str]) -> Delivery:
+    """The current delivery of a run directory.
+
+    Parameters
+    ----------
+    run : the directory that ``fwclass run`` wrote to.
+
+    Raises
+    ------
+    InputError
+        It is no run, has delivered nothing yet, is on object storage, or files of the delivery are gone.
+    """
+    text = os.fspath(run)
+    if "://" in text:
+        raise InputError(
+            "a run on object storage cannot be opened in place",
+            where=text,
+            expected="a directory",
+            got="an address",
+            do="copy the delivery first, for example `rclone copy REMOTE:bucket/run/generations/0001 run`, or read its "
+            "Parquet with DuckDB",
+        )
+    root = Path(text).resolve()
+    if not root.is_dir():
+        raise InputError("there is no such run", where=root, expected="a directory", got="none", do="check the path")
+    generations = Store(root, read_only=True).generations
+    current = generations.current()
+    if current is None:
+        under_way = (root / "store").is_dir()
+        raise InputError(
+            "this run has delivered nothing yet" if under_way else "this is not a run directory",
+            where=root,
+            expected=f"a link `{CURRENT}` to a delivery",
+            got="a run under way, or one that was interrupted" if under_way else "no store",
+            do="wait for `fwclass run` to end, or run it again: it goes on where it was"
+            if under_way
+            else "name the directory that was given as --out",
+        )
+    listed = generations.manifest(current)
+    gone = [name for name, facts in (listed or {}).items() if not _there(current.path / name, facts["bytes"])]
+    if listed is None or gone:
+        raise InputError(
+            "the delivery is damaged",
+            where=current.path,
+            expected="every file of its manifest, with its size",
+            got=", ".join(gone[:3]) or "no manifest",
+            do="run the survey again with --verify: what is damaged is made anew",
+        )
+    return Delivery(root, current.path)
+
+
+def _there(path: Path, size: int) -> bool:
+    return path.is_file() and path.stat().st_size == size

@@ -1,0 +1,58 @@
+"""Rasters of a delivery as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.errors import InputError, nearest
+
+
+@dataclass(frozen=True)
+class Raster:
+    """One raster.
+
+    Attributes
+    ----------
+    values : row 0 in the **north**, as the file has it.
+    transform : `affine.Affine`, from (column, row) to coordinates of a cell's north-west corner.
+    crs : WKT, "" for an unknown one.
+    nodata : value of a cell without data; NaN for heights and densities.
+    names : of classes by code, of the class raster alone.
+    """
+
+    name: str
+    values: NDArray[Any]
+    transform: Any
+    crs: str
+    nodata: float
+    names: dict[int, str]
+
+    def to_xarray(self) -> Any:
+        """An `xarray.DataArray` over y and x, the middles of the cells; needs xarray."""
+        from fwclass.delivery.echoes import _needed
+
+        xarray = _needed("xarray")
+        rows, columns = self.values.shape
+        x = self.transform.c + (np.arange(columns) + 0.5) * self.transform.a
+        y = self.transform.f + (np.arange(rows) + 0.5) * self.transform.e
+        attributes = {"crs": self.crs, "nodata": self.nodata}
+        return xarray.DataArray(self.values, {"y": y, "x": x}, ("y", "x"), self.name, attributes)
+
+
+def read_raster(directory: Path, name: str) -> Raster:
+    """A raster below `directory` by its name there, without ending; `InputError` for one that is not there."""
+    known = {p.relative_to(directory).with_suffix("").as_posix(): p for p in sorted(directory.rglob("*.tif"))}
+    if name not in known:
+        raise InputError("there is no such raster", where=directory, got=name, do=nearest(name, known))
+    import rasterio
+
+    with rasterio.open(known[name]) as file:
+        tags = file.tags(1)
+        names = {int(k.removeprefix("CLASS_")): v for k, v in tags.items() if k.startswith("CLASS_")}
+        crs = file.crs.to_wkt() if file.crs is not None else ""
+        return Raster(name, file.read(1), file.transform, crs, float(file.nodata), names)

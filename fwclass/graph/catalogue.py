@@ -1,0 +1,246 @@
+"""Stages that deliver what leads to the rest: an overview of the echoes, the list of tiles, a QGIS project."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from fwclass.errors import InputError
+from fwclass.graph.assess import COUNT_CONFUSION
+from fwclass.graph.outputs import DELIVER_TILE, NO_BYTE, TILE_ENDING, TILES, class_names, columns_of_tiles, crs_of
+from fwclass.graph.raster_outputs import DELIVER_RASTERS
+from fwclass.graph.sites import WHOLE, sites
+from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.grid import Box, TileGrid
+from fwclass.publish.copc import streamed, write_tile_copc
+from fwclass.publish.files import whole
+from fwclass.publish.gpkg import Layer, write_gpkg
+from fwclass.publish.laz import NEEDED, without_reflectance
+from fwclass.publish.octree import drawn_by
+from fwclass.publish.params import PublishParams
+from fwclass.publish.qgis import write_project
+from fwclass.publish.qgis_layers import cloud_styles, groups_of
+from fwclass.publish.qgis_style import style_file
+from fwclass.publish.tile_facts import point_schema, summed
+from fwclass.publish.vpc import write_vpc
+from fwclass.schema import IDENTITY, Table
+
+OVERVIEW = "laz/overview.copc.laz"
+OF_FIELDS = ("intensity", "gps_time")
+"""Columns of a tile that are fields of its point format, beside those it cannot be without."""
+
+
+def delivered_overview(
+    here: StageInputs,
+    params: PublishParams,
+    crs: str | None,
+    standard_time: bool,
+    calibrated: bool,
+    names: Mapping[str, str],
+) -> Made:
+    """A fair sample of all echoes as COPC, drawn by the hash that the tiles' levels are drawn by."""
+    total = sum(here.inputs.meta("tile", tile)["rows"] for tile in here.present)
+    share = min(1.0, params.overview_echoes / max(1, total))
+    bound = np.uint64(min(share * 2.0**64, float(2**64 - 2048)))
+    table = Table.concat(_drawn(here, bound))
+    if not table.rows:
+        return {"rows": 0}
+    path = here.directory / OVERVIEW
+    path.parent.mkdir(parents=True)
+    called = {int(code): name for code, name in names.items()}
+    try:
+        shown = table if calibrated else without_reflectance(table)
+        write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
+    except InputError:  # places further apart than the format's whole numbers reach have no common file
+        return {"rows": 0}
+    return {"rows": table.rows}
+
+
+def _drawn(here: StageInputs, bound: np.uint64) -> Iterator[Table]:
+    """Of every tile the echoes whose hash lies below `bound`."""
+    identity = dict.fromkeys(IDENTITY, "tile")
+    for tile in here.present:
+        rows = np.flatnonzero(drawn_by(here.inputs.rows(tile, identity)) <= bound)
+        yield here.inputs.rows(tile, here.columns).select(here.columns).take(rows)
+
+
+def delivered_catalogue(
+    here: StageInputs,
+    crs: str | None,
+    standard_time: bool,
+    columns: Names,
+    names: Mapping[str, str],
+    title: str,
+    polygons: Names,
+) -> Made:
+    """The list of tiles for QGIS and PDAL, and a project that shows all of the delivery."""
+    tiles = _facts(here)
+    facts, system = summed(tiles), crs_of(crs)
+    present = _present(facts, names)
+    overview = here.inputs.meta(DELIVER_OVERVIEW.name, "all")["rows"]
+    (here.directory / "laz").mkdir(parents=True)
+    by_path = {f"{TILES.removeprefix('laz/')}/{key}{TILE_ENDING}": tile for key, tile in tiles.items()}
+    listed = write_vpc(
+        by_path,
+        here.directory / "laz" / "survey.vpc",
+        system,
+        point_schema(columns),
+        OVERVIEW.removeprefix("laz/") if overview else "",
+        standard_time=standard_time,
+    )
+    ranges = {site: here.inputs.meta(DELIVER_RASTERS.name, site)["ranges"] for site in here.parts(DELIVER_RASTERS.name)}
+    _write_style(here, present)
+    bounds = facts["bounds"]
+    groups = groups_of(present, columns, ranges, polygons, WHOLE)
+    write_project(title, groups, (bounds[0], bounds[1], bounds[3], bounds[4]), here.directory / "survey.qgz", system)
+    return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
+
+
+def delivered_polygons(
+    here: StageInputs, crs: str | None, names: Mapping[str, str], size: float, areas: Mapping[str, list[list[float]]]
+) -> Made:
+    """The tiles as polygons with their figures, and the training and test areas."""
+    tiles = _facts(here)
+    layers = [_tile_layer(here, tiles, _present(summed(tiles), names), size), *_area_layers(areas)]
+    write_gpkg(layers, here.directory / "tiles.gpkg", crs_of(crs))
+    return {"tiles": len(tiles)}
+
+
+def _facts(here: StageInputs) -> dict[str, Mapping[str, Any]]:
+    return {tile: here.inputs.meta(DELIVER_TILE.name, tile)["facts"] for tile in here.parts(DELIVER_TILE.name)}
+
+
+def _present(facts: Mapping[str, Any], names: Mapping[str, str]) -> dict[int, str]:
+    """Names of the classes that there are, by code."""
+    return {int(code): names.get(code, f"class {code}") for code in facts["classes"] if code != "0"}
+
+
+def _write_style(here: StageInputs, names: Mapping[int, str]) -> None:
+    """Classes in the house's colours, for who opens the list of tiles alone."""
+    with whole(here.directory / "laz" / "survey.qml") as beside:
+        beside.write_bytes(style_file(cloud_styles(names)["classes"], "pointcloud"))
+
+
+def _tile_layer(
+    here: StageInputs, tiles: Mapping[str, Mapping[str, Any]], names: Mapping[int, str], size: float
+) -> Layer:
+    """Every tile with counts by class, accuracy where it is known, mean confidence, and its rank: 1 is least sure."""
+    keys, grid = sorted(tiles), TileGrid(size)
+    confidence = np.array([np.nan if (c := tiles[k]["confidence"]) is None else c for k in keys])
+    judged = set(here.parts(COUNT_CONFUSION.name))
+    accuracy = np.array([_accuracy(here.inputs.meta(COUNT_CONFUSION.name, k)) if k in judged else np.nan for k in keys])
+    rank = np.empty(len(keys), np.int32)
+    rank[np.argsort(confidence, kind="stable")] = np.arange(1, len(keys) + 1, dtype=np.int32)
+    counts = {
+        f"class_{code}": np.array([tiles[k]["classes"].get(str(code), 0) for k in keys], np.int64) for code in names
+    }
+    return Layer(
+        "tiles",
+        [grid.tile(k).box for k in keys],
+        {
+            "tile": keys,
+            "file": [f"{TILES}/{k}{TILE_ENDING}" for k in keys],
+            "echoes": np.array([tiles[k]["points"] for k in keys], np.int64),
+            "confidence": confidence,
+            "rank": rank,
+            "accuracy": accuracy,
+            "state": ["classified"] * len(keys),
+            **counts,
+        },
+    )
+
+
+def _accuracy(meta: Mapping[str, Any]) -> float:
+    """Share of the tile's test echoes with the right class; NaN without any."""
+    matrix = np.array(meta["matrix"], np.int64)
+    total = int(matrix.sum()) + sum(meta["lost"])
+    return float(np.trace(matrix) / total) if total else float("nan")
+
+
+def _area_layers(areas: Mapping[str, list[list[float]]]) -> list[Layer]:
+    rows = [(kind, Box(*box)) for kind, boxes in areas.items() for box in boxes]
+    if not rows:
+        return []
+    return [Layer("areas", [box for _, box in rows], {"kind": [kind for kind, _ in rows]})]
+
+
+def _overview_columns(plan: Plan) -> Names:
+    columns = columns_of_tiles(plan)
+    return tuple(dict.fromkeys((*(c for c in columns if c in (*NEEDED, *OF_FIELDS)), *streamed(columns))))
+
+
+def _streamed(plan: Plan) -> Names:
+    calibrated = plan.config.radiometry.calibrates
+    return tuple(c for c in _overview_columns(plan) if calibrated or c != "reflectance")
+
+
+def _shared(plan: Plan) -> dict[str, Any]:
+    survey = plan.survey
+    return {"crs": survey.crs, "standard_time": survey.standard_time, "names": class_names(plan)}
+
+
+def _areas(plan: Plan) -> dict[str, list[list[float]]]:
+    return {kind: [list(b.bounds) for b in plan.config.areas.boxes(kind)] for kind in ("train", "test")}
+
+
+def _published(plan: Plan, part: object) -> list[tuple[str, str]]:
+    tiles = [(DELIVER_TILE.name, t.key) for t in plan.layout.tiles]
+    rasters = [(DELIVER_RASTERS.name, site.name) for site in sites(plan.layout)]
+    return [*tiles, *rasters, (DELIVER_OVERVIEW.name, "all")]
+
+
+def _judged(plan: Plan, part: object) -> list[tuple[str, str]]:
+    stages = (DELIVER_TILE.name, *([COUNT_CONFUSION.name] if COUNT_CONFUSION.when(plan) else []))
+    return [(stage, t.key) for stage in stages for t in plan.layout.tiles]
+
+
+DELIVER_OVERVIEW = Stage(
+    "publish-overview",
+    1,
+    "survey",
+    "echo",
+    delivered_overview,
+    arguments=lambda plan: {
+        **_shared(plan),
+        "params": plan.config.publish,
+        "calibrated": plan.config.radiometry.calibrates,
+    },
+    silent=NO_BYTE,
+    reads=_overview_columns,
+    where="deliver",
+)
+DELIVER_CATALOGUE = Stage(
+    "publish-catalogue",
+    1,
+    "survey",
+    "part",
+    delivered_catalogue,
+    arguments=lambda plan: {
+        **_shared(plan),
+        "columns": _streamed(plan),
+        "title": plan.config.survey.name,
+        "polygons": ("tiles", "areas") if any(_areas(plan).values()) else ("tiles",),
+    },
+    after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
+    needs=_published,
+    where="deliver",
+)
+DELIVER_POLYGONS = Stage(
+    "publish-polygons",
+    1,
+    "survey",
+    "part",
+    delivered_polygons,
+    arguments=lambda plan: {
+        "crs": plan.survey.crs,
+        "names": class_names(plan),
+        "size": plan.config.tile.size,
+        "areas": _areas(plan),
+    },
+    after=(DELIVER_TILE.name, COUNT_CONFUSION.name),
+    needs=_judged,
+    check=True,  # it tells accuracy: where that cannot be made, the delivery is whole all the same
+    where="deliver",
+)

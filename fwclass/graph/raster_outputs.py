@@ -1,0 +1,213 @@
+"""Stages that deliver rasters: terrain, surface, relief, classes, confidence and density, with a style beside each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from pyproj import CRS
+
+from fwclass.errors import InputError
+from fwclass.graph.ground import terrain_blocks
+from fwclass.graph.outputs import MAX_CELLS, NO_BYTE, class_names, crs_of
+from fwclass.graph.rasters import Mosaic, stripes, write_rasters
+from fwclass.graph.sites import WHOLE, Site, sites
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.grid import Box, Tile, TileGrid, Window
+from fwclass.ground.stage import TERRAIN
+from fwclass.publish.class_raster import NO_CONFIDENCE, class_rasters
+from fwclass.publish.cog import STRIPE, cog
+from fwclass.publish.files import whole
+from fwclass.publish.palette import colours
+from fwclass.publish.params import PublishParams
+from fwclass.publish.qgis_style import style_file
+from fwclass.publish.raster_styles import STYLED, Spread, raster_style
+from fwclass.publish.shade import hillshade
+from fwclass.run.inputs import PartInputs
+
+
+def class_block(here: StageInputs, params: PublishParams) -> Made:
+    """Class and confidence of the highest echo, and the echoes, of every cell of one block of the fixed grid."""
+    window = Window.covering(here.tile.box, params.class_cell)
+    points = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
+    made = class_rasters(points["x"], points["y"], points["z"], points["classification"], points["confidence"], window)
+    write_rasters(here.directory, made._asdict(), window)
+    return {"cells": int((made.classes > 0).sum())}
+
+
+def delivered_rasters(
+    here: StageInputs,
+    params: PublishParams,
+    crs: str | None,
+    names: Mapping[str, str],
+    cell: float,
+    block: float,
+    bounds: tuple[float, float, float, float],
+) -> Made:
+    """Terrain, surface, their difference, hillshade, class, confidence and density of a box as cloud-optimised GeoTIFF.
+
+    They are made in stripes from north to south: memory grows with the box's width alone. `names` of classes by code.
+    """
+    target = here.directory / ("rasters" if here.part == WHOLE else f"rasters/{here.part}")
+    target.mkdir(parents=True)
+    box, grid = Box(*bounds), TileGrid(block)
+    windows = Window.covering(box, cell), Window.covering(box, params.class_cell)
+    for window in windows:
+        if math.prod(window.shape) > MAX_CELLS:
+            raise InputError(
+                "the survey's rasters would be too large",
+                where="rasters",
+                expected=f"at most {MAX_CELLS:,} cells",
+                got=f"{window.ncols:,} x {window.nrows:,} cells of {window.cell:g} m from {box.bounds}",
+                do="look for stray points with `fwclass info` and remove them, or choose larger terrain.cell and "
+                "publish.class_cell",
+            )
+    system, blocks = crs_of(crs), tuple(grid.tile(key) for key in here.parts(TERRAIN.name))
+    called = {int(code): name for code, name in names.items()}
+    spreads: dict[str, Spread] = {}
+    told = {
+        "dtm_cells": _terrain_rasters(windows[0], blocks, system, params, here.inputs, target, spreads),
+        "class_cells": _class_rasters(windows[1], blocks, called, system, params, here.inputs, target, spreads),
+    }
+    ranges = {name: spread.shown() for name, spread in spreads.items()}
+    for name in STYLED:
+        with whole(target / f"{name}.qml") as beside:
+            beside.write_bytes(style_file(raster_style(name, ranges, called), "raster"))
+    return {**told, "ranges": ranges}
+
+
+_TERRAIN = {
+    "dtm": "terrain height [m]",
+    "dsm": "height of the highest echo [m]",
+    "ndsm": "highest echo above the terrain [m]",
+}
+
+
+def _terrain_rasters(
+    window: Window,
+    blocks: tuple[Tile, ...],
+    crs: CRS | None,
+    params: PublishParams,
+    inputs: PartInputs,
+    target: Path,
+    spreads: dict[str, Spread],
+) -> int:
+    """Write heights and shaded relief; cells with terrain."""
+    nothing = np.float32(np.nan)
+    mosaic = Mosaic(inputs, "terrain", blocks, window.cell, {"dtm": nothing, "dsm": nothing})
+    cells = 0
+    spreads |= {name: Spread() for name in _TERRAIN}
+    with ExitStack() as files:
+        put = {
+            name: files.enter_context(
+                cog(nothing.dtype, window, target / f"{name}.tif", crs, params, np.nan, tags={"what": what})
+            )
+            for name, what in _TERRAIN.items()
+        }
+        what = {"what": "shaded relief, 1 to 255"}
+        shade = files.enter_context(
+            cog(np.dtype(np.uint8), window, target / "hillshade.tif", crs, params, 0, tags=what)
+        )
+        for stripe in stripes(window, STRIPE):
+            if not mosaic.touches(stripe):
+                continue
+            around = stripe.grown(1).common(window) or stripe  # light asks for the cells beside
+            heights, inner = mosaic.laid(around), stripe.within(around)
+            dtm = heights["dtm"]
+            there = np.isfinite(dtm)
+            tone = np.where(there, 1 + 254 * hillshade(dtm, window.cell, params), 0).astype(np.uint8)
+            for name, raster in {**heights, "ndsm": heights["dsm"] - dtm}.items():
+                put[name](stripe, raster[inner])
+                spreads[name].add(raster[inner])
+            shade(stripe, tone[inner])
+            cells += int(there[inner].sum())
+    return cells
+
+
+def _class_rasters(
+    window: Window,
+    blocks: tuple[Tile, ...],
+    names: Mapping[int, str],
+    crs: CRS | None,
+    params: PublishParams,
+    inputs: PartInputs,
+    target: Path,
+    spreads: dict[str, Spread],
+) -> int:
+    """Write the maps of classes, confidence and density; cells with a class."""
+    empty: dict[str, np.generic] = {
+        "classes": np.uint8(0),
+        "confidence": np.uint8(NO_CONFIDENCE),
+        "echoes": np.uint32(0),
+    }
+    mosaic = Mosaic(inputs, "class-block", blocks, window.cell, empty)
+    shown = colours([{"name": name, "code": code} for code, name in names.items()])
+    small, real = np.dtype(np.uint8), np.dtype(np.float32)
+    spreads["density"] = Spread()
+    cells = 0
+    with ExitStack() as files:
+        put = files.enter_context(cog(small, window, target / "classes.tif", crs, params, 0, shown, names=names))
+        what = {"what": "confidence of the class of the highest echo [%]"}
+        sure = files.enter_context(cog(small, window, target / "confidence.tif", crs, params, NO_CONFIDENCE, tags=what))
+        what = {"what": "echoes per square metre"}
+        many = files.enter_context(cog(real, window, target / "density.tif", crs, params, np.nan, tags=what))
+        for stripe in stripes(window, STRIPE):
+            if not mosaic.touches(stripe):
+                continue
+            laid = mosaic.laid(stripe)
+            there = laid["classes"] > 0
+            density = np.where(there, laid["echoes"] / window.cell**2, np.nan).astype(np.float32)
+            put(stripe, laid["classes"])
+            sure(stripe, laid["confidence"])
+            many(stripe, density)
+            spreads["density"].add(density)
+            cells += int(there.sum())
+    return cells
+
+
+def _terrain_and_classes(plan: Plan, site: Site) -> list[tuple[str, str]]:
+    return [(stage, b.key) for stage in (TERRAIN.name, "class-block") for b in site.blocks]
+
+
+def _box_of_cells(plan: Plan, block: Tile) -> Box:
+    return Window.covering(block.box, plan.config.publish.class_cell).box
+
+
+MAP_CLASSES = Stage(
+    "class-block",
+    2,
+    "block",
+    "cell",
+    class_block,
+    parts=lambda plan: terrain_blocks(plan.layout),
+    edge=lambda plan: plan.config.terrain.block,
+    arguments=lambda plan: {"params": plan.config.publish},
+    silent=NO_BYTE,
+    reads=("z", "classification", "confidence"),
+    halo=0.0,
+    area=_box_of_cells,
+)
+DELIVER_RASTERS = Stage(
+    "publish-rasters",
+    4,
+    "survey",
+    "cell",
+    delivered_rasters,
+    parts=lambda plan: sites(plan.layout),
+    key=lambda site: site.name,
+    arguments=lambda plan: {
+        "params": plan.config.publish,
+        "crs": plan.survey.crs,
+        "names": class_names(plan),
+        "cell": plan.config.terrain.cell,
+        "block": plan.config.terrain.block,
+    },
+    each=lambda plan, site: {"bounds": site.box.bounds},
+    silent=NO_BYTE,
+    after=("terrain", "class-block"),
+    needs=_terrain_and_classes,
+    where="deliver",
+)

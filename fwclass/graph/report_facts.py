@@ -1,0 +1,126 @@
+"""What a report tells beside accuracy: where and when a survey is, how sure the classes are, a few waveforms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+from pyproj import CRS
+
+from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
+from fwclass.graph.sources import waveforms_of
+from fwclass.run.inputs import PartInputs
+from fwclass.run.runner import Runner
+from fwclass.store.receipts import Receipt
+
+GPS_EPOCH, ADJUSTED, LEAP_SECONDS = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000, 18
+LEAST_SURE, WAVES = 5, 6
+WORTH = 100
+"""Echoes of a tile that is worth a look; one of three strays is not."""
+SHOWN_SAMPLES = 400
+"""Of a long waveform so many are drawn."""
+
+
+def made_in_run(runner: Runner, stage: str) -> list[Receipt]:
+    """Receipts of a stage's parts that are done in this run; what an earlier run left is not this run's result."""
+    parts = sorted(part for name, part in runner.outcomes if name == stage and runner.made(stage, part))
+    return [r for r in (runner.store.receipt(stage, part) for part in parts) if r is not None]
+
+
+def place_of(
+    tiles: Sequence[Receipt], crs: str | None, standard_time: bool, cells: int, cell: float
+) -> dict[str, Any] | None:
+    """CRS, flight dates, area with echoes [m²] and echoes per m²; None where no tile was delivered.
+
+    `cells` of edge `cell` [m] hold an echo.
+    """
+    if not tiles:
+        return None
+    system = CRS.from_user_input(crs) if crs else None
+    points = sum(r.meta["facts"]["points"] for r in tiles)
+    times = [t for r in tiles for t in r.meta["facts"]["times"] or ()]
+    bounds = np.array([r.meta["facts"]["bounds"] for r in tiles])
+    area = cells * cell**2
+    authority = system.to_authority() if system is not None else None
+    return {
+        "crs": system.name if system is not None else None,
+        "code": ":".join(authority) if authority else None,
+        "bounds": [*bounds[:, :2].min(axis=0).tolist(), *bounds[:, 3:5].max(axis=0).tolist()],
+        "flown": [_date(min(times)), _date(max(times))] if times and standard_time else None,
+        "area": area,
+        "density": points / area if area else None,
+    }
+
+
+def _date(seconds: float) -> str:
+    return (GPS_EPOCH + timedelta(seconds=seconds + ADJUSTED - LEAP_SECONDS)).strftime("%Y-%m-%d")
+
+
+def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Echoes and mean confidence of every class, and the tiles whose classes are least sure."""
+    facts = {r.part: r.meta["facts"] for r in tiles if r.meta["facts"]["confidence"] is not None}
+    if not facts:
+        return None
+    rows = []
+    for one in classes:
+        code = str(one["code"])
+        count = sum(f["classes"].get(code, 0) for f in facts.values())
+        total = sum(f["sure"].get(code, 0.0) for f in facts.values())
+        rows.append(
+            {"name": one["name"], "code": one["code"], "echoes": count, "confidence": total / count if count else None}
+        )
+    worth = [key for key in facts if facts[key]["points"] >= WORTH] or list(facts)
+    least = sorted(worth, key=lambda key: (facts[key]["confidence"], key))[:LEAST_SURE]
+    listed = [
+        {
+            "tile": key,
+            "file": f"{TILES}/{key}{TILE_ENDING}",
+            "confidence": facts[key]["confidence"],
+            "echoes": facts[key]["points"],
+        }
+        for key in least
+    ]
+    return {"classes": rows, "tiles": listed, "stage": DELIVER_TILE.name}
+
+
+def some_waves(reads: Sequence[Receipt], done: set[str], inputs: PartInputs) -> list[dict[str, Any]]:
+    """A few pulses of the first chunk with waveforms, from simple ones to those with most echoes.
+
+    Returns
+    -------
+    dicts with ``strip, pulse``; ``start, spacing`` of the samples [ns]; ``samples`` [DN]; ``baseline`` [DN];
+    ``echoes``: (time [ns], amplitude [DN], width [ns]) each.
+    """
+    chunk = next((r.part for r in reads if r.meta.get("waveforms") and r.part in done), None)
+    if chunk is None:
+        return []
+    waves = waveforms_of(chunk, inputs, returns=False)
+    columns = ("pulse", "time", "amplitude", "width", "baseline", "fit_flags")
+    echoes = inputs.table("decompose", chunk, columns)
+    fitted = np.flatnonzero(np.isfinite(echoes["time"]) & (echoes["fit_flags"] & 128 == 0))
+    known, counts = np.unique(echoes["pulse"][fitted], return_counts=True)
+    single = np.isin(known, waves.pulses["pulse"])
+    known, counts = known[single], counts[single]
+    order = np.lexsort((known, counts))
+    if not len(order):
+        return []
+    places = np.unique(np.linspace(0, len(order) - 1, WAVES).round().astype(int))
+    made = []
+    for pulse in known[order[places]].tolist():
+        row = int(np.searchsorted(waves.pulses["pulse"], pulse))
+        mine = fitted[echoes["pulse"][fitted] == pulse]
+        samples = waves.samples[waves.offsets[row] : waves.offsets[row + 1]][:SHOWN_SAMPLES]
+        made.append(
+            {
+                "strip": int(chunk.split("-")[0]),
+                "pulse": pulse,
+                "start": float(waves.pulses["segment_start"][row]),
+                "spacing": float(waves.pulses["sample_spacing"][row]),
+                "samples": samples.tolist(),
+                "baseline": round(float(echoes["baseline"][mine[0]]), 2),
+                "echoes": [[round(float(echoes[c][k]), 3) for c in ("time", "amplitude", "width")] for k in mine],
+            }
+        )
+    return made

@@ -1,0 +1,65 @@
+"""Boxes with attributes as GeoPackage layers: tiles, training and test areas."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+from numpy.typing import NDArray
+
+from fwclass.formats.gdal import write_polygons
+from fwclass.grid import Box
+from fwclass.publish.files import whole
+from fwclass.publish.laz import wkt
+
+RING = np.dtype([("order", "u1"), ("kind", "<u4"), ("rings", "<u4"), ("points", "<u4"), ("xy", "<f8", (5, 2))])
+"""ISO WKB of a polygon of four sides."""
+
+POLYGON = 3
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Boxes of one kind.
+
+    Attributes
+    ----------
+    boxes : one a row, at least one.
+    fields : equal-length columns by name; texts as lists of str, numbers as arrays.
+    """
+
+    name: str
+    boxes: Sequence[Box]
+    fields: Mapping[str, NDArray[Any] | Sequence[str]]
+
+
+def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> dict[str, Any]:
+    """Write layers into one GeoPackage; the same boxes and fields give the same bytes.
+
+    Returns
+    -------
+    dict with ``path, layers, bytes``.
+    """
+    with whole(path) as beside:
+        beside.unlink(missing_ok=True)
+        for layer in layers:
+            fields = {name: np.asarray(v, object if _texts(v) else None) for name, v in layer.fields.items()}
+            write_polygons(beside, layer.name, _wkb(layer.boxes), fields, wkt(crs) if crs is not None else None)
+        size = beside.stat().st_size
+    return {"path": str(path), "layers": [layer.name for layer in layers], "bytes": size}
+
+
+def _texts(values: NDArray[Any] | Sequence[str]) -> bool:
+    return not isinstance(values, np.ndarray)
+
+
+def _wkb(boxes: Sequence[Box]) -> list[bytes]:
+    out = np.zeros(len(boxes), RING)
+    out["order"], out["kind"], out["rings"], out["points"] = 1, POLYGON, 1, 5
+    for k, b in enumerate(boxes):
+        out["xy"][k] = [(b.xmin, b.ymin), (b.xmax, b.ymin), (b.xmax, b.ymax), (b.xmin, b.ymax), (b.xmin, b.ymin)]
+    return [row.tobytes() for row in out]

@@ -1,0 +1,232 @@
+"""The report's first screen and what leads on: verdict, map layers, curves, waveforms, what to look at next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fwclass.publish.figures import SURE, WRONG
+from fwclass.publish.palette import colours, css
+from fwclass.publish.sections import number, percent
+
+ASPRS = {
+    1: "Unclassified",
+    2: "Ground",
+    3: "Low Vegetation",
+    4: "Medium Vegetation",
+    5: "High Vegetation",
+    6: "Building",
+    7: "Low Point (Noise)",
+    9: "Water",
+    10: "Rail",
+    11: "Road Surface",
+    17: "Bridge Deck",
+    18: "High Noise",
+}
+"""Names of codes in LAS 1.4 R15, table 17."""
+
+LAYERS = {
+    "map": ("Classes", "class of the highest echo in every cell, shaded by the terrain"),
+    "confidence": ("Confidence", "how sure the class of the highest echo is"),
+    "errors": ("Errors", "share of wrong echoes among the test echoes of every block"),
+    "relief": ("Terrain", "shaded relief of the terrain model, tinted by height"),
+}
+WIDTH, HEIGHT = 420.0, 190.0
+FOUR_LN2 = 2.772588722239781
+STEPS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
+"""Confidences whose share and accuracy stand in the table."""
+
+
+def class_key(classes: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """Colour, name and code of every class, and the standard's name where it has another."""
+    shown = colours(classes)
+    out = []
+    for one in classes:
+        code, name = int(one["code"]), str(one["name"])
+        standard = ASPRS.get(code, "")
+        other = standard if standard.lower() != name.lower().replace("_", " ") else ""
+        out.append({"dot": css(shown[code]), "name": name, "code": str(code), "standard": other})
+    return out
+
+
+def layers(pictures: Mapping[str, str], classes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The layers of the map that there are, each with its legend as text."""
+    keys = {
+        "map": [{"dot": k["dot"], "text": k["name"]} for k in class_key(classes)],
+        "confidence": _steps(SURE, ("0 %", "50 %", "100 %")),
+        "errors": _steps(WRONG, ("none wrong", "20 %", "60 %", "all")),
+        "relief": [],
+    }
+    return [
+        {"key": key, "title": title, "caption": caption, "uri": pictures[key], "legend": keys[key]}
+        for key, (title, caption) in LAYERS.items()
+        if key in pictures
+    ]
+
+
+def _steps(ramp: Sequence[tuple[float, tuple[int, int, int]]], texts: Sequence[str]) -> list[dict[str, str]]:
+    return [{"dot": css(colour), "text": text} for (_, colour), text in zip(ramp, texts, strict=True)]
+
+
+def verdict(report: Mapping[str, Any]) -> list[str]:
+    """What the figures say, in sentences."""
+    made, told = report.get("accuracy") or {}, []
+    overall, sure = made.get("overall_accuracy"), (report.get("sureness") or {}).get("classes") or []
+    if overall is not None:
+        text = f"{percent(overall)} % of the test echoes have the right class"
+        span = (made.get("intervals") or {}).get("overall_accuracy")
+        if span:
+            level = f"{100 * made['intervals']['level']:.0f} %"
+            text += f" ({level} interval {percent(span[0])} to {percent(span[1])} %)"
+        told.append(f"{text}, tested on {made.get('area') or 'the test areas'}.")
+        named = [
+            (i, n) for i, n in zip(made.get("iou") or (), made.get("classes") or (), strict=False) if i is not None
+        ]
+        if named:
+            iou, name = min(named)
+            told.append(f"The weakest class is {_name(name)}: IoU {percent(iou)} %.")
+    elif sure:
+        told.append(
+            "Nothing was tested: no reference lies in a test area. Confidence is how sure the model is, not how right."
+        )
+    unsure = [c for c in sure if c.get("confidence") is not None]
+    if unsure:
+        least = min(unsure, key=lambda c: c["confidence"])
+        told.append(f"The model is least sure of {least['name']}: {percent(least['confidence'])} % on average.")
+    return told
+
+
+def _name(item: Any) -> str:
+    return str(item["name"] if isinstance(item, Mapping) else item)
+
+
+def next_steps(report: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What to look at next: (text, path of a file beside the report or "")."""
+    tiles = (report.get("sureness") or {}).get("tiles") or ()
+    steps: list[dict[str, Any]] = []
+    if (report.get("outputs") or {}).get("gis"):
+        steps.append({"text": "Open the project in QGIS; its work list has the least sure tiles", "path": "survey.qgz"})
+    for tile in tiles:
+        share = percent(tile["confidence"])
+        steps.append(
+            {"text": f"Tile {tile['tile']}: {number(tile['echoes'])} echoes, {share} % sure", "path": tile["file"]}
+        )
+    failed = report.get("failed") or ()
+    if failed:
+        steps.insert(0, {"text": f"{len(failed)} parts failed: mend the cause and run again", "path": ""})
+    return steps
+
+
+def surveyed(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Where, when, how large, by what: (label, text) of what is known."""
+    place, model = report.get("place") or {}, report.get("model") or {}
+    rows = []
+    if place:
+        code = f" ({place['code']})" if place.get("code") else ""
+        rows.append(("coordinates", f"{place['crs']}{code}" if place.get("crs") else "in no known system"))
+        if place.get("flown"):
+            first, last = place["flown"]
+            rows.append(("flown", first if first == last else f"{first} to {last}"))
+        if place.get("area"):
+            rows.append(("area with echoes", f"{place['area'] / 1e6:.3f} km²"))
+            rows.append(("density", f"{place['density']:.1f} echoes per m²"))
+    files = (report.get("input") or {}).get("files") or ()
+    if files:
+        more = f" and {len(files) - 3} more" if len(files) > 3 else ""
+        rows.append(("input", ", ".join(str(f["path"]) for f in files[:3]) + more))
+    if model.get("path"):
+        rows.append(("model", f"{model['path']}, {len(model.get('features') or ())} features"))
+    elif report.get("training"):
+        rows.append(("model", f"trained in this run, {len(model.get('features') or ())} features"))
+    if report.get("fwclass"):
+        rows.append(("made with", f"fwclass {report['fwclass']}"))
+    return rows
+
+
+def sure_rows(report: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Echoes and mean confidence by class."""
+    made = (report.get("sureness") or {}).get("classes") or ()
+    shown = colours(made)
+    return [
+        {
+            "dot": css(shown[int(c["code"])]),
+            "name": str(c["name"]),
+            "echoes": number(c["echoes"]),
+            "confidence": percent(c["confidence"]) or "–",
+        }
+        for c in made
+    ]
+
+
+def curve(made: Sequence[Sequence[float]] | None) -> dict[str, Any] | None:
+    """Accuracy of the echoes that are left to the model, over their share: a path, ends of the scale, a small table."""
+    if not made or len(made) < 2:
+        return None
+    low = min(0.99, min(right for _, _, right in made))
+    points = [(WIDTH * share, HEIGHT * (1 - (right - low) / (1 - low))) for _, share, right in made]
+    rows = []
+    for step in STEPS:
+        reached = [row for row in made if row[0] >= step - 1e-9]
+        if reached:
+            rows.append({"least": f"{step:.2f}", "share": percent(reached[0][1]), "right": percent(reached[0][2])})
+    path = "M" + " L".join(f"{x:.1f} {y:.1f}" for x, y in points)
+    return {"path": path, "low": percent(low), "rows": rows, "width": WIDTH, "height": HEIGHT}
+
+
+def importance(training: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """The ten most important features with bars; the others by name."""
+    made = (training or {}).get("importance")
+    if not made:
+        return None
+    pairs = _pairs(made, list((training or {}).get("features") or ()))
+    if not pairs:
+        return None
+    pairs.sort(key=lambda item: (-item[1], item[0]))
+    most = max(pairs[0][1], 1e-12)
+    rows = [{"name": n, "value": f"{v:.4f}", "bar": round(100 * max(v, 0) / most, 1)} for n, v in pairs[:10]]
+    return {"rows": rows, "more": [n for n, _ in pairs[10:]]}
+
+
+def _pairs(made: Any, features: list[str]) -> list[tuple[str, float]]:
+    """(feature, importance) of whatever form a model's card has."""
+    if isinstance(made, Mapping):
+        values = made.get("mean", made.get("drop", made.get("values", made)))
+        if isinstance(values, Mapping):
+            return [(str(k), float(v)) for k, v in values.items() if isinstance(v, (int, float))]
+        made = values
+    if isinstance(made, Sequence) and len(made) == len(features):
+        return [(n, float(v)) for n, v in zip(features, made, strict=True) if isinstance(v, (int, float))]
+    return []
+
+
+def waves(made: Sequence[Mapping[str, Any]] | None) -> list[dict[str, Any]]:
+    """A panel a pulse: the samples, the fitted sum, a line at every echo."""
+    return [_wave(one) for one in made or ()]
+
+
+def _wave(one: Mapping[str, Any], wide: float = 300.0, tall: float = 130.0) -> dict[str, Any]:
+    samples, start, step = one["samples"], float(one["start"]), float(one["spacing"])
+    base = float(one["baseline"])
+    low, high = min([*samples, base]), max([*samples, base + 1])
+    last = start + step * max(1, len(samples) - 1)
+
+    def x(time: float) -> float:
+        return wide * (time - start) / (last - start)
+
+    def y(value: float) -> float:
+        return tall - (tall - 8) * (value - low) / (high - low)
+
+    dots = " ".join(f"{x(start + step * k):.1f},{y(v):.1f}" for k, v in enumerate(samples))
+    fine = [start + (last - start) * k / 240 for k in range(241)]
+    total = [base + sum(_gaussian(t, *echo) for echo in one["echoes"]) for t in fine]
+    fitted = " ".join(f"{x(t):.1f},{y(min(v, high)):.1f}" for t, v in zip(fine, total, strict=True))
+    places = [f"{x(float(echo[0])):.1f}" for echo in one["echoes"]]
+    several = f"{len(places)} echo{'es' * (len(places) != 1)}"
+    title = f"strip {one['strip']}, pulse {one['pulse']}: {several}"
+    return {"title": title, "dots": dots, "fitted": fitted, "echoes": places, "width": wide, "height": tall}
+
+
+def _gaussian(time: float, middle: float, height: float, width: float) -> float:
+    from math import exp
+
+    return float(height * exp(-FOUR_LN2 * ((time - middle) / max(width, 1e-6)) ** 2))

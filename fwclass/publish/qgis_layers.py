@@ -1,0 +1,93 @@
+"""The layers of the project of a delivery, in groups."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from xml.etree import ElementTree as Xml
+
+from fwclass.publish.qgis import MapLayer
+from fwclass.publish.qgis_style import (
+    HEIGHTS,
+    SURE,
+    class_cloud_style,
+    graduated_style,
+    outline_style,
+    ramp_cloud_style,
+)
+from fwclass.publish.raster_styles import raster_style
+
+WORK = 10
+"""Tiles of the work list: those with the lowest mean confidence."""
+
+HEIGHT_SHOWN = 25.0
+"""m above ground that the colours of echoes reach; a tall tree."""
+
+LEAST_SURE = (0.0, 0.7, 0.8, 0.9, 0.95, 1.0)
+"""Edges of the tiles' colours, mean confidence."""
+
+_RASTERS = {
+    "classes": ("classes", "Maps"),
+    "confidence": ("confidence of the classes [%]", "Maps"),
+    "density": ("echoes per m²", "Maps"),
+    "hillshade": ("shaded relief", "Terrain"),
+    "ndsm": ("height of objects [m]", "Terrain"),
+    "dsm": ("surface [m]", "Terrain"),
+    "dtm": ("terrain [m]", "Terrain"),
+}
+
+
+def cloud_styles(names: Mapping[int, str]) -> dict[str, list[Xml.Element]]:
+    """Styles of the echoes: by class, confidence and height above ground."""
+    return {
+        "classes": class_cloud_style(names),
+        "confidence": ramp_cloud_style("confidence", SURE, 0, 1),
+        "height_above_ground": ramp_cloud_style("HeightAboveGround", HEIGHTS, 0, HEIGHT_SHOWN, "m"),
+    }
+
+
+def groups_of(
+    names: Mapping[int, str],
+    columns: Sequence[str],
+    ranges: Mapping[str, Mapping[str, Sequence[float]]],
+    polygons: Sequence[str],
+    whole: str,
+) -> dict[str, list[MapLayer]]:
+    """Groups of layers, the first on top.
+
+    Parameters
+    ----------
+    names : classes that there are, by code.
+    columns : of the tiles.
+    ranges : of the rasters of every site; those of the site `whole` lie at the top.
+    polygons : layers of ``tiles.gpkg``.
+    """
+    titles = {"classes": "by class", "confidence": "by confidence", "height_above_ground": "by height above ground"}
+    echoes = [
+        MapLayer(titles[name], "pointcloud", "laz/survey.vpc", style, shown=name == "classes")
+        for name, style in cloud_styles(names).items()
+        if name == "classes" or name in columns
+    ]
+    groups = {"Echoes": echoes, "Tiles": _polygons(polygons), "Maps": [], "Terrain": []}
+    for site, made in ranges.items():
+        where, more = ("rasters", "") if site == whole else (f"rasters/{site}", f", {site}")
+        for name, (title, group) in _RASTERS.items():
+            style = raster_style(name, made, names, multiply=group == "Maps")
+            shown = name in ("classes", "hillshade")
+            groups[group].append(MapLayer(title + more, "raster", f"{where}/{name}.tif", style, shown))
+    return groups
+
+
+def _polygons(layers: Sequence[str]) -> list[MapLayer]:
+    made = []
+    if "areas" in layers:
+        made.append(MapLayer("training and test areas", "vector", _source("areas"), outline_style((220, 30, 90), 0.6)))
+    work = f'{_source("tiles")}|subset="rank" <= {WORK}'
+    made.append(
+        MapLayer("work list: least sure tiles", "vector", work, graduated_style("confidence", SURE, LEAST_SURE))
+    )
+    made.append(MapLayer("tile grid", "vector", _source("tiles"), outline_style((70, 70, 70), 0.3), shown=True))
+    return made
+
+
+def _source(layer: str) -> str:
+    return f"tiles.gpkg|layername={layer}"

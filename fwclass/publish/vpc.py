@@ -1,0 +1,155 @@
+"""A virtual point cloud: one file that lists the tiles as STAC items, which QGIS and PDAL open as one layer."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+
+from fwclass.publish.files import whole
+
+STAC = "1.0.0"
+"""QGIS reads items of this version and no other."""
+
+EXTENSIONS = (
+    "https://stac-extensions.github.io/pointcloud/v1.0.0/schema.json",
+    "https://stac-extensions.github.io/projection/v2.0.0/schema.json",
+)
+GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
+ADJUSTED = 1_000_000_000
+"""Seconds that adjusted standard GPS time leaves out (LAS 1.4 R15, GPS time)."""
+
+LEAP_SECONDS = 18
+"""GPS time less UTC since 2017; a survey of 2012 is dated two seconds off."""
+
+DIGITS = 6
+"""Of figures; as many behind the point of degrees are 0.1 m."""
+
+
+def write_vpc(
+    tiles: Mapping[str, Mapping[str, Any]],
+    path: Path,
+    crs: pyproj.CRS | None,
+    schema: Sequence[Mapping[str, Any]],
+    overview: str = "",
+    *,
+    standard_time: bool = False,
+) -> dict[str, Any]:
+    """Write a list of tiles, sorted by name.
+
+    The date is that of a tile's first echo where GPS times are adjusted standard time; else nothing tells it, and the
+    items bear that of GPS time's origin. Without a CRS nothing tells a place on the globe: the geometry is in
+    the survey's own coordinates then, which QGIS draws.
+
+    Parameters
+    ----------
+    tiles : `tile_facts.tile_facts` by path, relative to the directory of `path`.
+    schema : dimensions of every tile.
+    overview : path of a thinned file of all tiles; "" for none.
+
+    Returns
+    -------
+    dict with ``path, items, bytes``.
+    """
+    place = _Place(crs)
+    items = [
+        _item(name, tiles[name], place, schema, overview, standard_time, first=k == 0)
+        for k, name in enumerate(sorted(tiles))
+    ]
+    text = json.dumps({"type": "FeatureCollection", "features": items}, separators=(",", ":"), ensure_ascii=False)
+    with whole(path) as beside:
+        beside.write_text(text + "\n", encoding="utf-8", newline="\n")
+        size = beside.stat().st_size
+    return {"path": str(path), "items": len(items), "bytes": size}
+
+
+class _Place:
+    """The CRS, and what brings its coordinates to longitude and latitude."""
+
+    def __init__(self, crs: pyproj.CRS | None) -> None:
+        self.crs = crs
+        self.to_globe = pyproj.Transformer.from_crs(crs, 4326, always_xy=True) if crs is not None else None
+        authority = crs.to_authority() if crs is not None else None
+        self.code = ":".join(authority) if authority else None
+
+    def corners(self, bounds: Sequence[float]) -> list[list[float]]:
+        x0, y0, _, x1, y1, _ = bounds
+        x, y = [x0, x1, x1, x0, x0], [y0, y0, y1, y1, y0]
+        if self.to_globe is not None:
+            x, y = self.to_globe.transform(x, y)
+        return [[round(float(a), DIGITS), round(float(b), DIGITS)] for a, b in zip(x, y, strict=True)]
+
+
+def _item(
+    name: str,
+    tile: Mapping[str, Any],
+    place: _Place,
+    schema: Sequence[Mapping[str, Any]],
+    overview: str,
+    standard_time: bool,
+    first: bool,
+) -> dict[str, Any]:
+    ring = place.corners(tile["bounds"])
+    low, high = np.min(ring, axis=0).tolist(), np.max(ring, axis=0).tolist()
+    properties: dict[str, Any] = {
+        **_date(tile["times"] if standard_time else None),
+        "pc:count": tile["points"],
+        "pc:type": "lidar",
+        "pc:encoding": "COPC",
+        "pc:schemas": list(schema),
+        "pc:statistics": _statistics(tile["figures"], schema),
+        "proj:code": place.code,
+        "proj:bbox": tile["bounds"],
+    }
+    if first and place.crs is not None:  # QGIS takes the CRS of the first item; in each it would double the file
+        properties["proj:wkt2"] = place.crs.to_wkt("WKT2_2019")
+    assets = {"data": {"href": f"./{name}", "roles": ["data"]}}
+    if overview:
+        assets["overview"] = {"href": f"./{overview}", "roles": ["overview"]}
+    return {
+        "type": "Feature",
+        "stac_version": STAC,
+        "stac_extensions": list(EXTENSIONS),
+        "id": Path(name).name.removesuffix(".copc.laz"),
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+        "bbox": [*low, *high],
+        "properties": properties,
+        "links": [],
+        "assets": assets,
+    }
+
+
+def _date(times: Sequence[float] | None) -> dict[str, Any]:
+    if times is None:
+        return {"datetime": _text(GPS_EPOCH)}
+    return {"datetime": _text(GPS_EPOCH + timedelta(seconds=times[0] + ADJUSTED - LEAP_SECONDS))}
+
+
+def _text(time: datetime) -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def _statistics(
+    figures: Mapping[str, Mapping[str, float]], schema: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    names = {field["name"] for field in schema}
+    return [
+        {
+            "name": name,
+            "count": int(made["count"]),
+            "minimum": _short(made["minimum"]),
+            "maximum": _short(made["maximum"]),
+            "average": _short(made["mean"]),
+        }
+        for name, made in figures.items()
+        if name in names
+    ]
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")

@@ -1,0 +1,182 @@
+"""The QGIS project and styles: hostile names are text, the same layers the same bytes, QGIS draws what is meant."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import zipfile
+from pathlib import Path
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pyogrio
+import pyproj
+import pytest
+
+from fwclass.grid import Box, Window
+from fwclass.publish.cog import write_cog
+from fwclass.publish.gpkg import Layer, write_gpkg
+from fwclass.publish.palette import colours, css
+from fwclass.publish.params import PublishParams
+from fwclass.publish.qgis import MapLayer, write_project
+from fwclass.publish.qgis_layers import groups_of
+from fwclass.publish.qgis_style import class_cloud_style, class_raster_style, style_file
+from fwclass.publish.raster_styles import STYLED, Spread, raster_style
+from fwclass.publish.tile_facts import point_schema
+from fwclass.publish.vpc import write_vpc
+
+EVIL = "a\"'<b>&amp;\u202e\u0007]]>"
+NAMES = {2: "ground", 5: EVIL, 64: "car", 255: "other"}
+FACTS = {
+    "points": 3,
+    "bounds": [512000.0, 5403000.0, 1.0, 512100.0, 5403100.0, 9.0],
+    "classes": {"2": 2, "64": 1},
+    "confidence": 0.5,
+    "times": [3e8, 3.1e8],
+    "figures": {},
+}
+
+
+def test_hostile_names_are_only_text(tmp_path: Path) -> None:
+    groups = groups_of(NAMES, ("confidence",), {"all": dict.fromkeys(STYLED, (0.0, 1.0))}, ("tiles",), "all")
+    write_project(EVIL, groups, (0, 0, 1, 1), tmp_path / "p.qgz", None)
+    with zipfile.ZipFile(tmp_path / "p.qgz") as archive:
+        root = Xml.fromstring(archive.read("p.qgs"))  # noqa: S314 - our own
+    plain = "a\"'<b>&amp;]]>"
+    assert root.findtext("title") == plain
+    labels = [e.get("label") for e in root.iter("paletteEntry")]
+    assert labels == ["2 ground", f"5 {plain}", "64 car", "255 other"]
+    for style, kind in ((class_raster_style(NAMES), "raster"), (class_cloud_style(NAMES), "pointcloud")):
+        Xml.fromstring(style_file(style, kind))  # noqa: S314
+    made = write_vpc({f"tiles/{EVIL}.copc.laz": FACTS}, tmp_path / "v.vpc", None, point_schema(("confidence",)))
+    item = json.loads((tmp_path / "v.vpc").read_text())["features"][0]
+    assert made["items"] == 1 and item["assets"]["data"]["href"] == f"./tiles/{EVIL}.copc.laz"
+
+
+def test_the_same_layers_give_the_same_bytes(tmp_path: Path) -> None:
+    for name in "ab":
+        directory = tmp_path / name
+        directory.mkdir()
+        layer = Layer("tiles", [Box(0, 0, 1, 1)], {"tile": ["x"], "confidence": np.array([np.nan])})
+        write_gpkg([layer, layer.__class__("areas", layer.boxes, {"kind": ["train"]})], directory / "t.gpkg", None)
+        write_project("t", {"g": [MapLayer("n", "vector", "t.gpkg", [])]}, (0, 0, 1, 1), directory / "s.qgz", None)
+        write_vpc({"tiles/1_1.copc.laz": FACTS}, directory / "s.vpc", pyproj.CRS(25832), point_schema(()))
+    for file in ("t.gpkg", "s.qgz", "s.vpc"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+
+
+def test_ten_thousand_tiles_make_a_list_of_twenty_megabytes(tmp_path: Path) -> None:
+    figures = {"count": 50_000.0, "minimum": 300.123, "maximum": 312.456, "mean": 305.789, "stddev": 2.345}
+    facts = FACTS | {"figures": dict.fromkeys(("Z", "HeightAboveGround", "confidence"), figures)}
+    columns = ("pulse", "amplitude", "amplitude_db", "width", "fit_flags", "height_above_ground", "confidence")
+    schema = point_schema((*columns, "entropy", "range", "incidence", "reflectance", "radiometry_flags"))
+    tiles = {f"tiles/{5120 + k // 100}_{54030 + k % 100}.copc.laz": facts for k in range(10_000)}
+    made = write_vpc(tiles, tmp_path / "s.vpc", pyproj.CRS(25832), schema, "overview.copc.laz", standard_time=True)
+    assert made["items"] == 10_000 and made["bytes"] <= 20_000_000
+
+
+def test_colours_spread_over_what_is_common() -> None:
+    spread = Spread()
+    assert spread.shown() == [0.0, 1.0]
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        spread.add(np.append(rng.normal(100, 2, 1000), [np.nan, 500.0]).astype(np.float32))
+    low, high = spread.shown()
+    assert 60 < low < 100 < high < 200
+
+
+QGIS = """
+import json, sys
+from qgis.core import (QgsApplication, QgsCoordinateTransform, QgsMapRendererParallelJob, QgsMapSettings, QgsProject)
+from qgis.PyQt.QtCore import QSize
+QgsApplication.setPrefixPath('/usr', True)
+app = QgsApplication([], False); app.initQgis()
+project = QgsProject.instance()
+out = {'read': project.read(sys.argv[1]), 'crs': project.crs().authid()}
+layers = [n.layer() for n in project.layerTreeRoot().findLayers()]
+out['layers'] = {l.name(): l.isValid() for l in layers}
+classes = next(l for l in layers if l.name() == 'classes')
+s = QgsMapSettings(); s.setLayers([classes]); s.setDestinationCrs(classes.crs()); s.setExtent(classes.extent())
+s.setOutputSize(QSize(classes.width() * 8, classes.height() * 8))
+job = QgsMapRendererParallelJob(s); job.start(); job.waitForFinished()
+image = job.renderedImage()
+places = range(classes.width())
+out['pixels'] = [[image.pixelColor(8 * c + 4, 8 * r + 4).name() for c in places] for r in range(classes.height())]
+print(json.dumps(out)); sys.stdout.flush()
+import os; os._exit(0)
+"""
+
+
+def qgis() -> str:
+    """A Python that has QGIS; skips where there is none."""
+    for name in ("/usr/bin/python3", "python3"):
+        path = shutil.which(name)
+        if path and subprocess.run([path, "-c", "import qgis.core"], capture_output=True).returncode == 0:
+            return path
+    pytest.skip("no QGIS here: apt-get install python3-qgis")
+
+
+@pytest.mark.slow
+def test_qgis_opens_the_project_and_draws_the_classes(params: PublishParams, tmp_path: Path) -> None:
+    python = qgis()
+    crs, window = pyproj.CRS(25832), Window(1.0, 512_000, 5_403_000, 8, 6)
+    codes = np.random.default_rng(1).choice(np.array([2, 64], np.uint8), window.shape)
+    shown, names = {2: "ground", 64: "car"}, {2: "ground", 64: "car"}
+    target = tmp_path / "rasters"
+    ranges = dict.fromkeys(STYLED, (0.0, 9.0))
+    for name in STYLED:
+        raster = codes if name in ("classes", "confidence", "hillshade") else codes.astype(np.float32)
+        nodata = 0 if raster.dtype == np.uint8 else np.nan
+        write_cog(
+            raster, window, target / f"{name}.tif", crs, params, nodata, names=shown if name == "classes" else None
+        )
+        (target / f"{name}.qml").write_bytes(style_file(raster_style(name, ranges, names), "raster"))
+    box = Box(512_000, 5_403_000, 512_008, 5_403_006)
+    fields = {"tile": ["5120_54030"], "confidence": np.array([0.8]), "rank": np.array([1], np.int32)}
+    write_gpkg([Layer("tiles", [box], fields)], tmp_path / "tiles.gpkg", crs)
+    groups = groups_of(names, ("confidence",), {"all": ranges}, ("tiles",), "all")
+    write_project("t", groups, box.bounds, tmp_path / "survey.qgz", crs)
+    before = sorted(p.name for p in tmp_path.rglob("*"))
+    (tmp_path / "home").mkdir()
+    told = subprocess.run(
+        [python, "-c", QGIS, str(tmp_path / "survey.qgz")],
+        env={**os.environ, "QT_QPA_PLATFORM": "offscreen", "HOME": str(tmp_path / "home"), "PYTHONPATH": ""},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    made = json.loads(told.stdout.splitlines()[-1])
+    assert made["read"] and made["crs"] == "EPSG:25832"
+    echoes = {"by class", "by confidence", "by height above ground"}  # no such file here, and 3.22 knows none
+    assert all(valid for name, valid in made["layers"].items() if name not in echoes), made["layers"]
+    palette = {
+        code: css(colour) for code, colour in colours([{"name": n, "code": c} for c, n in names.items()]).items()
+    }
+    assert made["pixels"] == [[palette[c] for c in row] for row in codes[::-1].tolist()]
+    shutil.rmtree(tmp_path / "home")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == before, "QGIS leaves no file in a delivery"
+
+
+COMPOUND = pyproj.CRS("EPSG:25832+5773")
+LOCAL = pyproj.CRS.from_proj4("+proj=tmerc +lat_0=48 +lon_0=9 +k=1 +x_0=5e5 +ellps=GRS80 +units=m")
+ONLY_WKT2 = pyproj.CRS.from_wkt(
+    "BOUNDCRS[SOURCECRS["
+    + pyproj.CRS(25832).to_wkt("WKT2_2019")
+    + "],TARGETCRS["
+    + pyproj.CRS(4326).to_wkt("WKT2_2019")
+    + '],ABRIDGEDTRANSFORMATION["none",METHOD["Geocentric translations (geog2D domain)",ID["EPSG",9603]],'
+    'PARAMETER["X-axis translation",0],PARAMETER["Y-axis translation",0],PARAMETER["Z-axis translation",0]]]'
+)
+
+
+@pytest.mark.parametrize("crs", [None, COMPOUND, LOCAL, ONLY_WKT2], ids=["none", "compound", "local", "bound"])
+def test_any_system_or_none_makes_files(crs: pyproj.CRS | None, tmp_path: Path) -> None:
+    box = Box(512_000, 5_403_000, 512_100, 5_403_100)
+    write_gpkg([Layer("tiles", [box], {"tile": ["1_1"]})], tmp_path / "t.gpkg", crs)
+    write_project("t", {"g": [MapLayer("n", "vector", "t.gpkg", [])]}, box.bounds, tmp_path / "s.qgz", crs)
+    write_vpc({"tiles/1_1.copc.laz": FACTS}, tmp_path / "s.vpc", crs, point_schema(()))
+    item = json.loads((tmp_path / "s.vpc").read_text())["features"][0]
+    assert ("proj:wkt2" in item["properties"]) == (crs is not None)
+    assert len(pyogrio.raw.read(tmp_path / "t.gpkg")[2]) == 1

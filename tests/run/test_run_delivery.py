@@ -1,0 +1,227 @@
+"""What a run delivers is joined, opened and queried as docs/delivery.md says."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import laspy
+import numpy as np
+import pyarrow.parquet as pq
+import pyogrio
+import pytest
+
+import fwclass
+from fwclass.errors import InputError
+from fwclass.store.url import Url
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def root(finished: tuple[Path, dict[str, Any]]) -> Path:
+    return finished[0]
+
+
+def echoes_of(root: Path) -> dict[tuple[int, int, int], int]:
+    """Class by strip, pulse and echo, of the Parquet tiles."""
+    out = {}
+    for path in sorted((root / "parquet").glob("*.parquet")):
+        table = pq.read_table(path, columns=["strip", "pulse", "echo_number", "classification"])
+        rows = (table[n].to_pylist() for n in table.column_names)
+        out |= {(s, p, e): c for s, p, e, c in zip(*rows, strict=True)}
+    return out
+
+
+def identities(las: laspy.LasData) -> list[tuple[int, int, int]]:
+    """Strip, pulse and echo number of every point."""
+    columns = (np.asarray(las[name]).tolist() for name in ("point_source_id", "pulse", "return_number"))
+    return list(zip(*columns, strict=True))
+
+
+def test_tiles_join_parquet_and_strips_by_the_point_source(root: Path) -> None:
+    wanted, seen = echoes_of(root), {}
+    for path in sorted((root / "laz" / "tiles").glob("*.copc.laz")):
+        las = laspy.read(path)
+        who = identities(las)
+        seen |= dict(zip(who, np.asarray(las.classification).tolist(), strict=True))
+    assert seen == wanted
+    report = json.loads((root / "report.json").read_text())
+    assert {f["strip"] for f in report["input"]["files"]} == {s for s, _, _ in wanted}
+    for file in report["input"]["files"]:
+        assert (root / "laz" / "strips" / file["path"].replace(".las", ".laz")).is_file()
+
+
+def test_the_overview_is_a_fair_sample_of_the_tiles(root: Path) -> None:
+    wanted = echoes_of(root)
+    las = laspy.read(root / "laz" / "overview.copc.laz")
+    assert 0 < len(las.points) <= len(wanted)
+    who = identities(las)
+    assert all(wanted[k] == c for k, c in zip(who, np.asarray(las.classification).tolist(), strict=True))
+
+
+def test_the_list_of_tiles_is_stac(root: Path) -> None:
+    made = json.loads((root / "laz" / "survey.vpc").read_text())
+    assert made["type"] == "FeatureCollection" and made["features"]
+    total = 0
+    for k, item in enumerate(made["features"]):
+        assert item["type"] == "Feature" and item["stac_version"] == "1.0.0" and item["links"] == []
+        assert len(item["bbox"]) == 4 and item["geometry"]["type"] == "Polygon"
+        assert item["properties"]["proj:code"] == "EPSG:25832" and ("proj:wkt2" in item["properties"]) == (k == 0)
+        path = root / "laz" / item["assets"]["data"]["href"]
+        head = laspy.open(path).header
+        assert head.point_count == item["properties"]["pc:count"]
+        assert item["properties"]["proj:bbox"] == pytest.approx([*head.mins, *head.maxs], abs=1e-9)
+        names = {d["name"] for d in item["properties"]["pc:schemas"]}
+        assert set(head.point_format.extra_dimension_names) <= names
+        assert (root / "laz" / item["assets"]["overview"]["href"]).is_file()
+        total += head.point_count
+    assert total == len(echoes_of(root))
+
+
+def test_the_project_names_files_that_are_there(root: Path) -> None:
+    with zipfile.ZipFile(root / "survey.qgz") as archive:
+        project = Xml.fromstring(archive.read("survey.qgs"))  # noqa: S314 - our own
+    sources = [e.text or "" for e in project.iter("datasource")]
+    assert len(sources) >= 12 and all(s.startswith("./") for s in sources)
+    for source in sources:
+        assert (root / source.split("|")[0]).exists(), source
+    ids = {e.text for e in project.iter("id")}
+    assert all(len(i or "") > 10 for i in ids), "QGIS replaces shorter ones"
+    assert {e.get("id") for e in project.iter("layer-tree-layer")} == ids
+    for path in (root / "rasters").glob("*.tif"):
+        assert Xml.parse(path.with_suffix(".qml")).getroot().tag == "qgis"  # noqa: S314
+
+
+def test_tiles_as_polygons_tell_counts_and_accuracy(root: Path) -> None:
+    meta, _, _, fields = pyogrio.raw.read(root / "tiles.gpkg", layer="tiles")
+    table = dict(zip(meta["fields"], fields, strict=True))
+    classes = list(echoes_of(root).values())
+    for name in meta["fields"]:
+        if name.startswith("class_"):
+            assert table[name].sum() == classes.count(int(name.removeprefix("class_")))
+    assert sorted(table["rank"]) == list(range(1, len(table["rank"]) + 1))
+    assert table["echoes"].sum() == len(classes)
+    known = table["accuracy"][np.isfinite(table["accuracy"])]
+    assert ((known >= 0) & (known <= 1)).all()
+
+
+def test_the_report_fits_its_schema(root: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads((ROOT / "docs" / "report.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    report = json.loads((root / "report.json").read_text())
+    jsonschema.validate(report, schema)
+    assert set(report) == set(schema["required"]), "every part of the report is described"
+
+
+def blocks(kind: str) -> list[str]:
+    return re.findall(rf"```{kind}\n(.*?)```", (ROOT / "docs" / "delivery.md").read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize("query", blocks("sql"))
+def test_documented_queries_run_in_duckdb(query: str, root: Path) -> None:
+    duckdb = pytest.importorskip("duckdb")
+    assert (
+        duckdb.connect(config={"autoinstall_known_extensions": False})
+        .execute(query.replace("demo-run", str(root)))
+        .fetchall()
+        is not None
+    )
+
+
+def notebook() -> str:
+    cells = json.loads((ROOT / "docs" / "delivery.ipynb").read_text(encoding="utf-8"))["cells"]
+    return "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "code")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", ["page", "notebook"])
+def test_documented_python_runs(which: str, root: Path, tmp_path: Path) -> None:
+    pytest.importorskip("geopandas")
+    (tmp_path / "demo-run").symlink_to(root)
+    code = "\n".join(blocks("python")) if which == "page" else notebook()
+    code = code.replace('("confidence", "<", 0.7)', '("confidence", "<", 1.1)')
+    made = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert made.returncode == 0, made.stderr[-2000:]
+    assert which == "page" or (tmp_path / "delivery.png").stat().st_size > 1000
+
+
+def test_a_box_and_a_condition_choose_echoes(root: Path) -> None:
+    run = fwclass.open(root)
+    everything = run.echoes(columns=["x", "y", "classification"]).to_arrow()
+    x, y = (everything[n].to_numpy() for n in ("x", "y"))
+    box = (
+        float(np.quantile(x, 0.3)),
+        float(np.quantile(y, 0.2)),
+        float(np.quantile(x, 0.6)),
+        float(np.quantile(y, 0.9)),
+    )
+    inside = (x >= box[0]) & (x < box[2]) & (y >= box[1]) & (y < box[3])
+    assert len(run.echoes(box=box)) == inside.sum() > 0
+    code = int(everything["classification"][0].as_py())
+    some = run.echoes(box=box, columns=["x"], where=[("classification", "==", code)])
+    assert len(some) == (inside & (everything["classification"].to_numpy() == code)).sum()
+    assert some.to_arrow().column_names == ["x"]
+
+
+def test_an_explanation_gives_the_delivered_class(root: Path) -> None:
+    run = fwclass.open(root)
+    rows = run.echoes(columns=["strip", "pulse", "echo_number", "classification", "confidence"]).to_arrow().to_pylist()
+    codes = {c["name"]: c["code"] for c in run.report["classes"]}
+    for row in rows[:: max(1, len(rows) // 4)]:
+        told = run.explain(row)
+        name, share = next(iter(told.shares.items()))
+        assert share == pytest.approx(row["confidence"], abs=1e-6)
+        assert codes[name] == row["classification"] or list(told.shares.values()).count(share) > 1
+        assert str(told).startswith(name)
+
+
+def test_a_waveform_is_found_by_strip_and_pulse(root: Path) -> None:
+    run = fwclass.open(root)
+    row = run.echoes(columns=["strip", "pulse"]).to_arrow().to_pylist()[5]
+    wave = run.waveform(row["strip"], row["pulse"])
+    assert len(wave.time) == len(wave.samples) > 10 and (np.diff(wave.time) > 0).all()
+    assert wave.echoes.num_rows >= 1
+    with pytest.raises(InputError, match="no such waveform"):
+        run.waveform(row["strip"], 2**31)
+
+
+def test_what_cannot_be_opened_is_said(root: Path, tmp_path: Path) -> None:
+    for place, words in (
+        (tmp_path, "not a run directory"),
+        (tmp_path / "none", "no such run"),
+        (Url("s3://b/r"), "object"),
+    ):
+        with pytest.raises(InputError, match=words):
+            fwclass.open(place)
+    (tmp_path / "store").mkdir()
+    with pytest.raises(InputError, match="delivered nothing yet"):
+        fwclass.open(tmp_path)
+    copy = tmp_path / "copy"
+    shutil.copytree(root, copy, symlinks=True)
+    victim = next((copy / "current" / "parquet").iterdir()).resolve()
+    victim.chmod(0o644)
+    victim.write_bytes(victim.read_bytes()[:-8])
+    with pytest.raises(InputError, match="damaged"):
+        fwclass.open(copy)
+    with pytest.raises(InputError, match="no such raster"):
+        fwclass.open(root).raster("dtn")
+    with pytest.raises(InputError, match="no such column"):
+        fwclass.open(root).echoes(columns=["clasification"])
+
+
+def test_importing_takes_no_time() -> None:
+    code = "import time; t = time.process_time(); import fwclass; print(time.process_time() - t)"
+    took = min(float(subprocess.check_output([sys.executable, "-c", code])) for _ in range(3))
+    loaded = subprocess.check_output(
+        [sys.executable, "-c", "import sys, fwclass; print('numpy' in sys.modules)"], text=True
+    )
+    assert loaded.strip() == "False" and took < 1.0
