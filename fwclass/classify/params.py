@@ -59,8 +59,12 @@ class RefineParams(Params):
 class ClassifyParams(Params):
     """What is written, and the second layer; everything else that decides comes from the model.
 
-    `probabilities`: the share of every class too, in columns ``probability_<code>``.
+    `probabilities`: the share of every class too, in columns ``probability_<code>``. `max_outside`: share of the echoes
+    whose value of a feature lies outside of what the model has seen, above which a command ends with exit code 4,
+    unless `accept_drift`; neither changes a class.
     """
 
     probabilities: bool
+    max_outside: float = Field(ge=0.0, le=1.0)
+    accept_drift: bool
     refine: RefineParams

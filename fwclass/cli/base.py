@@ -90,6 +90,11 @@ ACCEPT_IMPLAUSIBLE = click.option(
     is_flag=True,
     help="Do not end with exit code 4 where echoes are implausible (plausibility).",
 )
+ACCEPT_DRIFT = click.option(
+    "--accept-drift",
+    is_flag=True,
+    help="Do not end with exit code 4 where the model has not seen such data (classify.max_outside).",
+)
 MIRROR_BEAMS = click.option(
     "--mirror-beams",
     is_flag=True,

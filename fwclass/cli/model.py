@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
+from fwclass.cli.base import ACCEPT_DRIFT, JSON, OVERWRITE, PATH, SCHEDULER, SET, WORKERS, cli
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, nearest
 
@@ -131,17 +131,26 @@ def _codes(context: click.Context, parameter: click.Parameter, words: tuple[str,
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET), for models that need ranges.")
 @click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights.")
 @click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
+@ACCEPT_DRIFT
 @SET
 @OVERWRITE
 @JSON
 def classify(
-    source: Path, output: Path, as_json: bool, trajectory: Path | None, undulation: float, **asked: Any
+    source: Path,
+    output: Path,
+    as_json: bool,
+    trajectory: Path | None,
+    undulation: float,
+    accept_drift: bool,
+    **asked: Any,
 ) -> None:
     """Classify the points of one file by a trained model.
 
     Waveforms are decomposed where there are any; each point takes the class of its echo. Points keep their order and
     all other fields; confidence and entropy become extra bytes.
     """
+    from fwclass import conf
+    from fwclass.graph.drift import judge_drift
     from fwclass.single_file.classify import ClassifyJob, classify_file, describe
     from fwclass.single_file.features.echoes import Flight
     from fwclass.single_file.ground.steps import Steps
@@ -154,6 +163,8 @@ def classify(
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
+    if not accept_drift:
+        judge_drift(summary["drift"], conf.section("classify", job.settings), job.model)
 
 
 @cli.command()

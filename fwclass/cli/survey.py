@@ -9,7 +9,18 @@ from typing import Any
 
 import click
 
-from fwclass.cli.base import ACCEPT_IMPLAUSIBLE, MIRROR_BEAMS, PATH, RUN, SCHEDULER, SET, WORKERS, cli, little_garbage
+from fwclass.cli.base import (
+    ACCEPT_DRIFT,
+    ACCEPT_IMPLAUSIBLE,
+    MIRROR_BEAMS,
+    PATH,
+    RUN,
+    SCHEDULER,
+    SET,
+    WORKERS,
+    cli,
+    little_garbage,
+)
 from fwclass.cli.runner import open_runner, report_path, tell_failures
 from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, location_of_run, out_directory, requested
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
@@ -84,6 +95,7 @@ def _verify(runner: Any) -> None:
 def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | None, entry: Any) -> None:
     from fwclass.assess.stage import judge
     from fwclass.graph import plausibility
+    from fwclass.graph.drift import judge_drift
     from fwclass.graph.report import REPORT, summary
     from workflows import workflow_of
 
@@ -127,6 +139,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         sys.exit(PARTIAL)
     if report.get("plausibility"):
         plausibility.judge(report["plausibility"]["strips"], config.plausibility)
+    judge_drift(report.get("drift"), config.classify, config.survey.model or config.path)
     if report["accuracy"]:
         judge(report["accuracy"], config.assess)
 
@@ -150,6 +163,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     "--accept-libraries", is_flag=True, help="Parts made with other versions of libraries are done (see `status`)."
 )
 @ACCEPT_IMPLAUSIBLE
+@ACCEPT_DRIFT
 @MIRROR_BEAMS
 @click.option("--only", metavar="STAGE/PART", help="Make this one part alone, in the plain loop.")
 @click.option(
@@ -176,6 +190,7 @@ def run(
     keep_going: bool,
     accept_libraries: bool,
     accept_implausible: bool,
+    accept_drift: bool,
     mirror_beams: bool,
     only: str | None,
     verify: bool,
@@ -184,6 +199,7 @@ def run(
     """Run a survey from its files to classified tiles; what is already done is skipped."""
     settings += ("run.accept_libraries=true",) if accept_libraries else ()
     settings += ("plausibility.accept=true",) if accept_implausible else ()
+    settings += ("classify.accept_drift=true",) if accept_drift else ()
     settings += ("read.mirror_beams=true",) if mirror_beams else ()
     if only is None:
         how = How(scheduler, workers, not keep_going, report, verify)

@@ -16,6 +16,7 @@ from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.graph.thin import thins
 from fwclass.model import Model, sample_matrix
+from fwclass.model.ranges import Outside
 from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.store.external_file import ExternalFile
@@ -25,6 +26,7 @@ from fwclass.thin.follow import follow
 from fwclass.thin.sample import THIN
 
 _PLACE = ("x", "y", "z")
+OUTSIDE = "outside"
 _loaded: dict[tuple[str, str], Model] = {}
 
 
@@ -61,12 +63,15 @@ def classified(here: StageInputs, names: tuple[str, ...], probabilities: bool, m
     """
     used = _model(here, model)
     tables, missing = [], 0
+    outside = Outside.of(used.card, used.features)
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
+        if outside is not None:
+            outside.add(X)
         tables.append(classify(X, used, probabilities))
         missing += filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
-    return table, {"codes": codes_of(table), "filled": missing}
+    return table, {"codes": codes_of(table), "filled": missing, **seen_outside(outside)}
 
 
 def followed(
@@ -80,13 +85,22 @@ def followed(
     used = _model(here, model)
     X = sample_matrix(some, used.features, here.part)
     answer = classify(X, used, probabilities)
+    outside = Outside.of(used.card, used.features)
+    if outside is not None:
+        outside.add(X[np.isin(rows, chunk.core)])
     core = chunk.table.take(chunk.core)
     own = core["sampled"]
     near = np.searchsorted(rows, chunk.core)
     others = tuple(core[n][~own] for n in _PLACE)
     near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
     table = answer.take(near)
-    return table, {"codes": codes_of(table), "filled": filled(X, used), "asked": int(own.sum())}
+    facts = {"codes": codes_of(table), "filled": filled(X, used), "asked": int(own.sum())}
+    return table, facts | seen_outside(outside)
+
+
+def seen_outside(outside: Outside | None) -> dict[str, Any]:
+    """What a part's meta says of values that the model has not seen, if the model says what it has."""
+    return {} if outside is None else {OUTSIDE: outside.counts()}
 
 
 def codes_of(table: Table) -> dict[str, int]:

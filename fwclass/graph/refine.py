@@ -16,7 +16,7 @@ from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
 from fwclass.features.stage import FEATURES, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
-from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, own_model
+from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, own_model, seen_outside
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
 from fwclass.graph.learn import (
@@ -35,6 +35,7 @@ from fwclass.graph.learn import (
 from fwclass.graph.machine_search import spatial
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
+from fwclass.model.ranges import Outside
 from fwclass.run.part import Name
 from fwclass.schema import Table, canonical_key
 from fwclass.stage import Chunk
@@ -62,12 +63,16 @@ def answered(here: StageInputs, names: tuple[str, ...], model: str | None) -> Ma
         both = model_at(here.file(), model, True)
         used = both.coarse if isinstance(both, TwoLayer) else both
     missing, tables = 0, []
+    outside = Outside.of(used.card, used.features)
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
+        if outside is not None:
+            outside.add(X)
         made = classify(X, used)
         tables.append(Table(dict(zip(COARSE, (made[n] for n in CLASSIFY.writes), strict=True))))
         missing += filled(X, used)
-    return tables[0] if len(tables) == 1 else Table.concat(tables), {"filled": missing}
+    table = tables[0] if len(tables) == 1 else Table.concat(tables)
+    return table, {"filled": missing, **seen_outside(outside)}
 
 
 def widened(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Made:

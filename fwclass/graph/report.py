@@ -13,12 +13,15 @@ from fwclass.conf import Config
 from fwclass.decompose.plausible import added
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
+from fwclass.graph.classify import OUTSIDE
+from fwclass.graph.drift import drift
 from fwclass.graph.layout import Layout, Survey
 from fwclass.graph.plausibility import UNREADABLE, of_strip, receiver_facts, remarks
 from fwclass.graph.report_facts import made_in_run, place_of, some_waves, sureness
 from fwclass.graph.report_figures import report_figures
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
+from fwclass.model.ranges import RANGES
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import reported
 from fwclass.run.runner import Runner, Tally
@@ -86,10 +89,12 @@ def write_report(
         ),
         "distribution": _distribution(runner),
         "waveforms": _waveforms(runner, survey),
+        "drift": (drifted := _drift(runner)),
         "plausibility": (plausible := _plausibility(runner, survey, config)),
         "remarks": [
             *_of_accuracy(accuracy, counted, config, names),
             *(plausible or {}).get("remarks", ()),
+            *(drifted or {}).get("remarks", ()),
             *_crowded(runner, config),
         ],
         "ground": _ground(runner, config),
@@ -162,6 +167,17 @@ def _counts(runner: Runner) -> dict[str, int]:
         "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
         "tiles": len(tiles),
     }
+
+
+def _drift(runner: Runner) -> dict[str, Any] | None:
+    """How much lies outside of what the model has seen; None where nothing was classified, or it does not say."""
+    counts = [
+        r.meta[OUTSIDE] for stage in ("coarse", "classify") for r in made_in_run(runner, stage) if OUTSIDE in r.meta
+    ]
+    if not counts:
+        return None
+    cards = [r.meta["card"] for stage in ("train-coarse", "train") for r in made_in_run(runner, stage)]
+    return drift(cards[0] if cards else {RANGES: {}}, counts)
 
 
 def _crowded(runner: Runner, config: Config) -> list[str]:

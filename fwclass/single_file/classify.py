@@ -17,11 +17,13 @@ from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
 from fwclass.features.stage import features
+from fwclass.graph.drift import drift
 from fwclass.graph.model_fit import check_computed, check_names, ground_note
 from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
 from fwclass.ground.blocks import blocks_of
 from fwclass.model import ClassDef, Model, TwoLayer, sample_matrix
+from fwclass.model.ranges import Outside
 from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
@@ -99,7 +101,9 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     asked = Asked.of(n for n in model.features if is_feature(n))
     echoes = _echoes(job, model, asked, tell)
     first = model.coarse if isinstance(model, TwoLayer) else model
-    results, without, medians, dense = _classified(echoes.table, first, asked, job.settings, tell)
+    outside = Outside.of(first.card, first.features)
+    results, without, medians, dense = _classified(echoes.table, first, asked, job.settings, tell, outside)
+    seen = drift(first.card, [outside.counts()] if outside else [])
     boundary = None
     if isinstance(model, TwoLayer):
         check_computed(model.fine, params := conf.section("features", job.settings), job.model)
@@ -123,12 +127,21 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "names": {str(int(codes[c.code])): c.name for c in model.classes},
         "confidence": float(results["confidence"].mean()),
         "without_value": without,
+        "drift": seen,
         "filled": medians,
         "boundary": boundary,
         "waveforms": wrote.get("wdp"),
-        "notes": [*echoes.told, *dense, *notes, *(str(n) for n in wrote.get("notes", ()))],
+        "notes": [*echoes.told, *dense, *notes, *_drift_notes(seen), *(str(n) for n in wrote.get("notes", ()))],
         "seconds": round(time.perf_counter() - began, 3),
     }
+
+
+def _drift_notes(seen: Mapping[str, Any] | None) -> list[str]:
+    return (
+        list(seen["remarks"])
+        if seen
+        else ["the model's card does not say what it has seen: train it again to be warned"]
+    )
 
 
 def _check_settings(settings: tuple[str, ...]) -> None:
@@ -233,10 +246,10 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
 
 
 def _classified(
-    table: Table, model: Model, asked: Asked, settings: tuple[str, ...], tell: Tell
+    table: Table, model: Model, asked: Asked, settings: tuple[str, ...], tell: Tell, outside: Outside | None
 ) -> tuple[dict[str, NDArray], dict[str, int], int, list[str]]:
     """Columns of `classify` for every echo; echoes without a value by feature; values that were filled; a remark
-    where echoes are too dense for all of them to count.
+    where echoes are too dense for all of them to count. `outside` counts values that the model has not seen.
 
     Tile by tile (`tile.size`, which changes nothing), so that the features of one tile only are in memory.
     """
@@ -256,6 +269,8 @@ def _classified(
             crowds.append(crowd_facts(chunk, params))
             whole = whole.with_columns(around.select(asked.names))
         X = sample_matrix(whole, model.features, tile.key)
+        if outside is not None:
+            outside.add(X)
         for name, values in classify(X, model, shares).items():
             results.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
         without += np.isnan(X).sum(axis=0)

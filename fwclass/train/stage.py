@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass import __version__
 from fwclass.model import FORMAT, ClassDef, Forest, Tree, assemble
+from fwclass.model.ranges import RANGES, ranges_of
 from fwclass.schema import Table
 from fwclass.stage import Computation
 from fwclass.train.bag import bag
@@ -120,6 +121,7 @@ def card(sample: Sample, classes: Sequence[ClassDef], params: TrainParams) -> di
         "training": sample.digest,
         "fwclass": __version__,
         "notes": list(review(sample, classes)),
+        RANGES: ranges_of(sample.X, sample.features),
     }
 
 
@@ -168,4 +170,4 @@ def train(
 TRAIN_SAMPLE = Computation(name="sample", version=3)
 TRAIN_TREES = Computation(name="trees", version=1)
 TRAIN_IMPORTANCE = Computation(name="importance", version=1)
-TRAIN = Computation(name="train", version=3)
+TRAIN = Computation(name="train", version=4)

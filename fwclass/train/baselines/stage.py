@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fwclass import __version__
 from fwclass.hashing import seeded
 from fwclass.model import FORMAT, Boosted, ClassDef, KernelMachine, LinearMachine, Model, Preparation, assemble
+from fwclass.model.ranges import RANGES, ranges_of
 from fwclass.train.baselines import fit
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer, preparation
@@ -73,6 +74,7 @@ def _card(
         "training": sample.digest,
         "fwclass": __version__,
         "notes": list(notes),
+        RANGES: ranges_of(sample.X, sample.features),
     }
 
 

@@ -1,0 +1,57 @@
+"""A model that leaves its range: how much of a survey lies outside of what it has seen, in words and as a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from fwclass.classify.params import ClassifyParams
+from fwclass.errors import QualityError, visible
+from fwclass.model.ranges import RANGES, shares
+
+SAID_FROM = 0.1
+"""Share of the worst feature from which it is said; 0.04 on the survey that a model comes from."""
+
+WORST = 3
+"""Features that are named."""
+
+
+def drift(card: Mapping[str, Any], counts: Sequence[Mapping[str, Sequence[int]]]) -> dict[str, Any] | None:
+    """``outside``: the share of every feature's values outside of what the model has seen, the largest first, and
+    ``remarks``; None where its card does not say. `counts`: of all parts, as `Outside.counts` gives them."""
+    if RANGES not in card:
+        return None
+    outside = shares(counts)
+    worst = [(name, share) for name, share in outside.items() if share >= SAID_FROM]
+    words = []
+    if worst:
+        listed = ", ".join(f"{_percent(share)} of {visible(name)}{_seen(card, name)}" for name, share in worst[:WORST])
+        more = f", and {len(worst) - WORST} more features from {_percent(SAID_FROM)} on" if len(worst) > WORST else ""
+        words = [f"the model has not seen such data: outside of what it learned from lie {listed}{more}"]
+    return {"outside": outside, "remarks": words}
+
+
+def _seen(card: Mapping[str, Any], name: str) -> str:
+    pair = card[RANGES].get(name)
+    return f" (learned {pair[0]:.4g} to {pair[1]:.4g})" if pair else ""
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def judge_drift(found: Mapping[str, Any] | None, params: ClassifyParams, where: object) -> None:
+    """`QualityError` where a feature leaves the model's range further than `classify.max_outside`."""
+    if not found or params.accept_drift:
+        return
+    name, share = next(iter(found["outside"].items()), ("", 0.0))
+    if share > params.max_outside:
+        raise QualityError(
+            "the model has not seen such data",
+            where=where,
+            expected=f"at most {_percent(params.max_outside)} of a feature's values outside of what it learned from "
+            "(classify.max_outside)",
+            got=f"{_percent(share)} of {name}",
+            do="train on labels of this survey, or take a model of like data; --accept-drift "
+            "(classify.accept_drift=true) takes the classes as they are",
+        )

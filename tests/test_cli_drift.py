@@ -1,0 +1,70 @@
+"""A model that meets data unlike its own says so, and ends with exit code 4 where most of it is."""
+
+from __future__ import annotations
+
+import json
+
+import laspy
+import numpy as np
+import pytest
+from commandline import fwclass
+from smallsurvey import small_survey
+
+FEATURES = "survey.features=[amplitude,zc,height_range_c100]"
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A run ``r`` with its model, and ``loud.las``: the same points with 200 times their intensity."""
+    place = tmp_path_factory.mktemp("drift")
+    small_survey(place)
+    ended = fwclass("run", "s.yaml", "--out", "r", "--workers", 0, "--set", FEATURES, cwd=place)
+    assert ended.returncode == 0, ended.stderr
+    las = laspy.read(place / "a.las")
+    las.intensity = np.asarray(las.intensity) * 200
+    las.write(place / "loud.las")
+    return place
+
+
+def test_at_home_nothing_is_said(place):
+    report = json.loads((place / "r" / "report.json").read_text())
+    assert set(report["drift"]["outside"]) == {"amplitude", "zc", "height_range_c100"}
+    assert max(report["drift"]["outside"].values()) < 0.05 and report["drift"]["remarks"] == []
+    ended = fwclass("classify", "a.las", "home.las", "--model", "r/model", cwd=place)
+    assert ended.returncode == 0 and "has not seen" not in ended.stderr, ended.stderr
+
+
+def test_another_scale_of_intensity_is_said_and_ends_with_4(place):
+    ended = fwclass("classify", "loud.las", "o.las", "--model", "r/model", cwd=place)
+    assert ended.returncode == 4 and "100 % of amplitude" in ended.stderr and (place / "o.las").is_file()
+    ended = fwclass("classify", "loud.las", "o2.las", "--model", "r/model", "--accept-drift", "--json", cwd=place)
+    assert ended.returncode == 0 and json.loads(ended.stdout)["drift"]["outside"]["amplitude"] == 1.0
+    assert "the model has not seen such data" in ended.stderr
+    assert (place / "o.las").read_bytes() == (place / "o2.las").read_bytes()
+
+
+def test_a_run_by_a_given_model_says_it_too(place):
+    words = ("run", "s.yaml", "--workers", 0, "--set", "survey.sources=[loud.las]", "--set", "survey.model=r/model")
+    ended = fwclass(*words, "--out", "m", cwd=place)
+    assert ended.returncode == 4 and "the model has not seen such data" in ended.stderr, ended.stderr
+    assert "100 % of amplitude" in (place / "m" / "report.html").read_text()
+    again = fwclass(*words, "--out", "m", "--accept-drift", cwd=place)
+    assert again.returncode == 0, again.stderr
+    tiles = fwclass(*words, "--out", "n", "--accept-drift", "--set", "tile.size=40", cwd=place)
+    assert tiles.returncode == 0
+    one, other = (json.loads((place / n / "report.json").read_text())["drift"] for n in ("m", "n"))
+    assert one == other
+
+
+def test_a_model_of_before_says_nothing(place):
+    """Its card does not hold what it has seen."""
+    import shutil
+
+    shutil.copytree(place / "r" / "model", place / "old", symlinks=False)
+    for path in (place / "old").iterdir():
+        path.chmod(0o644)
+    card = json.loads((place / "old" / "card.json").read_text())
+    del card["ranges"]
+    (place / "old" / "card.json").write_text(json.dumps(card))
+    ended = fwclass("classify", "loud.las", "o3.las", "--model", "old", cwd=place)
+    assert ended.returncode == 0 and "does not say what it has seen" in ended.stderr, ended.stderr
