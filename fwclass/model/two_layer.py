@@ -46,6 +46,7 @@ class TwoLayer(Model):
         return tuple(n for n in self.fine.features if n not in self.coarse.features)
 
     def check(self, where: object = "model") -> None:
+        """`InputError` unless both layers are sound and fit together."""
         self.coarse.check(where)
         self.fine.check(where)
         super().check(where)

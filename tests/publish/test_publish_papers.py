@@ -249,4 +249,4 @@ def test_the_papers_are_shipped() -> None:
     for name in ("fan2013", "shi2019", "xiong2018"):
         template = Path(plots.__file__).with_name(f"{name}.html.j2")
         assert template.is_file()
-        assert paper(name)["doi"].startswith("10.")
+        assert paper(name)["doi"].startswith(("10.", "not printed"))

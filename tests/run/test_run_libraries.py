@@ -24,7 +24,7 @@ from fwclass.run.local import Loop
 from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
-from fwclass.store import libraries, remote, run_store
+from fwclass.store import libraries, run_store
 from fwclass.store.bucket import Remote
 from fwclass.store.run_location import open_store
 from fwclass.store.run_store import Store
@@ -51,9 +51,7 @@ def workflow(runner):
 def here(monkeypatch, versions, source="0123456789abcdef") -> None:
     """As if these were the libraries of this environment, and this its code."""
     whole = {"fwclass": "0.1.0", "source": source, **versions}
-    for module in (libraries, told):
-        monkeypatch.setattr(module, "fingerprint", lambda: whole)
-    for module in (run_store, remote):
+    for module in (libraries, told, run_store):
         monkeypatch.setattr(module, "fingerprint", lambda: whole)
     monkeypatch.setattr(libraries, "installed", lambda: versions)
 
