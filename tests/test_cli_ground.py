@@ -453,7 +453,9 @@ def test_heights_replace_z_and_nothing_else(tmp_path, fwclass):
     kept = laspy.read(tmp_path / "k.laz")
     np.testing.assert_array_equal(kept.Z, old.Z)
     np.testing.assert_allclose(np.asarray(kept["HeightAboveGround"])[:-1], z[:-1], atol=0.006)
-    assert np.isnan(kept["HeightAboveGround"][-1])
+    records = kept.header.vlrs.get("ExtraBytesVlr")[0].extra_bytes_structs
+    missing = next(r.no_data[0] for r in records if r.format_name() == "HeightAboveGround")
+    assert kept.points.array["HeightAboveGround"][-1] == missing
 
 
 def test_heights_need_a_ground(tmp_path, fwclass):

@@ -195,7 +195,7 @@ ECHOES = (
         "height of the stacked echo over its standard deviation",
         low=0,
         las="significance",
-        las_about="height over its standard deviation",
+        las_about="height over standard deviation",
     ),
     Column("intensity", "u2", "", "intensity of the nearest return of the pulse in the source file"),
     # samples of waveforms

@@ -167,4 +167,4 @@ class SampleParams(Params):
     method: Literal["gold", "richardson-lucy"]
     iterations: int = Field(ge=1, le=10_000)
     threshold: float = Field(ge=0.0)
-    least: float = Field(ge=0.0)
+    least: float = Field(ge=0.0, le=1000.0)

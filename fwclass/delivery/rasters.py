@@ -51,7 +51,7 @@ def read_raster(directory: Path, name: str) -> Raster:
         raise InputError("there is no such raster", where=directory, got=name, do=nearest(name, known))
     import rasterio
 
-    with rasterio.open(known[name]) as file:
+    with rasterio.open(known[name].absolute(), driver="GTiff") as file:
         tags = file.tags(1)
         names = {int(k.removeprefix("CLASS_")): v for k, v in tags.items() if k.startswith("CLASS_")}
         crs = file.crs.to_wkt() if file.crs is not None else ""

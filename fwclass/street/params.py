@@ -28,7 +28,7 @@ class ScannerParams(Params):
     first_angle: float = Field(ge=-360, le=360)
     step: float = Field(gt=0, le=10)
     period: float = Field(gt=0, le=10)
-    range_min: float = Field(ge=0)
+    range_min: float = Field(ge=0, le=500)
     range_max: float = Field(gt=0, le=500)
     noise: float = Field(ge=0, le=1)
     spot: float = Field(ge=0, le=0.1)
@@ -61,7 +61,7 @@ class PrescriptionParams(Params):
 
     segment: float = Field(ge=0.05, le=100)
     voxel: float = Field(ge=0.02, le=5)
-    fewest: int = Field(ge=1)
+    fewest: int = Field(ge=1, le=1_000_000)
     nozzle: float = Field(ge=0, le=100)
 
 

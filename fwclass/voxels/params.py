@@ -53,7 +53,7 @@ class ProfileParams(Params):
     highest: float = Field(gt=0.0, le=10_000.0)
     ground: float = Field(gt=0.0, le=100.0)
     ratio: float = Field(gt=0.0, le=100.0)
-    least: int = Field(ge=1)
+    least: int = Field(ge=1, le=1_000_000_000)
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

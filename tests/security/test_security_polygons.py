@@ -262,7 +262,13 @@ def test_foreign_files_reach_gdal_through_one_door() -> None:
     texts = {p.relative_to(root).as_posix(): p.read_text(encoding="utf-8") for p in root.rglob("*.py")}
     imports = re.compile(r"^\s*(import pyogrio|from pyogrio)", re.MULTILINE)
     assert {name for name, text in texts.items() if imports.search(text)} == {"formats/gdal.py"}
-    assert {name for name, text in texts.items() if "rasterio.open(" in text} == {"publish/cog.py"}
+    assert {name for name, text in texts.items() if "rasterio.open(" in text} == {
+        "publish/cog.py",
+        "delivery/rasters.py",
+    }
+    assert (
+        'driver="GTiff"' in texts["delivery/rasters.py"] and texts["delivery/rasters.py"].count("rasterio.open(") == 1
+    )
     assert 'rasterio.open(raw, "w"' in texts["publish/cog.py"] and texts["publish/cog.py"].count("rasterio.open(") == 1
 
 

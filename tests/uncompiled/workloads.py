@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from fwclass.assess.distribution import distribution
 from fwclass.classify.stage import classify
 from fwclass.classify.vote import walkable, winners
 from fwclass.columns import FEATURES
+from fwclass.conf.street import scanner
 from fwclass.decompose.deconvolution import backscatter_samples
 from fwclass.decompose.least_squares import evaluate
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
@@ -52,11 +54,16 @@ from fwclass.label.stage import from_cloud
 from fwclass.model import ClassDef
 from fwclass.neighbours import nearest_within
 from fwclass.publish.class_raster import class_rasters
+from fwclass.publish.octree import octree
 from fwclass.read.stage import ReadParams, index_source, open_source, read_span
 from fwclass.read.text import read_text
 from fwclass.schema import Table
 from fwclass.simulate.stage import SimulateParams, plan_strips, simulate_strip
 from fwclass.stage import Chunk
+from fwclass.street.frames import Track
+from fwclass.street.params import StreetParams, StreetSceneParams
+from fwclass.street.ring import seen
+from fwclass.street.simulate import simulated
 from fwclass.train.baselines.trees import paired
 from fwclass.train.importance import drops
 from fwclass.train.params import TrainParams
@@ -425,6 +432,28 @@ def work_voxels(_: Path) -> Any:
     counts = [np.zeros((8, 6, 6), kind) for kind in (np.uint32, np.uint32, float, float)]
     follow(start, end, shares[:, 0].copy(), shares, np.arange(10), 1.0, 0.0, *counts)
     return counts
+
+
+def work_octree(_: Path) -> Any:
+    rng = np.random.default_rng(6)
+    echoes = Table({"strip": np.ones(400), "pulse": np.arange(400), "echo_number": np.ones(400)})
+    made = octree(rng.integers(-500, 500, (400, 3)), echoes, 20)
+    return [made.low, made.order, made.keys, made.counts]
+
+
+def work_street(_: Path) -> Any:
+    """A drive past trees by scanners that stand upright, lean, and see their own height."""
+    scene = StreetSceneParams(**section("street_scene", length=5.0, speed=4.0, stops=0))
+    base, answers = StreetParams(**section("street", speed=4.0, radii=[0.3, 0.8])), []
+    own = scanner("utm-30lx").model_copy(update={"beams": 90, "step": 3.0, "first_angle": -135.0})
+    for mounting in ({}, {"pitch": 20.0, "yaw": 5.0}):
+        asked = base.model_copy(update={"mounting": base.mounting.model_copy(update=mounting)})
+        track = Track(asked)
+        frames = [f for f in map(track.take, islice(simulated(scene, own, asked.mounting), 7)) if f is not None]
+        assert track.geometry is not None
+        answers += [part for one in seen(frames, track.geometry, asked) for part in (one.frame.r, one.features)]
+    fast = StreetSceneParams(**section("street_scene", length=30.0, speed=40.0, stops=0))
+    return answers + [f.ranges for f in islice(simulated(fast, own, base.mounting), 20)]
 
 
 WORK: dict[str, Callable[[Path], Any]] = {
