@@ -52,7 +52,8 @@ def test_workers_that_share_only_object_storage_and_one_is_killed(s3, place, hos
     assert s3.delivered(out) == delivered(finished[0])
     for name in ("second", "third"):  # each read into a directory of its own
         assert list((tmp_path / name / "scratch").rglob("*.parquet"))
-    assert not list((tmp_path / "driver").rglob("decompose/*/*/table.parquet"))
+    fetched = list((tmp_path / "driver").rglob("decompose/*/*/table.parquet"))
+    assert len(fetched) <= 1, "the page draws waveforms of one chunk"
 
 
 @pytest.mark.faults
