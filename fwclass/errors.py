@@ -6,6 +6,7 @@ import difflib
 import errno
 import os
 import shutil
+import signal
 import unicodedata
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,6 +14,8 @@ from pathlib import Path
 from fwclass.redact import redacted
 
 DONE, FAILED, USAGE, PARTIAL, QUALITY, INTERRUPTED = 0, 1, 2, 3, 4, 130
+INTERRUPTS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that end a command as Ctrl-C does: nothing half-written is left."""
 
 
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")

@@ -22,6 +22,7 @@ CONFIGURATIONS = {"numba": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
 """Files that a library reads from the current directory when it is imported."""
 
 CACHE = "NUMBA_CACHE_DIR"
+THREADS = "NUMBA_NUM_THREADS"
 CHILDREN = {"PYTHONSAFEPATH": "1", "PROJ_NETWORK": "OFF"}
 """For this process's own children: nothing is imported from where they start, no grid of a datum is fetched."""
 
@@ -37,6 +38,8 @@ def isolate() -> None:
     """
     for name, value in CHILDREN.items():
         _set(name, value)
+    if not os.environ.get(THREADS, "1").isdecimal() or int(os.environ.get(THREADS, "1")) == 0:
+        _set(THREADS, "1")  # what numba ends with a traceback for; no kernel has threads of its own
     if not sys.warnoptions:  # of libraries, with paths of the installation; what is wrong is told in words
         warnings.simplefilter("ignore")
         _set("PYTHONWARNINGS", "ignore")

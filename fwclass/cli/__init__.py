@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import signal
 import sys
+import threading
 
 import click
 
@@ -26,7 +28,7 @@ from fwclass.cli import (
     survey,
 )
 from fwclass.cli.base import cli
-from fwclass.errors import FAILED, INTERRUPTED, FwclassError, system_error
+from fwclass.errors import FAILED, INTERRUPTED, INTERRUPTS, FwclassError, system_error
 from fwclass.isolation import isolate
 from fwclass.redact import redacted
 
@@ -52,9 +54,19 @@ __all__ = [
 ]
 
 
+def _heed_interrupts() -> None:
+    """Let whoever ends the command, and not only a terminal, end it as Ctrl-C does; a signal that is ignored stays so
+    (``nohup``)."""
+    if threading.current_thread() is threading.main_thread():
+        for number in INTERRUPTS:
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, signal.default_int_handler)
+
+
 def main() -> None:
     """Entry point: faults of data and configuration are told in words, without a traceback."""
     isolate()
+    _heed_interrupts()
     try:
         cli(standalone_mode=False)
     except click.exceptions.Exit as end:

@@ -22,7 +22,7 @@ def cli() -> None:
     """Classify airborne full-waveform lidar surveys: waveforms in, classified GIS-ready tiles out.
 
     Exit codes: 0 done, 1 failed, 2 usage or configuration, 3 some parts failed, 4 a quality threshold was missed,
-    130 interrupted.
+    130 interrupted (Ctrl-C, SIGTERM, SIGHUP).
     """
     from fwclass import compiling  # not for --help
 

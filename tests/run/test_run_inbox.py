@@ -318,3 +318,16 @@ def test_patterns_match_as_glob_does(tmp_path):
             str(p) for p in tmp_path.rglob("*") if p.is_file() and path_matches(p.parts, (tmp_path / pattern).parts)
         }
         assert mine == {f for f in found if Path(f).is_file()}, pattern
+
+
+def test_a_name_that_no_strip_can_have_stays_in_the_inbox(post):
+    """Once it was moved into the survey, and every run after it failed."""
+    box = post()
+    evil = "a\n2026-01-01T00:00:00Z schedule: run ended: done.las"
+    for name in (evil, "b" * 230 + ".las", "good.las"):
+        lasmaker.survey(box.inbox.directory / name, pulses=20, point_format=6)
+    box.later(0)
+    look = box.later(11)
+    assert [d.name for d in look.complete] == ["good.las"]
+    assert "cannot be seen" in box.why(look, evil) and "stays here" in box.why(look, evil)
+    assert "longer than" in box.why(look, "b" * 230 + ".las")

@@ -14,6 +14,7 @@ from fwclass.formats.las_header import Header
 from fwclass.operate.schedule.places import COMPANIONS, WAVES, Places
 from fwclass.operate.schedule.ticks import Now
 from fwclass.operate.schedule.watch import writers
+from fwclass.paths import name_fault
 
 REPLACED = "replaced"
 """Directory in the inbox where older versions of files that came again are kept."""
@@ -109,6 +110,8 @@ class Inbox:
         target = self.places.of(head.name)
         if target is None:
             return Waiting(head.name, "survey.sources finds no file of this name; it stays here")
+        if fault := name_fault(head.stem):  # every run after it would be refused
+            return Waiting(head.name, f"no strip can have its name: {fault}; it stays here")
         beside = tuple(p for p in marks if _goes_with(head, p))
         files = (*beside, head)  # the points last: without them the survey does not see the strip
         markers = tuple(p for p in marks if p.suffix in self.params.markers and p.stem in (head.name, head.stem))

@@ -13,7 +13,7 @@ from typing import Any
 from zoneinfo import ZoneInfo
 
 from fwclass.conf import Config
-from fwclass.errors import DONE, FAILED, INTERRUPTED, ConfigError, StoreError
+from fwclass.errors import DONE, FAILED, INTERRUPTED, ConfigError, StoreError, visible
 from fwclass.operate.history import REFUSED, Entry, past_run, utc, why_not, word_of
 from fwclass.operate.request import Request
 from fwclass.operate.schedule import notify, state
@@ -243,7 +243,7 @@ class Schedule:
             self._say(f"the history cannot be written: {why_not(fault)}")
 
     def _say(self, text: str) -> None:
-        self.say(f"{utc(time.time())} schedule: {text}")
+        self.say(f"{utc(time.time())} schedule: {visible(text)}")
 
 
 def _steadied(before: float | None, moment: float) -> float:
