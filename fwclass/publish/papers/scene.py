@@ -14,11 +14,14 @@ from fwclass.publish.palette import colours
 from fwclass.publish.papers.plots import FRAME, OURS, PALE, SIZE, dress, sheet
 
 WIDE, TALL = 9.6, 6.9
-PANEL = 190.0
-"""Points of an inch's 72 that a panel is wide, about."""
+MOST_CELLS = 250
+"""Across a panel, as many pixels as it has on a screen."""
+FULL = 0.8
+"""Cells across over those that would hold one echo each: few stay empty."""
 FADED = 0.22
 """Of a colour, where an echo is not at the boundary."""
-UNKNOWN = (0.85, 0.87, 0.89)
+UNKNOWN, OTHER = np.array((0.85, 0.87, 0.89)), np.array((0.35, 0.4, 0.45))
+"""Of a label that is no class; of what is no ground."""
 
 
 def draw_scene(
@@ -27,35 +30,46 @@ def draw_scene(
     """Six panels: ground filter, heights as measured and above the ground; reference, first layer and both layers.
 
     `echoes` has x, y, z, ``ground``, ``height_above_ground``, ``reference``, ``coarse_class``, ``classification`` and
-    ``boundary`` (each (echoes,)); `place` is (xmin, ymin, edge) [m].
+    ``boundary`` (each (echoes,)); `place` is (xmin, ymin, edge) [m]. A cell shows its highest echo, below its highest
+    one at the boundary first.
     """
-    order = np.argsort(echoes["z"], kind="stable")
-    e = {name: np.asarray(echoes[name])[order] for name in echoes}
     xmin, ymin, edge = place
-    x, y = e["x"] - xmin, e["y"] - ymin
-    size = (PANEL * np.sqrt(1.0 / max(1, len(x)))) ** 2 * 1.4
+    x, y, z = (np.asarray(echoes[n], np.float64) for n in "xyz")
+    cells = max(1, min(MOST_CELLS, int(FULL * np.sqrt(len(x)))))
+    across, up = (np.minimum((v * cells / edge).astype(np.int64), cells - 1) for v in (x - xmin, y - ymin))
+    highest = np.argsort(z, kind="stable")
+    at = np.lexsort((z, echoes["boundary"]))
     figure = sheet(WIDE, TALL)
     panels = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
     rgb = {int(c["code"]): np.array(v) / 255 for c, v in zip(classes, _of(classes), strict=True)}
-    ground = np.where(e["ground"][:, None], rgb.get(2, np.array(UNKNOWN)), np.array((0.35, 0.4, 0.45)))
-    panels[0].scatter(x, y, s=size, c=ground, linewidths=0)
+
+    def show(axes: Any, order: NDArray, values: NDArray, **more: Any) -> Any:
+        """In every cell the last echo of `order`; where there is none, nothing."""
+        image = np.full((cells, cells, *values.shape[1:]), np.nan)
+        image[up[order], across[order]] = values[order]
+        if image.ndim == 3:
+            image = np.where(np.isnan(image), 1.0, image)
+        edges = (0.0, edge, 0.0, edge)
+        return axes.imshow(image, origin="lower", extent=edges, interpolation="nearest", **more)
+
+    show(panels[0], highest, np.where(np.asarray(echoes["ground"])[:, None], rgb.get(2, UNKNOWN), OTHER))
     for axes, name in ((panels[1], "z"), (panels[2], "height_above_ground")):
-        values = e[name].astype(np.float64)
+        values = np.asarray(echoes[name], np.float64)
         low, high = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0.0, 1.0)
-        drawn = axes.scatter(x, y, s=size, c=values, cmap="viridis", vmin=low, vmax=high, linewidths=0)
-        bar = figure.colorbar(drawn, ax=axes, shrink=0.8, pad=0.02)
+        bar = figure.colorbar(
+            show(axes, highest, values, cmap="viridis", vmin=low, vmax=high), ax=axes, shrink=0.8, pad=0.02
+        )
         bar.ax.tick_params(labelsize=7, colors=INK)
         bar.outline.set_edgecolor(FRAME)
-    table = np.full((256, 3), UNKNOWN)
+    table = np.tile(UNKNOWN, (256, 1))
     for c in classes:
         table[[int(k) for k in c.get("codes", (c["code"],))]] = rgb[int(c["code"])]
+        table[int(c["code"])] = rgb[int(c["code"])]
+    strong = np.where(np.asarray(echoes["boundary"], bool)[:, None], 1.0, FADED)
     for axes, name in zip(panels[3:], ("reference", "coarse_class", "classification"), strict=True):
-        _classes(axes, x, y, size, table[e[name]], e["boundary"].astype(bool))
+        show(axes, at, 1 - strong * (1 - table[np.asarray(echoes[name])]))
     titles = ("ground filter", "height as measured, m", "height above the ground, m")
     for axes, title in zip(panels, (*titles, "reference", "first layer", "both layers"), strict=True):
-        axes.set_aspect("equal")
-        axes.set_xlim(0, edge)
-        axes.set_ylim(0, edge)
         dress(axes)
         axes.grid(visible=False)
         axes.set_title(title, fontsize=SIZE, color=INK)
@@ -71,12 +85,6 @@ def _of(classes: Sequence[Mapping[str, Any]]) -> list[tuple[int, int, int]]:
 
 def _dot(colour: NDArray, name: str) -> Line2D:
     return Line2D([], [], marker="o", linestyle="none", markersize=5, color=tuple(colour), label=name)
-
-
-def _classes(axes: Any, x: NDArray, y: NDArray, size: float, rgb: NDArray, at: NDArray[np.bool_]) -> None:
-    """Echoes at the boundary over pale others."""
-    axes.scatter(x[~at], y[~at], s=size, c=1 - FADED * (1 - rgb[~at]), linewidths=0)
-    axes.scatter(x[at], y[at], s=size, c=rgb[at], linewidths=0)
 
 
 def draw_fscores(scores: Sequence[tuple[str, float]], kept: Collection[str]) -> bytes:
