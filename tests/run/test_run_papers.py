@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import seen
 from runmaker import SETTINGS
 
 from fwclass import conf
@@ -306,6 +307,15 @@ def test_shi_figures_belong_together(shi_run, survey):
     assert "What each step brings" in page and "Where the two classes meet" in page
     search = json.loads((root / "model" / "coarse" / "card.json").read_text())["search"]
     assert len(search["tried"]) == 2 and search["folds"] == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_page_of_shi_fits_its_window(width, shi_run):
+    page = seen((shi_run[0] / "shi2019.html").resolve(), width)
+    assert page.width <= width, "no sideways scroll"
+    assert page.requests == []
+    assert (shi_run[0] / "shi2019.html").stat().st_size < 2 << 20
 
 
 @pytest.mark.slow
