@@ -289,7 +289,7 @@ def shi_run(survey, tmp_path_factory):
 @pytest.mark.slow
 def test_shi_figures_belong_together(shi_run, survey):
     root, facts, report = shi_run
-    assert list(facts["steps"]) == ["without_heights", "iptd", "iptd_heights", "svm_all", "svm", "nn_svm"]
+    assert set(facts["steps"]) == {"without_heights", "iptd", "iptd_heights", "svm_all", "svm", "nn_svm"}
     rows = [np.sum(one["confusion"], axis=1).tolist() for one in facts["steps"].values()]
     assert all(r == rows[0] for r in rows), "all steps answer the same echoes"
     at = [[r[0] for r in facts["steps"][n]["confusion"]] for n in ("iptd", "iptd_heights")]
