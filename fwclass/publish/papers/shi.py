@@ -74,8 +74,8 @@ def _facts(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     told.append(("overall, Shi 2019", f"{printed['overall']} %"))
     for name in facts["refine"]["between"]:
         k = None if first is None else first["classes"].index(name)
-        value = "–" if k is None else f"{share(first['iou'][k])} → {share(second['iou'][k])} %"
-        told.append((f"{name} at the boundary, IoU", value))
+        value = "–" if k is None else f"{share(first['iou'][k])} → {share(second['iou'][k])}"
+        told.append((f"{name} at the boundary, IoU %", value))
     return told
 
 
