@@ -11,10 +11,12 @@ from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
 from fwclass.graph.walk import until_report, until_tiles
 from fwclass.graph.workflow import Workflow, after_tiles
+from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner, require_all
 from fwclass.study.papers import shi
 from fwclass.study.papers.begin import features_like, require_whole
 from fwclass.study.papers.page import deliver
+from fwclass.study.papers.shi_scenes import scenes
 from fwclass.study.papers.variants import comparison_tasks, data_tasks
 from workflows.classification import classification
 
@@ -40,14 +42,17 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         return report
     variants = shi.variants(config, names)
     columns = tuple(dict.fromkeys((*names, *used)))
-    made = dict(require_all(runner, data_tasks(plan.layout, columns) + shi.ladder_tasks(config, columns, variants)))
+    made = dict(
+        require_all(runner, data_tasks(plan.layout, columns, True) + shi.ladder_tasks(config, columns, variants))
+    )
     made |= require_all(runner, shi.layer_tasks(plan.layout, columns))
     made |= require_all(runner, comparison_tasks(config, shi.comparisons(variants)))
     made |= require_all(runner, shi.clock_tasks(config, columns, variants))
 
     def page() -> dict[str, Any]:
         facts = shi.facts(config, printed, report, names, variants, plan.layout, made)
-        return deliver(config, runner, plan.layout, report, facts)
+        inputs = PartInputs(runner.store)
+        return deliver(config, runner, plan.layout, report, facts, scenes=scenes(plan.layout, made, inputs))
 
     return runner.tell(page)
 

@@ -16,11 +16,15 @@ import numpy as np
 from sklearn.svm import SVC
 from threadpoolctl import threadpool_limits
 
+from fwclass import conf
 from fwclass.classify.machines import double_decisions, votes_and_shares
 from fwclass.classify.shares import answer
 from fwclass.classify.support_blocks import support_blocks
-from fwclass.model import FORMAT, KernelMachine
+from fwclass.graph.machine_search import spatial
+from fwclass.model import FORMAT, ClassDef, KernelMachine
 from fwclass.train.baselines.fit import rbf_svm
+from fwclass.train.baselines.stage import train_other
+from fwclass.train.sample import Sample
 from fwclass.train.trim import trimmed
 
 CASES = ((4, 4, 4_000, 10.0, 0.5), (4, 6, 7_000, 10.0, 0.25), (2, 4, 5_000, 100.0, 0.5), (4, 4, 3_500, 1000.0, 1.0))
@@ -111,6 +115,29 @@ def of_many(rows: int = 100_000, features: int = 6) -> str:
     return f"trimming {rows} rows of {features} features: {time.process_time() - began:.2f} s, {kept.mean():.1%} stay"
 
 
+def of_search(rows: int = 16_000, features: int = 6, folds: int = 5) -> str:
+    """12 pairs of C and gamma in `folds` of squares, then a machine of 12 000 rows, trimmed and not."""
+    X, y = problem(4, features, rows, 4)
+    r = np.random.default_rng(5)
+    place, key = r.integers(0, 400_000, (rows, 2)), np.arange(rows, dtype=np.uint64)
+    counts = np.bincount(y, minlength=4).astype(np.int64)
+    names = tuple(f"f{k}" for k in range(features))
+    sample = Sample(names, X, y, key, r.permutation(rows).astype(np.uint64), counts, place=place)
+    classes = tuple(ClassDef(str(k), k + 2, (k + 2,)) for k in range(4))
+    config = conf.load("demo")
+    params, told = config.train.model_copy(update={"method": "rbf-svm"}), []
+    for trim in ("none", "nearest"):
+        svm = config.compare.rbf_svm.model_copy(update={"folds": folds, "trim": trim})
+        compare = config.compare.model_copy(update={"rbf_svm": svm})
+        began = time.process_time()
+        model = train_other(sample, params, compare, classes, "rbf-svm", spatial(50.0, 5.0))
+        told.append(f"{time.process_time() - began:.1f} s ({trim}, {len(model.vectors)} support vectors)")
+    tried = len(svm.c) * len(svm.gamma)
+    return f"search of {tried} pairs in {folds} folds of {svm.search_rows} rows, and {svm.max_rows} rows: " + ", ".join(
+        told
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, default=20_000)
@@ -119,6 +146,7 @@ def main() -> None:
         print(case(*one, rows))
     print(of_trimmed(4, 4, 12_000, 10.0, 0.5, rows))
     print(of_many())
+    print(of_search())
 
 
 if __name__ == "__main__":

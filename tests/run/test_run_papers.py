@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import seen
 from runmaker import SETTINGS
 
 from fwclass import conf
@@ -288,7 +289,11 @@ def shi_run(survey, tmp_path_factory):
 @pytest.mark.slow
 def test_shi_figures_belong_together(shi_run, survey):
     root, facts, report = shi_run
-    assert set(facts["steps"]) == {"without_heights", "svm_all", "svm", "nn_svm"}
+    assert set(facts["steps"]) == {"without_heights", "iptd", "iptd_heights", "svm_all", "svm", "nn_svm"}
+    rows = [np.sum(one["confusion"], axis=1).tolist() for one in facts["steps"].values()]
+    assert all(r == rows[0] for r in rows), "all steps answer the same echoes"
+    at = [[r[0] for r in facts["steps"][n]["confusion"]] for n in ("iptd", "iptd_heights")]
+    assert at[0] == at[1] and sum(at[0]) > 0, "the filter alone says what is ground"
     assert facts["steps"]["nn_svm"]["vectors"] < facts["steps"]["svm"]["vectors"]
     layers = facts["layers"]
     assert layers["fine"]["confusion"] == report["accuracy"]["confusion"], "the page judges what the run delivers"
@@ -298,9 +303,19 @@ def test_shi_figures_belong_together(shi_run, survey):
     kept = SHI[0].split("[")[1][:-1].split(", ")
     assert {n for n, _ in facts["fscores"]} == {*kept, "inclination_r100", "plane_std_r100"}
     page = (root / "shi2019.html").read_text()
+    assert page.count("data:image/png") >= 4 and "Two squares" in page
     assert "What each step brings" in page and "Where the two classes meet" in page
     search = json.loads((root / "model" / "coarse" / "card.json").read_text())["search"]
     assert len(search["tried"]) == 2 and search["folds"] == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_page_of_shi_fits_its_window(width, shi_run):
+    page = seen((shi_run[0] / "shi2019.html").resolve(), width)
+    assert page.width <= width, "no sideways scroll"
+    assert page.requests == []
+    assert (shi_run[0] / "shi2019.html").stat().st_size < 2 << 20
 
 
 @pytest.mark.slow

@@ -1,6 +1,9 @@
 """A second layer in a run: tiles, workers and a restart change nothing; elsewhere answers stay; its model travels."""
 
 import json
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -58,7 +61,7 @@ def test_answers_change_at_the_boundary_alone(survey, refined, finished):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("setting", ["tile.size=37.5", "tile.size=1000"])
+@pytest.mark.parametrize("setting", ["tile.size=37.5", "tile.size=150", "tile.size=1000"])
 def test_tiles_change_no_answer(setting, survey, refined, tmp_path):
     runner, _ = walk(survey, tmp_path, setting, *LAYER)
     assert not runner.failures
@@ -77,6 +80,26 @@ def test_workers_give_the_same_bytes_and_a_restart_makes_nothing(survey, refined
     made = [name for name, one in again.outcomes.items() if one.status == "computed" and name[0] != "report"]
     assert made == []
     assert looked(survey, tmp_path, *LAYER).all_done
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_to_the_same_bytes_with_one_worker(survey, refined, tmp_path):
+    words = [w for text in (*SETTINGS, f"survey.directory={survey}", *LAYER) for w in ("--set", text)]
+    line = [sys.executable, "-c", "from fwclass.cli import main; main()", "run", "demo", "--out", str(tmp_path / "r")]
+    process = subprocess.Popen([*line, *words, "--workers", "0"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        until = time.monotonic() + 240
+        while not list((tmp_path / "r" / "store" / "refine").glob("*/receipt.json")):
+            assert process.poll() is None and time.monotonic() < until, "it ended before its second layer"
+            time.sleep(0.01)
+    finally:
+        process.kill()
+        process.wait()
+    assert not (tmp_path / "r" / "model").exists()
+    runner, _ = walk(survey, tmp_path / "r", *LAYER, executor=Cluster(None, 1, 4.0, 1000))
+    assert not runner.failures
+    assert "skipped" in {o.status for o in runner.outcomes.values()}
+    assert delivered(tmp_path / "r") == delivered(refined[0])
 
 
 @pytest.mark.slow

@@ -249,6 +249,19 @@ def test_any_shapes_are_a_sound_machine_or_an_error(rows, columns, duals, counts
     assert columns == 2 and shares.shape == (2, n) and (winner < n).all()
 
 
+def test_a_machine_of_before_trimming_and_search_in_squares_still_opens(tmp_path):
+    """Its card tells of neither; it answers as it did."""
+    made = models()["rbf-svm"]
+    card = {k: v for k, v in made.card.items() if k not in ("trimmed", "search", "ranges")}
+    card["params"] = {"c": 1.0, "gamma": 0.3}
+    old = replace(made, card=card)
+    save_model(tmp_path / "m", old)
+    found = load_model(tmp_path / "m")
+    X = np.random.default_rng(0).normal(size=(50, len(made.features))).astype(np.float32)
+    np.testing.assert_array_equal(answer(X, found)[0], answer(X, made)[0])
+    assert "trimmed" not in found.card
+
+
 def test_two_layers_round_trip(tmp_path):
     made = two_layers()
     save_model(tmp_path / "m", made)

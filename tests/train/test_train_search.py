@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from fwclass.classify.shares import answer
 from fwclass.graph.machine_search import folded, spatial
 from fwclass.model import ClassDef
 from fwclass.train.baselines.params import CompareParams
@@ -120,3 +121,15 @@ def test_constant_features_and_missing_values_train():
     X[:, 1], X[::7, 2] = 4.0, np.nan
     model = train_other(replace(made, X=X), PARAMS, compare(c=[1.0], gamma=[0.3], trim="nearest"), CLASSES, "rbf-svm")
     assert np.isfinite(model.vectors).all() and any("'v' is 4" in n for n in model.card["notes"])
+
+
+def test_rows_of_one_place_and_rows_all_alike_train_and_are_noted():
+    made, few = sample(), compare(c=[1.0, 10.0], gamma=[0.3], trim="nearest")
+    one = replace(made, place=np.zeros_like(made.place))
+    model = train_other(one, PARAMS, few, CLASSES, "rbf-svm", spatial(50.0, 5.0))
+    assert any("pieces of consecutive pulses: 1 blocks" in n for n in model.card["notes"])
+    alike = replace(made, X=np.full_like(made.X, 3.0))
+    model = train_other(alike, PARAMS, few, CLASSES, "rbf-svm", spatial(50.0, 5.0))
+    assert sum("is 3 in every training row" in n for n in model.card["notes"]) == 3
+    assert model.card["trimmed"] == {"a": 0, "b": 0, "c": 0}, "a twin of the same class is as near as any"
+    assert len(set(answer(alike.X[:50], model)[0].tolist())) == 1

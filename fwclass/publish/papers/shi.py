@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from fwclass.publish.papers.scene import draw_fscores, draw_scene
 from fwclass.publish.papers.tables import difference, matrices, ours, rows_table, seconds_of, share
+from fwclass.publish.report import data_uri
 from fwclass.publish.sections import number
 
 TITLES = {
-    "without_heights": "SVM without heights above the ground",
-    "svm_all": "SVM, all features",
+    "without_heights": "SVM without a ground filter, no heights",
+    "iptd": "ground by the filter, SVM of the others",
+    "iptd_heights": "the same with heights above the ground",
+    "svm_all": "SVM of all classes, all features",
     "svm": "SVM, the features kept",
-    "nn_svm": "NN-SVM, the features kept",
+    "nn_svm": "NN-SVM (trimmed rows), the features kept",
     "coarse": "the run's first layer",
     "fine": "both layers",
 }
@@ -22,6 +26,7 @@ def shi_view(facts: Mapping[str, Any]) -> dict[str, Any]:
     """What the template shows besides what all papers have."""
     names = [c["name"] for c in facts["classes"]]
     layers = facts["layers"]
+    kept = {n for n, _ in facts["fscores"] if _base(n) in facts["printed"]["fscore"]["kept"]}
     return {
         "facts": _facts(facts),
         "names": names,
@@ -35,10 +40,9 @@ def shi_view(facts: Mapping[str, Any]) -> dict[str, Any]:
         "paper_table": [{"name": k, **v} for k, v in facts["printed"]["combinations"].items()],
         "boundary": _boundary(facts),
         "algorithms": [_algorithm(k, v) for k, v in facts["printed"]["algorithms"].items()],
-        "fscores": [
-            (n, f"{v:.3f}", "kept" if _base(n) in facts["printed"]["fscore"]["kept"] else "dropped")
-            for n, v in facts["fscores"]
-        ],
+        "fscores": [(n, f"{v:.3f}", "kept" if n in kept else "dropped") for n, v in facts["fscores"]],
+        "fscore_plot": data_uri(draw_fscores(facts["fscores"], kept)),
+        "scenes": [_scene(one, facts["classes"]) for one in facts["scenes"]],
         "tables": [
             {"title": TITLES[k], **matrices(layers[k], facts["classes"], None)} for k in ("coarse", "fine") if layers[k]
         ],
@@ -53,6 +57,16 @@ def _base(name: str) -> str:
     return head if end.isdigit() else name
 
 
+def _scene(one: Mapping[str, Any], classes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    xmin, ymin, edge = one["place"]
+    return {
+        "uri": data_uri(draw_scene(one["echoes"], one["place"], classes)),
+        "place": f"{xmin:.0f} E, {ymin:.0f} N, {edge:g} m",
+        "echoes": number(len(one["echoes"]["x"])),
+        "boundary": number(int(one["echoes"]["boundary"].sum())),
+    }
+
+
 def _facts(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     printed, fine = facts["printed"]["algorithms"]["proposed"], facts["layers"]["fine"]
     first, second = facts["layers"]["coarse_boundary"], facts["layers"]["fine_boundary"]
@@ -60,8 +74,8 @@ def _facts(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     told.append(("overall, Shi 2019", f"{printed['overall']} %"))
     for name in facts["refine"]["between"]:
         k = None if first is None else first["classes"].index(name)
-        value = "–" if k is None else f"{share(first['iou'][k])} → {share(second['iou'][k])} %"
-        told.append((f"{name} at the boundary, IoU", value))
+        value = "–" if k is None else f"{share(first['iou'][k])} → {share(second['iou'][k])}"
+        told.append((f"{name} at the boundary, IoU %", value))
     return told
 
 

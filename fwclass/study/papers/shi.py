@@ -17,6 +17,7 @@ from fwclass.assess.stage import figures
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import tested
+from fwclass.graph.assess import GROUND
 from fwclass.graph.layout import Layout, needs_of
 from fwclass.graph.learn import SAMPLE
 from fwclass.graph.refine import ANSWERED
@@ -33,7 +34,8 @@ from fwclass.study.papers.work import cautioned
 from fwclass.train.sample import Sample
 
 HEIGHT = "height_above_ground"
-WITHOUT, ALL, SVM, TRIMMED = "without_heights", "svm_all", "svm", "nn_svm"
+WITHOUT, FILTERED, HEIGHTS = "without_heights", "iptd", "iptd_heights"
+ALL, SVM, TRIMMED = "svm_all", "svm", "nn_svm"
 LAYERS = ("coarse", "fine", "coarse_boundary", "fine_boundary")
 Made = Mapping[Name, Receipt]
 
@@ -59,15 +61,32 @@ def require_layers(config: Config) -> None:
 
 
 def variants(config: Config, names: tuple[str, ...]) -> tuple[Variant, ...]:
-    """The steps of the ladder below the second layer; `names` are all features of the paper."""
+    """The steps of the ladder below the second layer; `names` are all features of the paper. Those of the ground filter
+    are left out where no class is ground, or nothing would be left to tell apart."""
     four, squares = config.features_asked, (config.select.block, config.select.gap)
+    flat, ground = [n for n in names if n != HEIGHT], ground_class(config)
+    filtered = (
+        ()
+        if ground is None
+        else (
+            replace(changed(config, FILTERED, flat, method="rbf-svm"), filtered=ground),
+            replace(changed(config, HEIGHTS, names, method="rbf-svm"), filtered=ground),
+        )
+    )
     made = (
-        changed(config, WITHOUT, [n for n in names if n != HEIGHT], method="rbf-svm"),
+        changed(config, WITHOUT, flat, method="rbf-svm"),
+        *filtered,
         changed(config, ALL, names, method="rbf-svm"),
         changed(config, SVM, four, method="rbf-svm"),
         changed(config, TRIMMED, four, method="rbf-svm"),
     )
     return tuple(replace(one, squares=squares) for one in made)
+
+
+def ground_class(config: Config) -> int | None:
+    """Index of the class that a ground filter tells, of three and more; None without one."""
+    ground = [k for k, c in enumerate(config.classes) if c.code == GROUND]
+    return ground[0] if ground and len(config.classes) > 2 else None
 
 
 def comparisons(found: Sequence[Variant]) -> list[tuple[Variant, Variant]]:
@@ -203,7 +222,7 @@ def facts(
         "fwclass": __version__,
         **{k: printed[k] for k in ("citation", "doi", "data", "notes")},
         "printed": {k: printed[k] for k in ("combinations", "boundary", "algorithms", "fscore")},
-        "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
+        "classes": [{"name": c.name, "code": c.code, "codes": list(c.codes)} for c in config.survey.classes],
         "rows": {name: [int(meta["counts"][k]), int(rows[k])] for k, name in enumerate(classes)},
         "areas": report["areas"],
         "whole": report["accuracy"],

@@ -37,6 +37,7 @@ class Variant:
     rows : so many rows of the sample train it at most; 0 is all.
     squares : edge of the squares that a machine's rows are thinned and its search is folded by, and their gap [m];
         None: pieces of consecutive pulses.
+    filtered : index of the class that the ground filter answers; the classifier knows the others. None: it knows all.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Variant:
     classes: int
     rows: int = 0
     squares: tuple[float, float] | None = None
+    filtered: int | None = None
 
 
 def all_classes(config: Config) -> tuple[ClassDef, ...]:
@@ -53,8 +55,9 @@ def all_classes(config: Config) -> tuple[ClassDef, ...]:
     return (*config.classes, *more)
 
 
-def data_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
-    """The sample of the training areas and the echoes of the test areas, with all columns that any variant reads."""
+def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -> list[Task]:
+    """The sample of the training areas and the echoes of the test areas, with all columns that any variant reads;
+    `filtered`: and what the ground filter says of the latter."""
     config, classes = layout.config, all_classes(layout.config)
     train, test = config.areas.boxes("train"), config.areas.boxes("test")
     columns = layout.columns(names)
@@ -75,7 +78,10 @@ def data_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
         "seed": config.papers.seed,
     }
     chosen = tuple(t for t in layout.tiles if any(t.box.touches(b) for b in train))
-    needs = {t.key: needs_of({**columns, "reference": "label"}, (t.key,)) for t in layout.tiles}
+    also = {"ground": "ground"} if filtered else {}
+    needs = {t.key: needs_of({**columns, **also, "reference": "label"}, (t.key,)) for t in layout.tiles}
+    if filtered:
+        judged["filtered"] = True
     sampling = replace(
         DRAW_SAMPLE,
         name="paper-sample",
@@ -90,7 +96,9 @@ def data_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
             t.key,
             VERSION,
             judged,
-            partial(work.drawn, t, columns, names, train, test, config.areas.gap, classes, share, config.papers.seed),
+            partial(
+                work.drawn, t, columns, also, names, train, test, config.areas.gap, classes, share, config.papers.seed
+            ),
             needs=needs[t.key],
         )
         for t in layout.tiles
@@ -125,6 +133,7 @@ def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varia
             all_classes(config)[: one.classes],
             one.rows,
             one.squares,
+            one.filtered,
         )
         made.append(
             Task(
@@ -142,7 +151,9 @@ def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varia
                 one.name,
                 1000 * CLASSIFY.version + VERSION,
                 {**params, "block": config.papers.block},
-                partial(work.judged, one.name, names, all_classes(config), one.classes, config.papers.block),
+                partial(
+                    work.judged, one.name, names, all_classes(config), one.classes, one.filtered, config.papers.block
+                ),
                 needs=(("paper-model", one.name), ("paper-tested", "all")),
             )
         )
@@ -161,6 +172,7 @@ def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varian
             all_classes(config)[: one.classes],
             one.rows,
             one.squares,
+            one.filtered,
         )
         needs = (("paper-model", one.name), ("paper-tested", "all"), ("paper-training", "all"))
         made.append(
@@ -211,6 +223,8 @@ def facts_of(config: Config, one: Variant) -> dict[str, Any]:
     params = {"train": plain(one.train), "features": list(one.features), "classes": one.classes, "rows": one.rows}
     if one.squares:
         params["squares"] = list(one.squares)
+    if one.filtered is not None:
+        params["filtered"] = one.filtered
     if one.train.method != "forest":
         compare: CompareParams = config.compare
         params["compare"] = plain(compare)

@@ -42,6 +42,7 @@ WARM_ROWS = 2000
 def drawn(
     tile: Tile,
     columns: Mapping[str, str],
+    also: Mapping[str, str],
     names: tuple[str, ...],
     train: tuple[Box, ...],
     test: tuple[Box, ...],
@@ -52,8 +53,8 @@ def drawn(
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
-    """A share of the tile's labelled echoes in the test areas, drawn by hash, with their features and places."""
-    table = inputs.rows(tile.key, {**_TABLE, **columns, "reference": "label"})
+    """A share of the tile's labelled echoes in the test areas, drawn by hash, with features, places and `also`."""
+    table = inputs.rows(tile.key, {**_TABLE, **columns, **also, "reference": "label"})
     index = class_index(table["reference"], classes)
     key = canonical_key(table)
     lucky = hashed(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
@@ -64,6 +65,7 @@ def drawn(
         "key": key[rows],
         "east": millimetres(table["x"][rows]),
         "north": millimetres(table["y"][rows]),
+        **{name: table[name][rows] for name in also},
     }
     write_arrays(directory / TEST, arrays)
     return {"rows": len(rows)}
@@ -95,16 +97,29 @@ def training(
 
 
 def sample_for(
-    inputs: PartInputs, names: tuple[str, ...], features: tuple[str, ...], classes: int, most: int = 0
+    inputs: PartInputs,
+    names: tuple[str, ...],
+    features: tuple[str, ...],
+    classes: int,
+    most: int = 0,
+    filtered: int | None = None,
 ) -> Sample:
-    """The sample with the columns and the classes that a variant knows; `most` rows of it, 0 for all."""
+    """The sample with the columns and the classes that a variant knows, the first but `filtered`; `most` rows of it, 0
+    for all."""
     whole = Sample.from_arrays(names, inputs.arrays("paper-training", "all", SAMPLE)[0])
     at = [names.index(f) for f in features]
-    rows = whole.y < classes
+    known = _known(classes, filtered)
+    rows = np.isin(whole.y, known)
     X = np.ascontiguousarray(whole.X[rows][:, at])
-    made = Sample(features, X, whole.y[rows], whole.key[rows], whole.hash[rows], whole.eligible[:classes])
+    y = np.searchsorted(known, whole.y[rows]).astype(np.uint8)
+    made = Sample(features, X, y, whole.key[rows], whole.hash[rows], whole.eligible[known])
     made = replace(made, place=whole.place[rows]) if len(whole.place) else made
     return fewer(made, most) if most else made
+
+
+def _known(classes: int, filtered: int | None) -> NDArray[np.int64]:
+    """Indices of the classes that a classifier knows."""
+    return np.array([k for k in range(classes) if k != filtered], np.int64)
 
 
 def fitted(
@@ -128,11 +143,13 @@ def learned(
     classes: tuple[ClassDef, ...],
     rows: int,
     squares: tuple[float, float] | None,
+    filtered: int | None,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
     """A variant's model."""
-    sample = sample_for(inputs, names, features, len(classes), rows)
+    sample = sample_for(inputs, names, features, len(classes), rows, filtered)
+    classes = tuple(c for k, c in enumerate(classes) if k != filtered)
     model = fitted(sample, params, compare, classes, squares)
     save_model(directory / MODEL, model)
     card = model.card
@@ -161,6 +178,7 @@ def judged(
     names: tuple[str, ...],
     classes: tuple[ClassDef, ...],
     known: int,
+    filtered: int | None,
     edge: float,
     inputs: PartInputs,
     directory: Path,
@@ -172,6 +190,8 @@ def judged(
     model, test = _model(inputs, name), _test(inputs)
     X = np.ascontiguousarray(test["X"][:, [names.index(f) for f in model.features]])
     found, _ = answer(X, model)
+    if filtered is not None:
+        found = np.where(test["ground"], filtered, _known(known, filtered)[found])
     cell = test["y"].astype(np.int64) * known + found
     matrix = np.bincount(cell, minlength=len(classes) * known).reshape(len(classes), known)
     write_arrays(directory / ANSWERS, {"found": found.astype(np.uint8)})
@@ -223,13 +243,16 @@ def timed(
     classes: tuple[ClassDef, ...],
     rows: int,
     squares: tuple[float, float] | None,
+    filtered: int | None,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
     """Processor seconds of training and of answering, without reading, writing and loading of compiled code."""
-    sample = sample_for(inputs, names, features, len(classes), rows)
+    sample = sample_for(inputs, names, features, len(classes), rows, filtered)
+    classes = tuple(c for k, c in enumerate(classes) if k != filtered)
     model, test = _model(inputs, name), _test(inputs)
-    X = np.ascontiguousarray(test["X"][:, [names.index(f) for f in features]])
+    asked = test["X"] if filtered is None else test["X"][~test["ground"]]
+    X = np.ascontiguousarray(asked[:, [names.index(f) for f in features]])
     answer(X[:WARM_ROWS], model)
     if params.method == "forest":
         grow_trees(sample, classes, 0, 1, params)
