@@ -81,11 +81,12 @@ def _sums(parts, length, dt, ds, y, weight, level, height):  # type: ignore[no-u
 def moments(y, weight, pad, n):  # type: ignore[no-untyped-def]
     """Sums of w, w y, w y^2 over the waveform."""
     one, two, three = 0.0, 0.0, 0.0
-    for i in range(pad, pad + n):
-        w = weight[i]
-        one += w
-        two += w * y[i]
-        three += w * y[i] * y[i]
+    value, weigh = y[pad : pad + n], weight[pad : pad + n]
+    for i in range(n):
+        wy = weigh[i] * value[i]
+        one += weigh[i]
+        two += wy
+        three += wy * value[i]
     return one, two, three
 
 
@@ -192,37 +193,69 @@ def add_echoes(amplitude, time, width, first, last, look, signal):  # type: igno
 
 
 @vectorised
-def _less(y, level, pad, n, residual):  # type: ignore[no-untyped-def]
-    for i in range(pad, pad + n):
+def less(y, level, n, residual):  # type: ignore[no-untyped-def]
+    """``residual[:n]`` = y - level."""
+    for i in range(n):
         residual[i] = y[i] - level
 
 
 @vectorised
-def _squares(residual, weight, pad, n):  # type: ignore[no-untyped-def]
-    """Sums of w r^2 and w r."""
+def _explained(y, level, residual, weight, n):  # type: ignore[no-untyped-def]
+    """Sums of w (r^2 - q^2) and w (r - q), where q is what the sample has over the level."""
     two, one = 0.0, 0.0
-    for i in range(pad, pad + n):
-        wr = weight[i] * residual[i]
-        two += wr * residual[i]
-        one += wr
+    for i in range(n):
+        above = y[i] - level
+        wr, wq = weight[i] * residual[i], weight[i] * above
+        two += wr * residual[i] - wq * above
+        one += wr - wq
     return two, one
 
 
-@kernel
-def evaluate(p, count, y, weight, pad, n, look, residual, basis, window):  # type: ignore[no-untyped-def]
-    """(sum of w r^2, sum of w r) of parameters `p` with `count` echoes.
-
-    Fills ``residual``, ``window[k]`` (first, past the last sample of echo k, in the padded buffer; its cell in width
-    and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window. Times count as `held`.
-    """
-    _less(y, p[0], pad, n, residual)
+@inlined
+def _lay(p, count, y, pad, first, last, n, look, residual, basis, window):  # type: ignore[no-untyped-def]
+    """`lay` between the samples `first` and `last` of the padded buffer, which hold all windows."""
+    less(y[first:], p[0], last - first, residual[first:])
     for k in range(count):
         row, cell, whole, dt, ds = place(look, held(p[3 * k + 2], n), p[3 * k + 3])
         start = pad + whole + look.first[cell]
         length = look.length[cell]
         window[k, 0], window[k, 1], window[k, 2], window[k, 3] = start, start + length, cell, row
         _profile(look.table[row], length, dt, ds, p[3 * k + 1], residual[start : start + length], basis[k])
-    return _squares(residual, weight, pad, n)
+
+
+@inlined
+def _span(p, count, pad, n, look):  # type: ignore[no-untyped-def]
+    """(first, past the last) sample that an echo of `p` reaches, in the padded buffer."""
+    first, last = pad + n, pad
+    for k in range(count):
+        _, cell, whole, _, _ = place(look, held(p[3 * k + 2], n), p[3 * k + 3])
+        start = pad + whole + look.first[cell]
+        first, last = min(first, start), max(last, start + look.length[cell])
+    return first, last
+
+
+@kernel
+def lay(p, count, y, pad, n, look, residual, basis, window):  # type: ignore[no-untyped-def]
+    """Lay the `count` echoes of `p` under the waveform.
+
+    Fills ``residual``, ``window[k]`` (first, past the last sample of echo k, in the padded buffer; its cell in width
+    and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window. Times count as `held`.
+    """
+    _lay(p, count, y, pad, pad, pad + n, n, look, residual, basis, window)
+
+
+@kernel
+def evaluate(p, count, y, weight, pad, n, look, sums, residual, basis, window):  # type: ignore[no-untyped-def]
+    """(sum of w r^2, sum of w r) of parameters `p` with `count` echoes.
+
+    As `lay`, but ``residual`` is only filled where an echo reaches: elsewhere it is what `sums`, `moments` of the
+    waveform, tell of the level, so that quiet samples cost nothing.
+    """
+    first, last = _span(p, count, pad, n, look)
+    _lay(p, count, y, pad, first, last, n, look, residual, basis, window)
+    two, one = _explained(y[first:], p[0], residual[first:], weight[first:], last - first)
+    b = p[0]
+    return sums[2] - 2.0 * b * sums[1] + b * b * sums[0] + two, sums[1] - b * sums[0] + one
 
 
 @vectorised
@@ -270,7 +303,7 @@ def _cross(one, two, weight, length):  # type: ignore[no-untyped-def]
 
 @kernel
 def normal_equations(p, count, weight, residual, basis, window, total, pull, hessian, gradient):  # type: ignore[no-untyped-def]
-    """Upper triangle of J^T W J and J^T W r, after `evaluate` at the same `p`.
+    """Upper triangle of J^T W J and J^T W r, after `evaluate` or `lay` at the same `p`.
 
     `total`, `pull` : sums of w and of w r.
     """
@@ -369,7 +402,7 @@ def fit(p, count, y, weight, pad, n, prior, limits, look, sums, work):  # type: 
     for a in range(size):
         trial[a] = p[a]
     while True:
-        new, pull = evaluate(trial, count, y, weight, pad, n, look, residual, basis, window)
+        new, pull = evaluate(trial, count, y, weight, pad, n, look, sums, residual, basis, window)
         away = trial[0] - prior[0]
         new += prior[1] * away * away
         if new <= chi:
