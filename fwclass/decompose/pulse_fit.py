@@ -346,14 +346,14 @@ def _least_known(p, count, errors):  # type: ignore[no-untyped-def]
 @inlined
 def _standard_errors(p, count, weight, noise, prior_information, sums, work, out):  # type: ignore[no-untyped-def]
     """Fill ``out[:3 count + 1]`` with the parameters' standard errors, after `lay` at `p`; NaN if singular."""
-    residual, basis, window, hessian, gradient, lower, move, _, frozen = work
+    residual, basis, window, hessian, gradient, upper, move, _, frozen = work
     size = 3 * count + 1
     normal_equations(p, count, weight, residual, basis, window, sums[0], 0.0, hessian, gradient)
     hessian[0, 0] += prior_information
     for a in range(size):
         frozen[a] = 0.0
-    if factorise(hessian, frozen, 0.0, size, lower):
-        variances(lower, size, move, out)
+    if factorise(hessian, frozen, 0.0, size, upper):
+        variances(upper, size, move, out)
         for a in range(size):
             out[a] = noise * math.sqrt(out[a])
     else:

@@ -151,8 +151,10 @@ def fits_spacing(pulse: SystemPulse, spacing: NDArray[np.float64]) -> NDArray[np
 def lookup(
     pulse: SystemPulse, spacing: float, narrowest: float, widest: float, noise: Autoregression = WHITE
 ) -> Lookup:
-    """The table for echoes from `narrowest` to `widest` pulse widths at a sample spacing [ns], in noise of a kind. It is
-    shared with who asks for the same: not to be written."""
+    """The table for echoes from `narrowest` to `widest` pulse widths at a sample spacing [ns], in noise of a kind.
+
+    It is shared with whoever asks for the same: not to be written.
+    """
     values = np.ascontiguousarray(pulse.values, np.float64).tobytes()
     return _lookup(pulse.shape, pulse.fwhm, pulse.first, pulse.step, values, spacing, narrowest, widest, noise)
 
