@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from commandline import fwclass
@@ -48,3 +49,11 @@ def test_a_model_gives_the_classes_that_a_file_leaves_out(tmp_path: Path) -> Non
     assert told.returncode == 0, told.stderr
     assert '"name": "bush"' in (tmp_path / "run" / "report.json").read_text()
     assert fwclass("plan", bare, "--out", tmp_path / "plan").returncode == 0
+
+
+def test_points_that_a_map_leaves_out_are_counted(tmp_path: Path) -> None:
+    cloud = small_survey(tmp_path).parent / "a.las"
+    told = fwclass("assess", cloud, cloud, "--map", "ground=2", "--json")
+    left_out = json.loads(told.stdout)["left_out"]
+    assert list(left_out) == ["5"] and f"(5: {left_out['5']:,})" in told.stderr
+    assert "not counted" not in fwclass("assess", cloud, cloud).stderr
