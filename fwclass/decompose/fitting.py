@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,14 +133,22 @@ def _alike(
     own = np.where(special[channel_of], channel_of, len(channels))
     most = np.array([len(c.phi) for c in channels] + [0])[own]
     order = np.clip((lengths - FEWEST) // SPARED, 0, most)
-    keys = np.stack([spacing, own, order], axis=1)
-    fitted = np.zeros(len(spacing), np.bool_)
-    for k in np.unique(own):
-        mine = own == k
-        fitted[mine] = fits_spacing(pulse.of(channels[k] if k < len(channels) else None), spacing[mine])
-    for step, k, m in np.unique(keys[fitted], axis=0):
-        rows = np.flatnonzero(fitted & (keys == (step, k, m)).all(axis=1))
-        yield rows, float(step), channels[int(k)] if k < len(channels) else None, int(m)
+    for rows in _alike_rows(spacing, own, order):
+        step, k, m = spacing[rows[0]], own[rows[0]], order[rows[0]]
+        channel = channels[k] if k < len(channels) else None
+        if fits_spacing(pulse.of(channel), spacing[rows[:1]])[0]:
+            yield rows, float(step), channel, int(m)
+
+
+def _alike_rows(*keys: NDArray[Any]) -> Iterator[NDArray[np.int64]]:
+    """Rows that agree in all `keys`, each of shape (n,)."""
+    group = np.zeros(len(keys[0]), np.int64)
+    for key in keys:
+        if len(key) and (key != key[0]).any():
+            values, inverse = np.unique(key, return_inverse=True)
+            group = group * len(values) + inverse
+    order = np.argsort(group, kind="stable")
+    yield from (r for r in np.split(order, np.flatnonzero(np.diff(group[order])) + 1) if len(r))
 
 
 def _kind(noise: Autoregression, growth: float) -> Kind:
@@ -227,10 +236,8 @@ def signal_of(fits: Fits, waves: Waveforms, pulse: SystemPulse, params: Decompos
     signal = np.zeros(len(waves.samples))
     spacing = waves.pulses["sample_spacing"].astype(np.float64)[fits.row]
     kinds, kind = pulses_of(waves, pulse)
-    keys = np.stack([spacing, kind[fits.row]], axis=1)
-    for step, k in np.unique(keys, axis=0):
-        rows = np.flatnonzero((keys == (step, k)).all(axis=1))
-        own = kinds[int(k)]
+    for rows in _alike_rows(spacing, kind[fits.row]):
+        step, own = spacing[rows[0]], kinds[kind[fits.row[rows[0]]]]
         widths = widths_of(own, params.narrowest, params.widest)
         width = np.interp(fits.width[rows], widths.fwhm, widths.s)
         add_echoes(

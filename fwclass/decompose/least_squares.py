@@ -81,11 +81,12 @@ def _sums(parts, length, dt, ds, y, weight, level, height):  # type: ignore[no-u
 def moments(y, weight, pad, n):  # type: ignore[no-untyped-def]
     """Sums of w, w y, w y^2 over the waveform."""
     one, two, three = 0.0, 0.0, 0.0
-    for i in range(pad, pad + n):
-        w = weight[i]
-        one += w
-        two += w * y[i]
-        three += w * y[i] * y[i]
+    value, weigh = y[pad : pad + n], weight[pad : pad + n]
+    for i in range(n):
+        wy = weigh[i] * value[i]
+        one += weigh[i]
+        two += wy
+        three += wy * value[i]
     return one, two, three
 
 
@@ -192,37 +193,69 @@ def add_echoes(amplitude, time, width, first, last, look, signal):  # type: igno
 
 
 @vectorised
-def _less(y, level, pad, n, residual):  # type: ignore[no-untyped-def]
-    for i in range(pad, pad + n):
+def less(y, level, n, residual):  # type: ignore[no-untyped-def]
+    """``residual[:n]`` = y - level."""
+    for i in range(n):
         residual[i] = y[i] - level
 
 
 @vectorised
-def _squares(residual, weight, pad, n):  # type: ignore[no-untyped-def]
-    """Sums of w r^2 and w r."""
+def _explained(y, level, residual, weight, n):  # type: ignore[no-untyped-def]
+    """Sums of w (r^2 - q^2) and w (r - q), where q is what the sample has over the level."""
     two, one = 0.0, 0.0
-    for i in range(pad, pad + n):
-        wr = weight[i] * residual[i]
-        two += wr * residual[i]
-        one += wr
+    for i in range(n):
+        above = y[i] - level
+        wr, wq = weight[i] * residual[i], weight[i] * above
+        two += wr * residual[i] - wq * above
+        one += wr - wq
     return two, one
 
 
-@kernel
-def evaluate(p, count, y, weight, pad, n, look, residual, basis, window):  # type: ignore[no-untyped-def]
-    """(sum of w r^2, sum of w r) of parameters `p` with `count` echoes.
-
-    Fills ``residual``, ``window[k]`` (first, past the last sample of echo k, in the padded buffer; its cell in width
-    and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window. Times count as `held`.
-    """
-    _less(y, p[0], pad, n, residual)
+@inlined
+def _lay(p, count, y, pad, first, last, n, look, residual, basis, window):  # type: ignore[no-untyped-def]
+    """`lay` between the samples `first` and `last` of the padded buffer, which hold all windows."""
+    less(y[first:], p[0], last - first, residual[first:])
     for k in range(count):
         row, cell, whole, dt, ds = place(look, held(p[3 * k + 2], n), p[3 * k + 3])
         start = pad + whole + look.first[cell]
         length = look.length[cell]
         window[k, 0], window[k, 1], window[k, 2], window[k, 3] = start, start + length, cell, row
         _profile(look.table[row], length, dt, ds, p[3 * k + 1], residual[start : start + length], basis[k])
-    return _squares(residual, weight, pad, n)
+
+
+@inlined
+def _span(p, count, pad, n, look):  # type: ignore[no-untyped-def]
+    """(first, past the last) sample that an echo of `p` reaches, in the padded buffer."""
+    first, last = pad + n, pad
+    for k in range(count):
+        _, cell, whole, _, _ = place(look, held(p[3 * k + 2], n), p[3 * k + 3])
+        start = pad + whole + look.first[cell]
+        first, last = min(first, start), max(last, start + look.length[cell])
+    return first, last
+
+
+@kernel
+def lay(p, count, y, pad, n, look, residual, basis, window):  # type: ignore[no-untyped-def]
+    """Lay the `count` echoes of `p` under the waveform.
+
+    Fills ``residual``, ``window[k]`` (first, past the last sample of echo k, in the padded buffer; its cell in width
+    and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window. Times count as `held`.
+    """
+    _lay(p, count, y, pad, pad, pad + n, n, look, residual, basis, window)
+
+
+@kernel
+def evaluate(p, count, y, weight, pad, n, look, sums, residual, basis, window):  # type: ignore[no-untyped-def]
+    """(sum of w r^2, sum of w r) of parameters `p` with `count` echoes.
+
+    As `lay`, but ``residual`` is only filled where an echo reaches: elsewhere it is what `sums`, `moments` of the
+    waveform, tell of the level, so that quiet samples cost nothing.
+    """
+    first, last = _span(p, count, pad, n, look)
+    _lay(p, count, y, pad, first, last, n, look, residual, basis, window)
+    two, one = _explained(y[first:], p[0], residual[first:], weight[first:], last - first)
+    b = p[0]
+    return sums[2] - 2.0 * b * sums[1] + b * b * sums[0] + two, sums[1] - b * sums[0] + one
 
 
 @vectorised
@@ -270,7 +303,7 @@ def _cross(one, two, weight, length):  # type: ignore[no-untyped-def]
 
 @kernel
 def normal_equations(p, count, weight, residual, basis, window, total, pull, hessian, gradient):  # type: ignore[no-untyped-def]
-    """Upper triangle of J^T W J and J^T W r, after `evaluate` at the same `p`.
+    """Upper triangle of J^T W J and J^T W r, after `evaluate` or `lay` at the same `p`.
 
     `total`, `pull` : sums of w and of w r.
     """
@@ -303,39 +336,46 @@ def normal_equations(p, count, weight, residual, basis, window, total, pull, hes
 
 
 @inlined
-def factorise(hessian, frozen, damping, size, lower):  # type: ignore[no-untyped-def]
-    """Cholesky factor of the upper triangle of `hessian` with its diagonal grown by `damping` and `frozen`; False if
-    singular. The diagonal of `lower` holds inverses."""
+def factorise(hessian, frozen, damping, size, upper):  # type: ignore[no-untyped-def]
+    """Cholesky factor R, R^T R = `hessian` with its diagonal grown by `damping` and `frozen`, into the upper triangle;
+    False if singular. The diagonal of `upper` holds inverses.
+
+    Each row is taken off all below it at once: that runs several numbers at a time, without another order of sums.
+    """
     for i in range(size):
-        for j in range(i):
-            s = hessian[j, i]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            lower[i, j] = s * lower[j, j]
-        s = hessian[i, i] * (1.0 + damping) + frozen[i] + 1e-12
-        for k in range(i):
-            s -= lower[i, k] * lower[i, k]
-        if not s > 0.0:
+        for j in range(i, size):
+            upper[i, j] = hessian[i, j]
+        upper[i, i] = hessian[i, i] * (1.0 + damping) + frozen[i] + 1e-12
+    for k in range(size):
+        row = upper[k, k:size]
+        if not row[0] > 0.0:
             return False
-        lower[i, i] = 1.0 / math.sqrt(s)
+        scale = 1.0 / math.sqrt(row[0])
+        row[0] = scale
+        for j in range(1, len(row)):
+            row[j] *= scale
+        for i in range(1, len(row)):
+            share, other, below = row[i], row[i:], upper[k + i, k + i : size]
+            for j in range(len(other)):
+                below[j] -= share * other[j]
     return True
 
 
 @inlined
-def _solve(lower, right, size, x):  # type: ignore[no-untyped-def]
-    """Solve L L^T x = right; the squared length of L^-1 right."""
+def _solve(upper, right, size, x):  # type: ignore[no-untyped-def]
+    """Solve R^T R x = right; the squared length of R^-T right."""
     expected = 0.0
     for i in range(size):
         s = right[i]
         for k in range(i):
-            s -= lower[i, k] * x[k]
-        x[i] = s * lower[i, i]
+            s -= upper[k, i] * x[k]
+        x[i] = s * upper[i, i]
         expected += x[i] * x[i]
     for i in range(size - 1, -1, -1):
         s = x[i]
         for k in range(i + 1, size):
-            s -= lower[k, i] * x[k]
-        x[i] = s * lower[i, i]
+            s -= upper[i, k] * x[k]
+        x[i] = s * upper[i, i]
     return expected
 
 
@@ -360,7 +400,7 @@ def fit(p, count, y, weight, pad, n, prior, limits, look, sums, work):  # type: 
     """
     if count == 1:
         return fit_one(p, y, weight, pad, n, prior, limits, look, sums)[0]
-    residual, basis, window, hessian, gradient, lower, move, trial, frozen = work
+    residual, basis, window, hessian, gradient, upper, move, trial, frozen = work
     size = 3 * count + 1
     narrow, wide, iterations, tolerance, highest = limits
     damping = FIRST_DAMPING
@@ -369,7 +409,7 @@ def fit(p, count, y, weight, pad, n, prior, limits, look, sums, work):  # type: 
     for a in range(size):
         trial[a] = p[a]
     while True:
-        new, pull = evaluate(trial, count, y, weight, pad, n, look, residual, basis, window)
+        new, pull = evaluate(trial, count, y, weight, pad, n, look, sums, residual, basis, window)
         away = trial[0] - prior[0]
         new += prior[1] * away * away
         if new <= chi:
@@ -394,24 +434,24 @@ def fit(p, count, y, weight, pad, n, prior, limits, look, sums, work):  # type: 
             a = 3 * k + 3
             held = (p[a] <= narrow and gradient[a] < 0.0) or (p[a] >= wide and gradient[a] > 0.0)
             frozen[a] = FROZEN if held else 0.0
-        while not factorise(hessian, frozen, damping, size, lower):
+        while not factorise(hessian, frozen, damping, size, upper):
             damping = 10.0 * damping + FIRST_DAMPING
             if damping > 1e8:
                 return chi
-        expected = _solve(lower, gradient, size, move)
+        expected = _solve(upper, gradient, size, move)
         _bounded_step(p, move, count, n, narrow, wide, highest, trial)
     return chi
 
 
 @inlined
-def variances(lower, size, x, out):  # type: ignore[no-untyped-def]
-    """Diagonal of (L L^T)^-1."""
+def variances(upper, size, x, out):  # type: ignore[no-untyped-def]
+    """Diagonal of (R^T R)^-1."""
     for q in range(size):
         total = 0.0
         for i in range(q, size):
             v = 1.0 if i == q else 0.0
             for k in range(q, i):
-                v -= lower[i, k] * x[k]
-            x[i] = v * lower[i, i]
+                v -= upper[k, i] * x[k]
+            x[i] = v * upper[i, i]
             total += x[i] * x[i]
         out[q] = total

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.least_squares import evaluate, factorise, fit, moments, normal_equations, variances
+from fwclass.decompose.least_squares import factorise, fit, lay, less, moments, normal_equations, variances
 from fwclass.decompose.peaks import BINS, first_echoes, level_and_noise, match_filter, surer
 from fwclass.decompose.second_look import posterior, second_look
 from fwclass.kernel import inlined, kernel, vectorised
@@ -91,31 +91,46 @@ def _highest(y, pad, n):  # type: ignore[no-untyped-def]
     return high
 
 
-@inlined
-def _whiten(y, weight, pad, n, after, phi, white):  # type: ignore[no-untyped-def]
-    """``white`` = what is left of the samples `y` when each is foretold from those before it; weight 1 where all of
-    them count, else 0. Samples that count."""
-    used, good = 0, 0
+@vectorised
+def _foretell(y, n, phi, white):  # type: ignore[no-untyped-def]
+    """``white[:n]`` = samples `y` less what those before each foretell of it."""
     for i in range(n):
-        good = good + 1 if weight[pad + i] > 0.0 else 0
-        value = y[pad + i]
-        for k in range(min(len(phi), i)):
-            value -= phi[k] * y[pad + i - 1 - k]
-        white[pad + i] = value
-        weight[pad + i] = 1.0 if good > len(phi) else 0.0
-        used += good > len(phi)
+        white[i] = y[i]
+    for k in range(min(len(phi), n - 1)):
+        share, later = phi[k], white[k + 1 :]
+        for i in range(n - 1 - k):
+            later[i] -= share * y[i]
+
+
+@inlined
+def _whiten(y, weight, pad, n, after, used, phi, white):  # type: ignore[no-untyped-def]
+    """``white`` = what is left of the samples `y` when each is foretold from those before it; weight 1 where all of
+    them count, else 0. Samples that count, of `used` before."""
+    _foretell(y[pad:], n, phi, white[pad:])
     white[pad + n : pad + n + after] = 0.0
+    if used == n:
+        weight[pad : pad + min(len(phi), n)] = 0.0
+        return max(n - len(phi), 0)
+    used, good = 0, 0
+    for i in range(pad, pad + n):
+        good = good + 1 if weight[i] > 0.0 else 0
+        weight[i] = 1.0 if good > len(phi) else 0.0
+        used += good > len(phi)
     return used
 
 
-@inlined
-def _weigh(y, pad, n, level, variance, shape_error, growth, weight):  # type: ignore[no-untyped-def]
+@vectorised
+def _weigh(y, n, level, variance, shape_error, growth, weight):  # type: ignore[no-untyped-def]
     """Less weight where echoes are high: the pulse's own shape is known to `shape_error` of its height, and noise
-    grows with the signal, by `growth` a DN."""
-    for i in range(pad, pad + n):
-        height = 0.25 * y[max(i - 1, pad)] + 0.5 * y[i] + 0.25 * y[min(i + 1, pad + n - 1)] - level
-        shape = shape_error * max(height, 0.0)
-        weight[i] *= variance / (variance + growth * max(height, 0.0) + shape * shape)
+    grows with the signal, by `growth` a DN. Neighbours of the first and the last of the `n` samples are these."""
+    square = shape_error * shape_error
+    for i in (0, n - 1):
+        high = max(0.5 * y[i] + 0.25 * (y[i] + y[1 if i == 0 else n - 2]) - level, 0.0)
+        weight[i] *= variance / (variance + growth * high + square * high * high)
+    before, at, after, weigh = y[: n - 2], y[1 : n - 1], y[2:n], weight[1 : n - 1]
+    for i in range(n - 2):
+        high = max(0.25 * before[i] + 0.5 * at[i] + 0.25 * after[i] - level, 0.0)
+        weigh[i] *= variance / (variance + growth * high + square * high * high)
 
 
 @vectorised
@@ -227,12 +242,11 @@ def fit_pulse(  # type: ignore[no-untyped-def]
     pad = look.before + 2
     used = _load(samples, first, n, base, pad, look.after + 2, top, y, weight)
     if len(kind.phi) > 0:
-        used = _whiten(y, weight, pad, n, look.after + 2, kind.phi, white)
+        used = _whiten(y, weight, pad, n, look.after + 2, used, kind.phi, white)
     longer = math.log(max(n * look.chances / USUAL, 1.0))
     detection = surer(math.sqrt(settings.detection**2 + 2.0 * longer), quiet)
     threshold = detection * noise / math.sqrt(look.energy)
-    for i in range(pad, pad + n):
-        residual[i] = white[i] - p[0]
+    less(white[pad:], p[0], n, residual[pad:])
     # profiles of the waveform before have reached into the padding; what nothing was foretold from says nothing
     residual[: pad + len(kind.phi)] = 0.0
     residual[pad + n : pad + n + look.after + 2] = 0.0
@@ -251,7 +265,7 @@ def fit_pulse(  # type: ignore[no-untyped-def]
     if count == 0:
         return 0, base, marginal, np.nan
     if settings.shape_error > 0.0 or kind.growth > 0.0:
-        _weigh(y, pad, n, level, variance, settings.shape_error, kind.growth * kind.innovation, weight)
+        _weigh(y[pad:], n, level, variance, settings.shape_error, kind.growth * kind.innovation, weight[pad:])
     sums = moments(white, weight, pad, n)
     highest = _highest(y, pad, n) - level
     highest = HIGHEST_SATURATED * (top - base) if used < n else settings.between * highest + 5.0 * marginal
@@ -288,11 +302,11 @@ def fit_pulse(  # type: ignore[no-untyped-def]
         count -= 1
         if count > 0:
             chi = fit(p, count, white, weight, pad, n, prior, limits, look, sums, work)
-            evaluate(p, count, white, weight, pad, n, look, residual, basis, window)
+            lay(p, count, white, pad, n, look, residual, basis, window)
     if count == 0:
         return 0, base, marginal, np.nan
     if _by_time(p, count):
-        evaluate(p, count, white, weight, pad, n, look, residual, basis, window)
+        lay(p, count, white, pad, n, look, residual, basis, window)
     while True:
         freedom = max(used - 3.0 * count - 1.0, 1.0)
         misfit = chi / (freedom * variance)
@@ -308,7 +322,7 @@ def fit_pulse(  # type: ignore[no-untyped-def]
             p[a] = p[a + 3]
         count -= 1
         chi = fit(p, count, white, weight, pad, n, prior, limits, look, sums, work)
-        evaluate(p, count, white, weight, pad, n, look, residual, basis, window)
+        lay(p, count, white, pad, n, look, residual, basis, window)
     return count, base, math.sqrt(final / kind.innovation), misfit
 
 
@@ -331,15 +345,15 @@ def _least_known(p, count, errors):  # type: ignore[no-untyped-def]
 
 @inlined
 def _standard_errors(p, count, weight, noise, prior_information, sums, work, out):  # type: ignore[no-untyped-def]
-    """Fill ``out[:3 count + 1]`` with the parameters' standard errors, after `evaluate` at `p`; NaN if singular."""
-    residual, basis, window, hessian, gradient, lower, move, _, frozen = work
+    """Fill ``out[:3 count + 1]`` with the parameters' standard errors, after `lay` at `p`; NaN if singular."""
+    residual, basis, window, hessian, gradient, upper, move, _, frozen = work
     size = 3 * count + 1
     normal_equations(p, count, weight, residual, basis, window, sums[0], 0.0, hessian, gradient)
     hessian[0, 0] += prior_information
     for a in range(size):
         frozen[a] = 0.0
-    if factorise(hessian, frozen, 0.0, size, lower):
-        variances(lower, size, move, out)
+    if factorise(hessian, frozen, 0.0, size, upper):
+        variances(upper, size, move, out)
         for a in range(size):
             out[a] = noise * math.sqrt(out[a])
     else:
@@ -397,7 +411,7 @@ def fit_all(  # type: ignore[no-untyped-def]
     spare = (np.zeros(padded), np.empty(length), np.empty(size), np.empty(size), np.zeros(most, np.bool_))
     y, weight, p, errors = np.zeros(padded), np.zeros(padded), np.empty(size), np.empty(size)
     white = np.zeros(padded) if len(kind.phi) > 0 else y
-    bins, drop = np.empty(BINS + 1, np.int32), np.zeros(most, np.bool_)
+    bins, drop = np.empty((3, BINS + 1), np.int32), np.zeros(most, np.bool_)
     pad = look.before + 2
     total = 0
     for w in rows:

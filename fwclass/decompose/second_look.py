@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fwclass.decompose.least_squares import evaluate, fit, held
-from fwclass.decompose.peaks import is_peak, match_filter, surer
+from fwclass.decompose.least_squares import fit, held, lay
+from fwclass.decompose.peaks import is_peak, match_filter, next_above, surer
 from fwclass.kernel import inlined, vectorised
 
 TRIGGER = 0.6
@@ -36,6 +36,24 @@ class Settings(NamedTuple):
 def _copy(source, size, target):  # type: ignore[no-untyped-def]
     for a in range(size):
         target[a] = source[a]
+
+
+@vectorised
+def _times(one, two, n, out):  # type: ignore[no-untyped-def]
+    for i in range(n):
+        out[i] = one[i] * two[i]
+
+
+@inlined
+def _highest_peak(z, n, threshold):  # type: ignore[no-untyped-def]
+    """The highest peak above `threshold`, -1 without one."""
+    peak = -1
+    i = next_above(z, 0, n, threshold)
+    while i < n:
+        if is_peak(z, n, i) and (peak < 0 or z[i] > z[peak]):
+            peak = i
+        i = next_above(z, i + 1, n, threshold)
+    return peak
 
 
 @vectorised
@@ -132,20 +150,16 @@ def second_look(  # type: ignore[no-untyped-def]
     weighted, filtered, trial, best, tried = spare
     tried[:] = False
     gain = settings.split_gain
-    evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
+    lay(p, count, y, pad, n, look, residual, basis, window)
     for _ in range(2 * most):
         if count >= most or 3 * count + 5 > used:
             break
         variance, freedom = posterior(chi, used - 3.0 * count - 1.0, known)
         variance = min(variance, quiet[0])
         threshold = surer(settings.detection, freedom) * math.sqrt(variance / look.energy)
-        for i in range(pad, pad + n):
-            weighted[i] = residual[i] * weight[i]
+        _times(residual[pad:], weight[pad:], n, weighted[pad:])
         match_filter(weighted, pad, n, look.template, look.template_first, filtered)
-        peak = -1
-        for i in range(n):
-            if filtered[i] > threshold and is_peak(filtered, n, i) and (peak < 0 or filtered[i] > filtered[peak]):
-                peak = i
+        peak = _highest_peak(filtered, n, threshold)
         score, k, skew = _worst_shape(count, weight, residual, window, look, tried)
         split = score > TRIGGER * gain * variance
         if peak < 0 and not split:
@@ -180,7 +194,7 @@ def second_look(  # type: ignore[no-untyped-def]
             count += 1
             chi = best_chi
             tried[:] = False
-        evaluate(p, count, y, weight, pad, n, look, residual, basis, window)
+        lay(p, count, y, pad, n, look, residual, basis, window)
         if not found and not split:
             break
     return count, chi

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy  # its parts are loaded when they are used
@@ -32,6 +33,8 @@ LANES = 4
 """Profiles are padded to a multiple of this many samples, so that loops over them have no rest."""
 COARSEST, FINEST = 0.6, 400.0
 """Samples per full width at half maximum between which a waveform can be fitted."""
+KEPT = 8
+"""Tables that a process keeps, some MB each: chunk after chunk of a strip asks for the same."""
 TEMPLATE_FOOT = 0.011
 """The matched filter covers the pulse where it is higher than this."""
 
@@ -148,8 +151,27 @@ def fits_spacing(pulse: SystemPulse, spacing: NDArray[np.float64]) -> NDArray[np
 def lookup(
     pulse: SystemPulse, spacing: float, narrowest: float, widest: float, noise: Autoregression = WHITE
 ) -> Lookup:
-    """The table for echoes from `narrowest` to `widest` pulse widths at a sample spacing [ns], in noise of a kind."""
-    profiles = Profiles(pulse)
+    """The table for echoes from `narrowest` to `widest` pulse widths at a sample spacing [ns], in noise of a kind.
+
+    It is shared with whoever asks for the same: not to be written.
+    """
+    values = np.ascontiguousarray(pulse.values, np.float64).tobytes()
+    return _lookup(pulse.shape, pulse.fwhm, pulse.first, pulse.step, values, spacing, narrowest, widest, noise)
+
+
+@lru_cache(maxsize=KEPT)
+def _lookup(
+    shape: Literal["gaussian", "measured"],
+    fwhm: float,
+    first_time: float,
+    step: float,
+    values: bytes,
+    spacing: float,
+    narrowest: float,
+    widest: float,
+    noise: Autoregression,
+) -> Lookup:
+    profiles = Profiles(SystemPulse(shape, fwhm, first_time, step, np.frombuffer(values)))
     low = 1.0 - WIDTH_STEP * math.ceil((1.0 - narrowest) / WIDTH_STEP - 1e-9)
     widths = max(math.ceil((widest - low) / WIDTH_STEP - 1e-9), 1)
     edges = (low + 0.5 * WIDTH_STEP * np.arange(2 * widths + 1)) * profiles.s0

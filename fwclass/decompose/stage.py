@@ -234,6 +234,6 @@ def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:
     return Table({"pulse": returns["pulse"], "echo_number": number})
 
 
-PULSE = Computation(name="pulse", version=5)
-PLACES = Computation(name="places", version=1)
-DECOMPOSE = Computation(name="decompose", version=7, writes=ECHO_COLUMNS)
+PULSE = Computation(name="pulse", version=6)
+PLACES = Computation(name="places", version=2)
+DECOMPOSE = Computation(name="decompose", version=8, writes=ECHO_COLUMNS)

@@ -11,7 +11,7 @@ import yaml
 from fwclass.decompose import fitting
 from fwclass.decompose.deconvolution import backscatter_samples
 from fwclass.decompose.fitting import fit_waveforms
-from fwclass.decompose.least_squares import evaluate
+from fwclass.decompose.least_squares import evaluate, lay, moments
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import DecomposeParams, PulseParams, SampleParams
 from fwclass.decompose.placement import AS_STORED
@@ -123,7 +123,10 @@ def evaluate_anywhere() -> None:
     basis, window = np.empty((1, 3, look.table.shape[2])), np.zeros((1, 4), np.int64)
     for t in (np.nan, -np.inf, -1e12, -60.0, -2.001, 0.5, n + 1.001, n + 60.0, 1e12, np.inf):
         for s in (-1e9, 0.0, 1.0, 3.0, 1e9, np.inf):
-            evaluate(np.array([0.0, 5.0, t, s]), 1, y, weight, look.before + 2, n, look, residual, basis, window)
+            p, pad = np.array([0.0, 5.0, t, s]), look.before + 2
+            lay(p, 1, y, pad, n, look, residual, basis, window)
+            assert 0 <= window[0, 0] <= window[0, 1] <= size
+            evaluate(p, 1, y, weight, pad, n, look, moments(y, weight, pad, n), residual, basis, window)
             assert 0 <= window[0, 0] <= window[0, 1] <= size
 
 

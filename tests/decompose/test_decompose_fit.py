@@ -12,7 +12,7 @@ from scipy.optimize import curve_fit
 
 from fwclass.decompose import fitting
 from fwclass.decompose.fitting import SATURATED, Fits, fit_waveforms, model_of
-from fwclass.decompose.least_squares import evaluate, fit, fit_one, moments, place
+from fwclass.decompose.least_squares import evaluate, fit, fit_one, lay, moments, place
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.peaks import BINS, level_and_noise
 from fwclass.decompose.shapes import Profiles, lookup, widths_of
@@ -97,7 +97,7 @@ def test_profiles_of_a_measured_pulse_keep_area_origin_and_width():
 def test_level_and_noise_of_waveforms_full_of_echoes(deep):
     """Unbiased on noise; half of a waveform under echoes moves the level by less than half the noise."""
     rng = np.random.default_rng(1)
-    bins = np.empty(BINS + 1, np.int32)
+    bins = np.empty((3, BINS + 1), np.int32)
     quiet = np.rint(deep * (30 + rng.normal(0, 1.5, (2000, 72)))).astype(np.uint16)
     full = quiet + np.rint(deep * gaussian(72, [(90, 20, 5), (60, 31, 5), (120, 44, 6)], 0.0)).astype(np.uint16)
     for samples, off, ratio in ((quiet, 0.03, 0.03), (full, 0.75, 0.35)):
@@ -131,8 +131,11 @@ def test_fast_path_of_one_echo_is_the_general_fit():
             np.zeros(size),
         )
         chi, _ = fit_one(one, y, weight, pad, LENGTH, prior, limits, look, sums)
-        square, _ = evaluate(one, 1, y, weight, pad, LENGTH, look, work[0], work[1], work[2])
+        square, _ = evaluate(one, 1, y, weight, pad, LENGTH, look, sums, *work[:3])
         np.testing.assert_allclose(square + 0.1 * (one[0] - 10.0) ** 2, chi, rtol=1e-9)
+        lay(one, 1, y, pad, LENGTH, look, *work[:3])
+        left = work[0][pad : pad + LENGTH]
+        np.testing.assert_allclose(square, left @ left, rtol=1e-9)  # quiet samples by their moments alone
         # a second echo of no height does not change the first
         general = fit(many, 2, y, weight, pad, LENGTH, prior, limits, look, sums, work)
         assert general > 0.6 * chi

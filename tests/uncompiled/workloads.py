@@ -28,7 +28,7 @@ from fwclass.classify.vote import walkable, winners
 from fwclass.columns import FEATURES
 from fwclass.conf.street import scanner
 from fwclass.decompose.deconvolution import backscatter_samples
-from fwclass.decompose.least_squares import evaluate
+from fwclass.decompose.least_squares import evaluate, moments
 from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import DecomposeParams, SampleParams, StackParams
 from fwclass.decompose.placement import AS_STORED
@@ -292,10 +292,9 @@ def work_model_of_a_waveform(_: Path) -> Any:
     size = 30 + look.before + look.after + 4
     weight, residual = np.ones(size), np.zeros(size)
     basis, window = np.empty((1, 3, look.table.shape[2])), np.zeros((1, 4), np.int64)
-    evaluate(
-        np.array([0.0, 5.0, 12.3, 1.2]), 1, np.zeros(size), weight, look.before + 2, 30, look, residual, basis, window
-    )
-    return residual, window
+    p, y, pad = np.array([0.0, 5.0, 12.3, 1.2]), np.zeros(size), look.before + 2
+    sums = moments(y, weight, pad, 30)
+    return evaluate(p, 1, y, weight, pad, 30, look, sums, residual, basis, window), residual, window
 
 
 def work_matching(_: Path) -> Any:
