@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,15 +15,13 @@ from fwclass.assess.confusion import figures
 from fwclass.assess.intervals import DRAWS, LEVEL, SEED, intervals
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
-from fwclass.conf.street import scanner
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
 from fwclass.hashing import hashed
 from fwclass.model import ClassDef, Model, assemble, class_index
-from fwclass.read.trajectory import read_trajectory
 from fwclass.schema import Table
-from fwclass.street.frames import Frame, Recording, Scan, Track
+from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
-from fwclass.street.recordings import open_recording
 from fwclass.street.ring import Ring, Seen, feature_names
 from fwclass.street.sphere_kernels import UNIT
 from fwclass.train.baselines.params import CompareParams
@@ -107,7 +104,7 @@ class Rows:
         return Rows(self.X[rows], self.codes[rows], self.key[rows], self.place[rows], self.depth[rows])
 
 
-def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Iterator[Rows]:
+def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Iterator[Rows]:
     """All returns of the recordings, by blocks of frames."""
     for number, path in enumerate(paths):
         held: list[Rows] = []
@@ -120,46 +117,7 @@ def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: tuple[Path,
             yield joined(held)
 
 
-def trajectory_of(config: Config) -> tuple[Path, ...]:
-    """The files of `survey.trajectory`, relative to survey.directory; `ConfigError` for one that is not there."""
-    base = config.path.parent / (config.survey.directory or ".")
-    found = tuple(base / name for name in config.survey.trajectory.files)
-    for path in found:
-        if not path.is_file():
-            raise ConfigError("no such trajectory", where=f"{config.path}: survey.trajectory.files", got=path)
-    return found
-
-
-@dataclass(frozen=True)
-class OnTrajectory:
-    """A recording whose frames are placed along the way of a trajectory: by its length in plan, straight between fixes.
-
-    The trajectory's clock is the frames'. Frames outside its time have no place.
-    """
-
-    recording: Recording
-    files: tuple[Path, ...]
-
-    @property
-    def told(self) -> Mapping[str, Any]:
-        return self.recording.told
-
-    def frames(self) -> Iterator[Frame]:
-        fixes = [read_trajectory(path) for path in self.files]
-        time, x, y = (np.concatenate([f[n] for f in fixes]) for n in ("gps_time", "x", "y"))
-        order = np.argsort(time, kind="stable")
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x[order]), np.diff(y[order])))])
-        for frame in self.recording.frames():
-            yield replace(frame, place=float(np.interp(frame.time, time[order], way, math.nan, math.nan)))
-
-
-def opened(path: Path, params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Recording:
-    """The recording at `path`, placed along a trajectory where there is one."""
-    recording = open_recording(path, Scan.of(scanner(params.scanner)), params.topic)
-    return OnTrajectory(recording, trajectory) if trajectory else recording
-
-
-def seen_frames(path: Path, params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Iterator[Seen]:
+def seen_frames(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Iterator[Seen]:
     """The frames of a recording with their features."""
     track, ring = Track(params), None
     for frame in opened(path, params, trajectory).frames():

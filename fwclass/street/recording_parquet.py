@@ -78,7 +78,7 @@ class ParquetRecording:
         """As `Recording.frames`."""
         at = 0
         try:
-            with pq.ParquetFile(self.path) as file:
+            with pq.ParquetFile(self.path, pre_buffer=False) as file:  # a buffer would keep all that was read
                 for batch in file.iter_batches(BLOCK, columns=self._names, use_threads=False):
                     numbers = {n: _numbers(batch.column(n)) for n in self._names if n in NUMBERS}
                     for row in range(batch.num_rows):

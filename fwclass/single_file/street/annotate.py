@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.conf.street import scanner
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
 from fwclass.publish.files import whole
 from fwclass.publish.street_pictures import draw_slice
 from fwclass.street.annotation import HEAD, Box, Labeller, ended, overlaps, read_boxes
-from fwclass.street.frames import Frame, Scan, Track
+from fwclass.street.frames import Frame, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_parquet import write_recording
-from fwclass.street.recordings import open_recording
 from fwclass.street.sphere_kernels import UNIT
 
 MOST_SHOWN = 200_000
@@ -34,6 +33,7 @@ def annotate(
     slice_: float,
     overwrite: bool,
     params: StreetParams,
+    trajectory: TrajectoryFiles = NO_TRAJECTORY,
 ) -> dict[str, Any]:
     """Apply the rectangles of `file` to a recording; plain data.
 
@@ -55,9 +55,7 @@ def annotate(
     places: list[float] = []
 
     def labelled() -> Any:
-        for frame, placed in labeller.frames(
-            open_recording(source, Scan.of(scanner(params.scanner)), params.topic).frames()
-        ):
+        for frame, placed in labeller.frames(opened(source, params, trajectory).frames()):
             place = placed.place * UNIT
             places.append(place)
             if not ahead:

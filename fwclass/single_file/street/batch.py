@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.street import opened, params_of, told
+from fwclass.graph.street import params_of, told
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
 from fwclass.model import Model
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -43,13 +44,13 @@ class Work:
     recording: Path
     model: Path
     params: StreetParams
-    trajectory: tuple[Path, ...] = ()
+    trajectory: TrajectoryFiles = NO_TRAJECTORY
 
 
 def check(work: Work) -> None:
     """`InputError` or `ConfigError` where the model or the recording cannot be used, before anything is written."""
     params_of(load_model(work.model), work.params, work.model)
-    opened(work.recording, work.params)
+    opened(work.recording, work.params, work.trajectory)
 
 
 def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:

@@ -8,20 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.street.frames import Scan, Track
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
+from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
-from fwclass.street.recordings import open_recording
 from fwclass.street.sphere_kernels import UNIT
 
 
-def info(path: Path, params: StreetParams) -> dict[str, Any]:
+def info(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> dict[str, Any]:
     """Beams, times, way, counts by cause and remarks of a recording; plain data.
 
     A recording that ends in damage is told up to there.
     """
-    recording = open_recording(path, Scan.of(scanner(params.scanner)), params.topic)
+    recording = opened(path, params, trajectory)
     track = Track(params if params.speed is not None else params.model_copy(update={"speed": 0.0}))
     times: list[float] = []
     places: list[int] = []
@@ -102,6 +101,17 @@ def _remarks(made: dict[str, Any], params: StreetParams) -> list[str]:
     return said
 
 
+def _measured(made: dict[str, Any]) -> str:
+    """How the frames of a LAS file were cut."""
+    turn = made["measured"]
+    left = ", ".join(f"{n} {cause}" for cause, n in made["left_out"].items())
+    return (
+        f"measured    {made['rows']} points, times {turn['times']}; a frame every {turn['period_ms']:.3f} ms "
+        f"({turn['even_percent']:.1f} % on it), beams every {turn['step_deg']:.4f}°"
+        + (f"; left out: {left}" if left else "")
+    )
+
+
 def describe(made: dict[str, Any]) -> str:
     """The same for a terminal."""
     scan = made["scan"] or {}
@@ -109,6 +119,8 @@ def describe(made: dict[str, Any]) -> str:
     if made.get("topic"):
         lines.append(f"topic       {made['topic']}")
         lines += [f"            {name}: {n}" for name, n in made["topics"].items()]
+    if made.get("measured"):
+        lines.append(_measured(made))
     if scan:
         lines.append(
             f"beams       {scan['beams']} of {scan['first_angle_deg']:g} to {scan['last_angle_deg']:g}° by "

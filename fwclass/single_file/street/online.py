@@ -20,7 +20,8 @@ import numpy as np
 from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.street import opened, params_of
+from fwclass.graph.street import params_of
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
 from fwclass.model import Model
 from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
@@ -121,7 +122,7 @@ class Run:
     target: Path
     paced: bool
     overwrite: bool
-    trajectory: tuple[Path, ...] = ()
+    trajectory: TrajectoryFiles = NO_TRAJECTORY
 
 
 def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str, Any]:

@@ -9,7 +9,8 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.graph.street import Split, by_model, fitted, judged, recordings_of, rows_of, sample_of, trajectory_of
+from fwclass.graph.street import Split, by_model, fitted, judged, recordings_of, rows_of, sample_of
+from fwclass.graph.street_recordings import TrajectoryFiles
 from fwclass.single_file.model_directory import check_target, deliver
 from fwclass.store.models import save_model
 from fwclass.street.ring import feature_names
@@ -23,7 +24,7 @@ def train(
     check_target(target, overwrite)
     paths = recordings_of(config, directory)
     params, classes, split = config.street, config.classes, Split.of(config)
-    names, way = feature_names(params), trajectory_of(config)
+    names, way = feature_names(params), TrajectoryFiles.of(config)
     say(f"features     {len(names)} of {len(paths)} recordings")
     sample = sample_of(rows_of(paths, params, way), names, split, classes, config.train.samples_per_class)
     say(f"training     {config.train.method} on {sample.rows} returns")
