@@ -144,6 +144,12 @@ class Geometry:
         return 1.0 / math.sqrt(1.0 - self.lean**2)
 
 
+FARTHEST = 2000.0
+"""m; no range is longer: coordinates and `FAR` are in 32 bits."""
+
+FASTEST, LATEST, ROUND_THE_EARTH = 100.0, 1e10, 4e7
+"""Speeds [m/s], times [s] and places [m] beyond these are no values."""
+
 FAULTS = (
     "out of order",
     "doubled",
@@ -153,6 +159,7 @@ FAULTS = (
     "reversing",
     "standing",
     "no speed",
+    "impossible speed or place",
 )
 """What frames are counted for; the first three are left out."""
 
@@ -201,7 +208,7 @@ class Track:
 
     def _in_time(self, frame: Frame) -> bool:
         """Whether the frame comes after the one before; how far along the road it is."""
-        if not math.isfinite(frame.time):
+        if not abs(frame.time) <= LATEST:
             self.faults["out of order"] += 1
             return False
         step = frame.time - self._time if self.used else 0.0
@@ -221,13 +228,14 @@ class Track:
         return True
 
     def _advance(self, frame: Frame, step: float) -> None:
-        if math.isfinite(frame.place):
-            moved = frame.place - self._given if math.isfinite(self._given) else 0.0
+        place, told = self._within(frame.place, ROUND_THE_EARTH), self._within(frame.speed, FASTEST)
+        if math.isfinite(place):
+            moved = place - self._given if math.isfinite(self._given) else 0.0
             if not self.used:
-                self._along = frame.place
-            self._given = frame.place
+                self._along = place
+            self._given = place
         else:
-            speed = frame.speed if math.isfinite(frame.speed) else self.params.speed
+            speed = told if math.isfinite(told) else self.params.speed
             if speed is None:
                 self.faults["no speed"] += 1
                 speed = self._speed
@@ -246,12 +254,19 @@ class Track:
             self.faults["reversing"] += moved < 0
             self.faults["standing"] += moved == 0
 
+    def _within(self, value: float, most: float) -> float:
+        """`value`, or NaN for one that is beyond `most`, which is counted."""
+        if abs(value) <= most or math.isnan(value):
+            return value
+        self.faults["impossible speed or place"] += 1
+        return math.nan
+
     def _placed(self, frame: Frame, geometry: Geometry) -> Placed:
         beams = geometry.scan.beams
         x = np.empty(beams if geometry.tilted else 0, np.int32)
         y, z, r = np.empty(beams, np.int32), np.empty(beams, np.int32), np.empty(beams, np.float32)
         under = np.empty(beams)
-        limits = geometry.scan.range_min, geometry.scan.range_max
+        limits = geometry.scan.range_min, min(geometry.scan.range_max, FARTHEST)
         below = -0.5 * self.params.mounting.height
         near = self.params.road_half_width
         count = place_frame(frame.ranges, geometry.direction, *limits, near, below, x, y, z, r, self.missing, under)

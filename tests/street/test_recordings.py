@@ -170,3 +170,73 @@ def test_speed_that_is_nowhere():
 def test_the_height_of_the_road_is_found():
     placed, _ = taken(drive()[:40], features="road")
     assert np.median([p.road for p in placed]) == pytest.approx(-1.8, abs=0.05)
+
+
+def chunked(path, ros2, compression, ranges=1000):
+    """A bag of one chunk whose scans are all alike, so that it is compressed a thousandfold."""
+    from rosbags.rosbag1 import Writer as One
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+    from rosbags.rosbag2 import Writer as Two
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE if ros2 else Stores.ROS1_NOETIC)
+    types = store.types
+    Time, Header, Laser = (
+        types[n] for n in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "sensor_msgs/msg/LaserScan")
+    )
+    writer = Two(path, version=9, storage_plugin=StoragePlugin.MCAP) if ros2 else One(path)
+    if ros2:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    else:
+        writer.set_compression(getattr(writer.CompressionFormat, compression))
+        writer.chunk_threshold = 1 << 30
+    with writer:
+        connection = writer.add_connection("/scan", "sensor_msgs/msg/LaserScan", typestore=store)
+        for k in range(ranges):
+            stamp = Time(sec=10, nanosec=k * 25_000)
+            head = Header(stamp=stamp, frame_id="") if ros2 else Header(seq=k, stamp=stamp, frame_id="")
+            values = np.full(10_000, np.inf, np.float32)
+            scan = Laser(head, -0.1, 0.0001, 0.0001, 0.0, 0.025, 0.1, 30.0, values, np.zeros(0, np.float32))
+            write = store.serialize_cdr if ros2 else store.serialize_ros1
+            writer.write(connection, 10_000_000_000 + k, write(scan, "sensor_msgs/msg/LaserScan"))
+
+
+@pytest.mark.parametrize(("ros2", "compression"), [(False, "BZ2"), (False, "LZ4"), (True, "ZSTD")])
+def test_a_decompression_bomb_is_refused_before_memory_is_taken(tmp_path, monkeypatch, ros2, compression):
+    import tracemalloc
+
+    from fwclass.street import bag_limits
+
+    monkeypatch.setattr(bag_limits, "CHUNK", 1 << 19)  # below the 1 MB of an MCAP writer
+    bag = tmp_path / ("directory" if ros2 else "one.bag")
+    chunked(bag, ros2, compression)
+    size = sum(p.stat().st_size for p in ([bag] if bag.is_file() else bag.iterdir()))
+    assert size < 1 << 20  # of 40 MB
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"more than|overlap"):
+        list(open_recording(bag, SCAN).frames())
+    assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    tracemalloc.stop()
+    monkeypatch.undo()
+    assert len(list(open_recording(bag, SCAN).frames())) == 1000
+
+
+def test_a_database_that_computes_is_refused(tmp_path):
+    import sqlite3
+
+    laser_bag(tmp_path / "bag", {"/scan": "sensor_msgs/msg/LaserScan"}, True)
+    (database,) = (tmp_path / "bag").glob("*.db3")
+    opened = sqlite3.connect(database)
+    opened.execute("ALTER TABLE messages RENAME TO held")
+    opened.execute("CREATE VIEW messages AS SELECT * FROM held")
+    opened.commit()
+    opened.close()
+    with pytest.raises(InputError, match="view"):
+        open_recording(tmp_path / "bag", SCAN)
+
+
+def test_a_bag_with_types_that_nobody_knows_is_read(tmp_path, shared_data):
+    """The definitions of its other topics are not needed."""
+    data = (shared_data / "street" / "sick_lms1xx.bag").read_bytes()
+    (tmp_path / "a.bag").write_bytes(data.replace(b"float32", b"flaot32"))
+    assert len(list(open_recording(tmp_path / "a.bag", SCAN).frames())) == 89

@@ -92,7 +92,7 @@ def _remarks(made: dict[str, Any], params: StreetParams) -> list[str]:
             said.append(f"{count} frames: {cause}")
     if made["speed"] and made["period_ms"] and made["speed"][1] > 0:
         step = made["speed"][1] * made["period_ms"][1] / 1000
-        needed = math.ceil(max(params.radii) / step)
+        needed = math.ceil(min(max(params.radii) / step, 1e9)) if math.isfinite(step) and step > 0 else 0
         if needed > params.most_frames:
             said.append(
                 f"at {made['speed'][1]:g} m/s a sphere of {max(params.radii):g} m reaches over {needed} frames to "
