@@ -220,7 +220,7 @@ class Track:
             self.faults["clock leaps"] += 1
             step = period if math.isfinite(period) and step < 0 else max(step, 0.0)
         elif math.isfinite(period) and step > 1.5 * period:
-            self.faults["dropped before"] += round(step / period) - 1
+            self.faults["dropped before"] += round(min(step / period, 1e9)) - 1
         if self.used and len(self._steps) < 99 and step > 0:
             self._steps.append(step)
         self._advance(frame, step)

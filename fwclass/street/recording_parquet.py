@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.parquet_footer import values_told
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import COLUMNS, LISTS, MOST_BEAMS, NUMBERS, check_columns, frame_of, settings_of
 
@@ -35,10 +36,9 @@ class ParquetRecording:
         try:
             with pq.ParquetFile(path) as file:
                 schema, meta = file.schema_arrow, file.metadata
-                groups = [meta.row_group(g) for g in range(meta.num_row_groups)]
-                values = sum(g.column(c).num_values for g in groups for c in range(meta.num_columns))
-                rows = [g.num_rows for g in groups]
-        except (pa.ArrowException, OSError) as fault:
+                rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
+            values = values_told(path)
+        except (pa.ArrowException, OSError, ValueError) as fault:
             raise damaged(path, fault) from None
         check_columns(schema.names, path)
         for name in schema.names:
@@ -61,7 +61,7 @@ class ParquetRecording:
                     got=kind.list_size,
                 )
         size = path.stat().st_size
-        if min([*rows, 0]) < 0 or values * FEWEST_BYTES > size or sum(rows) * FEWEST_BYTES > size:
+        if min([*rows, 0]) < 0 or max(values, sum(rows)) * FEWEST_BYTES > size:
             raise InputError(
                 "the file counts more than it can hold",
                 where=path,
