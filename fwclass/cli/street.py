@@ -46,11 +46,11 @@ def info(recordings: tuple[Path, ...], conf: Path | None, settings: tuple[str, .
 
     config = _config(conf, settings)
     trajectory = TrajectoryFiles.of(config)
-    made = [look(path, config.street, trajectory) for path in recordings]
+    summary = [look(path, config.street, trajectory) for path in recordings]
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
     else:
-        click.echo("\n\n".join(map(describe, made)))
+        click.echo("\n\n".join(map(describe, summary)))
 
 
 @street.command()
@@ -91,10 +91,10 @@ def train(conf: Path, target: Path, method: str | None, settings: tuple[str, ...
 
     if method is not None:
         settings = (*settings, f"train.method={_known(method, '--method')}")
-    made = training(_config(conf, settings), target, say=_say, **asked)
-    click.echo(describe(made), err=True)
+    summary = training(_config(conf, settings), target, say=_say, **asked)
+    click.echo(describe(summary), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
 
 
 @street.command()
@@ -126,10 +126,10 @@ def classify(
         tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}-") as beside,
         open_runner(Path(beside), int(count), asked["scheduler"], config.run) as runner,
     ):
-        made = work(job, output, runner, config.assess.block)
-    click.echo(describe_batch(made, output), err=True)
+        summary = work(job, output, runner, config.assess.block)
+    click.echo(describe_batch(summary, output), err=True)
     if asked["as_json"]:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
 
 
 @street.command()
@@ -157,10 +157,10 @@ def run(
 
     config = _config(conf, settings)
     job = Run(source, model, target, pace == "recorded", asked["overwrite"], TrajectoryFiles.of(config))
-    made = work(job, config.street, _say)
-    click.echo(f"{describe(made)}\nanswers      {target}", err=True)
+    summary = work(job, config.street, _say)
+    click.echo(f"{describe(summary)}\nanswers      {target}", err=True)
     if asked["as_json"]:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
 
 
 @street.command()
@@ -182,7 +182,7 @@ def annotate(
     from fwclass.single_file.street.annotate import describe
 
     config = _config(conf, settings)
-    made = work(recording, file, params=config.street, trajectory=TrajectoryFiles.of(config), **asked)
-    click.echo(describe(made), err=True)
+    summary = work(recording, file, params=config.street, trajectory=TrajectoryFiles.of(config), **asked)
+    click.echo(describe(summary), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))

@@ -40,8 +40,8 @@ LEAST = 5
 def recordings_of(config: Config, directory: Path | None = None) -> list[Path]:
     """The survey's recordings in order; `ConfigError` where there are none. `directory`: in place of the survey's."""
     base = directory or config.path.parent / (config.survey.directory or ".")
-    found = [path for pattern in config.survey.sources for path in sorted(base.glob(pattern))]
-    if not found:
+    paths = [path for pattern in config.survey.sources for path in sorted(base.glob(pattern))]
+    if not paths:
         raise ConfigError(
             "no recording of this name",
             where=f"{config.path}: survey.sources",
@@ -49,7 +49,7 @@ def recordings_of(config: Config, directory: Path | None = None) -> list[Path]:
             got=", ".join(config.survey.sources),
             do="check survey.directory and survey.sources",
         )
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(paths))
 
 
 def computed(params: StreetParams) -> dict[str, Any]:
@@ -66,10 +66,12 @@ def computed(params: StreetParams) -> dict[str, Any]:
 
 def params_of(model: Model, params: StreetParams, where: object) -> StreetParams:
     """`params` with what the features of `model` were computed by; `ConfigError` for a model of other features."""
-    told = model.card.get("computed", {})
-    told = told.get("street") if isinstance(told, Mapping) else None
+    card = model.card.get("computed", {})
+    settings = card.get("street") if isinstance(card, Mapping) else None
     try:
-        changed = StreetParams.model_validate({**params.model_dump(), **told}) if isinstance(told, Mapping) else None
+        changed = (
+            StreetParams.model_validate({**params.model_dump(), **settings}) if isinstance(settings, Mapping) else None
+        )
     except ValueError:
         changed = None
     if changed is None or feature_names(changed) != model.features:
@@ -217,10 +219,10 @@ def fitted(
 ) -> Model:
     """A model of the method that `train` names, whose card says how its features were computed."""
     if train.method == "forest":
-        made: Any = assemble(grow_trees(sample, classes, 0, train.trees, train), card(sample, classes, train))
+        model: Any = assemble(grow_trees(sample, classes, 0, train.trees, train), card(sample, classes, train))
     else:
-        made = train_other(sample, train, compare, classes, train.method)
-    return replace(made, card={**made.card, "computed": computed(params)})
+        model = train_other(sample, train, compare, classes, train.method)
+    return replace(model, card={**model.card, "computed": computed(params)})
 
 
 def judged(
@@ -230,7 +232,7 @@ def judged(
     classes: Sequence[ClassDef],
     block: float,
 ) -> dict[str, Any]:
-    """Figures of the test rows (all without `split`), plain data; see `told`. `block` of road [m] for intervals."""
+    """`crown_accuracy` of the test rows (of all without `split`). `block`: of road, for intervals [m]."""
     parts = []
     for rows in blocks:
         chosen = class_index(rows.codes, classes) >= 0
@@ -240,7 +242,7 @@ def judged(
         if len(few.key):
             road = few.place + 1e6 * (few.key >> np.uint64(48))  # recordings are apart
             parts.append(BlockCounts.of(road, np.zeros(len(road)), few.codes, answers(few), classes, block))
-    return told(BlockCounts.merged(parts, len(classes)), classes)
+    return crown_accuracy(BlockCounts.merged(parts, len(classes)), classes)
 
 
 def by_model(model: Model) -> Callable[[Rows], NDArray[np.uint8]]:
@@ -251,7 +253,7 @@ def by_model(model: Model) -> Callable[[Rows], NDArray[np.uint8]]:
 CROWN_FIGURES = ("error", "detection", "false_alarm")
 
 
-def told(blocks: BlockCounts, classes: Sequence[ClassDef]) -> dict[str, Any]:
+def crown_accuracy(blocks: BlockCounts, classes: Sequence[ClassDef]) -> dict[str, Any]:
     """Figures of `confusion.figures`, and of the first class, the crowns, those of Li 2018 with 95 % intervals.
 
     error: wrong / all. detection: crown returns found / crown returns. false_alarm: other returns taken for crown /
@@ -266,13 +268,13 @@ def told(blocks: BlockCounts, classes: Sequence[ClassDef]) -> dict[str, Any]:
         drawn = np.stack([flat[random.integers(0, len(flat), len(flat))].sum(axis=0) for _ in range(DRAWS)])
         tails = (0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
         ends = np.nanquantile(crown_figures(drawn.reshape(-1, *matrix.shape)), tails, axis=0)
-    made: dict[str, Any] = {**figures(matrix, [c.name for c in classes]), "rows": int(matrix.sum())}
-    made["intervals"] = intervals(counts)
-    made["blocks"] = len(counts)
+    accuracy: dict[str, Any] = {**figures(matrix, [c.name for c in classes]), "rows": int(matrix.sum())}
+    accuracy["intervals"] = intervals(counts)
+    accuracy["blocks"] = len(counts)
     for k, name in enumerate(CROWN_FIGURES):
-        made[name] = None if np.isnan(values[k]) else float(values[k])
-        made[f"{name}_interval"] = None if ends is None else [float(v) for v in ends[:, k]]
-    return made
+        accuracy[name] = None if np.isnan(values[k]) else float(values[k])
+        accuracy[f"{name}_interval"] = None if ends is None else [float(v) for v in ends[:, k]]
+    return accuracy
 
 
 def crown_figures(matrices: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -123,8 +123,8 @@ class OnTrajectory:
     trajectory: TrajectoryFiles
 
     @property
-    def told(self) -> Mapping[str, Any]:
-        return self.recording.told
+    def about(self) -> Mapping[str, Any]:
+        return self.recording.about
 
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""
@@ -205,12 +205,12 @@ class LasRecording:
         return measured(time, self._angle(plane), MOST_BEAMS, self.path)
 
     @property
-    def told(self) -> Mapping[str, Any]:
-        """As `Recording.told`."""
+    def about(self) -> Mapping[str, Any]:
+        """As `Recording.about`."""
         return {
             "kind": "LAZ" if self.source.compressed else "LAS",
             "rows": self.source.n_points,
-            "measured": self.turning.told(),
+            "measured": self.turning.summary(),
             "left_out": {name: n for name, n in self.left_out.items() if n},
         }
 

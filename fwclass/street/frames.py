@@ -75,10 +75,10 @@ class Frame:
 
 
 class Recording(Protocol):
-    """A source of frames. `told`: what the source says of itself, plain data."""
+    """A source of frames. `about`: what the source says of itself, plain data."""
 
     @property
-    def told(self) -> Mapping[str, Any]:
+    def about(self) -> Mapping[str, Any]:
         """Kind, columns or topics, rows: plain data."""
         ...
 
@@ -228,14 +228,14 @@ class Track:
         return True
 
     def _advance(self, frame: Frame, step: float) -> None:
-        place, told = self._within(frame.place, ROUND_THE_EARTH), self._within(frame.speed, FASTEST)
+        place, speed_given = self._within(frame.place, ROUND_THE_EARTH), self._within(frame.speed, FASTEST)
         if math.isfinite(place):
             moved = place - self._given if math.isfinite(self._given) else 0.0
             if not self.used:
                 self._along = place
             self._given = place
         else:
-            speed = told if math.isfinite(told) else self.params.speed
+            speed = speed_given if math.isfinite(speed_given) else self.params.speed
             if speed is None:
                 self.faults["no speed"] += 1
                 speed = self._speed
@@ -278,7 +278,7 @@ class Track:
         place = round(self._along / UNIT)
         return Placed(frame.number, frame.time, place, self._road, x, y, z, r, frame.labels)
 
-    def told(self) -> dict[str, Any]:
+    def counts(self) -> dict[str, Any]:
         """Counts by cause, plain data."""
         return {
             "frames": self.frames,

@@ -56,7 +56,7 @@ class Turning:
         """When the frame of each point began [s]."""
         return time - self.slope * (angle - self.first)
 
-    def told(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """What was measured, plain data."""
         return {
             "period_ms": 1000.0 * self.period,

@@ -47,7 +47,7 @@ class BagRecording:
         scans = sorted({t for t, kind in kinds if kind == SCAN})
         self.topic = self._chosen(scans, topic, kinds)
         self._odometry = next((t for t, kind in sorted(kinds) if kind == ODOMETRY), None)
-        self.told: Mapping[str, Any] = {
+        self.about: Mapping[str, Any] = {
             "kind": "ROS bag",
             "topic": self.topic,
             "rows": kinds[self.topic, SCAN],

@@ -72,7 +72,7 @@ class ParquetRecording:
         held = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
         self._names = [n for n in schema.names if n != "intensities"]
         self._scan = settings_of(held, scan)
-        self.told: Mapping[str, Any] = {"kind": "Parquet", "rows": sum(rows), "columns": list(schema.names)}
+        self.about: Mapping[str, Any] = {"kind": "Parquet", "rows": sum(rows), "columns": list(schema.names)}
 
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""
@@ -159,6 +159,6 @@ def _table(frames: list[Frame]) -> pa.Table:
     if frames[0].labels is not None:
         labels = pa.array(np.concatenate([f.labels for f in frames if f.labels is not None]), pa.uint8())
         columns["labels"] = pa.FixedSizeListArray.from_arrays(labels, beams)
-    told = {"angle_min": scan.first, "angle_increment": scan.step, "range_min": scan.range_min}
-    told["range_max"] = scan.range_max
-    return pa.table(columns).replace_schema_metadata({k: repr(float(v)) for k, v in told.items()})
+    settings = {"angle_min": scan.first, "angle_increment": scan.step, "range_min": scan.range_min}
+    settings["range_max"] = scan.range_max
+    return pa.table(columns).replace_schema_metadata({k: repr(float(v)) for k, v in settings.items()})

@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 
 from fwclass import conf
 from fwclass.classify.shares import answer
+from fwclass.hashing import hashed
 from fwclass.model import ClassDef, assemble
 from fwclass.street.sphere_kernels import SUMS, UNIT, features_of
 from fwclass.train.baselines.stage import train_other
@@ -81,11 +82,13 @@ def fitted(X, y, method, most=40000, trees=100):
     rows.sort()
     names = tuple(f"f{k}" for k in range(X.shape[1]))
     key = rows.astype(np.uint64)
-    sample = Sample(names, np.ascontiguousarray(X[rows], np.float32), y[rows], key, key, np.bincount(y, minlength=2))
+    sample = Sample(
+        names, np.ascontiguousarray(X[rows], np.float32), y[rows], key, hashed(1, key), np.bincount(y, minlength=2)
+    )
     if method == "forest":
         train = config.train
         return assemble(grow_trees(sample, CLASSES, 0, train.trees, train), card(sample, CLASSES, train))
-    rbf = config.compare.rbf_svm.model_copy(update={"max_rows": 6000})
+    rbf = config.compare.rbf_svm.model_copy(update={"max_rows": 6000, "c": (10.0,), "gamma": (0.1,)})
     return train_other(sample, config.train, config.compare.model_copy(update={"rbf_svm": rbf}), CLASSES, method)
 
 
@@ -131,7 +134,7 @@ def chosen(tries, y, train, groups) -> tuple[str, float]:
         wrong = 0
         for one in np.unique(groups[train]):
             test = train & (groups == one)
-            got = answers(X, y, train & (groups != one), test, method, most=15000, trees=40)
+            got = answers(X, y, train & (groups != one), test, method, most=8000, trees=25)
             wrong += int((got != y[test]).sum())
         errors[name] = wrong / int(train.sum())
     best = min(errors, key=errors.__getitem__)

@@ -62,7 +62,7 @@ def test_frames_are_the_simulators(tmp_path, made):
     assert turning.period == pytest.approx(0.025, rel=1e-4)
     assert np.degrees(turning.step) == pytest.approx(0.25, rel=1e-3)
     assert len(frames) == FRAMES
-    assert recording.told["measured"]["times"] == "one a beam"
+    assert recording.about["measured"]["times"] == "one a beam"
     assert np.diff([f.time for f in frames]) == pytest.approx(0.025, abs=2e-5)
     first = round((turning.first - drive()[0].scan.first) / drive()[0].scan.step)
     for mine, true in zip(frames, drive(), strict=False):
@@ -100,7 +100,7 @@ def test_a_leaning_scanner_and_later_returns(tmp_path, made):
     path, way = written(tmp_path, np.repeat(rows, 2, axis=0), fixes, return_number=np.tile([1, 2], len(rows)))
     recording = LasRecording(path, config().street, way)
     assert len(list(recording.frames())) == FRAMES
-    assert recording.told["left_out"]["later returns"] == len(rows)
+    assert recording.about["left_out"]["later returns"] == len(rows)
     with pytest.raises(InputError, match="do not lie in the plane"):
         list(LasRecording(path, config("street.mounting.yaw=20").street, way).frames())
 
@@ -111,7 +111,7 @@ def test_missing_frames_are_counted_as_dropped(tmp_path, made):
     path, way = written(tmp_path, rows[(number < 20) | (number >= 26)], fixes)
     track = Track(config().street)
     assert sum(track.take(f) is not None for f in opened(path, config().street, way).frames()) == FRAMES - 6
-    assert track.told()["faults"]["dropped before"] == 6
+    assert track.counts()["faults"]["dropped before"] == 6
 
 
 def test_what_is_no_recording_of_a_2d_scanner_is_refused_in_words(tmp_path, made):

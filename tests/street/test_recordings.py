@@ -72,7 +72,7 @@ def test_bags_of_both_kinds(tmp_path, ros2):
     assert frames[0].scan.beams == 3
     placed, track = taken(frames)
     assert len(placed) == 2
-    assert track.told()["missing"] == {"below range_min": 2, "above range_max": 0, "NaN": 0, "infinite": 2}
+    assert track.counts()["missing"] == {"below range_min": 2, "above range_max": 0, "NaN": 0, "infinite": 2}
 
 
 def test_a_bag_with_no_or_two_topics_of_scans(tmp_path):
@@ -140,7 +140,7 @@ def test_frames_that_cannot_be_used_are_counted():
     frames[15] = replace(frames[15], ranges=np.full(1081, np.inf, np.float32))  # blind
     del frames[20:23]
     placed, track = taken(frames)
-    told = track.told()
+    told = track.counts()
     assert told["faults"] == {"out of order": 1, "doubled": 1, "other beams": 2, "dropped before": 3 + 4}
     assert len(placed) == told["used"] == 23
     assert told["blind"] == 1
@@ -151,7 +151,7 @@ def test_a_clock_that_leaps_and_a_vehicle_that_goes_back():
     frames = [replace(f, time=f.time + (1e6 if k >= 9 else 0.0) * (-1)) for k, f in enumerate(frames)]
     placed, track = taken(frames)
     assert len(placed) == 12
-    assert track.told()["faults"] == {"clock leaps": 1, "reversing": 6}
+    assert track.counts()["faults"] == {"clock leaps": 1, "reversing": 6}
     assert placed[5].place > placed[11].place
 
 

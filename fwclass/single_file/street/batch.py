@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.street import params_of, told
+from fwclass.graph.street import crown_accuracy, params_of
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
 from fwclass.model import Model
 from fwclass.run.inputs import PartInputs
@@ -80,12 +80,12 @@ def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
             file.close()
     for name, kind in _COLUMNS.items():
         (directory / f"{name}.bin").write_bytes(np.array(columns[name], kind).tobytes())
-    found = track.geometry.scan if track.geometry else scan
+    used = track.geometry.scan if track.geometry else scan
     return {
         "frames": track.used,
         "kept": list(kept),
-        "scan": [found.beams, found.first, found.step, found.range_min, found.range_max],
-        "told": track.told(),
+        "scan": [used.beams, used.first, used.step, used.range_min, used.range_max],
+        "counts": track.counts(),
     }
 
 
@@ -143,7 +143,7 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
     count, step = int(meta["frames"]), work.params.chunk
     if not count:
         raise InputError(
-            "no frame of the recording can be used", where=work.recording, got=meta["told"], do="fwclass street info"
+            "no frame of the recording can be used", where=work.recording, got=meta["counts"], do="fwclass street info"
         )
     tasks = [
         Task(CHUNK, f"{at:09d}", VERSION, about, partial(chunk, work, at, min(at + step, count)), needs=(first.name,))
@@ -159,14 +159,14 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
     accuracy = _judged(runner, meta, model, target, block) if "labels" in meta["kept"] else None
     most, cut = (f(done[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
     held = 2 * work.params.most_frames + 1
-    made = {
-        **meta["told"],
+    summary = {
+        **meta["counts"],
         "neighbourhood": {"most_frames": most, "held": held, "cut": cut},
         "accuracy": accuracy,
         "street": work.params.model_dump(mode="json"),
     }
-    finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), made)
-    return made
+    finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), summary)
+    return summary
 
 
 def _judged(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path, block: float) -> dict[str, Any] | None:
@@ -182,5 +182,5 @@ def _judged(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path,
         )
         if len(parts) > 500:
             parts = [BlockCounts.merged(parts, len(model.classes))]
-    found = told(BlockCounts.merged(parts, len(model.classes)), model.classes)
-    return found if found["rows"] else None
+    accuracy = crown_accuracy(BlockCounts.merged(parts, len(model.classes)), model.classes)
+    return accuracy if accuracy["rows"] else None

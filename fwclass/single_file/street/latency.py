@@ -20,7 +20,7 @@ class Latency:
         self._counts[min(int(seconds / BIN), BINS - 1)] += 1
         self._most = max(self._most, seconds)
 
-    def told(self) -> dict[str, float | int | None]:
+    def summary(self) -> dict[str, float | int | None]:
         """Frames, median, 99 and 99.9 %, and the most [ms]; upper ends of bins."""
         total = int(self._counts.sum())
         sums = np.cumsum(self._counts)

@@ -166,22 +166,22 @@ def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[st
         files.end()
         interrupted = ended()
         faults.update(stream.faults if stream is not None else {})
-    told = _summary(loop, latency, late, faults, params)
-    finish(asked.target, None, told)
+    summary = _summary(loop, latency, late, faults, params)
+    finish(asked.target, None, summary)
     if broken is not None:
         raise broken
     if stream is not None and stream.stalled:
         raise InputError(
             f"nothing came for {params.stream.stall:g} s",
             where=asked.source,
-            got=f"{told['frames']} frames before",
+            got=f"{summary['frames']} frames before",
             do="what was answered stays; look at the sender, or give --set street.stream.stall=SECONDS",
         )
     if interrupted:
         raise KeyboardInterrupt
-    if not told["frames"]:
+    if not summary["frames"]:
         raise InputError("not one frame came", where=asked.source, expected="frames", got=dict(faults) or "nothing")
-    return told
+    return summary
 
 
 def _source(
@@ -243,8 +243,8 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 def _summary(loop: Loop, latency: Latency, late: int, faults: Counter[str], params: StreetParams) -> dict[str, Any]:
     return {
-        **loop.track.told(),
-        "latency": latency.told(),
+        **loop.track.counts(),
+        "latency": latency.summary(),
         "late": int(late),
         "stream": {name: n for name, n in faults.items() if n},
         "neighbourhood": {"most_frames": loop.most, "held": 2 * params.most_frames + 1, "cut": int(loop.cut)},
@@ -252,33 +252,33 @@ def _summary(loop: Loop, latency: Latency, late: int, faults: Counter[str], para
     }
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(summary: dict[str, Any]) -> str:
     """The same for a terminal."""
-    spent, near = made["latency"], made["neighbourhood"]
-    lines = [f"frames       {made['frames']}, {made['used']} used, {made['returns']} returns"]
+    spent, near = summary["latency"], summary["neighbourhood"]
+    lines = [f"frames       {summary['frames']}, {summary['used']} used, {summary['returns']} returns"]
     if spent["frames"]:
         lines.append(
             f"latency      median {spent['median_ms']:.2f} ms, 99 % {spent['p99_ms']:.2f}, 99.9 % "
             f"{spent['p999_ms']:.2f}, most {spent['most_ms']:.2f}"
         )
-    lines.append(f"late         {made['late']} frames took longer than the next one")
+    lines.append(f"late         {summary['late']} frames took longer than the next one")
     lines.append(
         f"spheres      reach over up to {near['most_frames']} frames of {near['held']} held; {near['cut']} cut"
     )
-    counts = {**made["faults"], **made["stream"]}
+    counts = {**summary["faults"], **summary["stream"]}
     if counts:
         lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in counts.items()))
     return "\n".join(lines)
 
 
-def describe_batch(made: dict[str, Any], target: Path) -> str:
+def describe_batch(summary: dict[str, Any], target: Path) -> str:
     """What `street classify` tells."""
-    near = made["neighbourhood"]
+    near = summary["neighbourhood"]
     lines = [
-        f"frames       {made['frames']}, {made['used']} used, {made['returns']} returns",
+        f"frames       {summary['frames']}, {summary['used']} used, {summary['returns']} returns",
         f"spheres      reach over up to {near['most_frames']} frames of {near['held']} held; {near['cut']} cut",
     ]
-    if made["faults"]:
-        lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in made["faults"].items()))
-    lines += crown_lines(made["accuracy"]) if made["accuracy"] else []
-    return "\n".join([*lines, f"answers      {target}"])
+    if summary["faults"]:
+        lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in summary["faults"].items()))
+    lines += crown_lines(summary["accuracy"]) if summary["accuracy"] else []
+    return "\n".join(lines)

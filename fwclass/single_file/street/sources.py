@@ -1,4 +1,4 @@
-"""Where frames come from while they are made: a recording at its pace, standard input, a socket."""
+"""Where frames come from as they come: a recording at its pace, standard input, a socket."""
 
 from __future__ import annotations
 
