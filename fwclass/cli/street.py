@@ -158,7 +158,7 @@ def run(
     config = _config(conf, settings)
     job = Run(source, model, target, pace == "recorded", asked["overwrite"], TrajectoryFiles.of(config))
     summary = work(job, config.street, _say)
-    click.echo(f"{describe(summary)}\nanswers      {target}", err=True)
+    click.echo(describe(summary, target), err=True)
     if asked["as_json"]:
         click.echo(json.dumps(summary, indent=1))
 

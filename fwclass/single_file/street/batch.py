@@ -165,8 +165,7 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
         "accuracy": accuracy,
         "street": work.params.model_dump(mode="json"),
     }
-    finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), summary)
-    return summary
+    return finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), summary)
 
 
 def _judged(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path, block: float) -> dict[str, Any] | None:

@@ -167,7 +167,7 @@ def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[st
         interrupted = ended()
         faults.update(stream.faults if stream is not None else {})
     summary = _summary(loop, latency, late, faults, params)
-    finish(asked.target, None, summary)
+    summary = finish(asked.target, None, summary)
     if broken is not None:
         raise broken
     if stream is not None and stream.stalled:
@@ -252,7 +252,7 @@ def _summary(loop: Loop, latency: Latency, late: int, faults: Counter[str], para
     }
 
 
-def describe(summary: dict[str, Any]) -> str:
+def describe(summary: dict[str, Any], target: Path) -> str:
     """The same for a terminal."""
     spent, near = summary["latency"], summary["neighbourhood"]
     lines = [f"frames       {summary['frames']}, {summary['used']} used, {summary['returns']} returns"]
@@ -268,7 +268,12 @@ def describe(summary: dict[str, Any]) -> str:
     counts = {**summary["faults"], **summary["stream"]}
     if counts:
         lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in counts.items()))
-    return "\n".join(lines)
+    return "\n".join([*lines, *output_lines(summary, target)])
+
+
+def output_lines(summary: dict[str, Any], target: Path) -> list[str]:
+    """Where answers and prescription lie."""
+    return [f"answers      {target}", f"prescription {summary['segments']} segments: {target / CSV}"]
 
 
 def describe_batch(summary: dict[str, Any], target: Path) -> str:
@@ -281,4 +286,4 @@ def describe_batch(summary: dict[str, Any], target: Path) -> str:
     if summary["faults"]:
         lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in summary["faults"].items()))
     lines += crown_lines(summary["accuracy"]) if summary["accuracy"] else []
-    return "\n".join(lines)
+    return "\n".join([*lines, *output_lines(summary, target)])
