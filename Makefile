@@ -4,6 +4,9 @@ PYTHON ?= python3
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
+# Every command that a test starts would compile the program's modules anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test check unit uncompiled faults format bench docs fuzz clean
 
 $(READY): requirements.lock pyproject.toml

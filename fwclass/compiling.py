@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import os
 import pickle
 import sys
@@ -143,9 +144,12 @@ class KernelFiles:
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """The kernel from its file; else None, and it is this process that compiles it (`compile_with`)."""
-        context.refresh()
+        from numba.core.runtime import rtsys
+
+        rtsys.initialize(context)  # all that compiled code calls; what compiling needs takes 0.4 s to load
         kernel_there = self._load(signature, context)
         if kernel_there is None:
+            context.refresh()
             _stacks[-1].enter_context(_watched(self._name))
             _stacks[-1].enter_context(_alone(self._name))
             kernel_there = self._load(signature, context)  # it may have been made meanwhile
@@ -180,7 +184,7 @@ class KernelFiles:
         try:
             data = self._path(signature, context.codegen()).read_bytes()
             if _digest(data[32:]) == data[:32]:
-                return CompileResult._rebuild(context, *pickle.loads(data[32:]))  # noqa: S301 - see `kernel_cache`
+                return CompileResult._rebuild(context, *_Reader(io.BytesIO(data[32:])).load())  # see `kernel_cache`
         except Exception:  # noqa: S110 - of whatever kind: it is compiled anew, and written over
             pass
         return None
@@ -210,6 +214,24 @@ class KernelFiles:
     def disable(self) -> None: ...
 
     def flush(self) -> None: ...
+
+
+class _Reader(pickle.Unpickler):
+    """Reads compiled code without the parts of numba that only compiling needs: they take 0.4 s to load."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        return _environment if name == "_rebuild_env" else super().find_class(module, name)
+
+
+def _environment(module: str, constants: list[Any], name: str) -> Any:
+    """What compiled code keeps beside it: numba's `_rebuild_env`, without the module whose names nothing looks up."""
+    from numba.core.environment import Environment, lookup_environment
+
+    there = lookup_environment(name)
+    if there is None:
+        there = Environment._memo[name] = Environment({"__name__": module})
+        there.consts[:], there.env_name = constants, name
+    return there
 
 
 @cache

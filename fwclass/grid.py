@@ -22,12 +22,19 @@ _KEY = re.compile(r"^(-?\d+)_(-?\d+)$")
 
 def millimetres(metres: NDArray[np.float64]) -> NDArray[np.int64]:
     """Coordinates [m] as whole millimetres, rounded to nearest."""
-    return np.rint(np.asarray(metres, np.float64) / QUANTUM).astype(np.int64)
+    return _rounded(metres).astype(np.int64)
 
 
 def quantised(metres: NDArray[np.float64]) -> NDArray[np.float64]:
     """Coordinates [m] on the millimetre grid; `millimetres` takes them back exactly."""
-    return np.rint(np.asarray(metres, np.float64) / QUANTUM) * QUANTUM
+    out = _rounded(metres)
+    out *= QUANTUM
+    return out
+
+
+def _rounded(metres: NDArray[np.float64]) -> NDArray[np.float64]:
+    out = np.divide(metres, QUANTUM, dtype=np.float64)
+    return np.rint(out, out=out) if isinstance(out, np.ndarray) else np.rint(out)
 
 
 def whole_millimetres(length: float, name: str) -> int:

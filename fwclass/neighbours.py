@@ -80,14 +80,15 @@ class CellIndex:
         points alone: where most cells are empty, only the others have an offset.
         """
         edge = round(cell * 1000)
-        mx, my, mz = millimetres(x), millimetres(y), millimetres(z)
-        if len(mx) == 0:
+        if len(x) == 0:
             none = np.empty(0, np.int64)
             return cls(none, np.zeros(2, np.int64), none, none, none, 1, 1, edge, 0, 0, 0, none)
-        col, row = mx // edge, my // edge
+        col, row = millimetres(x), millimetres(y)
+        col //= edge
+        row //= edge
         col0, row0 = int(col.min()), int(row.min())
         ncols, nrows = int(col.max()) - col0 + 1, int(row.max()) - row0 + 1
-        sparse = asked is not None and ncols * nrows > max(FEW_CELLS, CELLS_PER_POINT * (len(mx) + asked))
+        sparse = asked is not None and ncols * nrows > max(FEW_CELLS, CELLS_PER_POINT * (len(x) + asked))
         most = MAX_NUMBER if sparse else MAX_CELLS
         if ncols * nrows > most:
             raise InputError(
@@ -96,8 +97,12 @@ class CellIndex:
                 got=f"{ncols} x {nrows} cells",
                 do="remove outlying points, use smaller tiles or a larger radius",
             )
-        x0, y0, z0 = col0 * edge, row0 * edge, int(mz.min())
-        number = (row - row0) * ncols + (col - col0)
+        row -= row0
+        row *= ncols
+        row += col
+        row -= col0
+        number = row
+        del col, row  # of a whole survey in one index each is a share of what a worker may hold
         if sparse:
             order = np.argsort(number, kind="stable")
             occupied, first = np.unique(number[order], return_index=True)
@@ -105,9 +110,17 @@ class CellIndex:
         else:
             order, start = sort_by_cell(number, ncols * nrows)
             occupied = np.empty(0, np.int64)
-        return cls(
-            order, start, (mx - x0)[order], (my - y0)[order], (mz - z0)[order], ncols, nrows, edge, x0, y0, z0, occupied
-        )
+        del number
+        x0, y0, z0 = col0 * edge, row0 * edge, int(millimetres(np.asarray(z, np.float64).min()))
+        sorted_x, sorted_y, sorted_z = (_relative(v, order, o) for v, o in ((x, x0), (y, y0), (z, z0)))
+        return cls(order, start, sorted_x, sorted_y, sorted_z, ncols, nrows, edge, x0, y0, z0, occupied)
+
+
+def _relative(values: NDArray[np.float64], order: NDArray[np.int64], origin: int) -> NDArray[np.int64]:
+    """Coordinates [m] in another order, as millimetres from `origin` [mm]."""
+    out = millimetres(values)[order]
+    out -= origin
+    return out
 
 
 @kernel

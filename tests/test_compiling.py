@@ -185,6 +185,27 @@ fcntl.lockf = no; os.mkdir = no
     assert run(program, cache, barred) == (9.0, 0, "")
 
 
+WHOLE = """
+import numpy as np
+from fwclass.kernel import kernel
+
+@kernel
+def total(values):
+    return np.sum(values) if values.any() else -1.0
+"""
+"""A kernel with copies of numba's own functions in it, which name the modules that they are written in."""
+
+
+def test_who_only_reads_what_was_compiled_does_not_load_what_compiles(tmp_path: Path) -> None:
+    (tmp_path / "upper.py").write_text(WHOLE)
+    heavy = "; import sys; print('scipy.linalg' in sys.modules or 'numba.np.arraymath' in sys.modules);"
+    for count, loaded in ((1, "True"), (0, "False")):
+        process = started(TOTAL + heavy[2:] + TELL, tmp_path, tmp_path / "cache")
+        out, err = process.communicate(timeout=120)
+        assert process.returncode == 0, err
+        assert out.split() == [loaded, "3.0", str(count)]
+
+
 def test_two_versions_and_two_processors_keep_their_own(program: Path, tmp_path: Path) -> None:
     cache, other = tmp_path / "cache", made(tmp_path / "other", 5.0)
     plain = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
@@ -263,6 +284,26 @@ def test_after_compile_a_run_compiles_nothing(tmp_path: Path) -> None:
     assert done("compile").startswith("0 kernels compiled")
     assert compiling.ONCE not in done("demo", "--out", "demo", "--workers", "0")
     assert kept() == before
+    # what compiled code calls is there without what compiles: the process would end where one is missing
+    read = subprocess.run(
+        [sys.executable, "-c", READ_ALL], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert (read.returncode, read.stderr) == (0, "")
+    assert int(read.stdout) > 100
+
+
+READ_ALL = """
+from fwclass import compiling
+from fwclass.operate.ahead import _type, listed
+from numba.core.runtime import rtsys
+from numba.core.registry import cpu_target
+for kernel, types in listed():
+    compiled = kernel.compiled()
+    assert compiled._cache.load_overload(tuple(map(_type, types)), cpu_target.target_context) is not None, kernel
+import sys
+assert 'numba.np.arraymath' not in sys.modules
+print(len(listed()))
+"""
 
 
 def test_a_command_without_progress_tells_it_once(tmp_path: Path, program: Path) -> None:

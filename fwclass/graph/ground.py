@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,11 +20,13 @@ from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filtered
 from fwclass.ground.terrain.params import TerrainParams
-from fwclass.ground.terrain.terrain import terrain
+from fwclass.ground.terrain.terrain import Points, terrain
+from fwclass.memory import give_back
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table, column
 from fwclass.store.cells import CELLS, by_name
+from fwclass.waveforms import IMPLAUSIBLE
 
 WITHIN = 0.01
 """Difference of terrain heights that counts as none [m]."""
@@ -150,27 +152,52 @@ def measured_seams(
     Where it lies in several places, each of them is one: blocks that do not touch know nothing of each other. A place
     whose box has more than `most_cells` cells of the terrain is left out, and so is a single block among several.
     """
-    columns, box = here.columns, Box(*bounds)
-    table = Table.concat([here.inputs.rows(key, columns).select(columns) for key in here.present])
+    box = Box(*bounds)
+    table, owned = _every_echo(here, ground.block)
     cut = TileGrid(terrain.block)
     blocks = [cut.tile(key) for key in here.parts(TERRAIN.name)]
     mosaic = Mosaic(here.inputs, TERRAIN.name, blocks, terrain.cell, {"dtm": np.float32(np.nan)})
-    grid = TileGrid(ground.block)
-    ix, iy = grid.indices(table["x"], table["y"])
-    owned, block_of = np.unique(np.stack([ix, iy], axis=1), axis=0, return_inverse=True)
-    parts = groups(Tile(int(cx), int(cy), ground.block) for cx, cy in owned)
-    part_of = {(t.ix, t.iy): k for k, part in enumerate(parts) for t in part}
-    place = np.array([part_of[cx, cy] for cx, cy in owned.tolist()], np.int64)[block_of.reshape(-1)]
+    parts = groups(Tile(*place, ground.block) for place in owned)
     seen, left_out = _Seams(), 0
-    for k, part in enumerate(parts):
+    for k, part in enumerate(parts, 1):
         inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
         window = Window.covering(inside or box, terrain.cell)
+        echoes = table if len(parts) == 1 else table.take(_in_tiles(table, part))
         if math.prod(window.shape) > most_cells or (len(part) == 1 < len(parts)):
-            left_out += int((place == k).sum())
+            left_out += echoes.rows
             continue
-        echoes = table if len(parts) == 1 else table.take(place == k)
-        seen.add(echoes, mosaic.laid(window)["dtm"], window, ground, terrain)
+        points = seen.add_flags(echoes, ground)
+        echoes = echoes.select(())  # what is not needed any more makes room for the triangles of all
+        table = table if k < len(parts) else echoes
+        seen.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain)
     return {**seen.facts(), "left_out": left_out}
+
+
+def _every_echo(here: StageInputs, edge: float) -> tuple[Table, set[tuple[int, int]]]:
+    """The declared columns of all echoes that filters see, in memory once, and the blocks of `edge` [m] that hold
+    one."""
+    columns, first, blocks = here.columns, 0, set[tuple[int, int]]()
+    echoes = sum(int(here.inputs.meta("tile", key)["rows"]) for key in here.present)
+    out = {name: np.empty(echoes, column(name).dtype) for name in columns}
+    for key in here.present:
+        table = here.inputs.rows(key, columns)
+        table = table.take((table["fit_flags"] & IMPLAUSIBLE) == 0)
+        for name in columns:
+            out[name][first : first + table.rows] = table[name]
+        indices = TileGrid(edge).indices(table["x"], table["y"])
+        blocks.update(map(tuple, np.unique(np.stack(indices, axis=1), axis=0).tolist()))
+        first += table.rows
+    return Table({name: values[:first] for name, values in out.items()}), blocks
+
+
+def _in_tiles(table: Table, tiles: Iterable[Tile]) -> NDArray[np.bool_]:
+    """Rows that lie in one of `tiles`, all of one size."""
+    some = list(tiles)
+    ix, iy = TileGrid(some[0].size).indices(table["x"], table["y"])
+    wanted = {(t.ix, t.iy) for t in some}
+    blocks, block_of = np.unique(np.stack([ix, iy], axis=1), axis=0, return_inverse=True)
+    inside = np.array([(cx, cy) in wanted for cx, cy in blocks.tolist()], bool)
+    return inside[block_of.reshape(-1)]
 
 
 @dataclass
@@ -180,21 +207,24 @@ class _Seams:
     counts: Counter[str] = field(default_factory=Counter)
     off: list[NDArray[np.float32]] = field(default_factory=list)
 
-    def add(
-        self, table: Table, dtm: NDArray[np.float32], window: Window, ground: GroundParams, params: TerrainParams
-    ) -> None:
-        """Filter the echoes of one place as one block, and hold the answer against their flags and the `dtm`."""
-        whole = filtered(table, ground)
-        nobody = np.zeros(table.rows, bool)
-        place = (table["x"], table["y"], table["z"])
-        surface = terrain(*place, whole.ground, whole.noise, nobody, window, params).dtm
+    def add_flags(self, table: Table, params: GroundParams) -> Points:
+        """Filter the echoes of one place as one block, and hold the answer against their flags; the ground."""
+        give_back(None)  # the whole survey at once: what was freed on the way here is not needed beside it
+        whole = filtered(table, params)
         differs = (table["ground"] != whole.ground) | (table["noise"] != whole.noise)
+        self.counts.update(echoes=table.rows, flags_differ=int(differs.sum()))
+        rows = np.flatnonzero(whole.ground & ~whole.noise)
+        return table["x"][rows], table["y"][rows], table["z"][rows]
+
+    def add_terrain(self, points: Points, dtm: NDArray[np.float32], window: Window, params: TerrainParams) -> None:
+        """Hold the terrain of all ground `points` of one place against the `dtm` of its blocks."""
+        give_back(None)
+        yes, no = np.ones(len(points[0]), bool), np.zeros(len(points[0]), bool)
+        surface = terrain(*points, yes, no, no, window, params).dtm
         both = np.isfinite(dtm) & np.isfinite(surface)
         off = np.abs(dtm - surface)[both]
         self.off.append(off)
         self.counts.update(
-            echoes=table.rows,
-            flags_differ=int(differs.sum()),
             cells=int((np.isfinite(dtm) | np.isfinite(surface)).sum()),
             cells_one_sided=int((np.isfinite(dtm) != np.isfinite(surface)).sum()),
             cells_off=int((off > WITHIN).sum()),
@@ -282,7 +312,7 @@ MAKE_TERRAIN = Stage(
 GATHER_HEIGHT = _gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)
 CHECK_SEAMS = Stage(
     "seams",
-    2,
+    3,
     "survey",
     "echo",
     measured_seams,

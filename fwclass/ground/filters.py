@@ -69,8 +69,11 @@ def ground_points(
     last : (n,) the point is the last, or only, echo of its pulse.
     """
     dropped = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
-    rows = np.flatnonzero(~dropped)
-    dropped[rows] = noise(x[rows], y[rows], z[rows], params.noise)
+    if dropped.any():
+        rows = np.flatnonzero(~dropped)
+        dropped[rows] = noise(x[rows], y[rows], z[rows], params.noise)
+    else:
+        dropped = noise(x, y, z, params.noise)
     rows = np.flatnonzero(~dropped & last) if params.last_returns else np.flatnonzero(~dropped)
     ground = np.zeros(len(x), bool)
     if len(rows):

@@ -23,10 +23,10 @@ def filtered(table: Table, params: GroundParams) -> Flags:
     """
     require(table, GROUND_FILTER.reads, "ground filter")
     sound = (table["fit_flags"] & IMPLAUSIBLE) == 0
-    seen = table if sound.all() else table.take(sound)
-    flags = ground_points(seen["x"], seen["y"], seen["z"], last_of(seen), params)
-    if seen is table:
-        return flags
+    x, y, z, last = table["x"], table["y"], table["z"], last_of(table)
+    if sound.all():
+        return ground_points(x, y, z, last, params)
+    flags = ground_points(x[sound], y[sound], z[sound], last[sound], params)
     ground, noise = np.zeros(table.rows, bool), np.ones(table.rows, bool)
     ground[sound], noise[sound] = flags.ground, flags.noise
     return Flags(ground, noise)

@@ -58,11 +58,12 @@ def noise(
     if params.low:
         stray |= _apart(index, heights, params, params.low_gap, params.low_shape)
     if params.high:
-        stray |= _apart(index, -heights, params, params.high_gap, params.high_shape)
+        stray |= _apart(index, np.negative(heights, out=heights), params, params.high_gap, params.high_shape)
+    order, place = index.order, [index.x, index.y, index.z]
+    del heights, index
     if params.sigma_rule:
-        left = np.flatnonzero(~stray)
-        stray[left] = _beyond_sigma(index.x[left], index.y[left], index.z[left], params)
-    out[index.order] = stray
+        stray |= _beyond_sigma(place, ~stray, params)
+    out[order] = stray
     return out
 
 
@@ -186,27 +187,36 @@ def _mark(z, start, ncols, nrows, r0, c0, edge, level, found):  # type: ignore[n
             found[i] |= z[i] <= level
 
 
-def _beyond_sigma(
-    x: NDArray[np.int64], y: NDArray[np.int64], z: NDArray[np.int64], params: NoiseParams
-) -> NDArray[np.bool_]:
-    """Points [mm] further from the mean of the others around than so many of their standard deviations.
+def _beyond_sigma(place: list[NDArray[np.int64]], among: NDArray[np.bool_], params: NoiseParams) -> NDArray[np.bool_]:
+    """Points further from the mean of the others around than so many of their standard deviations, `among` some alone.
 
-    They are sorted into cells no smaller than the radius, and larger ones where there would be too many.
+    They are sorted into cells no smaller than the radius, and larger ones where there would be too many. `place`, x, y
+    and z [mm] from 0, is sorted with them: a whole survey's coordinates are not held twice.
     """
     radius = round(params.sigma_radius * 1000)
-    out = np.zeros(len(x), bool)
-    if len(x) == 0:
+    out = np.zeros(len(among), bool)
+    rows = np.flatnonzero(among)
+    if len(rows) == 0:
         return out
+    column, number = place[0][rows], place[1][rows]
+    most_x, most_y = int(column.max()), int(number.max())
     edge = radius
-    while (int(x.max()) // edge + 1) * (int(y.max()) // edge + 1) > max(MOST_CELLS, 64 * len(x)):
+    while (most_x // edge + 1) * (most_y // edge + 1) > max(MOST_CELLS, 64 * len(rows)):
         edge *= 2
-    ncols, nrows = int(x.max()) // edge + 1, int(y.max()) // edge + 1
-    order, start = sort_by_cell(y // edge * ncols + x // edge, ncols * nrows)
-    beyond = np.zeros(len(x), bool)
+    ncols, nrows = most_x // edge + 1, most_y // edge + 1
+    number //= edge
+    number *= ncols
+    column //= edge
+    number += column
+    del column
+    order, start = sort_by_cell(number, ncols * nrows)
+    del number
+    order, rows = rows[order], rows[:0]
+    for axis in range(3):
+        place[axis] = place[axis][order]
+    beyond = np.zeros(len(order), bool)
     _sigma_rule(
-        x[order],
-        y[order],
-        z[order],
+        *place,
         start,
         ncols,
         nrows,

@@ -167,15 +167,18 @@ def _surface(
     Off the triangles the raster has the mean of a cell's ground points, and where there are none a membrane. Points
     there take the value of the raster: of what is known of it, where their own cell is.
     """
-    x, y, z = thinned(*ground, window, params.thin)
-    facets = facets_of(tin_of(x, y, z), circle)
+    points = thinned(*ground, window, params.thin)
+    means = _means(*points, window)
+    surface = tin_of(*points)
+    del points  # beside the triangles of a large block each array counts
+    facets = facets_of(surface, circle)
     known = facet_raster(facets, window)
-    known = np.where(np.isnan(known), _means(x, y, z, window), known)
+    known = np.where(np.isnan(known), means, known)
     raster = _continued(known, window, params.max_gap)
     floor = facet_heights(facets, core, *asked[:2])
-    for surface in (known, raster):
+    for heights in (known, raster):
         off = np.isnan(floor)
-        floor[off] = bilinear(surface, window, asked[0][off], asked[1][off])
+        floor[off] = bilinear(heights, window, asked[0][off], asked[1][off])
     return floor, raster
 
 
