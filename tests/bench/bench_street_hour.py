@@ -1,9 +1,10 @@
 """An hour of frames, on-line and in batch: memory over time, processor seconds, and whether both give the same bytes.
 
-`python tests/bench/bench_street_hour.py FOLDER [--frames N] [--workers N] [--vectors N] [--plot PNG]`: FOLDER takes
-some 6 GB. A simulated street, driven again and again at 1 m/s, 1 081 beams at 40 Hz, spheres of 0.3 m, an RBF SVM.
-`fwclass street run` and `fwclass street classify` are processes of their own, looked at every second. Seconds are the
-processor's, of all processes of a command, as the machine may be busy; the wall clock is told beside them.
+`python tests/bench/bench_street_hour.py FOLDER [--frames N] [--workers N] [--vectors N] [--only WHICH] [--plot PNG]`
+
+FOLDER takes some 6 GB. A simulated street, driven again and again at 1 m/s, 1 081 beams at 40 Hz, spheres of 0.3 m, an
+RBF SVM. `fwclass street run` and `fwclass street classify` are processes of their own, looked at every second. Seconds
+are the processor's, of all processes of a command, as the machine may be busy; the wall clock is told beside them.
 """
 
 from __future__ import annotations
@@ -96,16 +97,43 @@ def prepared(folder: Path, frames: int, vectors: int) -> None:
     write_recording(folder / "hour.parquet", all_frames())
 
 
-def plotted(path: Path, online: list[tuple[float, float]], batch: list[tuple[float, float]]) -> None:
+def words(folder: Path) -> list[str]:
+    return [str(folder / "hour.parquet"), "--model", str(folder / "model"), "--set", "street.radii=[0.3]"]
+
+
+def online(folder: Path, frames: int) -> list[tuple[float, float]]:
+    """`street run`; thousands of frames answered, and MiB."""
+    answers, log = folder / "on" / ANSWERS, folder / "on.log"
+    one = watched(["run", *words(folder), "--out", str(folder / "on")], answers, log)
+    size = answers.stat().st_size
+    course = [(frames * at / size, most) for at, most in one.memory]
+    later = [most for at, most in course if MINUTE <= at < frames - 100] or [float("nan")]
+    grown = max(later) / later[0] - 1.0
+    print(f"on-line      {one.cpu:7.0f} s of the processor, {one.wall:.0f} s; {1e3 * one.cpu / frames:.2f} ms a frame")
+    print(f"             {later[0]:.0f} MiB after a minute, {max(later):.0f} at most after it: {100 * grown:+.1f} %")
+    print(f"             {max(most for _, most in course):.0f} MiB with map and picture, which are made at the end")
+    print("             " + log.read_text().strip().replace("\n", "\n             "), flush=True)
+    return [(at / 1000, most) for at, most in course]
+
+
+def batch(folder: Path, frames: int, workers: int) -> list[tuple[float, float]]:
+    """`street classify`; seconds, and MiB."""
+    first, *more = words(folder)
+    asked = ["classify", first, str(folder / "off"), *more, "--workers", str(workers)]
+    two = watched(asked, folder / "off" / ANSWERS, folder / "off.log")
+    print(f"batch        {two.cpu:7.0f} s of the processor, {two.wall:.0f} s; {workers} workers, {frames} frames")
+    print(f"             at most {max(m for _, m in two.memory):.0f} MiB in a process", flush=True)
+    return [(float(k), most) for k, (_, most) in enumerate(two.memory)]
+
+
+def plotted(path: Path, curves: dict[str, list[tuple[float, float]]]) -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7, 3.2), layout="constrained")
-    axes = figure.subplots(1, 2, sharey=True)
-    for ax, rows, name, label in (
-        (axes[0], online, "street run", "frames answered, thousands"),
-        (axes[1], batch, "street classify, largest process", "seconds"),
-    ):
+    figure = Figure(figsize=(3.6 * len(curves), 3.2), layout="constrained")
+    axes = figure.subplots(1, len(curves), sharey=True, squeeze=False)[0]
+    for ax, (name, rows) in zip(axes, curves.items(), strict=True):
         ax.plot(*zip(*rows, strict=True), lw=1)
+        label = "frames answered, thousands" if name == "street run" else "seconds"
         ax.set(title=name, xlabel=label, ylim=(0, None))
     axes[0].set_ylabel("memory, MiB")
     figure.savefig(path, dpi=120)
@@ -117,36 +145,25 @@ def main() -> None:
     ask.add_argument("--frames", type=int, default=144_000)
     ask.add_argument("--workers", type=int, default=2)
     ask.add_argument("--vectors", type=int, default=900)
+    ask.add_argument("--only", choices=("online", "batch"))
     ask.add_argument("--plot", type=Path)
     asked = ask.parse_args()
     folder, frames = asked.folder.resolve(), asked.frames
     folder.mkdir(parents=True, exist_ok=True)
     prepared(folder, frames, asked.vectors)
     print(f"{frames} frames: {(folder / 'hour.parquet').stat().st_size / MIB:.0f} MiB of Parquet", flush=True)
-    common = [str(folder / "hour.parquet"), "--model", str(folder / "model"), "--set", "street.radii=[0.3]"]
     for name in ("on", "off"):
         shutil.rmtree(folder / name, ignore_errors=True)
-    one = watched(["run", *common, "--out", str(folder / "on")], folder / "on" / ANSWERS, folder / "on.log")
-    size = (folder / "on" / ANSWERS).stat().st_size
-    course = [(frames * at / size, most) for at, most in one.memory]
-    later = [most for at, most in course if MINUTE <= at < frames - 100] or [float("nan")]
-    grown = max(later) / later[0] - 1.0
-    print(f"on-line      {one.cpu:7.0f} s of the processor, {one.wall:.0f} s; {1e3 * one.cpu / frames:.2f} ms a frame")
-    print(f"             {later[0]:.0f} MiB after a minute, {max(later):.0f} at most after it: {100 * grown:+.1f} %")
-    print(f"             {max(most for _, most in course):.0f} MiB with map and picture, which are made at the end")
-    print("             " + (folder / "on.log").read_text().strip().replace("\n", "\n             "), flush=True)
-    words = ["classify", common[0], str(folder / "off"), *common[1:], "--workers", str(asked.workers)]
-    two = watched(words, folder / "off" / ANSWERS, folder / "off.log")
-    print(f"batch        {two.cpu:7.0f} s of the processor, {two.wall:.0f} s; {asked.workers} workers")
-    print(f"             at most {max(m for _, m in two.memory):.0f} MiB in a process")
-    same = filecmp.cmp(folder / "on" / ANSWERS, folder / "off" / ANSWERS, shallow=False)
-    print("             the bytes of both are " + ("the same" if same else "NOT THE SAME"))
+    curves = {}
+    if asked.only != "batch":
+        curves["street run"] = online(folder, frames)
+    if asked.only != "online":
+        curves["street classify, largest process"] = batch(folder, frames, asked.workers)
+    if asked.only is None:
+        same = filecmp.cmp(folder / "on" / ANSWERS, folder / "off" / ANSWERS, shallow=False)
+        print("             the bytes of both are " + ("the same" if same else "NOT THE SAME"))
     if asked.plot:
-        plotted(
-            asked.plot,
-            [(at / 1000, most) for at, most in course],
-            [(float(k), most) for k, (_, most) in enumerate(two.memory)],
-        )
+        plotted(asked.plot, curves)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass.conf import Config
 from fwclass.conf.street import scanner
 from fwclass.graph.street import Rows, Split, by_model, fitted, joined, judged, rows_of, sample_of, seen_frames
-from fwclass.hashing import hashed
+from fwclass.hashing import hashed, seeded
 from fwclass.model import Model, class_index
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
@@ -29,6 +29,9 @@ SHOWN = 400
 
 SINGLE_ROWS = 2000
 """Rows that train an SVM of one feature: classes that overlap make a support vector of every second row."""
+
+TEST_ROWS = 2
+"""Of the seeds that are drawn from one: of the rows that test."""
 
 WINDOW_FRAMES = 60
 """Frames on which the paper's window is held against the exact one."""
@@ -50,9 +53,9 @@ def _rows(inputs: PartInputs, name: str, params: StreetParams) -> Rows:
 
 
 def _some(rows: Rows, most: int, seed: int) -> Rows:
-    """About `most` of the rows, by their hash."""
+    """About `most` of the rows, by a hash of their own: with that of the split they would be those that train."""
     share = min(1.0, most / max(1, len(rows.key)))
-    return rows.take(hashed(seed, rows.key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048)))
+    return rows.take(hashed(seeded(seed, TEST_ROWS), rows.key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048)))
 
 
 def _judged(
