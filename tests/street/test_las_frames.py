@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 from lasmaker import write_las
-from streetmaker import config, drive
+from streetmaker import config, directory, drive
 
+from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.street_recordings import LasRecording, TrajectoryFiles, opened
+from fwclass.single_file.street import batch, online
 from fwclass.single_file.street.info import describe, info
+from fwclass.single_file.street.output import OURS, SUMMARY, prepare
 from fwclass.street.frames import Track
 
 FRAMES = 60
@@ -16,7 +19,7 @@ NORTH = np.radians(30.0)
 ORIGIN = np.array([500_000.0, 5_400_000.0, 251.8])
 
 
-def points(frames=FRAMES, dead_time=True, begins=None):
+def points(frames=FRAMES, dead_time=True, begins=None, yaw=0.0):
     """Times, coordinates and codes of the drive's returns, beam by beam, and the scanner's fixes (time, x, y, z)."""
     forward = np.array([np.cos(NORTH), np.sin(NORTH), 0.0])
     right = np.array([np.sin(NORTH), -np.cos(NORTH), 0.0])
@@ -29,7 +32,8 @@ def points(frames=FRAMES, dead_time=True, begins=None):
             angle = frame.scan.first + frame.scan.step * j
             late = 0.025 * j / 1440 if dead_time else 0.0
             here = ORIGIN + (place + 1.5 * late) * forward
-            way = np.cos(angle) * right + np.sin(angle) * np.array([0.0, 0.0, 1.0])
+            aside = np.sin(yaw) * forward + np.cos(yaw) * right
+            way = np.cos(angle) * aside + np.sin(angle) * np.array([0.0, 0.0, 1.0])
             rows.append((begin + late, *(here + frame.ranges[j] * way), frame.labels[j]))
     fixes.append((begin + 0.05, *(ORIGIN + (place + 0.075) * forward)))
     return np.array(rows), np.array(fixes)
@@ -94,15 +98,39 @@ def test_one_time_a_frame_and_what_info_tells(tmp_path, laz):
     assert "beams every 0.25" in describe(told)
 
 
-def test_a_leaning_scanner_and_later_returns(tmp_path, made):
-    """A mounting that is turned by yaw: the points are taken back into its plane; doubled returns are left out."""
+def test_a_scanner_that_is_turned_on_its_mast(tmp_path):
+    path, way = written(tmp_path, *points(frames=30, yaw=np.radians(20)))
+    frames = list(LasRecording(path, config("street.mounting.yaw=20").street, way).frames())
+    assert len(frames) == 30
+    first = round((frames[0].scan.first - drive()[0].scan.first) / drive()[0].scan.step)
+    for mine, true in zip(frames, drive(), strict=False):
+        wanted = true.ranges[first : first + frames[0].scan.beams]
+        both = np.isfinite(mine.ranges) & np.isfinite(wanted)
+        assert np.median(np.abs(mine.ranges[both] - wanted[both])) < 0.001
+    with pytest.raises(InputError, match="do not lie in the plane"):
+        list(LasRecording(path, config().street, way).frames())
+
+
+def test_online_and_whole_give_the_same_bytes(tmp_path, made):
+    path, way = written(tmp_path, *made)
+    model, params = directory() / "model", config("street.speed=null").street
+    summary = online.run(online.Run(str(path), model, tmp_path / "on", False, False, way), params, print)
+    prepare(tmp_path / "off", False)
+    with open_runner(tmp_path / "store", 0, None, config().run) as runner:
+        work = batch.Work(path, model, params.model_copy(update={"chunk": 23}), way)
+        batch.classify(work, tmp_path / "off", runner, 1.0)
+    assert summary["used"] == FRAMES
+    for name in OURS:
+        if name != SUMMARY:
+            assert (tmp_path / "on" / name).read_bytes() == (tmp_path / "off" / name).read_bytes()
+
+
+def test_later_returns_are_left_out(tmp_path, made):
     rows, fixes = made
     path, way = written(tmp_path, np.repeat(rows, 2, axis=0), fixes, return_number=np.tile([1, 2], len(rows)))
     recording = LasRecording(path, config().street, way)
     assert len(list(recording.frames())) == FRAMES
     assert recording.about["left_out"]["later returns"] == len(rows)
-    with pytest.raises(InputError, match="do not lie in the plane"):
-        list(LasRecording(path, config("street.mounting.yaw=20").street, way).frames())
 
 
 def test_missing_frames_are_counted_as_dropped(tmp_path, made):
