@@ -103,6 +103,7 @@ class Rows:
     depth: NDArray[np.float64]
 
     def take(self, rows: NDArray) -> Rows:
+        """Only `rows` (index or mask)."""
         return Rows(self.X[rows], self.codes[rows], self.key[rows], self.place[rows], self.depth[rows])
 
 
@@ -149,6 +150,7 @@ def _rows(recording: int, at: int, one: Seen) -> Rows:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
+    """The rows of all parts, in order."""
     return Rows(
         np.concatenate([p.X for p in parts]),
         np.concatenate([p.codes for p in parts]),
@@ -171,10 +173,12 @@ class Split:
 
     @classmethod
     def of(cls, config: Config) -> Split:
+        """That of `street.split` and `areas.train`."""
         street = config.street
         return cls(street.split, street.share, config.train.seed, config.areas.train, config.areas.gap)
 
     def trains(self, rows: Rows) -> NDArray[np.bool_]:
+        """bool (rows,): which train."""
         if self.kind == "random":
             return hashed(self.seed, rows.key) < np.uint64(min(self.share * 2.0**64, 2.0**64 - 2048))
         inside = np.zeros(len(rows.place), bool)
@@ -183,6 +187,7 @@ class Split:
         return inside
 
     def tests(self, rows: Rows) -> NDArray[np.bool_]:
+        """bool (rows,): which test; with boxes, those that are further than the gap from each along the road."""
         if self.kind == "random":
             return ~self.trains(rows)
         far = np.ones(len(rows.place), bool)

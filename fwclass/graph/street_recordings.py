@@ -124,6 +124,7 @@ class OnTrajectory:
 
     @property
     def about(self) -> Mapping[str, Any]:
+        """As `Recording.about`."""
         return self.recording.about
 
     def frames(self) -> Iterator[Frame]:

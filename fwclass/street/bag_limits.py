@@ -33,6 +33,7 @@ class BoundedFile(io.BufferedReader):
         self._size = path.stat().st_size
 
     def read(self, size: int | None = -1, /) -> bytes:
+        """At most what the file still has; `ValueError` for more than `RECORD`."""
         left = max(0, self._size - self.tell())
         wanted = left if size is None or size < 0 else min(size, left)
         if wanted > RECORD:
@@ -44,6 +45,7 @@ class BagPath(type(Path())):  # type: ignore[misc]
     """A path whose files are read within bounds."""
 
     def open(self, mode: str = "r", *more: Any, **named: Any) -> Any:
+        """As `Path.open`; bytes are read within bounds."""
         return BoundedFile(Path(self)) if mode == "rb" else super().open(mode, *more, **named)
 
 

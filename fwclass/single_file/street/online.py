@@ -60,6 +60,7 @@ class Loop:
         self.cut = self.most = 0
 
     def take(self, frame: Frame) -> Iterator[Answer]:
+        """The answers that this frame completes, in order; it may be left out and complete none."""
         placed = self.track.take(frame)
         if placed is None:
             return
@@ -69,6 +70,7 @@ class Loop:
             yield from map(self._answer, self.ring.take(placed))
 
     def rest(self) -> Iterator[Answer]:
+        """The answers of the frames that still wait, when no other comes."""
         if self.ring is not None:
             yield from map(self._answer, self.ring.rest())
 
@@ -94,6 +96,7 @@ class Files:
         self._csv.write(HEAD.encode())
 
     def write(self, one: Answer) -> None:
+        """Append an answer by one call, and the segments that it shows to be left."""
         if self._writer is None:
             self._writer = Writer(len(one.classification))
             self._answers.write(self._writer.head)
@@ -105,6 +108,7 @@ class Files:
             self._csv.write((segment.line() + "\n").encode())
 
     def end(self) -> None:
+        """Append what is open, end the stream, and force both files to the disk."""
         self._append(self._prescriber.rest())
         if self._writer is not None:
             self._answers.write(END)
