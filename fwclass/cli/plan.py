@@ -11,6 +11,7 @@ import click
 from fwclass.cli.base import JSON, OVERWRITE, PATH, SET, WORKERS, cli
 from fwclass.cli.runner import open_runner
 from fwclass.cli.status import WORKFLOW
+from fwclass.errors import ConfigError
 
 
 @cli.command()
@@ -47,6 +48,7 @@ def plan(
     """
     from fwclass import conf as configuration
     from fwclass.errors import visible
+    from fwclass.graph.stages import STAGES
     from fwclass.graph.survey import check_areas
     from fwclass.operate.estimate.headers import survey_facts
     from fwclass.operate.estimate.limits import refuse, room_at
@@ -54,8 +56,14 @@ def plan(
     from fwclass.operate.estimate.text import describe
     from fwclass.operate.estimate.whole import as_json as plain
     from fwclass.operate.estimate.whole import planned
+    from workflows import workflow_of
 
-    config = configuration.load(conf, settings)
+    asked = workflow_of(workflow)
+    if count is not None and asked.settle is not None:
+        raise ConfigError(
+            "tiles are tried with the stages of `classification` alone", where="--dry-run", do="leave one of them out"
+        )
+    config = configuration.load(conf, settings, asked.classifies)
     if graph:
         _tell_graph(config, workflow, as_json)
         return
@@ -65,7 +73,8 @@ def plan(
     _check(config, workflow)
     facts = survey_facts(config, root)
     check_areas(config, facts.box)
-    estimate = planned(config, facts, number, room_at(root))
+    settled, stages = (config, STAGES) if asked.settle is None else (asked.settle(config), asked.stages)
+    estimate = planned(settled, facts, number, room_at(root), stages=stages)
     if count is not None:
         estimate = _dry_run(estimate, count, root)
     paths = deliver(estimate, root)

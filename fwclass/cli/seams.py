@@ -47,6 +47,7 @@ def seams(
     from fwclass.operate.seams.walk import seams as measured
     from fwclass.run.progress import Display
     from fwclass.store.run_location import open_store
+    from workflows import workflow_of
 
     if share is not None and length is not None:
         raise ConfigError("--share and --length both say how much", where="--share, --length", do="give one of them")
@@ -54,7 +55,8 @@ def seams(
         check_free(gpkg, overwrite)
     location = run_at(run)
     request = Request.kept(open_store(location, read_only=True), own_file(workflow))
-    config = configuration.load(request.conf, (*request.settings, *settings))
+    classifies = workflow_of(request.workflow).classifies
+    config = configuration.load(request.conf, (*request.settings, *settings), classifies)
     asked = Asked(
         shift_of(shift, config.tile.size),
         config.seams.share if share is None else share,

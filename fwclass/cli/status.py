@@ -11,7 +11,7 @@ import click
 
 from fwclass.cli.base import JSON, PATH, RUN, SET, cli, little_garbage
 from fwclass.cli.runner import open_runner, tell_failures
-from fwclass.errors import PARTIAL, ConfigError, StoreError, nearest, visible
+from fwclass.errors import PARTIAL, ConfigError, StoreError, visible
 
 TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
 AOI = click.option("--aoi", type=PATH, metavar="FILE", help="Only tiles that the polygons of FILE share area with.")
@@ -19,7 +19,8 @@ WORKFLOW = click.option(
     "--workflow",
     default="classification",
     show_default=True,
-    help="Which workflow: a name (classification, fan2013, xiong2018, backscatter), or a Python file of your own.",
+    help="Which workflow: a name (classification, ground, backscatter, fan2013, shi2019, xiong2018), or a Python file "
+    "of your own.",
 )
 
 
@@ -56,14 +57,12 @@ def requested(
     """The configuration, and the `Request` that the words of the command make."""
     from fwclass import conf as configuration
     from fwclass.operate.request import Request
-    from workflows import WORKFLOWS, workflow_of
+    from workflows import workflow_of
 
+    classifies = workflow_of(workflow).classifies
     if workflow.endswith(".py"):
-        workflow_of(workflow)
         workflow = str(Path(workflow).resolve())
-    elif workflow not in WORKFLOWS:
-        raise ConfigError("no such workflow", where="--workflow", got=workflow, do=nearest(workflow, WORKFLOWS))
-    config = configuration.load(conf, settings)
+    config = configuration.load(conf, settings, classifies)
     return config, Request.of(conf, out_directory(out, config), settings, workflow, tiles)
 
 
@@ -181,6 +180,7 @@ def status(
     from fwclass.operate.request import Request
     from fwclass.store.run_location import held_by, open_store
     from fwclass.store.url import is_url
+    from workflows import workflow_of
 
     if is_url(conf_or_run) or conf_or_run.is_dir():
         if out is not None or settings or tiles or aoi or (workflow != "classification" and not own_file(workflow)):
@@ -196,7 +196,7 @@ def status(
             if not verify:
                 raise
             _verify_alone(location, fault, as_json)
-        config = configuration.load(request.conf, request.settings)
+        config = configuration.load(request.conf, request.settings, workflow_of(request.workflow).classifies)
     else:
         if len(conf_or_run.parts) > 1 and not conf_or_run.suffix and not conf_or_run.exists():
             raise ConfigError(

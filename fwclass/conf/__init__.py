@@ -22,17 +22,18 @@ from fwclass.redact import redacted_setting
 __all__ = ["Config", "build", "checked", "conf_directory", "find", "load", "preset", "presets", "section"]
 
 
-def load(name: str | Path, settings: tuple[str, ...] = ()) -> Config:
+def load(name: str | Path, settings: tuple[str, ...] = (), classifies: bool = True) -> Config:
     """The configuration `name` over `conf/base.yaml`, with `settings` (``section.key=value``) over both.
 
-    Where one of them names a ``ground.preset``, that lies between `conf/base.yaml` and the others.
+    Where one of them names a ``ground.preset``, that lies between `conf/base.yaml` and the others. Unless it
+    `classifies`, classes, labels and training areas may be missing.
     """
     path = find(name)
     change = read(path)
     for text in settings:
         change = merged(change, setting(text))
     raw = _laid(change)
-    return build(path, raw, _origin(path, settings))
+    return build(path, raw, _origin(path, settings), classifies)
 
 
 def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any] | None = None) -> Any:
@@ -79,8 +80,8 @@ def preset(name: str) -> dict[str, Any]:
     return known[name]
 
 
-def build(path: Path, raw: dict[str, Any], where: str = "") -> Config:
-    """A checked configuration; `where` names its origin in messages."""
+def build(path: Path, raw: dict[str, Any], where: str = "", classifies: bool = True) -> Config:
+    """A checked configuration; `where` names its origin in messages, `classifies` as for `load`."""
     where = where or str(path)
     for name in raw:
         if name not in PARAMS:
@@ -91,6 +92,8 @@ def build(path: Path, raw: dict[str, Any], where: str = "") -> Config:
     sections = {name: value for name, value in raw.items() if name != "schedule"}  # it may hold secrets
     config = Config(path=path, raw=sections, simulate=simulate, **values)
     _check(config)
+    if classifies:
+        _check_learning(config)
     return config
 
 
@@ -168,8 +171,6 @@ def _check(config: Config) -> None:
         twice = {v for v in values if values.count(v) > 1}
         if twice:
             raise ConfigError(f"a class {what} is given twice", where=f"{where}: survey.classes", got=sorted(twice))
-    if len(names) < 2:
-        raise ConfigError("at least two classes are needed", where=f"{where}: survey.classes", got=names or "none")
     if not all(0 < c <= 255 for c in codes + used):
         raise ConfigError("class codes lie in 1 to 255", where=f"{where}: survey.classes", got=codes + used)
     if config.terrain.block > MOST_CELLS * config.publish.class_cell:
@@ -212,14 +213,22 @@ def _check(config: Config) -> None:
                 raise ConfigError(
                     "an area is [xmin, ymin, xmax, ymax] with min < max", where=f"{where}: areas.{kind}", got=box
                 )
+
+
+def _check_learning(config: Config) -> None:
+    """By which classes echoes are classified, and by what they are learned: all that is missing at once."""
+    names, lacking = [c.name for c in config.survey.classes], []
+    if len(names) < 2:
+        lacking.append(f"at least two classes are needed (survey.classes has {', '.join(names) or 'none'})")
     if config.survey.model is None:
         if config.survey.reference.kind == "none":
-            raise ConfigError(
-                "nothing to train on",
-                where=f"{where}: survey.reference",
-                do="name a reference (source or cloud), or a trained model as survey.model",
-            )
+            lacking.append("nothing to train on (survey.reference: source, cloud or polygons; or survey.model)")
         if not config.areas.train:
-            raise ConfigError(
-                "no training area", where=f"{where}: areas.train", do="list at least one box [xmin, ymin, xmax, ymax]"
-            )
+            lacking.append("no training area (areas.train: at least one box [xmin, ymin, xmax, ymax])")
+    if lacking:
+        raise ConfigError(
+            "; ".join(lacking),
+            where=config.path,
+            do="`fwclass init FILES` writes a configuration with all of them; `--workflow ground` needs none: it gives "
+            "ground, terrain and heights",
+        )

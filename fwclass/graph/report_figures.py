@@ -45,10 +45,9 @@ def report_figures(config: Config, runner: Runner, layout: Layout, report: Mappi
     surface = drawable(Mosaic(inputs, "terrain", surfaces, terrain.cell, {"dtm": np.float32(np.nan)}), terrain, config)
     percent, place = cells("confidence", np.uint8(NO_CONFIDENCE))
     sure = np.where(percent == NO_CONFIDENCE, np.nan, percent / 100).astype(np.float32)
-    figures = {
-        "map": class_map(*cells("classes", np.uint8(0)), report["classes"], params, surface, areas, aside=False),
-        "confidence": share_map(sure, place, params, SURE, areas),
-    }
+    figures = {"map": class_map(*cells("classes", np.uint8(0)), report["classes"], params, surface, areas, aside=False)}
+    if np.isfinite(sure).any():
+        figures["confidence"] = share_map(sure, place, params, SURE, areas)
     wrong = _errors(runner, config, window)
     if wrong is not None:
         figures["errors"] = share_map(wrong, window, params, WRONG, areas)

@@ -26,13 +26,20 @@ Walk = Callable[[Config, Runner, Tiles], dict[str, Any]]
 class Workflow:
     """A workflow by its name: `what` it is for, in one sentence, its `stages` in order, and the `walk` that binds them.
 
-    Without a `walk` of its own it goes from files to tiles, makes all stages and writes the report.
+    Without a `walk` of its own it goes from files to tiles, makes all stages and writes the report. `settle` gives the
+    configuration that it runs by; with it classes, labels and training areas need not be in the survey's file.
     """
 
     name: str
     what: str
     stages: tuple[Stage, ...]
     walk: Walk | None = None
+    settle: Callable[[Config], Config] | None = None
+
+    @property
+    def classifies(self) -> bool:
+        """The configuration must say by which classes, and by what they are learned."""
+        return self.settle is None
 
     def __call__(self, config: Config, runner: Runner, tiles: Tiles = None) -> dict[str, Any]:
         """Make all parts and write the report; return it. `tiles`: only these, and what they need."""
@@ -43,6 +50,7 @@ class Workflow:
 
     def begin(self, config: Config) -> Plan:
         """What is planned by before any file is read; `ConfigError` for features that no stage writes."""
+        config = config if self.settle is None else self.settle(config)
         columns = tuple(c for stage in self.stages for c in stage.declares)
         declare(columns)
         plan = replace(deciding(config, self.stages), declares=columns)

@@ -11,7 +11,7 @@ from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.kernel import kernel
 
 NO_CONFIDENCE = 255
-"""Of a cell without an echo; confidence is in percent."""
+"""Of a cell without an echo, or whose class has no confidence (NaN); else it is in percent."""
 
 
 class ClassRasters(NamedTuple):
@@ -41,7 +41,7 @@ def class_rasters(
     sure = np.full(window.shape, NO_CONFIDENCE, np.uint8)
     echoes = np.zeros(window.shape, np.uint32)
     top = np.full(window.shape, np.iinfo(np.int64).min)
-    percent = np.rint(100 * confidence.astype(np.float64)).astype(np.uint8)
+    percent = np.rint(np.nan_to_num(100 * confidence.astype(np.float64), nan=NO_CONFIDENCE)).astype(np.uint8)
     code = np.ascontiguousarray(classification, np.uint8)
     _highest(col, row, millimetres(z), code, percent, classes, sure, echoes, top)
     return ClassRasters(classes, sure, echoes)

@@ -105,7 +105,8 @@ def next_steps(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     tiles = (report.get("sureness") or {}).get("tiles") or ()
     steps: list[dict[str, Any]] = []
     if (report.get("outputs") or {}).get("gis"):
-        steps.append({"text": "Open the project in QGIS; its work list has the least sure tiles", "path": "survey.qgz"})
+        more = "; its work list has the least sure tiles" if tiles else ""
+        steps.append({"text": f"Open the project in QGIS{more}", "path": "survey.qgz"})
     for tile in tiles:
         share = percent(tile["confidence"])
         steps.append(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -107,10 +108,10 @@ def _features_of_model(config: Config) -> tuple[str, ...]:
     return _known[key]
 
 
-def tile_halo(config: Config) -> float:
-    """The furthest that any stage reads around a tile [m]."""
+def tile_halo(config: Config, stages: Sequence[Stage] = STAGES) -> float:
+    """The furthest that any of `stages` reads around a tile [m]."""
     plan = plan_of(config)
-    return max(s.reach(plan) for s in STAGES if s.over == "tile" and s.when(plan))
+    return max(s.reach(plan) for s in stages if s.over == "tile" and s.when(plan))
 
 
 def crowding(config: Config, facts: SurveyFacts) -> float:
@@ -118,11 +119,11 @@ def crowding(config: Config, facts: SurveyFacts) -> float:
     return config.plan.crowding * (facts.sample.crowding if facts.sample else 1.0)
 
 
-def amounts(config: Config, facts: SurveyFacts, size: float) -> dict[str, Amount]:
-    """The work of every stage with tiles of `size` [m], in the order of the run."""
+def amounts(config: Config, facts: SurveyFacts, size: float, stages: Sequence[Stage] = STAGES) -> dict[str, Amount]:
+    """The work of each of `stages` with tiles of `size` [m], in the order of the run."""
     plan, quantities = plan_of(config), _Quantities.of(config, facts, size)
     by_stage: dict[str, Amount] = {}
-    for stage in STAGES:
+    for stage in stages:
         amount = quantities.amount(stage, plan) if stage.when(plan) else None
         if amount is not None and amount.parts:
             by_stage[stage.name] = amount.joined(by_stage.get(stage.name))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from fwclass.conf import Config
 from fwclass.conf.planning import StageCost
+from fwclass.graph.stage import Stage
 from fwclass.graph.stages import STAGES
 from fwclass.grid import TileGrid
 from fwclass.operate.estimate.amounts import Amount, amounts
@@ -77,11 +78,13 @@ class Estimate:
         return next(s.amount.parts for s in self.stages if s.name == "tile")
 
 
-def estimated(config: Config, facts: SurveyFacts, size: float, workers: int, costs: Costs) -> Estimate:
-    """The run with tiles of `size` [m]; stages that `costs` does not know are told in `unknown`."""
+def estimated(
+    config: Config, facts: SurveyFacts, size: float, workers: int, costs: Costs, stages: Sequence[Stage] = STAGES
+) -> Estimate:
+    """The run of `stages` with tiles of `size` [m]; those that `costs` does not know are told in `unknown`."""
     waves = float(sum(s.wave_bytes for s in facts.sources))
     works, unknown = [], []
-    for name, amount in amounts(config, facts, size).items():
+    for name, amount in amounts(config, facts, size, stages).items():
         if name in costs:
             works.append(_stage(name, amount, costs[name], waves, config.plan.base_mib))
         else:
@@ -113,14 +116,16 @@ class Choice:
     fits: bool
 
 
-def choices(config: Config, facts: SurveyFacts, workers: int, costs: Costs, allowed_mib: float) -> list[Choice]:
+def choices(
+    config: Config, facts: SurveyFacts, workers: int, costs: Costs, allowed_mib: float, stages: Sequence[Stage] = STAGES
+) -> list[Choice]:
     """All sizes of ``plan.sizes`` and the one that is set; sizes with too many tiles for this extent are left out."""
     boxes, choices_by_size = [box for s in facts.sources for box, _ in s.where], []
     for size in sorted({*config.plan.sizes, config.tile.size}):
         if math.prod(map(len, held_squares(boxes, size))) > MOST_SQUARES / 2:
             continue
         TileGrid(size)
-        estimate = estimated(config, facts, size, workers, costs)
+        estimate = estimated(config, facts, size, workers, costs, stages)
         memory, enough = estimate.largest.memory_mib, estimate.tiles >= config.plan.tiles_per_worker * max(1, workers)
         choices_by_size.append(Choice(size, estimate.tiles, estimate.wall, memory, enough, memory <= allowed_mib))
     return choices_by_size

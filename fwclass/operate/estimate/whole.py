@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from fwclass.conf import Config
+from fwclass.graph.stage import Stage
+from fwclass.graph.stages import STAGES
 from fwclass.operate.estimate.amounts import Counts, amounts, crowding, tile_halo
 from fwclass.operate.estimate.density import costs_at_density, too_dense
 from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimated, proposed
@@ -40,24 +43,31 @@ class Plan:
         return all(limit.fits for limit in self.limits)
 
 
-def planned(config: Config, facts: SurveyFacts, workers: int, room: Room, trial: Store | None = None) -> Plan:
-    """The plan by the costs of section `plan`, or as far as it goes by the receipts of a dry run in `trial`."""
+def planned(
+    config: Config,
+    facts: SurveyFacts,
+    workers: int,
+    room: Room,
+    trial: Store | None = None,
+    stages: Sequence[Stage] = STAGES,
+) -> Plan:
+    """The plan of `stages` by the costs of section `plan`, or, as far as it goes, by receipts of a dry run, `trial`."""
     size, counts = config.tile.size, Counts.of(config, facts)
-    observed = measured(trial, config.plan.stages, amounts(config, facts, size)) if trial else None
+    observed = measured(trial, config.plan.stages, amounts(config, facts, size, stages)) if trial else None
     costs = observed.costs if observed else costs_at_density(config, facts)
-    estimate = estimated(config, facts, size, workers, costs)
+    estimate = estimated(config, facts, size, workers, costs, stages)
     if observed:
         base = measured_base(observed, estimate, config.plan.base_mib)
         config = replace(config, plan=config.plan.model_copy(update={"base_mib": base}))
-        estimate = estimated(config, facts, size, workers, costs)
-    compared = tuple(choices(config, facts, workers, costs, allowed_mib(config, workers, room)))
+        estimate = estimated(config, facts, size, workers, costs, stages)
+    compared = tuple(choices(config, facts, workers, costs, allowed_mib(config, workers, room), stages))
     best = proposed(config, list(compared))
     return Plan(
         config,
         facts,
         counts,
         spread_of(counts.pieces(facts), size),
-        tile_halo(config),
+        tile_halo(config, stages),
         crowding(config, facts),
         workers,
         room,
