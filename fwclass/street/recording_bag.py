@@ -24,6 +24,13 @@ MESSAGE = 64 + 8 * MOST_BEAMS + 4096
 """Bytes of a scan at most."""
 
 
+def _is_ros1(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(7) == b"#ROSBAG"
+
+
 def _storages(reader: Any) -> list[Any]:
     """The files of a ROS 2 bag, as the library reads them."""
     storage = getattr(reader, "storage", None)
@@ -35,7 +42,7 @@ class BagRecording:
 
     def __init__(self, path: Path, scan: Scan, topic: str | None) -> None:
         self.path, self._scan = path, scan
-        self._ros2 = path.suffix != ".bag"
+        self._ros2 = path.suffix != ".bag" and not _is_ros1(path)
         size = sum(p.stat().st_size for p in ([path] if path.is_file() else sorted(path.iterdir())) if p.is_file())
         if size > LARGEST:
             raise InputError("the bag is too large", where=path, expected=f"at most {LARGEST} bytes", got=size)

@@ -70,6 +70,9 @@ def test_bags_of_both_kinds(tmp_path, ros2):
     frames = list(open_recording(bag, SCAN).frames())
     assert [f.time for f in frames] == pytest.approx([10.0, 10.025])
     assert frames[0].scan.beams == 3
+    if not ros2:
+        bag.rename(tmp_path / "copy.orig")
+        assert len(list(open_recording(tmp_path / "copy.orig", SCAN).frames())) == 2
     placed, track = taken(frames)
     assert len(placed) == 2
     assert track.counts()["missing"] == {"below range_min": 2, "above range_max": 0, "NaN": 0, "infinite": 2}
@@ -240,3 +243,20 @@ def test_a_bag_with_types_that_nobody_knows_is_read(tmp_path, shared_data):
     data = (shared_data / "street" / "sick_lms1xx.bag").read_bytes()
     (tmp_path / "a.bag").write_bytes(data.replace(b"float32", b"flaot32"))
     assert len(list(open_recording(tmp_path / "a.bag", SCAN).frames())) == 89
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [("sqlite3", None), ("sqlite3", "message"), ("sqlite3", "file"), ("mcap", None), ("mcap", "storage")],
+)
+def test_ros2_bags_of_every_storage(tmp_path, storage, compression):
+    from bagmaker import write_bag2
+
+    write_bag2(tmp_path / "bag", drive()[:5], storage, compression)
+    back = list(open_recording(tmp_path / "bag", SCAN).frames())
+    assert len(back) == 5
+    for one, true in zip(back, drive(), strict=False):
+        assert np.array_equal(one.ranges, true.ranges, equal_nan=True)
+    if storage == "mcap":
+        (file,) = (tmp_path / "bag").glob("*.mcap")
+        assert len(list(open_recording(file, SCAN).frames())) == 5
