@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from commandline import fwclass, process
 
+from fwclass.errors import InputError
+from fwclass.graph import learn
+
 
 def cloud(path, xyz, classes, point_format=6):
     las = laspy.LasData(laspy.LasHeader(point_format=point_format, version="1.4"))
@@ -125,13 +128,13 @@ def test_an_output_is_not_overwritten(tmp_path, small):
     assert fwclass("decompose", small, out, "--overwrite").returncode == 0
 
 
-def test_a_class_without_samples_ends_with_three_and_says_which(tmp_path, small):
+def test_a_class_without_labels_is_a_fault_before_anything_is_computed(tmp_path, small):
     path = config(tmp_path / "c.yaml", crs="none")
     classes = "survey.classes=[{name: a, code: 2, codes: [2]}, {name: water, code: 9, codes: [9]}]"
     settings = ("--set", classes, "--set", "areas.gap=0.5", "--set", "survey.features=[zc]")
     result = fwclass("run", path, "--workers", 0, "--out", tmp_path / "r", *settings)
-    assert told(result, 3, "no training rows of class 'water'", "parts failed", "fwclass run")
-    assert (tmp_path / "r" / "report.html").exists()
+    assert told(result, 2, "No labelled echo of 'water'", "areas.train", "survey.classes")
+    assert not (tmp_path / "r" / "store" / "features").exists() and not (tmp_path / "r" / "report.html").exists()
 
 
 def test_a_feature_that_no_stage_writes(tmp_path, small):
@@ -152,14 +155,18 @@ def test_without_waveforms_the_template_s_width_is_refused_with_what_to_set(tmp_
     assert told(result, 2, "no echo of this survey has one", '--set "survey.features=[zc]"')
 
 
-def test_a_failed_run_does_not_show_an_older_run_s_figures(tmp_path, small):
+def test_a_failed_run_does_not_show_an_older_run_s_figures(tmp_path, small, monkeypatch):
     path = config(tmp_path / "c.yaml", crs="none")
     settings = ["--set", "survey.features=[zc, echo_ratio_r100]", "--set", "areas.gap=0.5", "--set", "train.trees=3"]
     args = ("run", path, "--workers", 0, "--out", tmp_path / "r", *settings)
     assert told(fwclass(*args), 0, "accuracy")
-    classes = "survey.classes=[{name: a, code: 2, codes: [2]}, {name: water, code: 9, codes: [9]}]"
-    result = fwclass(*args, "--set", classes)
-    assert told(result, 3, "no training rows of class 'water'", "survey.classes=")
+
+    def refuse(*_):
+        raise InputError("nothing to learn here")
+
+    monkeypatch.setattr(learn, "review", refuse)
+    result = fwclass(*args, "--set", "train.samples_per_class=999")
+    assert told(result, 3, "nothing to learn here", "train.samples_per_class=999")
     assert "accuracy" not in result.stderr and "tiles  (" not in result.stderr
     assert "generation  0002 is not whole and lies aside" in result.stderr
     report = json.loads((tmp_path / "r" / "generations" / "0002" / "report.json").read_text())

@@ -145,6 +145,10 @@ def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, a
     click.echo(json.dumps(figures, indent=1) if as_json else describe(figures))
     matched, lost = figures["matched"], figures["unmatched"]
     click.echo(f"{matched:,} of {matched + lost:,} reference points have a predicted point", err=True)
+    if left_out := figures["left_out"]:
+        by_code = ", ".join(f"{code}: {n:,}" for code, n in left_out.items())
+        share = 100 * sum(left_out.values()) / matched
+        click.echo(f"not counted: {share:.1f} % of them, of codes that no class has ({by_code})", err=True)
     if lost > matched:
         click.echo("WARNING: the two clouds hardly overlap; the figures stand for the small part that does", err=True)
 

@@ -218,7 +218,7 @@ def _check(config: Config) -> None:
 def _check_learning(config: Config) -> None:
     """By which classes echoes are classified, and by what they are learned: all that is missing at once."""
     names, lacking = [c.name for c in config.survey.classes], []
-    if len(names) < 2:
+    if len(names) < 2 and not (config.survey.model is not None and not names):  # a model knows its own
         lacking.append(f"at least two classes are needed (survey.classes has {', '.join(names) or 'none'})")
     if config.survey.model is None:
         if config.survey.reference.kind == "none":

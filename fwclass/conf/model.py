@@ -42,7 +42,7 @@ class Section(BaseModel):
 
 
 class ClassSection(Section):
-    """One class: its name, the code it is delivered as, the reference codes that count as it.
+    """One class: its name, the code it is delivered as, the reference codes that count as it (its own, unless given).
 
     `legacy_code` (0 to 31) is written where a source strip has a point format (0-5) that cannot hold `code`.
     """
@@ -51,6 +51,12 @@ class ClassSection(Section):
     code: int
     codes: tuple[int, ...]
     legacy_code: int | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _own_code(cls, given: Any) -> Any:
+        """A class that names no codes of the reference counts its own."""
+        return {"codes": [given["code"]], **given} if isinstance(given, dict) and "code" in given else given
 
     @field_validator("name")
     @classmethod

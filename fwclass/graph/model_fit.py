@@ -81,8 +81,9 @@ def check_classes(model: Model, classes: Sequence[ClassDef], where: object) -> N
 
 
 def check_model(model: Model, config: Config, where: object) -> None:
-    """`ConfigError` unless `model` fits a survey's configuration."""
-    check_classes(model, config.classes, where)
+    """`ConfigError` unless `model` fits a survey's configuration, which may leave the classes to it."""
+    if config.classes:
+        check_classes(model, config.classes, where)
     check_computed(model, config.features, where)
 
 

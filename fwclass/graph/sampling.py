@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from fwclass.conf.model import AreasSection
+from fwclass.errors import ConfigError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested, training_tiles
 from fwclass.graph.learn import SAMPLE, trains
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
-from fwclass.label.census import census, taken
+from fwclass.label.census import census, lacking, taken, total
 from fwclass.model import ClassDef
+from fwclass.run.part import Name
 from fwclass.schema import canonical_key
+from fwclass.store.receipts import Receipt
 
 LABELS, SAMPLES = "label-counts", "sample-counts"
 
@@ -26,6 +32,29 @@ def samples_counted(here: StageInputs, areas: AreasSection, classes: tuple[Class
     table = here.rows()
     arrays, _ = here.inputs.arrays("training", "all", SAMPLE, ("key",))
     return taken(table, np.isin(canonical_key(table), arrays["key"]), areas.boxes("train"), classes)
+
+
+def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
+    """`ConfigError` where a class, or a training area, has no labelled echo to learn from; else the counts.
+
+    Parameters
+    ----------
+    counted : receipts of `COUNT_LABELS`. Where one is missing nothing is said: its echoes may have what is lacking.
+    """
+    if not _counted(plan) or len(counted) < len(plan.layout.tiles):
+        return {}
+    config = plan.config
+    train = config.areas.boxes("train")
+    whole = total((receipt.meta for receipt in counted.values()), len(train), len(config.classes))
+    sentences = lacking(whole, config.classes, train)
+    if sentences:
+        raise ConfigError(
+            "the labels do not suffice to train on",
+            where=f"{config.path}: areas.train, survey.classes",
+            got=" ".join(sentences),
+            do="draw training areas where every class is labelled, or leave the class out of survey.classes",
+        )
+    return dict(whole)
 
 
 def _counted(plan: Plan) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from fwclass.conf import Config
+from fwclass.conf.model import ClassSection
 from fwclass.errors import ConfigError
 from fwclass.graph.area_of_interest import Area
 from fwclass.graph.fine_layer import fine_layer
@@ -18,12 +19,14 @@ from fwclass.graph.quantities import check_learned, joint
 from fwclass.graph.radiometry import READ_TRAJECTORY, check_altitude, flown_by, has_pointing
 from fwclass.graph.reference import check_polygons
 from fwclass.graph.report import write_report
+from fwclass.graph.sampling import COUNT_LABELS, check_labels
 from fwclass.graph.sites import describe_sites, sites
 from fwclass.graph.sources import INDEX, index_name
 from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, TO_TILES, check_features, graph_of, providers
 from fwclass.graph.survey import SIMULATE, check_widths, gather
 from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
+from fwclass.label.stage import LABEL
 from fwclass.model import TwoLayer
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
 from fwclass.run.tasks import Tasks
@@ -31,17 +34,33 @@ from fwclass.store.models import load_model, model_digest
 from fwclass.store.remote_file import Location, directory_outside, local
 from fwclass.store.url import is_url, url_of
 
+LABELLING = (COUNT_LABELS.name, LABEL.name)
+"""Stages of the labels, which need nothing but echoes in tiles."""
+
 MANY, FEW = 1000, 1000
 """A run of so many tiles with fewer echoes than this in each, on average, spends its time on opening files."""
+
+
+def _place_of_model(config: Config, name: str) -> Location:
+    if is_url(name):
+        return directory_outside(url_of(name, f"{config.path}: survey.model"), config.store)
+    return (config.path.parent / name).resolve()
+
+
+def with_classes(config: Config) -> Config:
+    """`config` with the classes of the model that it names, where it names none itself."""
+    if config.survey.classes or config.survey.model is None:
+        return config
+    model = load_model(local(_place_of_model(config, config.survey.model)))
+    classes = tuple(ClassSection(name=c.name, code=c.code, codes=c.codes) for c in model.classes)
+    return replace(config, survey=config.survey.model_copy(update={"classes": classes}))
 
 
 def given_model(config: Config) -> tuple[Location, str] | None:
     """Place and digest of the model that the configuration names, None where it is to be trained."""
     if config.survey.model is None:
         return None
-    place: Location = (config.path.parent / config.survey.model).resolve()
-    if is_url(config.survey.model):
-        place = directory_outside(url_of(config.survey.model, f"{config.path}: survey.model"), config.store)
+    place = _place_of_model(config, config.survey.model)
     path = local(place)
     model = load_model(path)
     check_model(model, config, path)
@@ -59,6 +78,7 @@ def given_model(config: Config) -> tuple[Location, str] | None:
 
 def deciding(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
     """A plan that knows the features that decide, and the model that is given; `ConfigError` for what is no feature."""
+    config = with_classes(config)
     model = given_model(config)
     names = load_model(local(model[0])).features if model else config.features_asked
     check_features(config, names, model[0] if model else f"{config.path}: survey.features", stages)
@@ -135,6 +155,12 @@ def until_report(
             runner.display.say(words)
     if keys is not None:
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, keys)))
+    elif COUNT_LABELS in stages:  # before anything is computed that the labels may not be worth
+        first = [stage for stage in stages if stage.name in LABELLING]
+        done = runner.do(tasks_of(plan, first))
+        counted = {name: receipt for name, receipt in done.items() if name[0] == COUNT_LABELS.name}
+        runner.tell(lambda: check_labels(plan, counted))
+        tasks = tasks_of(plan, [stage for stage in stages if stage not in first])
     runner.do(tasks)
     runner.finish(whole=keys is None)
     return runner.tell(lambda: write_report(config, runner, plan.survey, layout, plan.names, graph))

@@ -156,6 +156,22 @@ def _about_codes(whole: Census, classes: Sequence[ClassDef]) -> list[str]:
     return [f"No echo is labelled {wanted}{instead}: check survey.classes and survey.reference."]
 
 
+def lacking(whole: Census, classes: Sequence[ClassDef], train: Sequence[Box]) -> list[str]:
+    """Why nothing can be learned from the labels, as sentences: classes and training areas without a labelled echo.
+
+    Parameters
+    ----------
+    whole : `total` of the survey.
+    """
+    without = [c for c, n in zip(classes, whole["train"], strict=True) if n == 0]
+    sentences = _about_codes(whole, classes) + _about_boxes(whole, train)
+    if without:
+        has = ", ".join(f"{c.name} {n:,}" for c, n in zip(classes, whole["train"], strict=True) if n) or "none"
+        named = ", ".join(f"{c.name!r}" for c in without)
+        sentences.insert(0, f"No labelled echo of {named} lies in a training area (there are: {has}).")
+    return sentences
+
+
 def _about_classes(whole: Census, rows: Census | None, names: Sequence[str]) -> list[str]:
     train = rows["train"] if rows else whole["train"]
     sentences = []

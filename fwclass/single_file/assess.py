@@ -78,7 +78,7 @@ def assess_files(reference: Path, prediction: Path, codes: str | None, ground: b
 
     Both are LAS, LAZ, COPC or text with labels. Without `codes` every code that the reference uses is a class (0 is
     "never classified"). With `ground` there are two classes, ground (2) and all other codes; whatever the prediction
-    does not call ground is other.
+    does not call ground is other. ``left_out`` counts reference points of codes that no class has, by code.
     """
     if ground and codes is not None:
         raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
@@ -95,7 +95,15 @@ def assess_files(reference: Path, prediction: Path, codes: str | None, ground: b
     classes, given = _classes(wanted, given, codes, ground)
     names = [c.name for c in classes]
     plain = figures(confusion(wanted, given, classes), names, unclassified(wanted, given, classes))
-    return {**plain, "matched": int(known.sum()), "unmatched": int((~known).sum())}
+    left_out = _left_out(wanted, classes)
+    return {**plain, "matched": int(known.sum()), "unmatched": int((~known).sum()), "left_out": left_out}
+
+
+def _left_out(codes: NDArray[np.uint8], classes: tuple[ClassDef, ...]) -> dict[str, int]:
+    """Reference points by a code that no class counts: they are in none of the figures."""
+    used = {code for one in classes for code in one.codes}
+    found, counts = np.unique(codes, return_counts=True)
+    return {str(c): int(n) for c, n in zip(found.tolist(), counts.tolist(), strict=True) if c not in used}
 
 
 def _classes(
