@@ -40,15 +40,17 @@ def _say(text: str) -> None:
 @JSON
 def info(recordings: tuple[Path, ...], conf: Path | None, settings: tuple[str, ...], as_json: bool) -> None:
     """Tell what recordings hold, and what is wrong with them."""
+    from fwclass.graph.street_recordings import TrajectoryFiles
     from fwclass.single_file.street.info import describe
     from fwclass.single_file.street.info import info as look
 
-    params = _config(conf, settings).street
-    made = [look(path, params) for path in recordings]
+    config = _config(conf, settings)
+    trajectory = TrajectoryFiles.of(config)
+    summary = [look(path, config.street, trajectory) for path in recordings]
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
     else:
-        click.echo("\n\n".join(map(describe, made)))
+        click.echo("\n\n".join(map(describe, summary)))
 
 
 @street.command()
@@ -89,10 +91,10 @@ def train(conf: Path, target: Path, method: str | None, settings: tuple[str, ...
 
     if method is not None:
         settings = (*settings, f"train.method={_known(method, '--method')}")
-    made = training(_config(conf, settings), target, say=_say, **asked)
-    click.echo(describe(made), err=True)
+    summary = training(_config(conf, settings), target, say=_say, **asked)
+    click.echo(describe(summary), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
 
 
 @street.command()
@@ -109,7 +111,7 @@ def classify(
     recording: Path, output: Path, model: Path, conf: Path | None, settings: tuple[str, ...], **asked: Any
 ) -> None:
     """Classify a recording: answers and prescription map in the directory OUT, the bytes of `street run`."""
-    from fwclass.graph.street import trajectory_of
+    from fwclass.graph.street_recordings import TrajectoryFiles
     from fwclass.single_file.street.batch import Work, check
     from fwclass.single_file.street.batch import classify as work
     from fwclass.single_file.street.online import describe_batch
@@ -117,17 +119,17 @@ def classify(
 
     config = _config(conf, settings)
     count = config.run.workers if asked["workers"] is None else asked["workers"]
-    job = Work(recording.resolve(), model.resolve(), config.street, trajectory_of(config))
+    job = Work(recording.resolve(), model.resolve(), config.street, TrajectoryFiles.of(config))
     check(job)
     prepare(output, asked["overwrite"])
     with (
         tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}-") as beside,
         open_runner(Path(beside), int(count), asked["scheduler"], config.run) as runner,
     ):
-        made = work(job, output, runner, config.assess.block)
-    click.echo(describe_batch(made, output), err=True)
+        summary = work(job, output, runner, config.assess.block)
+    click.echo(describe_batch(summary, output), err=True)
     if asked["as_json"]:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
 
 
 @street.command()
@@ -149,16 +151,16 @@ def run(
     The source is a recording, - for standard input, or tcp://host:port to listen at (docs/street.md tells the bytes).
     SIGINT ends it cleanly.
     """
-    from fwclass.graph.street import trajectory_of
+    from fwclass.graph.street_recordings import TrajectoryFiles
     from fwclass.single_file.street.online import Run, describe
     from fwclass.single_file.street.online import run as work
 
     config = _config(conf, settings)
-    job = Run(source, model, target, pace == "recorded", asked["overwrite"], trajectory_of(config))
-    made = work(job, config.street, _say)
-    click.echo(f"{describe(made)}\nanswers      {target}", err=True)
+    job = Run(source, model, target, pace == "recorded", asked["overwrite"], TrajectoryFiles.of(config))
+    summary = work(job, config.street, _say)
+    click.echo(describe(summary, target), err=True)
     if asked["as_json"]:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))
 
 
 @street.command()
@@ -175,10 +177,12 @@ def annotate(
     recording: Path, file: Path, conf: Path | None, settings: tuple[str, ...], as_json: bool, **asked: Any
 ) -> None:
     """Label returns by rectangles in slices of road (docs/street.md): check them, show them, go on where they end."""
+    from fwclass.graph.street_recordings import TrajectoryFiles
     from fwclass.single_file.street.annotate import annotate as work
     from fwclass.single_file.street.annotate import describe
 
-    made = work(recording, file, params=_config(conf, settings).street, **asked)
-    click.echo(describe(made), err=True)
+    config = _config(conf, settings)
+    summary = work(recording, file, params=config.street, trajectory=TrajectoryFiles.of(config), **asked)
+    click.echo(describe(summary), err=True)
     if as_json:
-        click.echo(json.dumps(made, indent=1))
+        click.echo(json.dumps(summary, indent=1))

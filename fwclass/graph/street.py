@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,15 +15,13 @@ from fwclass.assess.confusion import figures
 from fwclass.assess.intervals import DRAWS, LEVEL, SEED, intervals
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
-from fwclass.conf.street import scanner
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
 from fwclass.hashing import hashed
 from fwclass.model import ClassDef, Model, assemble, class_index
-from fwclass.read.trajectory import read_trajectory
 from fwclass.schema import Table
-from fwclass.street.frames import Frame, Recording, Scan, Track
+from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
-from fwclass.street.recordings import open_recording
 from fwclass.street.ring import Ring, Seen, feature_names
 from fwclass.street.sphere_kernels import UNIT
 from fwclass.train.baselines.params import CompareParams
@@ -43,8 +40,8 @@ LEAST = 5
 def recordings_of(config: Config, directory: Path | None = None) -> list[Path]:
     """The survey's recordings in order; `ConfigError` where there are none. `directory`: in place of the survey's."""
     base = directory or config.path.parent / (config.survey.directory or ".")
-    found = [path for pattern in config.survey.sources for path in sorted(base.glob(pattern))]
-    if not found:
+    paths = [path for pattern in config.survey.sources for path in sorted(base.glob(pattern))]
+    if not paths:
         raise ConfigError(
             "no recording of this name",
             where=f"{config.path}: survey.sources",
@@ -52,7 +49,7 @@ def recordings_of(config: Config, directory: Path | None = None) -> list[Path]:
             got=", ".join(config.survey.sources),
             do="check survey.directory and survey.sources",
         )
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(paths))
 
 
 def computed(params: StreetParams) -> dict[str, Any]:
@@ -69,10 +66,12 @@ def computed(params: StreetParams) -> dict[str, Any]:
 
 def params_of(model: Model, params: StreetParams, where: object) -> StreetParams:
     """`params` with what the features of `model` were computed by; `ConfigError` for a model of other features."""
-    told = model.card.get("computed", {})
-    told = told.get("street") if isinstance(told, Mapping) else None
+    card = model.card.get("computed", {})
+    settings = card.get("street") if isinstance(card, Mapping) else None
     try:
-        changed = StreetParams.model_validate({**params.model_dump(), **told}) if isinstance(told, Mapping) else None
+        changed = (
+            StreetParams.model_validate({**params.model_dump(), **settings}) if isinstance(settings, Mapping) else None
+        )
     except ValueError:
         changed = None
     if changed is None or feature_names(changed) != model.features:
@@ -104,10 +103,11 @@ class Rows:
     depth: NDArray[np.float64]
 
     def take(self, rows: NDArray) -> Rows:
+        """Only `rows` (index or mask)."""
         return Rows(self.X[rows], self.codes[rows], self.key[rows], self.place[rows], self.depth[rows])
 
 
-def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Iterator[Rows]:
+def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Iterator[Rows]:
     """All returns of the recordings, by blocks of frames."""
     for number, path in enumerate(paths):
         held: list[Rows] = []
@@ -120,46 +120,7 @@ def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: tuple[Path,
             yield joined(held)
 
 
-def trajectory_of(config: Config) -> tuple[Path, ...]:
-    """The files of `survey.trajectory`, relative to survey.directory; `ConfigError` for one that is not there."""
-    base = config.path.parent / (config.survey.directory or ".")
-    found = tuple(base / name for name in config.survey.trajectory.files)
-    for path in found:
-        if not path.is_file():
-            raise ConfigError("no such trajectory", where=f"{config.path}: survey.trajectory.files", got=path)
-    return found
-
-
-@dataclass(frozen=True)
-class OnTrajectory:
-    """A recording whose frames are placed along the way of a trajectory: by its length in plan, straight between fixes.
-
-    The trajectory's clock is the frames'. Frames outside its time have no place.
-    """
-
-    recording: Recording
-    files: tuple[Path, ...]
-
-    @property
-    def told(self) -> Mapping[str, Any]:
-        return self.recording.told
-
-    def frames(self) -> Iterator[Frame]:
-        fixes = [read_trajectory(path) for path in self.files]
-        time, x, y = (np.concatenate([f[n] for f in fixes]) for n in ("gps_time", "x", "y"))
-        order = np.argsort(time, kind="stable")
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x[order]), np.diff(y[order])))])
-        for frame in self.recording.frames():
-            yield replace(frame, place=float(np.interp(frame.time, time[order], way, math.nan, math.nan)))
-
-
-def opened(path: Path, params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Recording:
-    """The recording at `path`, placed along a trajectory where there is one."""
-    recording = open_recording(path, Scan.of(scanner(params.scanner)), params.topic)
-    return OnTrajectory(recording, trajectory) if trajectory else recording
-
-
-def seen_frames(path: Path, params: StreetParams, trajectory: tuple[Path, ...] = ()) -> Iterator[Seen]:
+def seen_frames(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Iterator[Seen]:
     """The frames of a recording with their features."""
     track, ring = Track(params), None
     for frame in opened(path, params, trajectory).frames():
@@ -189,6 +150,7 @@ def _rows(recording: int, at: int, one: Seen) -> Rows:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
+    """The rows of all parts, in order."""
     return Rows(
         np.concatenate([p.X for p in parts]),
         np.concatenate([p.codes for p in parts]),
@@ -211,10 +173,12 @@ class Split:
 
     @classmethod
     def of(cls, config: Config) -> Split:
+        """That of `street.split` and `areas.train`."""
         street = config.street
         return cls(street.split, street.share, config.train.seed, config.areas.train, config.areas.gap)
 
     def trains(self, rows: Rows) -> NDArray[np.bool_]:
+        """bool (rows,): which train."""
         if self.kind == "random":
             return hashed(self.seed, rows.key) < np.uint64(min(self.share * 2.0**64, 2.0**64 - 2048))
         inside = np.zeros(len(rows.place), bool)
@@ -223,6 +187,7 @@ class Split:
         return inside
 
     def tests(self, rows: Rows) -> NDArray[np.bool_]:
+        """bool (rows,): which test; with boxes, those that are further than the gap from each along the road."""
         if self.kind == "random":
             return ~self.trains(rows)
         far = np.ones(len(rows.place), bool)
@@ -259,10 +224,10 @@ def fitted(
 ) -> Model:
     """A model of the method that `train` names, whose card says how its features were computed."""
     if train.method == "forest":
-        made: Any = assemble(grow_trees(sample, classes, 0, train.trees, train), card(sample, classes, train))
+        model: Any = assemble(grow_trees(sample, classes, 0, train.trees, train), card(sample, classes, train))
     else:
-        made = train_other(sample, train, compare, classes, train.method)
-    return replace(made, card={**made.card, "computed": computed(params)})
+        model = train_other(sample, train, compare, classes, train.method)
+    return replace(model, card={**model.card, "computed": computed(params)})
 
 
 def judged(
@@ -272,7 +237,7 @@ def judged(
     classes: Sequence[ClassDef],
     block: float,
 ) -> dict[str, Any]:
-    """Figures of the test rows (all without `split`), plain data; see `told`. `block` of road [m] for intervals."""
+    """`crown_accuracy` of the test rows (of all without `split`). `block`: of road, for intervals [m]."""
     parts = []
     for rows in blocks:
         chosen = class_index(rows.codes, classes) >= 0
@@ -282,7 +247,7 @@ def judged(
         if len(few.key):
             road = few.place + 1e6 * (few.key >> np.uint64(48))  # recordings are apart
             parts.append(BlockCounts.of(road, np.zeros(len(road)), few.codes, answers(few), classes, block))
-    return told(BlockCounts.merged(parts, len(classes)), classes)
+    return crown_accuracy(BlockCounts.merged(parts, len(classes)), classes)
 
 
 def by_model(model: Model) -> Callable[[Rows], NDArray[np.uint8]]:
@@ -293,7 +258,7 @@ def by_model(model: Model) -> Callable[[Rows], NDArray[np.uint8]]:
 CROWN_FIGURES = ("error", "detection", "false_alarm")
 
 
-def told(blocks: BlockCounts, classes: Sequence[ClassDef]) -> dict[str, Any]:
+def crown_accuracy(blocks: BlockCounts, classes: Sequence[ClassDef]) -> dict[str, Any]:
     """Figures of `confusion.figures`, and of the first class, the crowns, those of Li 2018 with 95 % intervals.
 
     error: wrong / all. detection: crown returns found / crown returns. false_alarm: other returns taken for crown /
@@ -308,13 +273,13 @@ def told(blocks: BlockCounts, classes: Sequence[ClassDef]) -> dict[str, Any]:
         drawn = np.stack([flat[random.integers(0, len(flat), len(flat))].sum(axis=0) for _ in range(DRAWS)])
         tails = (0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
         ends = np.nanquantile(crown_figures(drawn.reshape(-1, *matrix.shape)), tails, axis=0)
-    made: dict[str, Any] = {**figures(matrix, [c.name for c in classes]), "rows": int(matrix.sum())}
-    made["intervals"] = intervals(counts)
-    made["blocks"] = len(counts)
+    accuracy: dict[str, Any] = {**figures(matrix, [c.name for c in classes]), "rows": int(matrix.sum())}
+    accuracy["intervals"] = intervals(counts)
+    accuracy["blocks"] = len(counts)
     for k, name in enumerate(CROWN_FIGURES):
-        made[name] = None if np.isnan(values[k]) else float(values[k])
-        made[f"{name}_interval"] = None if ends is None else [float(v) for v in ends[:, k]]
-    return made
+        accuracy[name] = None if np.isnan(values[k]) else float(values[k])
+        accuracy[f"{name}_interval"] = None if ends is None else [float(v) for v in ends[:, k]]
+    return accuracy
 
 
 def crown_figures(matrices: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -38,7 +38,7 @@ def draw_prescription(segments: Sequence[Any]) -> bytes:
         axes[1].set_ylim(-far, far)
     axes[1].axhline(0, color="#555555", lw=1)
     axes[1].set_xlabel("m along the road")
-    axes[0].set_title("crown beside the road: darker is denser; " + ", ".join(SIDES), fontsize=10)
+    axes[0].set_title("crown beside the road, left in blue, right in green; darker is denser", fontsize=10)
     return _png(figure)
 
 
@@ -96,12 +96,16 @@ def draw_slice(
     axis.set_aspect("equal")
     axis.set_xlabel("m to the left of the track")
     axis.set_ylabel("m above the scanner")
-    axis.set_title(title, fontsize=10)
-    axis.legend(markerscale=6, fontsize=8, loc="upper right")
+    axis.plot(0, 0, "+", color="#22303c", ms=9)
+    axis.minorticks_on()
+    axis.grid(alpha=0.35)
+    axis.grid(which="minor", alpha=0.15)
+    axis.set_title(f"{title} (+ is the scanner)", fontsize=10)
+    figure.legend(markerscale=6, fontsize=8, loc="outside right upper", frameon=False)
     return _png(figure)
 
 
 def _png(figure: Any) -> bytes:
-    made = io.BytesIO()
-    figure.savefig(made, format="png", metadata={"Software": None})
-    return made.getvalue()
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": None})
+    return stream.getvalue()

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.parquet_footer import values_told
 from fwclass.read.beam_source import LONGEST, BeamRows, Ragged
 from fwclass.read.raw_columns import (
     LISTS,
@@ -99,12 +100,8 @@ def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
         with pq.ParquetFile(path) as file:
             schema, meta = file.schema_arrow, file.metadata
             rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
-            values = sum(
-                meta.row_group(g).column(c).num_values
-                for g in range(meta.num_row_groups)
-                for c in range(meta.num_columns)
-            )
-    except (pa.ArrowException, OSError) as fault:
+        values = values_told(path)
+    except (pa.ArrowException, OSError, ValueError) as fault:
         raise _damaged(path, fault) from None
     told = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
     settings = Settings.of(told, path)

@@ -81,11 +81,11 @@ def read_boxes(path: Path) -> list[Box]:
         )
     boxes, wrong = [], []
     for number, row in lines[1:]:
-        made = _box(number, [c.strip() for c in row])
-        if isinstance(made, Box):
-            boxes.append(made)
+        box = _box(number, [c.strip() for c in row])
+        if isinstance(box, Box):
+            boxes.append(box)
         else:
-            wrong.append(f"line {number}: {made}")
+            wrong.append(f"line {number}: {box}")
     if wrong:
         raise InputError(
             f"{len(wrong)} rectangles cannot be used",
@@ -122,14 +122,14 @@ def _box(line: int, row: list[str]) -> Box | str:
 def overlaps(boxes: Sequence[Box]) -> list[tuple[Box, Box]]:
     """Pairs that give one place two classes: the later one wins."""
     given = sorted((b for b in boxes if b.kind == "include"), key=lambda b: b.begin)
-    found = []
+    pairs = []
     for k, one in enumerate(given):
         for other in given[k + 1 :]:
             if other.begin >= one.end:
                 break
             if one.code != other.code and one.meets(other):
-                found.append((one, other))
-    return found
+                pairs.append((one, other))
+    return pairs
 
 
 class Labeller:

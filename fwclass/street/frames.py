@@ -75,10 +75,10 @@ class Frame:
 
 
 class Recording(Protocol):
-    """A source of frames. `told`: what the source says of itself, plain data."""
+    """A source of frames. `about`: what the source says of itself, plain data."""
 
     @property
-    def told(self) -> Mapping[str, Any]:
+    def about(self) -> Mapping[str, Any]:
         """Kind, columns or topics, rows: plain data."""
         ...
 
@@ -110,6 +110,14 @@ class Placed:
     labels: NDArray[np.uint8] | None = None
 
 
+def turned(mounting: MountingParams) -> NDArray[np.float64]:
+    """(3, 3): turns a vector of the scan plane (x across it, y, z in it) onto the vehicle, by pitch and yaw."""
+    p, w = math.radians(mounting.pitch), math.radians(mounting.yaw)
+    about_y = np.array([[math.cos(p), 0, math.sin(p)], [0, 1, 0], [-math.sin(p), 0, math.cos(p)]])
+    about_z = np.array([[math.cos(w), -math.sin(w), 0], [math.sin(w), math.cos(w), 0], [0, 0, 1]])
+    return about_z @ about_y
+
+
 @dataclass(frozen=True)
 class Geometry:
     """Directions of the beams on the vehicle, (beams, 3): x forward, y left, z up."""
@@ -125,10 +133,7 @@ class Geometry:
         angle = scan.first + scan.step * np.arange(scan.beams) + math.radians(mounting.roll)
         side = 1.0 if mounting.side == "left" else -1.0
         plane = np.stack([np.zeros(scan.beams), side * np.cos(angle), np.sin(angle)], axis=1)
-        p, w = math.radians(mounting.pitch), math.radians(mounting.yaw)
-        about_y = np.array([[math.cos(p), 0, math.sin(p)], [0, 1, 0], [-math.sin(p), 0, math.cos(p)]])
-        about_z = np.array([[math.cos(w), -math.sin(w), 0], [math.sin(w), math.cos(w), 0], [0, 0, 1]])
-        turn = about_z @ about_y
+        turn = turned(mounting)
         normal = turn[:, 0]
         tilted = mounting.pitch != 0 or mounting.yaw != 0
         return cls(scan, np.ascontiguousarray(plane @ turn.T), tilted, math.sqrt(max(0.0, 1.0 - normal[0] ** 2)))
@@ -139,6 +144,12 @@ class Geometry:
         return 1.0 / math.sqrt(1.0 - self.lean**2)
 
 
+FARTHEST = 2000.0
+"""m; no range is longer: coordinates and `FAR` are in 32 bits."""
+
+FASTEST, LATEST, ROUND_THE_EARTH = 100.0, 1e10, 4e7
+"""Speeds [m/s], times [s] and places [m] beyond these are no values."""
+
 FAULTS = (
     "out of order",
     "doubled",
@@ -148,6 +159,7 @@ FAULTS = (
     "reversing",
     "standing",
     "no speed",
+    "impossible speed or place",
 )
 """What frames are counted for; the first three are left out."""
 
@@ -196,7 +208,7 @@ class Track:
 
     def _in_time(self, frame: Frame) -> bool:
         """Whether the frame comes after the one before; how far along the road it is."""
-        if not math.isfinite(frame.time):
+        if not abs(frame.time) <= LATEST:
             self.faults["out of order"] += 1
             return False
         step = frame.time - self._time if self.used else 0.0
@@ -208,7 +220,7 @@ class Track:
             self.faults["clock leaps"] += 1
             step = period if math.isfinite(period) and step < 0 else max(step, 0.0)
         elif math.isfinite(period) and step > 1.5 * period:
-            self.faults["dropped before"] += round(step / period) - 1
+            self.faults["dropped before"] += round(min(step / period, 1e9)) - 1
         if self.used and len(self._steps) < 99 and step > 0:
             self._steps.append(step)
         self._advance(frame, step)
@@ -216,13 +228,14 @@ class Track:
         return True
 
     def _advance(self, frame: Frame, step: float) -> None:
-        if math.isfinite(frame.place):
-            moved = frame.place - self._given if math.isfinite(self._given) else 0.0
+        place, speed_given = self._within(frame.place, ROUND_THE_EARTH), self._within(frame.speed, FASTEST)
+        if math.isfinite(place):
+            moved = place - self._given if math.isfinite(self._given) else 0.0
             if not self.used:
-                self._along = frame.place
-            self._given = frame.place
+                self._along = place
+            self._given = place
         else:
-            speed = frame.speed if math.isfinite(frame.speed) else self.params.speed
+            speed = speed_given if math.isfinite(speed_given) else self.params.speed
             if speed is None:
                 self.faults["no speed"] += 1
                 speed = self._speed
@@ -241,12 +254,19 @@ class Track:
             self.faults["reversing"] += moved < 0
             self.faults["standing"] += moved == 0
 
+    def _within(self, value: float, most: float) -> float:
+        """`value`, or NaN for one that is beyond `most`, which is counted."""
+        if abs(value) <= most or math.isnan(value):
+            return value
+        self.faults["impossible speed or place"] += 1
+        return math.nan
+
     def _placed(self, frame: Frame, geometry: Geometry) -> Placed:
         beams = geometry.scan.beams
         x = np.empty(beams if geometry.tilted else 0, np.int32)
         y, z, r = np.empty(beams, np.int32), np.empty(beams, np.int32), np.empty(beams, np.float32)
         under = np.empty(beams)
-        limits = geometry.scan.range_min, geometry.scan.range_max
+        limits = geometry.scan.range_min, min(geometry.scan.range_max, FARTHEST)
         below = -0.5 * self.params.mounting.height
         near = self.params.road_half_width
         count = place_frame(frame.ranges, geometry.direction, *limits, near, below, x, y, z, r, self.missing, under)
@@ -258,7 +278,7 @@ class Track:
         place = round(self._along / UNIT)
         return Placed(frame.number, frame.time, place, self._road, x, y, z, r, frame.labels)
 
-    def told(self) -> dict[str, Any]:
+    def counts(self) -> dict[str, Any]:
         """Counts by cause, plain data."""
         return {
             "frames": self.frames,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import ConfigError, InputError
+from fwclass.street.bag_limits import BagPath, check_chunks, check_files, limit_library
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import MOST_BEAMS, frame_of
 
@@ -23,22 +24,37 @@ MESSAGE = 64 + 8 * MOST_BEAMS + 4096
 """Bytes of a scan at most."""
 
 
+def _is_ros1(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(7) == b"#ROSBAG"
+
+
+def _storages(reader: Any) -> list[Any]:
+    """The files of a ROS 2 bag, as the library reads them."""
+    storage = getattr(reader, "storage", None)
+    return list(getattr(storage, "storages", [storage]))
+
+
 class BagRecording:
     """Scans of a topic; the vehicle's speed from `nav_msgs/Odometry`, the last one before a scan, if the bag has it."""
 
     def __init__(self, path: Path, scan: Scan, topic: str | None) -> None:
         self.path, self._scan = path, scan
+        self._ros2 = path.suffix != ".bag" and not _is_ros1(path)
         size = sum(p.stat().st_size for p in ([path] if path.is_file() else sorted(path.iterdir())) if p.is_file())
         if size > LARGEST:
             raise InputError("the bag is too large", where=path, expected=f"at most {LARGEST} bytes", got=size)
         with self._opened() as reader:
-            kinds = {(c.topic, c.msgtype): 0 for c in reader.connections}
+            kinds: dict[tuple[str, str], int] = {}
             for c in reader.connections:
-                kinds[c.topic, c.msgtype] += int(c.msgcount)
+                kind = str(c.topic), str(c.msgtype)
+                kinds[kind] = kinds.get(kind, 0) + (c.msgcount if isinstance(c.msgcount, int) else 0)
         scans = sorted({t for t, kind in kinds if kind == SCAN})
         self.topic = self._chosen(scans, topic, kinds)
         self._odometry = next((t for t, kind in sorted(kinds) if kind == ODOMETRY), None)
-        self.told: Mapping[str, Any] = {
+        self.about: Mapping[str, Any] = {
             "kind": "ROS bag",
             "topic": self.topic,
             "rows": kinds[self.topic, SCAN],
@@ -71,17 +87,23 @@ class BagRecording:
     @contextmanager
     def _opened(self) -> Iterator[Any]:
         try:
-            from rosbags.highlevel import AnyReader
-            from rosbags.typesys import Stores, get_typestore
+            from rosbags.rosbag1 import Reader as One
+            from rosbags.rosbag2 import Reader as Two
         except ImportError as fault:
             raise ConfigError(
                 "ROS bags are read by the library rosbags", where=self.path, do="pip install 'fwclass[street]'"
             ) from fault
         try:
-            reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            limit_library()
+            path = BagPath(self.path)
+            if self._ros2:
+                check_files(self.path)
+            reader = Two(path) if self._ros2 else One(path)
             reader.open()
+            for storage in _storages(reader):
+                check_chunks(getattr(storage, "chunks", ()))
         except Exception as fault:  # the library lets through whatever its parsers raise
-            raise self._damaged(fault) from fault
+            raise self._damaged(fault) from None
         try:
             yield reader
         finally:
@@ -89,7 +111,11 @@ class BagRecording:
 
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""
+        from rosbags.typesys import Stores, get_typestore
+
         speed = math.nan
+        store = get_typestore(Stores.ROS2_HUMBLE if self._ros2 else Stores.ROS1_NOETIC)  # a bag's own might be anything
+        read = store.deserialize_cdr if self._ros2 else store.deserialize_ros1
         with self._opened() as reader:
             wanted = [c for c in reader.connections if c.topic in (self.topic, self._odometry)]
             coming = iter(reader.messages(connections=wanted))
@@ -99,11 +125,11 @@ class BagRecording:
                     connection, _, raw = next(coming)
                     if len(raw) > MESSAGE:
                         raise ValueError(f"a message of {len(raw)} bytes")
-                    message = reader.deserialize(raw, connection.msgtype)
+                    message = read(raw, connection.msgtype)
                 except StopIteration:
                     return
                 except Exception as fault:
-                    raise self._damaged(fault, at) from fault
+                    raise self._damaged(fault, at) from None
                 if connection.msgtype == ODOMETRY:
                     speed = float(message.twist.twist.linear.x)
                     continue

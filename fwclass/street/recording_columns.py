@@ -46,17 +46,17 @@ def check_columns(names: Iterable[str], path: Path) -> None:
 def scan_of(numbers: Mapping[str, float], scan: Scan, beams: int) -> Scan:
     """`scan` with what a frame says itself; an angle [rad] that is missing is the recording's."""
 
-    def told(name: str, other: float) -> float:
+    def value_of(name: str, other: float) -> float:
         value = numbers.get(name, math.nan)
         return value if math.isfinite(value) else other
 
     return replace(
         scan,
         beams=beams,
-        first=told("angle_min", scan.first),
-        step=told("angle_increment", scan.step),
-        range_min=told("range_min", scan.range_min),
-        range_max=told("range_max", scan.range_max),
+        first=value_of("angle_min", scan.first),
+        step=value_of("angle_increment", scan.step),
+        range_min=value_of("range_min", scan.range_min),
+        range_max=value_of("range_max", scan.range_max),
     )
 
 
@@ -106,12 +106,12 @@ def frame_of(
     )
 
 
-def settings_of(told: Mapping[str, Any], scan: Scan) -> Scan:
+def settings_of(settings: Mapping[str, Any], scan: Scan) -> Scan:
     """`scan` with what the file's own settings say."""
     numbers = {}
     for name in ("angle_min", "angle_increment", "range_min", "range_max"):
         try:
-            numbers[name] = float(told.get(name, math.nan))
+            numbers[name] = float(settings.get(name, math.nan))
         except (TypeError, ValueError):
             numbers[name] = math.nan
     return scan_of(numbers, scan, scan.beams)

@@ -42,7 +42,7 @@ class CsvRecording:
                 do="write labels and intensities as Parquet",
             )
         self._names = names[:-1]
-        self.told: Mapping[str, Any] = {"kind": "CSV", "columns": names}
+        self.about: Mapping[str, Any] = {"kind": "CSV", "columns": names}
 
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""

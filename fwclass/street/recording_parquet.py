@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
+from fwclass.formats.parquet_footer import values_told
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import COLUMNS, LISTS, MOST_BEAMS, NUMBERS, check_columns, frame_of, settings_of
 
@@ -35,10 +36,9 @@ class ParquetRecording:
         try:
             with pq.ParquetFile(path) as file:
                 schema, meta = file.schema_arrow, file.metadata
-                groups = [meta.row_group(g) for g in range(meta.num_row_groups)]
-                values = sum(g.column(c).num_values for g in groups for c in range(meta.num_columns))
-                rows = [g.num_rows for g in groups]
-        except (pa.ArrowException, OSError) as fault:
+                rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
+            values = values_told(path)
+        except (pa.ArrowException, OSError, ValueError) as fault:
             raise damaged(path, fault) from None
         check_columns(schema.names, path)
         for name in schema.names:
@@ -61,7 +61,7 @@ class ParquetRecording:
                     got=kind.list_size,
                 )
         size = path.stat().st_size
-        if min([*rows, 0]) < 0 or values * FEWEST_BYTES > size or sum(rows) * FEWEST_BYTES > size:
+        if min([*rows, 0]) < 0 or max(values, sum(rows)) * FEWEST_BYTES > size:
             raise InputError(
                 "the file counts more than it can hold",
                 where=path,
@@ -72,13 +72,13 @@ class ParquetRecording:
         held = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
         self._names = [n for n in schema.names if n != "intensities"]
         self._scan = settings_of(held, scan)
-        self.told: Mapping[str, Any] = {"kind": "Parquet", "rows": sum(rows), "columns": list(schema.names)}
+        self.about: Mapping[str, Any] = {"kind": "Parquet", "rows": sum(rows), "columns": list(schema.names)}
 
     def frames(self) -> Iterator[Frame]:
         """As `Recording.frames`."""
         at = 0
         try:
-            with pq.ParquetFile(self.path) as file:
+            with pq.ParquetFile(self.path, pre_buffer=False) as file:  # a buffer would keep all that was read
                 for batch in file.iter_batches(BLOCK, columns=self._names, use_threads=False):
                     numbers = {n: _numbers(batch.column(n)) for n in self._names if n in NUMBERS}
                     for row in range(batch.num_rows):
@@ -159,6 +159,6 @@ def _table(frames: list[Frame]) -> pa.Table:
     if frames[0].labels is not None:
         labels = pa.array(np.concatenate([f.labels for f in frames if f.labels is not None]), pa.uint8())
         columns["labels"] = pa.FixedSizeListArray.from_arrays(labels, beams)
-    told = {"angle_min": scan.first, "angle_increment": scan.step, "range_min": scan.range_min}
-    told["range_max"] = scan.range_max
-    return pa.table(columns).replace_schema_metadata({k: repr(float(v)) for k, v in told.items()})
+    settings = {"angle_min": scan.first, "angle_increment": scan.step, "range_min": scan.range_min}
+    settings["range_max"] = scan.range_max
+    return pa.table(columns).replace_schema_metadata({k: repr(float(v)) for k, v in settings.items()})

@@ -10,7 +10,7 @@ from fwclass.street.recording_bag import BagRecording
 from fwclass.street.recording_csv import CsvRecording
 from fwclass.street.recording_parquet import ParquetRecording
 
-KINDS = "Parquet or CSV of frames, a ROS 1 bag, a ROS 2 bag's directory (sqlite3 or MCAP)"
+KINDS = "Parquet or CSV of frames, a ROS 1 bag, a ROS 2 bag's directory (sqlite3 or MCAP), a mobile LAS or LAZ"
 
 
 def open_recording(path: Path, scan: Scan, topic: str | None = None) -> Recording:

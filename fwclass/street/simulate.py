@@ -48,8 +48,8 @@ def simulated(params: StreetSceneParams, scanner: ScannerParams, mounting: Mount
             *(lean, KERB, KERB_HEIGHT, scanner.spot, scanner.noise, params.missing, scan.range_max),
             *(random.integers(1, 2**63, scan.beams, dtype=np.uint64), ranges, labels),
         )
-        told = speed * (1.0 + 0.002 * float(random.normal()))
-        yield Frame(number, number * scanner.period, scan, ranges, speed=told, labels=labels)
+        measured = speed * (1.0 + 0.002 * float(random.normal()))
+        yield Frame(number, number * scanner.period, scan, ranges, speed=measured, labels=labels)
         place += speed * scanner.period
 
 

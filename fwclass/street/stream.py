@@ -54,7 +54,7 @@ class Decoder:
             self._to_magic()
             if len(self._held) < HEAD.size:
                 return
-            _, beams, number, time, speed, place, first, step, low, high, told = HEAD.unpack_from(self._held)
+            _, beams, number, time, speed, place, first, step, low, high, crc = HEAD.unpack_from(self._held)
             sane = 0 < beams <= self.most_beams and math.isfinite(time) and 0 < step <= math.pi
             if not sane or not math.isfinite(first) or not 0 <= low < high or number >= 1 << 63:
                 self._skip("impossible frame")
@@ -63,7 +63,7 @@ class Decoder:
             if len(self._held) < size:
                 return
             body = bytes(self._held[HEAD.size : size])
-            if zlib.crc32(body, zlib.crc32(bytes(self._held[:_BEFORE]))) != told:
+            if zlib.crc32(body, zlib.crc32(bytes(self._held[:_BEFORE]))) != crc:
                 self._skip("bad sum")
                 continue
             del self._held[:size]

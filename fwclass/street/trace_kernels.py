@@ -157,7 +157,7 @@ def trace(  # type: ignore[no-untyped-def]
     """
     for j in range(len(angles)):
         state = _next(seeds[j])
-        found, kind = most, 0
+        hit, kind = most, 0
         other, besides = most, 0
         for look in range(2):  # the middle of the spot, and a place near its rim
             turn = angles[j] + roll + (0.5 * spot * (2.0 * _share(state) - 1.0) if look else 0.0)
@@ -168,14 +168,14 @@ def trace(  # type: ignore[no-untyped-def]
             if look:
                 other, besides = t, label
             else:
-                found, kind = t, label
+                hit, kind = t, label
         state = _next(_next(state))
-        if kind and besides and 0.05 < abs(found - other) < 2.0 and _share(state) < 0.3:  # a mixed pixel
+        if kind and besides and 0.05 < abs(hit - other) < 2.0 and _share(state) < 0.3:  # a mixed pixel
             state = _next(state)
             weight = _share(state)
-            mixed = weight * found + (1.0 - weight) * other
+            mixed = weight * hit + (1.0 - weight) * other
             kind = kind if weight >= 0.5 else besides
-            found = mixed
+            hit = mixed
         state = _next(state)
         lost = _share(state) < missing
         state = _next(state)
@@ -184,5 +184,5 @@ def trace(  # type: ignore[no-untyped-def]
         if kind == 0 or lost:
             ranges[j], labels[j] = np.nan, 0
         else:
-            ranges[j] = found + noise * far * math.cos(2.0 * math.pi * _share(state))
+            ranges[j] = hit + noise * far * math.cos(2.0 * math.pi * _share(state))
             labels[j] = kind

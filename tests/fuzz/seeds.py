@@ -355,3 +355,88 @@ def store_seeds(folder: Path) -> list[Seed]:
         path.write_text(json.dumps(value))
     seed = _taken(folder, "store", "store", (), ())
     return [Seed("store", "store", seed.files, (), tuple(n for n in seed.files if n.startswith("store/")))]
+
+
+def _frames(count: int = 6) -> list:
+    from fwclass.street.frames import Frame, Scan
+
+    scan, rng = Scan(19, -0.9, 0.1, 0.1, 30.0), np.random.default_rng(5)
+    ranges = [rng.uniform(0.05, 31, 19).astype(np.float32) for _ in range(count)]
+    labels = np.arange(19, dtype=np.uint8) % 3
+    return [Frame(k, 0.025 * k, scan, r, 1.0, labels=labels) for k, r in enumerate(ranges)]
+
+
+FRAMES_CSV = (
+    "frame,time,speed,angle_min,angle_increment,ranges\n0,0,1.5,-0.1,0.1,1,nan,2\n1,0.025,,-0.1,0.1,1,,inf\n",
+    "time;place;range_max;ranges\r\n0;1;30;1;2;3\r\n0.02;1.1;30;4;5;6\r\n",
+    "time\tranges\n" + "".join(f"{0.02 * k}\t{k}\t{k + 1}\n" for k in range(9)),
+)
+
+
+def frame_seeds(folder: Path) -> list[Seed]:
+    """Recordings of frames as CSV, Parquet, and the bytes of a stream."""
+    from fwclass.street.recording_parquet import write_recording
+    from fwclass.street.stream import HEAD, encoded
+
+    folder.mkdir(parents=True, exist_ok=True)
+    made = [Seed(f"csv{k}", "a.csv", {"a.csv": text.encode()}, (), ("a.csv",)) for k, text in enumerate(FRAMES_CSV)]
+    write_recording(folder / "a.parquet", _frames())
+    data = (folder / "a.parquet").read_bytes()
+    fields = tuple(Field("a.parquet", len(data) - k, w) for k in range(8, 900, 3) for w in (1, 4))
+    made.append(Seed("parquet", "a.parquet", {"a.parquet": data}, fields))
+    stream = b"".join(map(encoded, _frames()))
+    length = HEAD.size + 4 * 19
+    places = [(at, w) for at, w in ((0, 4), (4, 4), *((k, 8) for k in range(8, 56, 8)), (56, 4), (60, 4), (64, 4))]
+    fields = tuple(Field("a.stream", k * length + at, w) for k in range(6) for at, w in places)
+    return [*made, Seed("stream", "a.stream", {"a.stream": stream}, fields)]
+
+
+def bag_seeds(folder: Path) -> list[Seed]:
+    """ROS 1 bags, plain and compressed; ROS 2 bags as SQLite and MCAP."""
+    import bagmaker
+
+    made = []
+    for name in ("one", "bz2", "lz4"):
+        own = folder / name
+        own.mkdir(parents=True)
+        bagmaker.write_bag(own / "a.bag", _frames(), compression=None if name == "one" else name)
+        data = (own / "a.bag").read_bytes()
+        ends = [at for at in range(len(data) - 4) if data[at : at + 4] in (b"size", b"coun", b"inde", b"chun", b"conn")]
+        fields = [("a.bag", at + k, 4) for at in ends for k in (5, 6, 8, 10)]
+        fields += [("a.bag", at, 4) for at in range(0, len(data) - 4, 31)]
+        made.append(_taken(own, name, "a.bag", fields))
+    for name, storage, compression in (
+        ("sqlite", "sqlite3", None),
+        ("sqlitez", "sqlite3", "message"),
+        ("sqlitef", "sqlite3", "file"),
+        ("mcap", "mcap", None),
+        ("mcapz", "mcap", "storage"),
+    ):
+        own = folder / name
+        own.mkdir(parents=True)
+        bagmaker.write_bag2(own / "bag", _frames(), storage=storage, compression=compression)
+        seed = _taken(own, name, "bag", (), ["bag/metadata.yaml"])
+        fields = tuple(
+            Field(n, at, w)
+            for n, data in seed.files.items()
+            if not n.endswith("yaml")
+            for at in (*range(0, min(len(data), 200), 4), *range(max(0, len(data) - 900), len(data) - 8, 5))
+            for w in (4, 8)
+        )
+        made.append(Seed(name, "bag", seed.files, fields, seed.texts))
+    return made
+
+
+def street_las_seeds(folder: Path) -> list[Seed]:
+    """A mobile LAS of a 2-D scanner with its trajectory."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(3)
+    angle = np.tile(np.radians(np.arange(-90, 90, 6.0)), 14)
+    time = np.repeat(0.025 * np.arange(14), 30) + np.tile(0.025 * np.arange(30) / 60, 14)
+    r = rng.uniform(2, 5, len(time))
+    xyz = np.stack([100 + 1.5 * time, 50 - r * np.cos(angle), 10 + r * np.sin(angle)], axis=1)
+    lasmaker.write_las(folder / "a.las", xyz, point_format=6, gps_time=1000 + time, classification=5)
+    rows = [f"{1000 + t:.4f},{100 + 1.5 * t:.4f},50,10" for t in np.arange(0, 0.5, 0.05)]
+    (folder / "a.txt").write_text("time,x,y,z\n" + "\n".join(rows) + "\n")
+    seed = _taken(folder, "las", "a.las", _las_numbers(folder / "a.las"), ["a.txt"])
+    return [seed]

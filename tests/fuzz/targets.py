@@ -174,6 +174,44 @@ def _store(path: Path) -> Actions:
     ]
 
 
+def _street_config() -> Any:
+    from fwclass import conf
+
+    return conf.load("street-sim", ("street.speed=1.0",))
+
+
+def _recording(path: Path) -> Actions:
+    from fwclass.single_file.street.info import describe, info
+
+    def whole() -> None:
+        found = info(path, _street_config().street)
+        json.dumps(found)
+        describe(found)
+
+    return [whole]
+
+
+def _frames(path: Path) -> Actions:
+    from fwclass.street.stream import Decoder
+
+    def stream() -> None:
+        decoder, data = Decoder(4096), path.read_bytes()
+        for at in range(0, len(data), 97):
+            for frame in decoder.feed(data[at : at + 97]):
+                assert 0 < len(frame.ranges) == frame.scan.beams <= 4096
+        decoder.end()
+
+    return [stream] if path.suffix == ".stream" else _recording(path)
+
+
+def _street_las(path: Path) -> Actions:
+    from fwclass.graph.street_recordings import TrajectoryFiles
+    from fwclass.single_file.street.info import describe, info
+
+    way = TrajectoryFiles((path.with_suffix(".txt"),))
+    return [lambda: describe(info(path, _street_config().street, way))]
+
+
 TARGETS = {
     "las": Target(seeds.las_seeds, _points, share=10),
     "laz": Target(seeds.laz_seeds, _points, share=6),
@@ -187,6 +225,9 @@ TARGETS = {
     "polygons": Target(seeds.polygon_seeds, _polygons, share=1.5),
     "geoparquet": Target(seeds.geoparquet_seeds, _polygons, share=2.5),
     "wkb": Target(seeds.wkb_seeds, _wkb, share=16),
+    "frames": Target(seeds.frame_seeds, _frames, times=2000, share=6),
+    "bags": Target(seeds.bag_seeds, _recording, fixed=192, times=400, share=8),
+    "streetlas": Target(seeds.street_las_seeds, _street_las, share=4),
     "store": Target(seeds.store_seeds, _store, share=10),
 }
 """By name, as ``--reader`` takes it."""

@@ -70,9 +70,12 @@ def test_bags_of_both_kinds(tmp_path, ros2):
     frames = list(open_recording(bag, SCAN).frames())
     assert [f.time for f in frames] == pytest.approx([10.0, 10.025])
     assert frames[0].scan.beams == 3
+    if not ros2:
+        bag.rename(tmp_path / "copy.orig")
+        assert len(list(open_recording(tmp_path / "copy.orig", SCAN).frames())) == 2
     placed, track = taken(frames)
     assert len(placed) == 2
-    assert track.told()["missing"] == {"below range_min": 2, "above range_max": 0, "NaN": 0, "infinite": 2}
+    assert track.counts()["missing"] == {"below range_min": 2, "above range_max": 0, "NaN": 0, "infinite": 2}
 
 
 def test_a_bag_with_no_or_two_topics_of_scans(tmp_path):
@@ -140,7 +143,7 @@ def test_frames_that_cannot_be_used_are_counted():
     frames[15] = replace(frames[15], ranges=np.full(1081, np.inf, np.float32))  # blind
     del frames[20:23]
     placed, track = taken(frames)
-    told = track.told()
+    told = track.counts()
     assert told["faults"] == {"out of order": 1, "doubled": 1, "other beams": 2, "dropped before": 3 + 4}
     assert len(placed) == told["used"] == 23
     assert told["blind"] == 1
@@ -151,7 +154,7 @@ def test_a_clock_that_leaps_and_a_vehicle_that_goes_back():
     frames = [replace(f, time=f.time + (1e6 if k >= 9 else 0.0) * (-1)) for k, f in enumerate(frames)]
     placed, track = taken(frames)
     assert len(placed) == 12
-    assert track.told()["faults"] == {"clock leaps": 1, "reversing": 6}
+    assert track.counts()["faults"] == {"clock leaps": 1, "reversing": 6}
     assert placed[5].place > placed[11].place
 
 
@@ -170,3 +173,90 @@ def test_speed_that_is_nowhere():
 def test_the_height_of_the_road_is_found():
     placed, _ = taken(drive()[:40], features="road")
     assert np.median([p.road for p in placed]) == pytest.approx(-1.8, abs=0.05)
+
+
+def chunked(path, ros2, compression, ranges=1000):
+    """A bag of one chunk whose scans are all alike, so that it is compressed a thousandfold."""
+    from rosbags.rosbag1 import Writer as One
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+    from rosbags.rosbag2 import Writer as Two
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE if ros2 else Stores.ROS1_NOETIC)
+    types = store.types
+    Time, Header, Laser = (
+        types[n] for n in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header", "sensor_msgs/msg/LaserScan")
+    )
+    writer = Two(path, version=9, storage_plugin=StoragePlugin.MCAP) if ros2 else One(path)
+    if ros2:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    else:
+        writer.set_compression(getattr(writer.CompressionFormat, compression))
+        writer.chunk_threshold = 1 << 30
+    with writer:
+        connection = writer.add_connection("/scan", "sensor_msgs/msg/LaserScan", typestore=store)
+        for k in range(ranges):
+            stamp = Time(sec=10, nanosec=k * 25_000)
+            head = Header(stamp=stamp, frame_id="") if ros2 else Header(seq=k, stamp=stamp, frame_id="")
+            values = np.full(10_000, np.inf, np.float32)
+            scan = Laser(head, -0.1, 0.0001, 0.0001, 0.0, 0.025, 0.1, 30.0, values, np.zeros(0, np.float32))
+            write = store.serialize_cdr if ros2 else store.serialize_ros1
+            writer.write(connection, 10_000_000_000 + k, write(scan, "sensor_msgs/msg/LaserScan"))
+
+
+@pytest.mark.parametrize(("ros2", "compression"), [(False, "BZ2"), (False, "LZ4"), (True, "ZSTD")])
+def test_a_decompression_bomb_is_refused_before_memory_is_taken(tmp_path, monkeypatch, ros2, compression):
+    import tracemalloc
+
+    from fwclass.street import bag_limits
+
+    monkeypatch.setattr(bag_limits, "CHUNK", 1 << 19)  # below the 1 MB of an MCAP writer
+    bag = tmp_path / ("directory" if ros2 else "one.bag")
+    chunked(bag, ros2, compression)
+    size = sum(p.stat().st_size for p in ([bag] if bag.is_file() else bag.iterdir()))
+    assert size < 1 << 20  # of 40 MB
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"more than|overlap"):
+        list(open_recording(bag, SCAN).frames())
+    assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    tracemalloc.stop()
+    monkeypatch.undo()
+    assert len(list(open_recording(bag, SCAN).frames())) == 1000
+
+
+def test_a_database_that_computes_is_refused(tmp_path):
+    import sqlite3
+
+    laser_bag(tmp_path / "bag", {"/scan": "sensor_msgs/msg/LaserScan"}, True)
+    (database,) = (tmp_path / "bag").glob("*.db3")
+    opened = sqlite3.connect(database)
+    opened.execute("ALTER TABLE messages RENAME TO held")
+    opened.execute("CREATE VIEW messages AS SELECT * FROM held")
+    opened.commit()
+    opened.close()
+    with pytest.raises(InputError, match="view"):
+        open_recording(tmp_path / "bag", SCAN)
+
+
+def test_a_bag_with_types_that_nobody_knows_is_read(tmp_path, shared_data):
+    """The definitions of its other topics are not needed."""
+    data = (shared_data / "street" / "sick_lms1xx.bag").read_bytes()
+    (tmp_path / "a.bag").write_bytes(data.replace(b"float32", b"flaot32"))
+    assert len(list(open_recording(tmp_path / "a.bag", SCAN).frames())) == 89
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [("sqlite3", None), ("sqlite3", "message"), ("sqlite3", "file"), ("mcap", None), ("mcap", "storage")],
+)
+def test_ros2_bags_of_every_storage(tmp_path, storage, compression):
+    from bagmaker import write_bag2
+
+    write_bag2(tmp_path / "bag", drive()[:5], storage, compression)
+    back = list(open_recording(tmp_path / "bag", SCAN).frames())
+    assert len(back) == 5
+    for one, true in zip(back, drive(), strict=False):
+        assert np.array_equal(one.ranges, true.ranges, equal_nan=True)
+    if storage == "mcap":
+        (file,) = (tmp_path / "bag").glob("*.mcap")
+        assert len(list(open_recording(file, SCAN).frames())) == 5

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.conf.street import scanner
 from fwclass.errors import ConfigError, InputError
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
 from fwclass.publish.files import whole
 from fwclass.publish.street_pictures import draw_slice
 from fwclass.street.annotation import HEAD, Box, Labeller, ended, overlaps, read_boxes
-from fwclass.street.frames import Frame, Scan, Track
+from fwclass.street.frames import Frame, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_parquet import write_recording
-from fwclass.street.recordings import open_recording
 from fwclass.street.sphere_kernels import UNIT
 
 MOST_SHOWN = 200_000
@@ -34,6 +33,7 @@ def annotate(
     slice_: float,
     overwrite: bool,
     params: StreetParams,
+    trajectory: TrajectoryFiles = NO_TRAJECTORY,
 ) -> dict[str, Any]:
     """Apply the rectangles of `file` to a recording; plain data.
 
@@ -55,9 +55,7 @@ def annotate(
     places: list[float] = []
 
     def labelled() -> Any:
-        for frame, placed in labeller.frames(
-            open_recording(source, Scan.of(scanner(params.scanner)), params.topic).frames()
-        ):
+        for frame, placed in labeller.frames(opened(source, params, trajectory).frames()):
             place = placed.place * UNIT
             places.append(place)
             if not ahead:
@@ -114,7 +112,7 @@ def _pictures(
     preview: Path, slices: dict[tuple[float, float], Seen], boxes: list[Box], ahead: tuple[float, float]
 ) -> list[str]:
     preview.mkdir(parents=True, exist_ok=True)
-    made = []
+    paths = []
     for (begin, end), held in sorted(slices.items())[-MOST_PICTURES:]:
         if not held[0]:
             continue
@@ -125,20 +123,20 @@ def _pictures(
         title = f"{begin:g} to {end:g} m" + (": to be annotated" if (begin, end) == ahead else "")
         with whole(preview / name) as beside:
             beside.write_bytes(draw_slice(y[few], z[few], codes[few], inside, title))
-        made.append(str(preview / name))
-    return made
+        paths.append(str(preview / name))
+    return paths
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(summary: dict[str, Any]) -> str:
     """The same for a terminal."""
-    lines = [f"begun        {made['annotation']}"] if made["begun"] else []
-    labels = ", ".join(f"{k}: {n}" for k, n in made["labels"].items()) or "none"
+    lines = [f"begun        {summary['annotation']}"] if summary["begun"] else []
+    labels = ", ".join(f"{k}: {n}" for k, n in summary["labels"].items()) or "none"
     lines += [
-        f"road         {made['metres'][0]:.2f} to {made['metres'][1]:.2f} m",
-        f"labels       {labels}; {100 * made['unlabelled']:.1f} % of the returns have none",
-        *(f"remark       {text}" for text in made["remarks"]),
-        *(f"picture      {path}" for path in made["pictures"]),
+        f"road         {summary['metres'][0]:.2f} to {summary['metres'][1]:.2f} m",
+        f"labels       {labels}; {100 * summary['unlabelled']:.1f} % of the returns have none",
+        *(f"remark       {text}" for text in summary["remarks"]),
+        *(f"picture      {path}" for path in summary["pictures"]),
     ]
-    if made["next"]:
-        lines.append(f"next         {made['next'][0]:g} to {made['next'][1]:g} m")
-    return "\n".join([*lines, *([f"recording    {made['out']}"] if made["out"] else [])])
+    if summary["next"]:
+        lines.append(f"next         {summary['next'][0]:g} to {summary['next'][1]:g} m")
+    return "\n".join([*lines, *([f"recording    {summary['out']}"] if summary["out"] else [])])

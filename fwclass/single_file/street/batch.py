@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.street import opened, params_of, told
+from fwclass.graph.street import crown_accuracy, params_of
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
 from fwclass.model import Model
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -43,13 +44,13 @@ class Work:
     recording: Path
     model: Path
     params: StreetParams
-    trajectory: tuple[Path, ...] = ()
+    trajectory: TrajectoryFiles = NO_TRAJECTORY
 
 
 def check(work: Work) -> None:
     """`InputError` or `ConfigError` where the model or the recording cannot be used, before anything is written."""
     params_of(load_model(work.model), work.params, work.model)
-    opened(work.recording, work.params)
+    opened(work.recording, work.params, work.trajectory)
 
 
 def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
@@ -79,12 +80,12 @@ def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
             file.close()
     for name, kind in _COLUMNS.items():
         (directory / f"{name}.bin").write_bytes(np.array(columns[name], kind).tobytes())
-    found = track.geometry.scan if track.geometry else scan
+    used = track.geometry.scan if track.geometry else scan
     return {
         "frames": track.used,
         "kept": list(kept),
-        "scan": [found.beams, found.first, found.step, found.range_min, found.range_max],
-        "told": track.told(),
+        "scan": [used.beams, used.first, used.step, used.range_min, used.range_max],
+        "counts": track.counts(),
     }
 
 
@@ -142,7 +143,7 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
     count, step = int(meta["frames"]), work.params.chunk
     if not count:
         raise InputError(
-            "no frame of the recording can be used", where=work.recording, got=meta["told"], do="fwclass street info"
+            "no frame of the recording can be used", where=work.recording, got=meta["counts"], do="fwclass street info"
         )
     tasks = [
         Task(CHUNK, f"{at:09d}", VERSION, about, partial(chunk, work, at, min(at + step, count)), needs=(first.name,))
@@ -158,14 +159,13 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
     accuracy = _judged(runner, meta, model, target, block) if "labels" in meta["kept"] else None
     most, cut = (f(done[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
     held = 2 * work.params.most_frames + 1
-    made = {
-        **meta["told"],
+    summary = {
+        **meta["counts"],
         "neighbourhood": {"most_frames": most, "held": held, "cut": cut},
         "accuracy": accuracy,
         "street": work.params.model_dump(mode="json"),
     }
-    finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), made)
-    return made
+    return finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), summary)
 
 
 def _judged(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path, block: float) -> dict[str, Any] | None:
@@ -181,5 +181,5 @@ def _judged(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path,
         )
         if len(parts) > 500:
             parts = [BlockCounts.merged(parts, len(model.classes))]
-    found = told(BlockCounts.merged(parts, len(model.classes)), model.classes)
-    return found if found["rows"] else None
+    accuracy = crown_accuracy(BlockCounts.merged(parts, len(model.classes)), model.classes)
+    return accuracy if accuracy["rows"] else None

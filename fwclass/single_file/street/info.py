@@ -8,20 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.street.frames import Scan, Track
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
+from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
-from fwclass.street.recordings import open_recording
 from fwclass.street.sphere_kernels import UNIT
 
 
-def info(path: Path, params: StreetParams) -> dict[str, Any]:
+def info(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> dict[str, Any]:
     """Beams, times, way, counts by cause and remarks of a recording; plain data.
 
     A recording that ends in damage is told up to there.
     """
-    recording = open_recording(path, Scan.of(scanner(params.scanner)), params.topic)
+    recording = opened(path, params, trajectory)
     track = Track(params if params.speed is not None else params.model_copy(update={"speed": 0.0}))
     times: list[float] = []
     places: list[int] = []
@@ -43,10 +42,10 @@ def info(path: Path, params: StreetParams) -> dict[str, Any]:
     steps = np.diff(times)
     scan = track.geometry.scan if track.geometry else None
     way = np.array(places) * UNIT
-    made: dict[str, Any] = {
+    summary: dict[str, Any] = {
         "recording": str(path),
-        **recording.told,
-        **track.told(),
+        **recording.about,
+        **track.counts(),
         "scan": None
         if scan is None
         else {
@@ -64,7 +63,7 @@ def info(path: Path, params: StreetParams) -> dict[str, Any]:
         "speed": [round(float(v), 3) for v in _speeds(way, np.array(times))],
         "labels": {str(k): int(n) for k, n in enumerate(labels) if n},
     }
-    return {**made, "remarks": remarks + _remarks(made, params)}
+    return {**summary, "remarks": remarks + _remarks(summary, params)}
 
 
 def _speeds(way: Any, times: Any) -> list[float]:
@@ -76,55 +75,68 @@ def _speeds(way: Any, times: Any) -> list[float]:
     return [float(speeds.min()), float(np.median(speeds)), float(speeds.max())]
 
 
-def _remarks(made: dict[str, Any], params: StreetParams) -> list[str]:
+def _remarks(summary: dict[str, Any], params: StreetParams) -> list[str]:
     said = []
-    beams = made["used"] * made["scan"]["beams"] if made["scan"] else 0
-    if not made["used"]:
+    beams = summary["used"] * summary["scan"]["beams"] if summary["scan"] else 0
+    if not summary["used"]:
         return ["no frame can be used"]
-    for cause, count in made["missing"].items():
+    for cause, count in summary["missing"].items():
         if count > 0.1 * beams:
             said.append(f"{100 * count / beams:.1f} % of the ranges are {cause}")
-    if made["blind"]:
-        said.append(f"{made['blind']} frames have no return at all: a blind scanner?")
-    if not made["moves"]:
+    if summary["blind"]:
+        said.append(f"{summary['blind']} frames have no return at all: a blind scanner?")
+    if not summary["moves"]:
         said.append("nothing tells how the vehicle moved: give street.speed")
-    for cause, count in made["faults"].items():
-        if cause != "standing" and not (cause == "no speed" and not made["moves"]):
+    for cause, count in summary["faults"].items():
+        if cause != "standing" and not (cause == "no speed" and not summary["moves"]):
             said.append(f"{count} frames: {cause}")
-    if made["speed"] and made["period_ms"] and made["speed"][1] > 0:
-        step = made["speed"][1] * made["period_ms"][1] / 1000
-        needed = math.ceil(max(params.radii) / step)
+    if summary["speed"] and summary["period_ms"] and summary["speed"][1] > 0:
+        step = summary["speed"][1] * summary["period_ms"][1] / 1000
+        needed = math.ceil(min(max(params.radii) / step, 1e9)) if math.isfinite(step) and step > 0 else 0
         if needed > params.most_frames:
             said.append(
-                f"at {made['speed'][1]:g} m/s a sphere of {max(params.radii):g} m reaches over {needed} frames to "
+                f"at {summary['speed'][1]:g} m/s a sphere of {max(params.radii):g} m reaches over {needed} frames to "
                 f"each side; {params.most_frames} are held (street.most_frames)"
             )
     return said
 
 
-def describe(made: dict[str, Any]) -> str:
+def _measured(summary: dict[str, Any]) -> str:
+    """How the frames of a LAS file were cut."""
+    turn = summary["measured"]
+    left = ", ".join(f"{n} {cause}" for cause, n in summary["left_out"].items())
+    return (
+        f"measured    {summary['rows']} points, times {turn['times']}; a frame every {turn['period_ms']:.3f} ms "
+        f"({turn['even_percent']:.1f} % on it), beams every {turn['step_deg']:.4f}°"
+        + (f"; left out: {left}" if left else "")
+    )
+
+
+def describe(summary: dict[str, Any]) -> str:
     """The same for a terminal."""
-    scan = made["scan"] or {}
-    lines = [f"{made['recording']}: {made['kind']}, {made['frames']} frames, {made['used']} used"]
-    if made.get("topic"):
-        lines.append(f"topic       {made['topic']}")
-        lines += [f"            {name}: {n}" for name, n in made["topics"].items()]
+    scan = summary["scan"] or {}
+    lines = [f"{summary['recording']}: {summary['kind']}, {summary['frames']} frames, {summary['used']} used"]
+    if summary.get("topic"):
+        lines.append(f"topic       {summary['topic']}")
+        lines += [f"            {name}: {n}" for name, n in summary["topics"].items()]
+    if summary.get("measured"):
+        lines.append(_measured(summary))
     if scan:
         lines.append(
             f"beams       {scan['beams']} of {scan['first_angle_deg']:g} to {scan['last_angle_deg']:g}° by "
             f"{scan['step_deg']:g}°, ranges {scan['range_min']:g} to {scan['range_max']:g} m"
         )
-    if made["period_ms"]:
-        low, middle, high = made["period_ms"]
-        lines.append(f"time        {made['seconds']:.2f} s, a frame every {middle:g} ms ({low:g} to {high:g})")
-    speed = f", {made['speed'][0]:g} to {made['speed'][2]:g} m/s" if made["speed"] else ""
-    lines.append(f"road        {made['metres']:.2f} m{speed}")
-    beams = made["used"] * scan.get("beams", 0)
-    lines.append(f"returns     {made['returns']} of {beams} ranges")
-    lines += [f"            {n} {cause}" for cause, n in made["missing"].items() if n]
-    if made["faults"]:
-        lines.append("frames      " + ", ".join(f"{n} {cause}" for cause, n in made["faults"].items()))
-    if made["labels"]:
-        lines.append("labels      " + ", ".join(f"{k}: {n}" for k, n in made["labels"].items()))
-    lines += [f"remark      {text}" for text in made["remarks"]]
+    if summary["period_ms"]:
+        low, middle, high = summary["period_ms"]
+        lines.append(f"time        {summary['seconds']:.2f} s, a frame every {middle:g} ms ({low:g} to {high:g})")
+    speed = f", {summary['speed'][0]:g} to {summary['speed'][2]:g} m/s" if summary["speed"] else ""
+    lines.append(f"road        {summary['metres']:.2f} m{speed}")
+    beams = summary["used"] * scan.get("beams", 0)
+    lines.append(f"returns     {summary['returns']} of {beams} ranges")
+    lines += [f"            {n} {cause}" for cause, n in summary["missing"].items() if n]
+    if summary["faults"]:
+        lines.append("frames      " + ", ".join(f"{n} {cause}" for cause, n in summary["faults"].items()))
+    if summary["labels"]:
+        lines.append("labels      " + ", ".join(f"{k}: {n}" for k, n in summary["labels"].items()))
+    lines += [f"remark      {text}" for text in summary["remarks"]]
     return "\n".join(lines)

@@ -12,15 +12,18 @@ BINS = 200_000
 
 
 class Latency:
+    """Counts of times by bins of `BIN` seconds."""
+
     def __init__(self) -> None:
         self._counts = np.zeros(BINS, np.int64)
         self._most = 0.0
 
     def add(self, seconds: float) -> None:
+        """Count one time [s]."""
         self._counts[min(int(seconds / BIN), BINS - 1)] += 1
         self._most = max(self._most, seconds)
 
-    def told(self) -> dict[str, float | int | None]:
+    def summary(self) -> dict[str, float | int | None]:
         """Frames, median, 99 and 99.9 %, and the most [ms]; upper ends of bins."""
         total = int(self._counts.sum())
         sums = np.cumsum(self._counts)

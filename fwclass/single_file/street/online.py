@@ -20,7 +20,8 @@ import numpy as np
 from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
-from fwclass.graph.street import opened, params_of
+from fwclass.graph.street import params_of
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
 from fwclass.model import Model
 from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
@@ -59,6 +60,7 @@ class Loop:
         self.cut = self.most = 0
 
     def take(self, frame: Frame) -> Iterator[Answer]:
+        """The answers that this frame completes, in order; it may be left out and complete none."""
         placed = self.track.take(frame)
         if placed is None:
             return
@@ -68,6 +70,7 @@ class Loop:
             yield from map(self._answer, self.ring.take(placed))
 
     def rest(self) -> Iterator[Answer]:
+        """The answers of the frames that still wait, when no other comes."""
         if self.ring is not None:
             yield from map(self._answer, self.ring.rest())
 
@@ -93,6 +96,7 @@ class Files:
         self._csv.write(HEAD.encode())
 
     def write(self, one: Answer) -> None:
+        """Append an answer by one call, and the segments that it shows to be left."""
         if self._writer is None:
             self._writer = Writer(len(one.classification))
             self._answers.write(self._writer.head)
@@ -104,6 +108,7 @@ class Files:
             self._csv.write((segment.line() + "\n").encode())
 
     def end(self) -> None:
+        """Append what is open, end the stream, and force both files to the disk."""
         self._append(self._prescriber.rest())
         if self._writer is not None:
             self._answers.write(END)
@@ -121,7 +126,7 @@ class Run:
     target: Path
     paced: bool
     overwrite: bool
-    trajectory: tuple[Path, ...] = ()
+    trajectory: TrajectoryFiles = NO_TRAJECTORY
 
 
 def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str, Any]:
@@ -165,22 +170,22 @@ def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[st
         files.end()
         interrupted = ended()
         faults.update(stream.faults if stream is not None else {})
-    told = _summary(loop, latency, late, faults, params)
-    finish(asked.target, None, told)
+    summary = _summary(loop, latency, late, faults, params)
+    summary = finish(asked.target, None, summary)
     if broken is not None:
         raise broken
     if stream is not None and stream.stalled:
         raise InputError(
             f"nothing came for {params.stream.stall:g} s",
             where=asked.source,
-            got=f"{told['frames']} frames before",
+            got=f"{summary['frames']} frames before",
             do="what was answered stays; look at the sender, or give --set street.stream.stall=SECONDS",
         )
     if interrupted:
         raise KeyboardInterrupt
-    if not told["frames"]:
+    if not summary["frames"]:
         raise InputError("not one frame came", where=asked.source, expected="frames", got=dict(faults) or "nothing")
-    return told
+    return summary
 
 
 def _source(
@@ -242,8 +247,8 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 def _summary(loop: Loop, latency: Latency, late: int, faults: Counter[str], params: StreetParams) -> dict[str, Any]:
     return {
-        **loop.track.told(),
-        "latency": latency.told(),
+        **loop.track.counts(),
+        "latency": latency.summary(),
         "late": int(late),
         "stream": {name: n for name, n in faults.items() if n},
         "neighbourhood": {"most_frames": loop.most, "held": 2 * params.most_frames + 1, "cut": int(loop.cut)},
@@ -251,33 +256,38 @@ def _summary(loop: Loop, latency: Latency, late: int, faults: Counter[str], para
     }
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(summary: dict[str, Any], target: Path) -> str:
     """The same for a terminal."""
-    spent, near = made["latency"], made["neighbourhood"]
-    lines = [f"frames       {made['frames']}, {made['used']} used, {made['returns']} returns"]
+    spent, near = summary["latency"], summary["neighbourhood"]
+    lines = [f"frames       {summary['frames']}, {summary['used']} used, {summary['returns']} returns"]
     if spent["frames"]:
         lines.append(
             f"latency      median {spent['median_ms']:.2f} ms, 99 % {spent['p99_ms']:.2f}, 99.9 % "
             f"{spent['p999_ms']:.2f}, most {spent['most_ms']:.2f}"
         )
-    lines.append(f"late         {made['late']} frames took longer than the next one")
+    lines.append(f"late         {summary['late']} frames took longer than the next one")
     lines.append(
         f"spheres      reach over up to {near['most_frames']} frames of {near['held']} held; {near['cut']} cut"
     )
-    counts = {**made["faults"], **made["stream"]}
+    counts = {**summary["faults"], **summary["stream"]}
     if counts:
         lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in counts.items()))
-    return "\n".join(lines)
+    return "\n".join([*lines, *output_lines(summary, target)])
 
 
-def describe_batch(made: dict[str, Any], target: Path) -> str:
+def output_lines(summary: dict[str, Any], target: Path) -> list[str]:
+    """Where answers and prescription lie."""
+    return [f"answers      {target}", f"prescription {summary['segments']} segments: {target / CSV}"]
+
+
+def describe_batch(summary: dict[str, Any], target: Path) -> str:
     """What `street classify` tells."""
-    near = made["neighbourhood"]
+    near = summary["neighbourhood"]
     lines = [
-        f"frames       {made['frames']}, {made['used']} used, {made['returns']} returns",
+        f"frames       {summary['frames']}, {summary['used']} used, {summary['returns']} returns",
         f"spheres      reach over up to {near['most_frames']} frames of {near['held']} held; {near['cut']} cut",
     ]
-    if made["faults"]:
-        lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in made["faults"].items()))
-    lines += crown_lines(made["accuracy"]) if made["accuracy"] else []
-    return "\n".join([*lines, f"answers      {target}"])
+    if summary["faults"]:
+        lines.append("counted      " + ", ".join(f"{n} {cause}" for cause, n in summary["faults"].items()))
+    lines += crown_lines(summary["accuracy"]) if summary["accuracy"] else []
+    return "\n".join([*lines, *output_lines(summary, target)])

@@ -37,8 +37,11 @@ def prepare(target: Path, overwrite: bool) -> None:
     target.mkdir(parents=True)
 
 
-def finish(target: Path, segments: Iterable[Segment] | None, summary: dict[str, Any]) -> None:
-    """Write map, picture and summary, each whole; `segments`: those of the CSV file, None where it is there already."""
+def finish(target: Path, segments: Iterable[Segment] | None, summary: dict[str, Any]) -> dict[str, Any]:
+    """Write map, picture and summary, each whole; return the summary with the number of segments.
+
+    `segments`: those of the CSV file, None where it is there already.
+    """
     if segments is not None:
         with whole(target / CSV) as beside, beside.open("w") as file:
             file.write(HEAD)
@@ -49,8 +52,10 @@ def finish(target: Path, segments: Iterable[Segment] | None, summary: dict[str, 
     picture = draw_prescription(held)
     with whole(target / PICTURE) as beside:
         beside.write_bytes(picture)
+    summary = {**summary, "segments": len(held)}
     with whole(target / SUMMARY) as beside:
         beside.write_text(json.dumps(summary, indent=1) + "\n")
+    return summary
 
 
 def read_segments(target: Path) -> list[Segment]:

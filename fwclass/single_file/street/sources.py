@@ -1,4 +1,4 @@
-"""Where frames come from while they are made: a recording at its pace, standard input, a socket."""
+"""Where frames come from as they come: a recording at its pace, standard input, a socket."""
 
 from __future__ import annotations
 
@@ -58,6 +58,7 @@ class Stream:
         self._thread = threading.Thread(target=self._work, daemon=True)
 
     def frames(self) -> Iterator[Timed]:
+        """Frames as they come, until the stream ends, stalls or is interrupted."""
         self._thread.start()
         while not self._ended():
             try:

@@ -9,7 +9,8 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.graph.street import Split, by_model, fitted, judged, recordings_of, rows_of, sample_of, trajectory_of
+from fwclass.graph.street import Split, by_model, fitted, judged, recordings_of, rows_of, sample_of
+from fwclass.graph.street_recordings import TrajectoryFiles
 from fwclass.single_file.model_directory import check_target, deliver
 from fwclass.store.models import save_model
 from fwclass.street.ring import feature_names
@@ -23,7 +24,7 @@ def train(
     check_target(target, overwrite)
     paths = recordings_of(config, directory)
     params, classes, split = config.street, config.classes, Split.of(config)
-    names, way = feature_names(params), trajectory_of(config)
+    names, way = feature_names(params), TrajectoryFiles.of(config)
     say(f"features     {len(names)} of {len(paths)} recordings")
     sample = sample_of(rows_of(paths, params, way), names, split, classes, config.train.samples_per_class)
     say(f"training     {config.train.method} on {sample.rows} returns")
@@ -31,40 +32,40 @@ def train(
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".street-") as beside:
         save_model(Path(beside) / "model", model)
         deliver(Path(beside) / "model", target, overwrite)
-    made: dict[str, Any] = {"model": str(target), "card": dict(model.card), "accuracy": None, "remarks": []}
+    summary: dict[str, Any] = {"model": str(target), "card": dict(model.card), "accuracy": None, "remarks": []}
     if assess:
         say("assessing    the returns that did not train")
         try:
-            found = judged(rows_of(paths, params, way), by_model(model), split, classes, config.assess.block)
+            accuracy = judged(rows_of(paths, params, way), by_model(model), split, classes, config.assess.block)
         except ValueError as fault:
             raise InputError("the answers cannot be judged", where=paths[0], got=str(fault)) from fault
-        if found["rows"]:
-            made["accuracy"] = found
+        if accuracy["rows"]:
+            summary["accuracy"] = accuracy
             if split.kind == "random":
-                made["remarks"].append(
+                summary["remarks"].append(
                     "neighbours of the test returns trained: a random split flatters, threefold on a real street"
                 )
         else:
-            made["remarks"].append("no labelled return is left to test on: give smaller areas.train, or more road")
-    return made
+            summary["remarks"].append("no labelled return is left to test on: give smaller areas.train, or more road")
+    return summary
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(summary: dict[str, Any]) -> str:
     """The same for a terminal."""
-    card = made["card"]
+    card = summary["card"]
     counts = ", ".join(f"{c['name']} {n}" for c, n in zip(card["classes"], card["samples"], strict=True))
     lines = [f"trained on   {counts}", *(f"remark       {n}" for n in card.get("notes", ()))]
-    if made["accuracy"]:
-        lines += crown_lines(made["accuracy"])
-    lines += [f"remark       {n}" for n in made["remarks"]]
-    return "\n".join([*lines, f"model        {made['model']}"])
+    if summary["accuracy"]:
+        lines += crown_lines(summary["accuracy"])
+    lines += [f"remark       {n}" for n in summary["remarks"]]
+    return "\n".join([*lines, f"model        {summary['model']}"])
 
 
-def crown_lines(found: dict[str, Any]) -> list[str]:
+def crown_lines(accuracy: dict[str, Any]) -> list[str]:
     """Error, detection and false alarm with their intervals."""
-    lines = [f"tested on    {found['rows']} returns in {found['blocks']} blocks of road"]
+    lines = [f"tested on    {accuracy['rows']} returns in {accuracy['blocks']} blocks of road"]
     for key, word in (("error", "error"), ("detection", "detection"), ("false_alarm", "false alarm")):
-        value, ends = found[key], found[f"{key}_interval"]
+        value, ends = accuracy[key], accuracy[f"{key}_interval"]
         span = f"  [{100 * ends[0]:.2f}, {100 * ends[1]:.2f}]" if ends else ""
         lines.append(f"{word:<12} {'-' if value is None else f'{100 * value:.2f} %'}{span}")
-    return [*lines, f"kappa        {found['kappa']:.4f}" if found["kappa"] is not None else "kappa        -"]
+    return [*lines, f"kappa        {accuracy['kappa']:.4f}" if accuracy["kappa"] is not None else "kappa        -"]

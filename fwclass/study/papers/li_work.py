@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass.conf import Config
 from fwclass.conf.street import scanner
 from fwclass.graph.street import Rows, Split, by_model, fitted, joined, judged, rows_of, sample_of, seen_frames
-from fwclass.hashing import hashed
+from fwclass.hashing import hashed, seeded
 from fwclass.model import Model, class_index
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
@@ -29,6 +29,9 @@ SHOWN = 400
 
 SINGLE_ROWS = 2000
 """Rows that train an SVM of one feature: classes that overlap make a support vector of every second row."""
+
+TEST_ROWS = 2
+"""Of the seeds that are drawn from one: of the rows that test."""
 
 WINDOW_FRAMES = 60
 """Frames on which the paper's window is held against the exact one."""
@@ -50,9 +53,9 @@ def _rows(inputs: PartInputs, name: str, params: StreetParams) -> Rows:
 
 
 def _some(rows: Rows, most: int, seed: int) -> Rows:
-    """About `most` of the rows, by their hash."""
+    """About `most` of the rows, by a hash of their own: with that of the split they would be those that train."""
     share = min(1.0, most / max(1, len(rows.key)))
-    return rows.take(hashed(seed, rows.key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048)))
+    return rows.take(hashed(seeded(seed, TEST_ROWS), rows.key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048)))
 
 
 def _judged(
@@ -77,14 +80,14 @@ def radius(config: Config, metres: float, inputs: PartInputs, directory: Path) -
     every = Split("stretch", 0.0, config.train.seed, ((-1e9, -1e9, 1e9, 1e9),), 0.0)
     by_chance = _model(config, rows, names, chance, params)
     by_street = _model(config, rows, names, every, params)
-    made: dict[str, Any] = {"radius": metres, "vectors": _vectors(by_street)}
-    made["frame_ms"] = 1e3 * spent / max(1, len(np.unique(rows.key >> np.uint64(16))))
-    made["random"] = _judged(config, _some(rows, most, seed), by_model(by_chance), chance)
+    results: dict[str, Any] = {"radius": metres, "vectors": _vectors(by_street)}
+    results["frame_ms"] = 1e3 * spent / max(1, len(np.unique(rows.key >> np.uint64(16))))
+    results["random"] = _judged(config, _some(rows, most, seed), by_model(by_chance), chance)
     for name in ("other", "leafless"):
         there = _some(_rows(inputs, name, params), most, seed)
-        made[name] = _judged(config, there, by_model(by_street), None)
-    made["lost"] = _lost(inputs, params)
-    return made
+        results[name] = _judged(config, there, by_model(by_street), None)
+    results["lost"] = _lost(inputs, params)
+    return results
 
 
 def _vectors(model: Model) -> int | None:
@@ -118,7 +121,9 @@ def single(config: Config, metres: float, feature: int, inputs: PartInputs, dire
     few = rbf.model_copy(update={"max_rows": min(rbf.max_rows, SINGLE_ROWS), "search_rows": min(rbf.search_rows, 1000)})
     config = replace(config, compare=config.compare.model_copy(update={"rbf_svm": few}))
     model = _model(config, alone, names[feature : feature + 1], chance, params)
-    found = _judged(config, _some(alone, config.papers.test_echoes // 3, config.papers.seed), by_model(model), chance)
+    accuracy = _judged(
+        config, _some(alone, config.papers.test_echoes // 3, config.papers.seed), by_model(model), chance
+    )
     first = alone.take((alone.key >> np.uint64(16)) < np.uint64(SHOWN))
     index = class_index(first.codes, config.classes)
     crown, other = (rows.X[class_index(rows.codes, config.classes) == k, feature] for k in (0, 1))
@@ -131,8 +136,8 @@ def single(config: Config, metres: float, feature: int, inputs: PartInputs, dire
     )
     return {
         "name": names[feature],
-        **{k: found[k] for k in ("error", "detection", "false_alarm", "kappa", "rows")},
-        "interval": found["error_interval"],
+        **{k: accuracy[k] for k in ("error", "detection", "false_alarm", "kappa", "rows")},
+        "interval": accuracy["error_interval"],
         "means": [float(np.mean(crown)), float(np.mean(other))],
     }
 
