@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import io
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from unittest import mock
 
 from fwclass.cli import main
+from fwclass.errors import INTERRUPTS
 
 Ended = subprocess.CompletedProcess[str]
 
@@ -20,6 +23,7 @@ def fwclass(*words: object, cwd: Path | None = None) -> Ended:
     What is no fault of data or configuration comes out as the exception that it is.
     """
     line, code = ["fwclass", *map(str, words)], 0
+    before = {number: signal.getsignal(number) for number in INTERRUPTS}
     with (
         contextlib.chdir(cwd or Path.cwd()),
         mock.patch.object(sys, "argv", line),
@@ -30,6 +34,10 @@ def fwclass(*words: object, cwd: Path | None = None) -> Ended:
             main()
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else int(end.code is not None)
+        finally:
+            if threading.current_thread() is threading.main_thread():
+                for number, handler in before.items():
+                    signal.signal(number, handler)
     return subprocess.CompletedProcess(line, code, out.getvalue(), err.getvalue())
 
 

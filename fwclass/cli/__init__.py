@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import io
+import math
 import signal
 import sys
 import threading
+import time
+from types import FrameType
 
 import click
 
@@ -54,13 +57,25 @@ __all__ = [
 ]
 
 
+PATIENCE = 10.0
+"""Seconds in which an interrupted command may end; until then further signals change nothing."""
+
+
 def _heed_interrupts() -> None:
     """Let whoever ends the command, and not only a terminal, end it as Ctrl-C does; a signal that is ignored stays so
     (``nohup``)."""
+    began = -math.inf
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal began
+        if time.monotonic() > began + PATIENCE:
+            began = time.monotonic()
+            raise KeyboardInterrupt
+
     if threading.current_thread() is threading.main_thread():
         for number in INTERRUPTS:
-            if signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, signal.default_int_handler)
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, interrupt)
 
 
 def main() -> None:
@@ -77,6 +92,9 @@ def main() -> None:
         click.echo(redacted(lines.getvalue()), err=True, nl=False)
         sys.exit(fault.exit_code)
     except (click.Abort, KeyboardInterrupt):
+        if threading.current_thread() is threading.main_thread():
+            for number in INTERRUPTS:
+                signal.signal(number, signal.SIG_IGN)  # or Python's last steps end by one
         click.echo(
             "interrupted; nothing half-written is left, and in a run directory the same command goes on from here",
             err=True,

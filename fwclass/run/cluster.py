@@ -30,7 +30,7 @@ from distributed.scheduler import KilledWorker
 from tornado.ioloop import IOLoop
 
 from fwclass import compiling
-from fwclass.errors import INTERRUPTS, FwclassError
+from fwclass.errors import FwclassError
 from fwclass.isolation import kernel_cache
 from fwclass.memory import give_back, keep_freed
 from fwclass.run.in_flight import InFlight
@@ -154,20 +154,6 @@ class Unheeding(WorkerPlugin):  # type: ignore[misc]
         steady()
         keep_freed()  # before there are threads with memory of their own
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Signals that interrupt are not heeded inside; outside of the main thread they never are."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in INTERRUPTS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _no_answer(address: str | None, fault: Exception) -> FwclassError:
@@ -337,10 +323,11 @@ class Cluster:
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._over.set()
-        with _uninterrupted():  # a second Ctrl-C would leave workers, and Dask's own words about them
-            self._client.close()
-            if self._cluster is not None:
-                self._cluster.close()
+        if kind is not None:  # parts that end just now have nobody to tell: no matter for the terminal
+            logging.getLogger("distributed.scheduler").setLevel(logging.CRITICAL + 1)
+        self._client.close()
+        if self._cluster is not None:
+            self._cluster.close()
 
     def run(self, location: RunLocation, tasks: Iterable[Task]) -> Generator[Outcome]:
         """Outcomes as parts end, in any order; edges are exactly the tasks' needs.
