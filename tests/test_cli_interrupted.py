@@ -16,7 +16,7 @@ from smallsurvey import small_survey
 
 def ended(survey: Path, out: Path, *numbers: signal.Signals, workers: int = 0) -> tuple[int, str]:
     """Start a run, send it signals once a part was made, half a second apart; its exit code and what it said."""
-    words = ["run", str(survey), "--out", str(out), "--workers", str(workers), "--set", "train.trees=400"]
+    words = ["run", str(survey), "--out", str(out), "--workers", str(workers), "--set", "train.trees=5000"]
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "fwclass", *words],
         stderr=subprocess.PIPE,

@@ -102,8 +102,8 @@ def assess_files(reference: Path, prediction: Path, codes: str | None, ground: b
 def _left_out(codes: NDArray[np.uint8], classes: tuple[ClassDef, ...]) -> dict[str, int]:
     """Reference points by a code that no class counts: they are in none of the figures."""
     used = {code for one in classes for code in one.codes}
-    found, counts = np.unique(codes, return_counts=True)
-    return {str(c): int(n) for c, n in zip(found.tolist(), counts.tolist(), strict=True) if c not in used}
+    present, counts = np.unique(codes, return_counts=True)
+    return {str(c): int(n) for c, n in zip(present.tolist(), counts.tolist(), strict=True) if c not in used}
 
 
 def _classes(
