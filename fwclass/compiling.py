@@ -220,7 +220,8 @@ class _Reader(pickle.Unpickler):
     """Reads compiled code without the parts of numba that only compiling needs: they take 0.4 s to load."""
 
     def find_class(self, module: str, name: str) -> Any:
-        return _environment if name == "_rebuild_env" else super().find_class(module, name)
+        ours = (module, name) == ("numba.core.environment", "_rebuild_env")
+        return _environment if ours else super().find_class(module, name)
 
 
 def _environment(module: str, constants: list[Any], name: str) -> Any:
