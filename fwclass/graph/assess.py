@@ -23,6 +23,8 @@ from fwclass.assess.stage import (
 )
 from fwclass.conf.model import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested
+from fwclass.graph.corrections import CORRECTIONS, corrected_around, corrections_of, reach_around
+from fwclass.graph.corrections import judged as untaught
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.model import ClassDef, class_index
 from fwclass.schema import Table
@@ -44,13 +46,24 @@ def described(plan: Plan) -> tuple[str, ...]:
 
 
 def judged(
-    here: StageInputs, names: tuple[str, ...], areas: AreasSection, block: float, classes: tuple[ClassDef, ...]
+    here: StageInputs,
+    names: tuple[str, ...],
+    areas: AreasSection,
+    block: float,
+    classes: tuple[ClassDef, ...],
+    reach: float | None = None,
 ) -> Made:
     """Confusion counts (whole, and by blocks of edge `block` [m]) and feature histograms of a tile's echoes in the test
-    areas; the ground filter's counts of all its labelled echoes, for it learns from none."""
+    areas; the ground filter's counts of all its labelled echoes, for it learns from none.
+
+    `reach`: corrections lie within it of their echo [m]; None where no model of this run learned from any.
+    """
     table = here.rows()
     filtered = ground_counts(table, classes)
-    table = table.take(tested(table, areas.boxes("train"), areas.boxes("test"), areas.gap))
+    if reach is None or not here.parts(CORRECTIONS):
+        table = table.take(tested(table, areas.boxes("train"), areas.boxes("test"), areas.gap))
+    else:
+        table = table.take(untaught(table, corrections_of(here), areas, reach))
     matrix = confusion(table["reference"], table["classification"], classes)
     lost = unclassified(table["reference"], table["classification"], classes)
     places, counts = packed(table.select(names), table["reference"], classes)
@@ -135,6 +148,11 @@ def assessed(
     }
 
 
+def _learned_around(plan: Plan, tile: Any) -> Mapping[str, Any]:
+    """As `reach_around`; nothing where a given model is judged, which has not learned from corrections."""
+    return reach_around(plan, tile) if plan.config.survey.model is None else {}
+
+
 def _judging(plan: Plan) -> Mapping[str, Any]:
     config = plan.config
     return {"names": described(plan), "areas": config.areas, "block": config.assess.block, "classes": config.classes}
@@ -148,7 +166,19 @@ COUNT_CONFUSION = Stage(
     judged,
     when=labelled,
     arguments=_judging,
-    own=lambda plan: (*IDENTITY_AND_PLACE, *described(plan), "reference", "classification", "confidence", "ground"),
+    each=_learned_around,
+    own=lambda plan: (
+        *IDENTITY_AND_PLACE,
+        "z",
+        *described(plan),
+        "reference",
+        "classification",
+        "confidence",
+        "ground",
+    ),
+    after=(CORRECTIONS,),
+    needs=lambda plan, tile: corrected_around(plan, tile) if plan.config.survey.model is None else (),
+    named=True,
     check=True,
 )
 ASSESS = Stage(
