@@ -14,6 +14,36 @@ from fwclass.errors import ConfigError
 MOST_LETTERS = 100
 """Of a class's name."""
 
+STANDARD: Mapping[int, str] = {
+    0: "never classified",
+    1: "unclassified",
+    2: "ground",
+    3: "low vegetation",
+    4: "medium vegetation",
+    5: "high vegetation",
+    6: "building",
+    7: "low noise",
+    9: "water",
+    10: "rail",
+    11: "road surface",
+    13: "wire guard",
+    14: "wire conductor",
+    15: "transmission tower",
+    16: "wire connector",
+    17: "bridge deck",
+    18: "high noise",
+    19: "overhead structure",
+    20: "ignored ground",
+    21: "snow",
+    22: "temporal exclusion",
+}
+"""Names of codes in LAS 1.4 R15, table 17."""
+
+
+def standard_name(code: int) -> str:
+    """What the standard calls `code`, or the code itself."""
+    return STANDARD.get(code, f"class {code}")
+
 
 @dataclass(frozen=True)
 class ClassDef:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from fwclass.stage import Params
 
@@ -56,15 +56,28 @@ class RefineParams(Params):
         return tuple(f"eigenvalue_{k}_r{round(100 * s)}" for s in self.scales for k in (1, 2, 3))
 
 
-class ClassifyParams(Params):
-    """What is written, and the second layer; everything else that decides comes from the model.
+Code = Annotated[int, Field(ge=0, le=255)]
 
-    `probabilities`: the share of every class too, in columns ``probability_<code>``. `max_outside`: share of the echoes
-    whose value of a feature lies outside of what the model has seen, above which a command ends with exit code 4,
-    unless `accept_drift`; neither changes a class.
+
+class ClassifyParams(Params):
+    """What is classified and written, and the second layer; everything else that decides comes from the model.
+
+    `only`: class codes of the sources whose echoes are classified, all others keep theirs; empty: all are classified.
+    `keep`: class codes of the sources that stay. `probabilities`: the share of every class too, in columns
+    ``probability_<code>``. `max_outside`: share of the echoes whose value of a feature lies outside of what the model
+    has seen, above which a command ends with exit code 4, unless `accept_drift`; neither changes a class.
     """
 
+    only: tuple[Code, ...] = Field(max_length=256)
+    keep: tuple[Code, ...] = Field(max_length=256)
     probabilities: bool
     max_outside: float = Field(ge=0.0, le=1.0)
     accept_drift: bool
     refine: RefineParams
+
+    @model_validator(mode="after")
+    def _kept_or_classified(self) -> Self:
+        both = sorted({*self.only} & {*self.keep})
+        if both:
+            raise ValueError(f"code {both[0]} is to be classified (only) and to be kept (keep)")
+        return self

@@ -112,6 +112,16 @@ def _codes(context: click.Context, parameter: click.Parameter, words: tuple[str,
     return codes
 
 
+def _code_list(context: click.Context, parameter: click.Parameter, text: str | None) -> str | None:
+    """``0,1`` as a list of codes for a setting."""
+    if text is None:
+        return None
+    words = [word.strip() for word in text.split(",")]
+    if not all(word.isdigit() and int(word) < 256 for word in words):
+        raise click.BadParameter(f"{text!r} is no list of class codes (0 to 255) like 0,1")
+    return f"[{','.join(words)}]"
+
+
 @cli.command()
 @click.argument("source", metavar="IN", type=PATH)
 @click.argument("output", metavar="OUT", type=PATH)
@@ -128,6 +138,18 @@ def _codes(context: click.Context, parameter: click.Parameter, words: tuple[str,
     metavar="CODE=CODE",
     help="Write another code (formats 0 to 5 hold up to 31; default: the model's).",
 )
+@click.option(
+    "--only",
+    metavar="CODE,…",
+    callback=_code_list,
+    help="Classify points that have these classes, as 0,1; all others keep theirs (classify.only).",
+)
+@click.option(
+    "--keep",
+    metavar="CODE,…",
+    callback=_code_list,
+    help="Points of these classes keep them, as 7,9,18 (classify.keep).",
+)
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET), for models that need ranges.")
 @click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights.")
 @click.option("--crs", metavar="EPSG:CODE", help="Instead of the coordinate system that the file names.")
@@ -142,6 +164,9 @@ def classify(
     trajectory: Path | None,
     undulation: float,
     accept_drift: bool,
+    only: str | None,
+    keep: str | None,
+    settings: tuple[str, ...],
     **asked: Any,
 ) -> None:
     """Classify the points of one file by a trained model.
@@ -157,7 +182,9 @@ def classify(
 
     if asked["own_ground"] and (asked["method"] or asked["preset"] or asked["assignments"]):
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")
-    job = ClassifyJob(source, output, flight=Flight(trajectory, undulation), **asked)
+    settings += (f"classify.only={only}",) if only else ()
+    settings += (f"classify.keep={keep}",) if keep else ()
+    job = ClassifyJob(source, output, settings=settings, flight=Flight(trajectory, undulation), **asked)
     with Steps() as steps:
         summary = classify_file(job, steps.tell)
     click.echo(describe(summary), err=True)

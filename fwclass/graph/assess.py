@@ -21,10 +21,12 @@ from fwclass.assess.stage import (
     unclassified,
     unpacked,
 )
+from fwclass.classify.kept import Kept
 from fwclass.conf.model import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested
 from fwclass.graph.corrections import CORRECTIONS, corrected_around, corrections_of, reach_around
 from fwclass.graph.corrections import judged as untaught
+from fwclass.graph.kept import keeping, kept_by
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.model import ClassDef, class_index
 from fwclass.schema import Table
@@ -52,11 +54,14 @@ def judged(
     block: float,
     classes: tuple[ClassDef, ...],
     reach: float | None = None,
+    kept: Kept | None = None,
 ) -> Made:
     """Confusion counts (whole, and by blocks of edge `block` [m]) and feature histograms of a tile's echoes in the test
     areas; the ground filter's counts of all its labelled echoes, for it learns from none.
 
     `reach`: corrections lie within it of their echo [m]; None where no model of this run learned from any.
+    Echoes that are `kept` as the source has them are no answers: they are left out, and counted where they have a
+    reference.
     """
     table = here.rows()
     filtered = ground_counts(table, classes)
@@ -64,14 +69,18 @@ def judged(
         table = table.take(tested(table, areas.boxes("train"), areas.boxes("test"), areas.gap))
     else:
         table = table.take(untaught(table, corrections_of(here), areas, reach))
+    stay = kept.rows(table["source_class"]) if kept else np.zeros(table.rows, bool)
+    left_out = int((class_index(table["reference"], classes) >= 0)[stay].sum())
+    table = table.take(~stay)
     matrix = confusion(table["reference"], table["classification"], classes)
     lost = unclassified(table["reference"], table["classification"], classes)
     places, counts = packed(table.select(names), table["reference"], classes)
     blocks = BlockCounts.of(table["x"], table["y"], table["reference"], table["classification"], classes, block)
-    kept = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
-    write_arrays(here.directory / COUNTS, kept)
+    arrays = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
+    write_arrays(here.directory / COUNTS, arrays)
     sure = by_confidence(table, classes).tolist()
-    return {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist(), "sure": sure}
+    made = {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist(), "sure": sure}
+    return {**made, **({"kept": left_out} if kept else {})}
 
 
 PERCENT = 101
@@ -121,13 +130,14 @@ def assessed(
     """
     n = len(classes)
     matrix, lost, filtered = np.zeros((n, n), np.int64), np.zeros(n, np.int64), np.zeros((2, 2), np.int64)
-    parts, counted, sure = [], [], np.zeros((2, PERCENT), np.int64)
+    parts, counted, sure, left_out = [], [], np.zeros((2, PERCENT), np.int64), 0
     for tile in here.parts("confusion"):
         meta = here.inputs.meta("confusion", tile)
         matrix += np.array(meta["matrix"], np.int64)
         lost += np.array(meta["lost"], np.int64)
         filtered += np.array(meta["ground"], np.int64)
         sure += np.array(meta["sure"], np.int64)
+        left_out += meta.get("kept", 0)
         arrays, _ = here.inputs.arrays("confusion", tile, COUNTS)
         counted.append((arrays["places"], arrays["counts"]))
         parts.append(BlockCounts(arrays["place"], arrays["blocks"]))
@@ -139,6 +149,7 @@ def assessed(
         "intervals": intervals(blocks.counts),
         "blocks": int(blocks.counts.any(axis=(1, 2)).sum()),
         "pure_share": pure_share(blocks.counts),
+        **({"kept": left_out} if left_out else {}),
     }
     return {
         "accuracy": accuracy if matrix.any() or lost.any() else None,
@@ -158,6 +169,8 @@ def _judging(plan: Plan) -> Mapping[str, Any]:
     return {"names": described(plan), "areas": config.areas, "block": config.assess.block, "classes": config.classes}
 
 
+_ANSWERS = ("reference", "classification", "confidence", "ground")
+
 COUNT_CONFUSION = Stage(
     "confusion",
     CONFUSION_VERSION,
@@ -165,17 +178,9 @@ COUNT_CONFUSION = Stage(
     "echo",
     judged,
     when=labelled,
-    arguments=_judging,
+    arguments=lambda plan: {**_judging(plan), **keeping(plan)},
     each=_learned_around,
-    own=lambda plan: (
-        *IDENTITY_AND_PLACE,
-        "z",
-        *described(plan),
-        "reference",
-        "classification",
-        "confidence",
-        "ground",
-    ),
+    own=lambda plan: (*IDENTITY_AND_PLACE, "z", *described(plan), *_ANSWERS, *kept_by(plan)),
     after=(CORRECTIONS,),
     needs=lambda plan, tile: corrected_around(plan, tile) if plan.config.survey.model is None else (),
     named=True,

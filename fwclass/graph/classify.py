@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import CLASSIFY, classify, filled, probability_columns
 from fwclass.errors import InputError
 from fwclass.graph.fine_layer import fine_layer
+from fwclass.graph.kept import NO_SOURCE, keeping, kept_by, source_of
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
@@ -56,26 +58,36 @@ def _model(here: StageInputs, digest: str | None) -> Model:
     return model_at(here.file(), digest, True)
 
 
-def classified(here: StageInputs, names: tuple[str, ...], probabilities: bool, model: str | None) -> Made:
+def classified(
+    here: StageInputs, names: tuple[str, ...], probabilities: bool, model: str | None, kept: Kept | None = None
+) -> Made:
     """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
 
-    `names`: the features that decide; `model`: digest of a given one, None for the run's own.
+    `names`: the features that decide; `model`: digest of a given one, None for the run's own; `kept`: which echoes
+    have the class of their source instead.
     """
     used = _model(here, model)
     tables, missing = [], 0
     outside = Outside.of(used.card, used.features)
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
+        source = rows["source_class"] if kept else NO_SOURCE
         if outside is not None:
-            outside.add(X)
-        tables.append(classify(X, used, probabilities))
+            outside.add(X[~kept.rows(source)] if kept else X)
+        tables.append(with_kept(classify(X, used, probabilities), source, kept))
         missing += filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"codes": codes_of(table), "filled": missing, **seen_outside(outside)}
 
 
 def followed(
-    here: StageInputs, names: tuple[str, ...], probabilities: bool, model: str | None, reach: float, thin: int
+    here: StageInputs,
+    names: tuple[str, ...],
+    probabilities: bool,
+    model: str | None,
+    reach: float,
+    thin: int,
+    kept: Kept | None = None,
 ) -> Made:
     """As `classified`, for a thinned run (of the sample's version `thin`): the model is asked about sampled echoes, in
     the halo too, and every other echo takes the answer to its nearest one within `reach` [m]."""
@@ -93,7 +105,7 @@ def followed(
     near = np.searchsorted(rows, chunk.core)
     others = tuple(core[n][~own] for n in _PLACE)
     near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
-    table = answer.take(near)
+    table = with_kept(answer.take(near), source_of(here, kept), kept)
     facts = {"codes": codes_of(table), "filled": filled(X, used), "asked": int(own.sum())}
     return table, facts | seen_outside(outside)
 
@@ -110,7 +122,8 @@ def codes_of(table: Table) -> dict[str, int]:
 
 def _asked(plan: Plan) -> Mapping[str, Any]:
     shares = plan.config.classify.probabilities
-    return {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
+    asked = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
+    return {**asked, **keeping(plan)}
 
 
 def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:
@@ -134,7 +147,7 @@ CLASSIFY_ECHOES = Stage(
     classified,
     when=lambda plan: not thins(plan.config) and fine_layer(plan) is None,
     arguments=_asked,
-    own=lambda plan: plan.names,
+    own=lambda plan: (*plan.names, *kept_by(plan)),
     writes=classes_written,
     after=("train",),
     needs=own_model,
@@ -149,6 +162,7 @@ CLASSIFY_THINNED = Stage(
     when=lambda plan: thins(plan.config),
     arguments=lambda plan: {**_asked(plan), "reach": plan.config.thin.reach, "thin": THIN.version},
     reads=lambda plan: (*_PLACE, *plan.names, *THIN.writes),
+    own=kept_by,
     writes=classes_written,
     halo=lambda plan: plan.config.thin.reach,
     after=("train",),

@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from fwclass.classes import STANDARD
+from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
 from fwclass.conf.model import ClassSection, ReferenceSection
 from fwclass.graph.classify import codes_of
+from fwclass.graph.kept import keeping, kept_by
 from fwclass.graph.stage import Made, Stage, StageInputs
 from fwclass.schema import Table
 
 UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
-NAMES: Mapping[int, str] = {
-    UNCLASSIFIED: "unclassified",
-    GROUND: "ground",
-    LOW_NOISE: "low noise",
-    HIGH_NOISE: "high noise",
-}
-"""Classes of the ASPRS standard by code."""
+CODES = (UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE)
 
 
 def without_classifier(config: Config) -> Config:
     """`config` for a run that classifies by the ground filter: the standard's classes, and neither features, labels,
     a model nor what only features are made of."""
     survey: dict[str, Any] = {
-        "classes": tuple(ClassSection(name=name, code=code, codes=(code,)) for code, name in NAMES.items()),
+        "classes": tuple(ClassSection(name=STANDARD[code], code=code, codes=(code,)) for code in CODES),
         "features": (),
         "model": None,
         "reference": ReferenceSection(kind="none"),
@@ -46,16 +42,18 @@ def without_classifier(config: Config) -> Config:
     return Config(**{**vars(config), **sections})
 
 
-def by_ground(here: StageInputs) -> Made:
+def by_ground(here: StageInputs, kept: Kept | None = None) -> Made:
     """Codes of a tile's echoes by the filter's flags: 2 ground, 7 or 18 noise below or above the terrain, 1 the rest.
 
-    Noise without a terrain below counts as low. There is no confidence, and no entropy (NaN).
+    Noise without a terrain below counts as low. There is no confidence, and no entropy (NaN). `kept` echoes have the
+    class of their source.
     """
     table = here.rows()
     noise = np.where(table["height_above_ground"] > 0.0, HIGH_NOISE, LOW_NOISE)
     codes = np.where(table["noise"], noise, np.where(table["ground"], GROUND, UNCLASSIFIED)).astype(np.uint8)
     nothing = np.full(table.rows, np.nan, np.float32)
     made = Table({"classification": codes, "confidence": nothing, "entropy": nothing})
+    made = with_kept(made, table["source_class"], kept) if kept else made
     return made, {"codes": codes_of(made)}
 
 
@@ -66,6 +64,7 @@ CLASSIFY_GROUND = Stage(
     "echo",
     by_ground,
     when=lambda plan: not plan.names,  # a classifier decides by some features
-    own=("ground", "noise", "height_above_ground"),
+    arguments=keeping,
+    own=lambda plan: ("ground", "noise", "height_above_ground", *kept_by(plan)),
     writes=CLASSIFY.writes,
 )

@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from fwclass.classes import standard_name
+from fwclass.classify.kept import Kept
 from fwclass.errors import StoreError
 from fwclass.graph.classify import classes_written
+from fwclass.graph.kept import keeping, kept_by, kept_codes
 from fwclass.graph.layout import FileDigests, Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
-from fwclass.graph.sources import link_table, spans_of, strip_of
+from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
-from fwclass.graph.tiling import tiles_of_strips
+from fwclass.graph.tiling import source_codes, tiles_of_strips
 from fwclass.publish.copc import write_tile_copc
 from fwclass.publish.geoparquet import about_delivery, rounded, write_geoparquet
 from fwclass.publish.laz import without_reflectance
@@ -24,6 +27,7 @@ from fwclass.publish.params import PublishParams
 from fwclass.publish.strips import write_strip_laz
 from fwclass.publish.tile_facts import tile_facts
 from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.store.remote_file import Location
 
@@ -96,8 +100,11 @@ def delivered_tile(
     return {"rows": table.rows, "beyond": made["beyond"], "facts": tile_facts(table)}
 
 
-def delivered_strip(here: StageInputs, params: PublishParams, codes: Mapping[str, int]) -> Made:
-    """A source strip in its own order with every point's class: that of its nearest echo of the same pulse.
+def delivered_strip(
+    here: StageInputs, params: PublishParams, codes: Mapping[str, int], kept: Kept | None = None
+) -> Made:
+    """A source strip in its own order with every point's class: that of its nearest echo of the same pulse, or its own
+    where that is `kept`.
 
     `codes` maps class codes to those that the strip's point format can hold.
     """
@@ -117,7 +124,12 @@ def delivered_strip(here: StageInputs, params: PublishParams, codes: Mapping[str
         legal[int(code)] = other
     output = here.directory / "laz" / "strips" / f"{here.part}.laz"
     output.parent.mkdir(parents=True)
-    facts = write_strip_laz(here.file(), output, legal[classes[place]], None, params)
+    answered = legal[classes[place]]
+    read = here.parts("read")  # of returns with waveforms several may be one echo's
+    if kept and read:
+        own = np.concatenate([here.inputs.table("read", c, ("source_class",), RETURNS)["source_class"] for c in read])
+        answered = np.where(kept.rows(own), own, answered)
+    facts = write_strip_laz(here.file(), output, answered, None, params)
     return {"points": links.rows, "notes": [str(n) for n in facts.get("notes", ())]}
 
 
@@ -168,6 +180,12 @@ def _legacy_codes(plan: Plan, part: _Strip) -> Mapping[str, Any]:
     return {"codes": codes}
 
 
+def _read_again(plan: Plan, part: _Strip) -> list[Name]:
+    """The chunks whose returns are asked for their own class."""
+    waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if kept_by(plan) else ()
+    return [("read", c) for c in part.chunks if c in waves]
+
+
 def _strip_file(plan: Plan, part: _Strip) -> tuple[Location, FileDigests]:
     return part.strip.path, part.strip.digests
 
@@ -181,8 +199,10 @@ def columns_of_tiles(plan: Plan) -> Names:
 
 
 def class_names(plan: Plan) -> dict[str, str]:
-    """Names of the survey's classes by code."""
-    return {str(c.code): c.name for c in plan.config.survey.classes}
+    """Names of the survey's classes by code, and of those that stay as the sources have them."""
+    own = {str(c.code): c.name for c in plan.config.survey.classes}
+    others = kept_codes(source_codes(plan.splits), Kept.of(plan.config.classify))
+    return {**{str(code): standard_name(code) for code in others if str(code) not in own}, **own}
 
 
 DELIVER_TILE = Stage(
@@ -210,12 +230,13 @@ DELIVER_STRIP = Stage(
     "point",
     delivered_strip,
     parts=_strips,
-    arguments=lambda plan: {"params": plan.config.publish},
+    arguments=lambda plan: {"params": plan.config.publish, **keeping(plan)},
     each=_legacy_codes,
     silent=NO_BYTE,
-    after=("decompose", "classify", "tile"),
+    after=("read", "decompose", "classify", "tile"),
     needs=lambda plan, part: [
         *(("decompose", c) for c in part.chunks),
+        *_read_again(plan, part),
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
     ],
     source=_strip_file,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.params import RefineParams
 from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refined
 from fwclass.classify.stage import CLASSIFY, classify, filled
@@ -21,6 +22,7 @@ from fwclass.graph.classify import classes_written, codes_of, given_model, model
 from fwclass.graph.corrections import CORRECTIONS, corrected_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
+from fwclass.graph.kept import NO_SOURCE, keeping, kept_by
 from fwclass.graph.learn import (
     MODEL,
     NOT_OF_THE_SAMPLE,
@@ -194,9 +196,14 @@ def fit_layer(
 
 
 def both_answered(
-    here: StageInputs, layer: FineLayer, names: tuple[str, ...], probabilities: bool, model: str | None
+    here: StageInputs,
+    layer: FineLayer,
+    names: tuple[str, ...],
+    probabilities: bool,
+    model: str | None,
+    kept: Kept | None = None,
 ) -> Made:
-    """Answers of both layers for a tile."""
+    """Answers of both layers for a tile; `kept` echoes have the class of their source."""
     if model is None:
         used = model_at(here.inputs.path("train", "model", MODEL), here.inputs.digest("train", "model"), False)
     else:
@@ -207,7 +214,7 @@ def both_answered(
     for rows in here.cuts():
         X = sample_matrix(rows.take(np.flatnonzero(rows[BOUNDARY])), used.fine.features, here.part)
         coarse = classify(sample_matrix(rows, used.features, here.part), used.coarse, True) if probabilities else None
-        tables.append(refined(rows, X, used, coarse))
+        tables.append(with_kept(refined(rows, X, used, coarse), rows["source_class"] if kept else NO_SOURCE, kept))
         missing += filled(X, used.fine)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"codes": codes_of(table), "filled": missing}
@@ -356,8 +363,10 @@ CLASSIFY_REFINED = Stage(
         "names": plan.names,
         "probabilities": plan.config.classify.probabilities,
         "model": plan.model[1] if plan.model else None,
+        **keeping(plan),
     },
     own=lambda plan: (
+        *kept_by(plan),
         *COARSE,
         BOUNDARY,
         *_layer(plan).names,

@@ -9,18 +9,22 @@ from typing import Any
 
 from fwclass import __version__
 from fwclass.assess.stage import caution
+from fwclass.classes import standard_name
+from fwclass.classify.kept import Kept
 from fwclass.conf import Config
 from fwclass.decompose.plausible import added
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.classify import OUTSIDE
 from fwclass.graph.drift import drift
+from fwclass.graph.kept import class_remarks, kept_codes
 from fwclass.graph.layout import Layout, Survey
 from fwclass.graph.plausibility import UNREADABLE, of_strip, receiver_facts, remarks
 from fwclass.graph.report_facts import made_in_run, place_of, some_waves, sureness
 from fwclass.graph.report_figures import report_figures
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
+from fwclass.graph.tiling import source_codes
 from fwclass.model.ranges import RANGES
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import reported
@@ -28,6 +32,7 @@ from fwclass.run.runner import Runner, Tally
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.directory import link
 from fwclass.store.url import Url
+from fwclass.tile.stage import SPLIT
 
 REPORT, PAGE = "report.json", "report.html"
 
@@ -61,6 +66,7 @@ def write_report(
         return standing
     from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
 
+    source = source_codes({(SPLIT.name, r.part): r for r in made_in_run(runner, SPLIT.name)})
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
@@ -68,7 +74,7 @@ def write_report(
         "counts": _counts(runner),
         "stages": [_stage(runner, name, tally) for name, tally in runner.tallies.items()],
         "graph": list(graph),
-        "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
+        "classes": (classes := _classes(config, source)),
         "accuracy": (accuracy := _accuracy(runner, config)),
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(runner, names),
@@ -79,7 +85,7 @@ def write_report(
             sum(r.meta["class_cells"] for r in made_in_run(runner, "publish-rasters")),
             config.publish.class_cell,
         ),
-        "sureness": sureness(tiles, [{"name": c.name, "code": c.code} for c in config.classes]),
+        "sureness": sureness(tiles, classes),
         "automation": next((r.meta["automation"] for r in made_in_run(runner, "assess")), []),
         "waves": some_waves(
             made_in_run(runner, "read"), {r.part for r in made_in_run(runner, "decompose")}, PartInputs(runner.store)
@@ -96,7 +102,9 @@ def write_report(
             *(plausible or {}).get("remarks", ()),
             *(drifted or {}).get("remarks", ()),
             *_crowded(runner, config),
+            *class_remarks(source, _known(config), Kept.of(config.classify)),
         ],
+        "kept": {str(c): n for c, n in kept_codes(source, Kept.of(config.classify)).items()},
         "ground": _ground(runner, config),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(runner),
@@ -114,6 +122,19 @@ def write_report(
     write_json(runner.pending / REPORT, report)
     render_report(report, report_figures(config, runner, layout, report), runner.pending / PAGE)
     return report
+
+
+def _classes(config: Config, source: Mapping[int, int]) -> list[dict[str, Any]]:
+    """The survey's classes, and those that stay as the sources have them."""
+    own = [{"name": c.name, "code": c.code} for c in config.survey.classes]
+    codes = {c.code for c in config.survey.classes}
+    others = [code for code in kept_codes(source, Kept.of(config.classify)) if code not in codes]
+    return [*own, *({"name": standard_name(code), "code": code} for code in others)]
+
+
+def _known(config: Config) -> frozenset[int]:
+    """Codes that a class is written as, or counts."""
+    return frozenset(code for c in config.survey.classes for code in (c.code, *c.codes))
 
 
 def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:

@@ -34,6 +34,9 @@ from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
 from fwclass.waveforms import PULSE_COLUMNS, RETURN_COLUMNS, Waveforms
 
+RETURNS = "returns.parquet"
+"""Of a chunk as it was read, in the order of the file."""
+
 PULSE_FILE = "pulse.json"
 PLACES_FILE = "places.json"
 ENVELOPE = "envelope.zarr"
@@ -111,7 +114,7 @@ def index(here: StageInputs, params: ReadParams) -> Made:
 def read(here: StageInputs, params: ReadParams, span: Span) -> Made:
     """Pulses, returns and waveforms of one span."""
     waves = read_span(open_source(here.file()), span, params)
-    write_table(here.directory / "returns.parquet", waves.returns)
+    write_table(here.directory / RETURNS, waves.returns)
     if waves.pulses.rows:
         write_table(here.directory / "pulses.parquet", waves.pulses)
         write_arrays(here.directory / "waveforms.zarr", {name: getattr(waves, name) for name in _ARRAYS})
@@ -130,7 +133,7 @@ def _facts(waves: Waveforms) -> dict[str, Any]:
 
 def waveforms_of(part: str, inputs: PartInputs, returns: bool = True) -> Waveforms:
     """A chunk as it was read; on request without its returns."""
-    points = inputs.table("read", part, name="returns.parquet") if returns else Table.empty(RETURN_COLUMNS)
+    points = inputs.table("read", part, name=RETURNS) if returns else Table.empty(RETURN_COLUMNS)
     if not inputs.meta("read", part)["waveforms"]:
         return Waveforms(Table.empty(PULSE_COLUMNS), points, np.empty(0, np.uint8), np.zeros(1, np.int64))
     arrays, _ = inputs.arrays("read", part, "waveforms.zarr")
@@ -165,7 +168,7 @@ def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams)
     write_json(directory / PULSE_FILE, pulse.to_json())
     if sampled:
         noise = quiet_noise(sample, pulse, fit)
-        returns = (inputs.table("read", part, "xyz", "returns.parquet") for part in parts)
+        returns = (inputs.table("read", part, "xyz", RETURNS) for part in parts)
         envelope = Envelope.of(returns, fit.envelope_cell)
         ends = {n: v if np.isfinite(v) else None for n, v in (("bottom", envelope.bottom), ("top", envelope.top))}
         attributes = {"cell": fit.envelope_cell, **ends, **asdict(noise)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,8 +17,10 @@ from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.grid import TileGrid, quantised
 from fwclass.read.stage import read_cloud
 from fwclass.run.inputs import TABLE
+from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.store.cells import CELLS, by_name
+from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_groups
 from fwclass.tile.params import TileParams
@@ -87,8 +90,20 @@ def tiles_of_strips(plan: Plan) -> dict[int, tuple[str, ...]]:
 
 
 def scattered(here: StageInputs, params: TileParams) -> Made:
-    """Echoes of a chunk in tile order, one row group a tile."""
-    return _write_split(here, here.inputs.table("decompose", here.part), params)
+    """Echoes of a chunk in tile order, one row group a tile; tells how many the source has of every class."""
+    echoes = here.inputs.table("decompose", here.part)
+    codes, counts = np.unique(echoes["source_class"], return_counts=True)
+    by_code = {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
+    return {**_write_split(here, echoes, params), "codes": by_code}
+
+
+def source_codes(splits: Mapping[Name, Receipt]) -> Counter[int]:
+    """Echoes of the survey by the class of their source; none of parts that do not tell, as of an earlier version."""
+    counted: Counter[int] = Counter()
+    for (stage, _), receipt in splits.items():
+        if stage == SPLIT.name:
+            counted.update({int(code): n for code, n in receipt.meta.get("codes", {}).items()})
+    return counted
 
 
 def scattered_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Made:

@@ -5,25 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from fwclass.classes import STANDARD
 from fwclass.publish.figures import SURE, WRONG
 from fwclass.publish.palette import colours, css
 from fwclass.publish.sections import number, percent
-
-ASPRS = {
-    1: "Unclassified",
-    2: "Ground",
-    3: "Low Vegetation",
-    4: "Medium Vegetation",
-    5: "High Vegetation",
-    6: "Building",
-    7: "Low Point (Noise)",
-    9: "Water",
-    10: "Rail",
-    11: "Road Surface",
-    17: "Bridge Deck",
-    18: "High Noise",
-}
-"""Names of codes in LAS 1.4 R15, table 17."""
 
 LAYERS = {
     "map": ("Classes", "class of the highest echo in every cell, shaded by the terrain"),
@@ -43,8 +28,8 @@ def class_key(classes: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
     out = []
     for one in classes:
         code, name = int(one["code"]), str(one["name"])
-        standard = ASPRS.get(code, "")
-        other = standard if standard.lower() != name.lower().replace("_", " ") else ""
+        standard = STANDARD.get(code, "")
+        other = standard if standard != name.lower().replace("_", " ") else ""
         out.append({"dot": css(shown[code]), "name": name, "code": str(code), "standard": other})
     return out
 

@@ -26,6 +26,7 @@ _BROKEN = (KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError, InputError
 
 WAVE_FIELDS = DecompressionSelection.XY_RETURNS_CHANNEL | DecompressionSelection.WAVEPACKET
 LINK_FIELDS = WAVE_FIELDS | DecompressionSelection.Z | DecompressionSelection.GPS_TIME
+CLASS_FIELDS = DecompressionSelection.XY_RETURNS_CHANNEL | DecompressionSelection.CLASSIFICATION
 ALL_FIELDS = DecompressionSelection.all()
 
 
@@ -147,3 +148,13 @@ def gps_times(source: LasSource, points: Any) -> NDArray[np.float64]:
     if source.header.has_gps_time:
         return np.asarray(points["gps_time"], np.float64)
     return np.full(len(points), np.nan)
+
+
+def classes_of(source: LasSource) -> NDArray[np.uint8]:
+    """Class code of every point, uint8 (points,), in the file's order."""
+    codes = np.empty(source.n_points, np.uint8)
+    with PointReader(source, CLASS_FIELDS) as reader:
+        for first in range(0, source.n_points, BLOCK):
+            last = min(first + BLOCK, source.n_points)
+            codes[first:last] = np.asarray(reader.read(first, last)["classification"], np.uint8)
+    return codes

@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
+from fwclass.classes import standard_name
+from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import classify, filled
 from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
 from fwclass.features.stage import features
 from fwclass.graph.drift import drift
+from fwclass.graph.kept import class_remarks, kept_codes
 from fwclass.graph.model_fit import check_computed, check_names, ground_note
 from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
@@ -27,6 +30,7 @@ from fwclass.model.ranges import Outside
 from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
+from fwclass.read.points import classes_of
 from fwclass.read.quantities import quantities_of
 from fwclass.read.source import open_source
 from fwclass.schema import Table
@@ -46,6 +50,9 @@ from fwclass.store.models import load_model
 
 SECTIONS = ("read", "pulse", "decompose", "ground", "terrain", "features", "radiometry", "classify", "publish", "tile")
 """Sections of the configuration that the command obeys."""
+
+NAMED = 4
+"""Features without a value that are named."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +109,8 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     echoes = _echoes(job, model, asked, tell)
     first = model.coarse if isinstance(model, TwoLayer) else model
     outside = Outside.of(first.card, first.features)
-    results, without, medians, dense = _classified(echoes.table, first, asked, job.settings, tell, outside)
+    kept = Kept.of(conf.section("classify", job.settings))
+    results, without, medians, dense = _classified(echoes.table, first, asked, job.settings, tell, outside, kept)
     seen = drift(first.card, [outside.counts()] if outside else [])
     boundary = None
     if isinstance(model, TwoLayer):
@@ -111,10 +119,17 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         boundary, medians = more["boundary"], medians + more["filled"]
     tell("writing")
     rows = _row_of_point(echoes, job.source)
-    classes = codes[results["classification"][rows]]
-    extra = {name: results[name][rows] for name in results if name != "classification"}
+    own = classes_of(source) if source.has_waves else echoes.table["source_class"][rows]
+    answered = Table({name: values[rows] for name, values in results.items()})
+    answered = with_kept(answered.with_columns({"classification": codes[answered["classification"]]}), own, kept)
+    classes = answered["classification"]
+    extra = {name: answered[name] for name in answered if name != "classification"}
     wrote = write_strip_laz(job.source, job.output, classes, extra, conf.section("publish", job.settings))
     used, counts = np.unique(classes, return_counts=True)
+    by_code = dict(zip(*(n.tolist() for n in np.unique(own, return_counts=True)), strict=True))
+    known = frozenset(code for c in model.classes for code in (c.code, *c.codes))
+    stay = kept_codes(by_code, kept)
+    sure = answered["confidence"][np.isfinite(answered["confidence"])]
     return {
         "input": str(job.source),
         "output": str(job.output),
@@ -124,14 +139,25 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "echoes": echoes.table.rows,
         "features": list(model.features),
         "classes": {str(c): int(n) for c, n in zip(used, counts, strict=True)},
-        "names": {str(int(codes[c.code])): c.name for c in model.classes},
-        "confidence": float(results["confidence"].mean()),
+        "names": {
+            **{str(code): standard_name(code) for code in stay},
+            **{str(int(codes[c.code])): c.name for c in model.classes},
+        },
+        "kept": {str(code): n for code, n in stay.items()},
+        "confidence": float(sure.mean()) if len(sure) else None,
         "without_value": without,
         "drift": seen,
         "filled": medians,
         "boundary": boundary,
         "waveforms": wrote.get("wdp"),
-        "notes": [*echoes.told, *dense, *notes, *_drift_notes(seen), *(str(n) for n in wrote.get("notes", ()))],
+        "notes": [
+            *echoes.told,
+            *dense,
+            *notes,
+            *_drift_notes(seen),
+            *class_remarks(by_code, known, kept, "points"),
+            *(str(n) for n in wrote.get("notes", ())),
+        ],
         "seconds": round(time.perf_counter() - began, 3),
     }
 
@@ -246,10 +272,17 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
 
 
 def _classified(
-    table: Table, model: Model, asked: Asked, settings: tuple[str, ...], tell: Tell, outside: Outside | None
+    table: Table,
+    model: Model,
+    asked: Asked,
+    settings: tuple[str, ...],
+    tell: Tell,
+    outside: Outside | None,
+    kept: Kept | None,
 ) -> tuple[dict[str, NDArray], dict[str, int], int, list[str]]:
     """Columns of `classify` for every echo; echoes without a value by feature; values that were filled; a remark
-    where echoes are too dense for all of them to count. `outside` counts values that the model has not seen.
+    where echoes are too dense for all of them to count. `outside` counts values that the model has not seen, but of
+    what is `kept`.
 
     Tile by tile (`tile.size`, which changes nothing), so that the features of one tile only are in memory.
     """
@@ -270,7 +303,7 @@ def _classified(
             whole = whole.with_columns(around.select(asked.names))
         X = sample_matrix(whole, model.features, tile.key)
         if outside is not None:
-            outside.add(X)
+            outside.add(X[~kept.rows(whole["source_class"])] if kept else X)
         for name, values in classify(X, model, shares).items():
             results.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
         without += np.isnan(X).sum(axis=0)
@@ -312,11 +345,24 @@ def describe(summary: dict[str, Any]) -> str:
             f"  {summary['names'].get(c, c):<14} {c:>3} {n:>12,}  {100 * n / total:5.1f} %"
             for c, n in summary["classes"].items()
         ),
-        f"mean confidence {summary['confidence']:.2f}",
     ]
+    if summary["confidence"] is not None:
+        lines.append(f"mean confidence {summary['confidence']:.2f}")
     if summary["boundary"] is not None:
         lines.append(f"{summary['boundary']:,} echoes where two classes meet were answered by the second layer")
-    lines += [f"no value: {name} of {n:,} echoes" for name, n in summary["without_value"].items()]
+    lines += _without(summary["without_value"])
     if summary["filled"]:
         lines.append(f"{summary['filled']:,} missing values were filled with the medians of the training rows")
     return "\n".join([*lines, f"written: {visible(summary['output'])}"])
+
+
+def _without(lacking: Mapping[str, int]) -> list[str]:
+    """Features without a value, those that lack as many in one line."""
+    by_count: dict[int, list[str]] = {}
+    for name, n in lacking.items():
+        by_count.setdefault(n, []).append(name)
+    lines = []
+    for n, names in by_count.items():
+        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        lines.append(f"no value: {', '.join(names[:NAMED])}{more} of {n:,} echoes")
+    return lines

@@ -1,0 +1,78 @@
+"""Echoes that keep the class of their source: what stages read and are told of it, and the words for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.classes import standard_name
+from fwclass.classify.kept import Kept
+from fwclass.graph.stage import Plan, StageInputs
+
+UNNAMED = frozenset({0, 1})
+"""Codes that say nothing: never classified, unclassified."""
+
+SHOWN = 6
+"""Codes that are named."""
+
+NO_SOURCE = np.empty(0, np.uint8)
+
+
+def keeping(plan: Plan) -> Mapping[str, Any]:
+    """Which echoes stay as they are, for a stage that classifies; nothing where all are classified."""
+    kept = Kept.of(plan.config.classify)
+    return {"kept": kept} if kept else {}
+
+
+def kept_by(plan: Plan) -> tuple[str, ...]:
+    """The column that tells which echoes stay."""
+    return ("source_class",) if Kept.of(plan.config.classify) else ()
+
+
+def source_of(here: StageInputs, kept: Kept | None) -> NDArray[np.uint8]:
+    """The class of the source of every echo of the tile, where any stays."""
+    return here.own_rows()["source_class"] if kept else NO_SOURCE
+
+
+def kept_codes(by_code: Mapping[int, int], kept: Kept | None) -> dict[int, int]:
+    """Of the echoes by the class of their source those that stay."""
+    return {code: by_code[code] for code in sorted(by_code) if kept and kept.codes[code]}
+
+
+def class_remarks(
+    by_code: Mapping[int, int], known: frozenset[int], kept: Kept | None, what: str = "echoes"
+) -> list[str]:
+    """What is to be said of the classes that the sources have.
+
+    Parameters
+    ----------
+    by_code : echoes, or `what` is counted, by the class of their source.
+    known : codes that the classifier's classes are written as, or count.
+    """
+    stay = kept_codes(by_code, kept)
+    lost = {c: by_code[c] for c in sorted(by_code) if c not in known | UNNAMED | stay.keys()}
+    sentences = []
+    if stay:
+        sentences.append(
+            f"{sum(stay.values()):,} {what} keep the class of their source ({_listed(stay)}): they are not classified, "
+            "have no confidence, and no accuracy counts them"
+        )
+    elif kept:
+        sentences.append(f"none of the {what} has a class that is to be kept (classify.only, classify.keep)")
+    if lost:
+        codes = ",".join(map(str, lost))
+        sentences.append(
+            f"the sources have {sum(lost.values()):,} {what} of classes that are not told apart here "
+            f"({_listed(lost)}): they get others; --keep {codes} (classify.keep=[{codes}]) leaves them as they are, "
+            "--only 0,1 (classify.only=[0,1]) classifies only what has no class"
+        )
+    return sentences
+
+
+def _listed(by_code: Mapping[int, int]) -> str:
+    most = sorted(by_code, key=lambda c: (-by_code[c], c))
+    words = [f"{c} {standard_name(c)}: {by_code[c]:,}".replace(f"{c} class {c}", f"class {c}") for c in most[:SHOWN]]
+    return ", ".join(words) + (f" and {len(most) - SHOWN} more" if len(most) > SHOWN else "")
