@@ -1,0 +1,291 @@
+"""A run as the viewer shows it: blocks from its Parquet, and what stands behind an echo."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.delivery.echoes import table_columns, table_fields
+from fwclass.delivery.opened import Delivery
+from fwclass.delivery.viewed_echo import BehindEchoes
+from fwclass.errors import FwclassError, InputError
+from fwclass.publish.octree import drawn_by
+from fwclass.publish.palette import colours, css
+from fwclass.schema import IDENTITY, Table
+from fwclass.view.blocks import DRAWN, Scale, block, column_block, nothing
+from fwclass.view.params import ViewParams
+from fwclass.view.pyramid import Node, Pyramid, levels_of, placed
+from fwclass.view.scene import ECHOES, Cache
+from fwclass.view.worklist import unsure_places
+
+THREADS = 2
+"""That read tiles ahead; more take turns at the interpreter's lock."""
+
+
+REMEMBERED = 10_000
+"""Echoes whose place in the tables is known from when they were looked at."""
+
+
+@dataclass(frozen=True)
+class OpenTile:
+    """A tile's columns, the order of its echoes in blocks, and the span of every node in that order."""
+
+    columns: Mapping[str, NDArray]
+    order: NDArray[np.int64]
+    nodes: Mapping[Node, tuple[int, int]]
+
+    @property
+    def size(self) -> int:
+        return int(sum(v.nbytes for v in self.columns.values()) + self.order.nbytes)
+
+
+class ViewedRun:
+    """See `fwclass.view.scene.Scene`. What it shows is the delivery that was current when it was opened."""
+
+    def __init__(self, delivery: Delivery, params: ViewParams) -> None:
+        self.delivery, self.params = delivery, params
+        self.tiles = {t["tile"]: t for t in delivery.tiles}
+        if not self.tiles:
+            raise InputError("this delivery has no tile", where=delivery.path, do="run the survey again")
+        self.size = float(delivery.report["config"]["tile"]["size"])
+        places = np.array([key.split("_") for key in self.tiles], np.int64)
+        self.echoes = sum(int(t["echoes"]) for t in self.tiles.values())
+        self.pyramid = Pyramid.over(places, self.echoes, self.size, params.block)
+        low = np.min([t["bounds"][:3] for t in self.tiles.values()], axis=0)
+        self.origin = (*self.pyramid.corner, math.floor(float(low[2])))
+        self._blocks, self._open = Cache(params.cache << 20), Cache(params.cache << 20)
+        self._pool, self._lock = ThreadPoolExecutor(THREADS), Lock()
+        self._skimmed: OpenTile | None = None
+        self._behind = BehindEchoes(delivery)
+        self._asked: dict[tuple[int, ...], tuple[str, int]] = {}
+
+    def prepare(self) -> None:
+        """Make ahead what the page asks for first; what fails will be said when it is asked for."""
+        with suppress(FwclassError, OSError):
+            for level in self.index()["together"]:
+                self.level(ECHOES, level)
+
+    def index(self) -> dict[str, Any]:
+        pyramid, report = self.pyramid, self.delivery.report
+        shown = colours(report["classes"])
+        tiles = [
+            [*map(int, key.split("_")), int(t["echoes"]), t["bounds"][2], t["bounds"][5]]
+            for key, t in self.tiles.items()
+        ]
+        return {
+            "name": report["survey"],
+            "crs": report["place"].get("crs"),
+            "delivery": self.delivery.path.name,
+            "echoes": self.echoes,
+            "origin": self.origin,
+            "size": pyramid.size,
+            "west": pyramid.west,
+            "south": pyramid.south,
+            "joined": pyramid.joined,
+            "halved": pyramid.halved,
+            "skimmed": pyramid.skimmed,
+            "together": [k for k in pyramid.levels() if self.echoes * pyramid.share(k) <= self.params.together],
+            "tiles": tiles,
+            "classes": [{**c, "colour": css(shown[int(c["code"])])} for c in report["classes"]],
+            "columns": [f for f in self._fields if f["name"] not in ("x", "y", *IDENTITY)],
+        }
+
+    def scale(self, part: str) -> dict[str, Any]:
+        field = self._field(part)
+        scale = self._scale(part)
+        return {**field, "low": scale.low, "high": scale.high}
+
+    def level(self, part: str, level: int) -> bytes:
+        if level not in self.index_levels:
+            raise InputError("no such level", where=self.delivery.path, got=level)
+        return bytes(self._blocks.get((part, level), lambda: self._whole_level(part, level)))
+
+    def node(self, part: str, node: Node) -> bytes:
+        if not self.pyramid.has(node):
+            raise InputError("no such block", where=self.delivery.path, got=node)
+        return bytes(self._blocks.get((part, node), lambda: self._block(part, node)))
+
+    def echo(self, node: Node, row: int) -> dict[str, Any]:
+        tile, at = self._row_of(node, row)
+        path = self.delivery.path / "parquet" / f"{tile}.parquet"
+        names = [f["name"] for f in self._fields]
+        values = {n: _plain(v[at]) for n, v in table_columns(path, names).items()}
+        if len(self._asked) >= REMEMBERED:
+            self._asked.clear()
+        self._asked[tuple(int(values[n]) for n in IDENTITY)] = tile, at
+        return {"tile": tile, "row": at, "values": values}
+
+    def pulse(self, strip: int, pulse: int) -> dict[str, Any]:
+        return self._behind.pulse(strip, pulse)
+
+    def why(self, strip: int, pulse: int, echo_number: int) -> dict[str, Any]:
+        tile, row = self._asked.get((strip, pulse, echo_number), ("", -1))
+        if row < 0:
+            tile, row = self._found(strip, pulse, echo_number)
+        return self._behind.why(tile, row)
+
+    def work(self) -> dict[str, Any]:
+        return dict(self._open.get("work", self._places, lambda _: 1 << 20))
+
+    def _places(self) -> dict[str, Any]:
+        names = ("x", "y", "z", "confidence")
+        limit = self.params.unsure
+        parts = []
+        for key in self.tiles:
+            columns = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", names)
+            rows = np.flatnonzero(columns["confidence"] < limit)
+            parts.append([columns[n][rows] for n in names[:3]])
+        x, y, z = (np.concatenate([p[k] for p in parts]) for k in range(3))
+        places = unsure_places(x, y, z, self.params.cluster, self.params.places)
+        return {"unsure": limit, "echoes": len(x), "places": [asdict(p) for p in places]}
+
+    def _found(self, strip: int, pulse: int, echo_number: int) -> tuple[str, int]:
+        for key in self.tiles:
+            who = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", IDENTITY)
+            here = (who["strip"] == strip) & (who["pulse"] == pulse) & (who["echo_number"] == echo_number)
+            if here.any():
+                return key, int(np.flatnonzero(here)[0])
+        raise InputError("there is no such echo", where=self.delivery.path, got=f"{strip}, {pulse}, {echo_number}")
+
+    # ------------------------------------------------------------------ blocks
+
+    @cached_property
+    def index_levels(self) -> frozenset[int]:
+        return frozenset(self.pyramid.levels())
+
+    def _whole_level(self, part: str, level: int) -> bytes:
+        if level < self.pyramid.own:
+            nodes = [n for n in self._skim().nodes if n[0] == level]
+            return b"".join(self._block(part, n) for n in nodes)
+        keys = list(self.tiles)
+        return b"".join(self._pool.map(lambda key: self._tile_level(part, key, level), keys))
+
+    def _tile_level(self, part: str, tile: str, level: int) -> bytes:
+        opened = self._tile(tile)
+        return b"".join(self._block(part, n) for n in opened.nodes if n[0] == level)
+
+    def _block(self, part: str, node: Node) -> bytes:
+        opened = self._holder(node)
+        if node not in opened.nodes:
+            return nothing(node)
+        first, last = opened.nodes[node]
+        rows = opened.order[first:last]
+        if part == ECHOES:
+            return block(self.pyramid, node, opened.columns, rows, self.origin)
+        return column_block(node, self._bytes(part, node, rows))
+
+    def _holder(self, node: Node) -> OpenTile:
+        if node[0] < self.pyramid.own:
+            return self._skim()
+        key = "{}_{}".format(*self.pyramid.tile_of(node))
+        return self._tile(key) if key in self.tiles else OpenTile({}, np.empty(0, np.int64), {})
+
+    def _tile(self, key: str) -> OpenTile:
+        return self._open.get(key, lambda: self._opened(key), lambda tile: tile.size)
+
+    def _opened(self, key: str) -> OpenTile:
+        return self._arranged(self._read(key))
+
+    def _arranged(self, columns: Mapping[str, NDArray]) -> OpenTile:
+        level = levels_of(self.pyramid, _rank(columns))
+        return OpenTile(columns, *placed(self.pyramid, level, columns["x"], columns["y"]))
+
+    def _read(self, key: str) -> dict[str, NDArray]:
+        columns = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", (*DRAWN, *IDENTITY))
+        lacking = [n for n in (*DRAWN, *IDENTITY) if n not in columns]
+        if lacking:
+            raise InputError("a delivered tile lacks columns", where=key, got=", ".join(lacking), do="run again")
+        return columns
+
+    def _skim(self) -> OpenTile:
+        """The echoes of the levels that squares of several tiles have."""
+        with self._lock:
+            if self._skimmed is None:
+                parts = list(self._pool.map(self._coarse, range(len(self.tiles)), self.tiles))
+                columns = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
+                self._skimmed = self._arranged(columns)
+            return self._skimmed
+
+    def _coarse(self, number: int, key: str) -> dict[str, NDArray]:
+        columns = self._read(key)
+        rank = _rank(columns)
+        limit = self.pyramid.limit(self.pyramid.skimmed - 1) if self.pyramid.skimmed else 0
+        rows = np.flatnonzero(rank < np.uint64(limit))
+        return {**{n: v[rows] for n, v in columns.items()}, "tile": np.full(len(rows), number), "row": rows}
+
+    def _row_of(self, node: Node, row: int) -> tuple[str, int]:
+        """Tile, and row of it, of an echo of a block."""
+        opened = self._holder(node)
+        first, last = opened.nodes.get(node, (0, 0))
+        if not first <= first + row < last:
+            raise InputError("no such echo", where=node, expected=f"0 to {last - first - 1}", got=row)
+        at = int(opened.order[first + row])
+        if "row" in opened.columns:
+            return list(self.tiles)[int(opened.columns["tile"][at])], int(opened.columns["row"][at])
+        return "{}_{}".format(*self.pyramid.tile_of(node)), at
+
+    # ------------------------------------------------------------------ columns
+
+    @cached_property
+    def _fields(self) -> list[dict[str, str]]:
+        return table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
+
+    def _field(self, name: str) -> dict[str, str]:
+        known = {f["name"]: f for f in self._fields}
+        if name not in known:
+            raise InputError("no such column", where=self.delivery.path, got=name)
+        return known[name]
+
+    def _scale(self, name: str) -> Scale:
+        return self._open.get(("scale", name), lambda: self._measured(name), lambda _: 64)
+
+    def _measured(self, name: str) -> Scale:
+        """From one hundredth to 99 of the values of some tiles."""
+        self._field(name)
+        keys = list(self.tiles)[:: max(1, len(self.tiles) // 8)]
+        values = np.concatenate([self._column(key, name).astype(np.float64) for key in keys])
+        finite = values[np.isfinite(values)]
+        low, high = np.quantile(finite, (0.01, 0.99)).tolist() if len(finite) else (0.0, 0.0)
+        return Scale(low, high)
+
+    def _column(self, key: str, name: str) -> NDArray:
+        return table_columns(self.delivery.path / "parquet" / f"{key}.parquet", (name,))[name]
+
+    def _bytes(self, name: str, node: Node, rows: NDArray[np.int64]) -> NDArray[np.uint8]:
+        scale = self._scale(name)
+        if node[0] < self.pyramid.own:
+            return self._skimmed_column(name, scale)[rows]
+        key = "{}_{}".format(*self.pyramid.tile_of(node))
+        return scale.bytes_of(self._column(key, name)[rows])
+
+    def _skimmed_column(self, name: str, scale: Scale) -> NDArray[np.uint8]:
+        return self._open.get(("skimmed", name), lambda: self._skim_column(name, scale), lambda v: v.nbytes)
+
+    def _skim_column(self, name: str, scale: Scale) -> NDArray[np.uint8]:
+        columns = self._skim().columns
+        tile, row = columns["tile"], columns["row"]
+        bounds = np.searchsorted(tile, np.arange(len(self.tiles) + 1))
+        out = np.empty(len(tile), np.uint8)
+        for number, key in enumerate(self.tiles):
+            mine = slice(bounds[number], bounds[number + 1])
+            out[mine] = scale.bytes_of(self._column(key, name)[row[mine]])
+        return out
+
+
+def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
+    return drawn_by(Table({n: columns[n] for n in IDENTITY}))
+
+
+def _plain(value: Any) -> Any:
+    """For JSON: no NaN, no numpy."""
+    plain = value.item() if hasattr(value, "item") else value
+    return None if isinstance(plain, float) and not math.isfinite(plain) else plain
