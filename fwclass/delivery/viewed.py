@@ -21,7 +21,7 @@ from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import drawn_by
 from fwclass.publish.palette import colours, css
 from fwclass.schema import IDENTITY, Table
-from fwclass.view.blocks import DRAWN, Scale, block, column_block, nothing
+from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
 from fwclass.view.params import ViewParams
 from fwclass.view.pyramid import Node, Pyramid, levels_of, placed
 from fwclass.view.scene import ECHOES, Cache
@@ -30,6 +30,14 @@ from fwclass.view.worklist import unsure_places
 THREADS = 2
 """That read tiles ahead; more take turns at the interpreter's lock."""
 
+
+RIGHT = "right_or_wrong"
+HIDDEN = ("x", "y", "z", "pulse", "echo_number")
+"""Columns that are no colours."""
+
+VERDICTS = (("no reference", "#b8bec3"), ("right", "#2f7d46"), ("wrong", "#c8102e"))
+STRIPS = ("#009ea3", "#c44e8c", "#f0c43c", "#566ebe", "#8c563c", "#5fa83c", "#e2782a", "#7a4fb0")
+"""Colours of strips, in turn."""
 
 REMEMBERED = 10_000
 """Echoes whose place in the tables is known from when they were looked at."""
@@ -92,20 +100,25 @@ class ViewedRun:
             "south": pyramid.south,
             "joined": pyramid.joined,
             "halved": pyramid.halved,
-            "skimmed": pyramid.skimmed,
             "together": [k for k in pyramid.levels() if self.echoes * pyramid.share(k) <= self.params.together],
             "tiles": tiles,
             "classes": [{**c, "colour": css(shown[int(c["code"])])} for c in report["classes"]],
-            "columns": [f for f in self._fields if f["name"] not in ("x", "y", *IDENTITY)],
+            "columns": [f for f in self._fields if f["name"] not in HIDDEN],
         }
 
     def scale(self, part: str) -> dict[str, Any]:
         field = self._field(part)
+        if part == "strip":
+            names = {int(f["strip"]): str(f["path"]) for f in self.delivery.report["input"]["files"]}
+            kinds = [(n % NO_VALUE, name) for n, name in sorted(names.items())][:NO_VALUE]
+            return {**field, "classes": [_kind(code, name, STRIPS[code % len(STRIPS)]) for code, name in kinds]}
+        if part == RIGHT:
+            return {**field, "classes": [_kind(code, *told) for code, told in enumerate(VERDICTS)]}
         scale = self._scale(part)
         return {**field, "low": scale.low, "high": scale.high}
 
     def level(self, part: str, level: int) -> bytes:
-        if level not in self.index_levels:
+        if level not in self.pyramid.levels():
             raise InputError("no such level", where=self.delivery.path, got=level)
         return bytes(self._blocks.get((part, level), lambda: self._whole_level(part, level)))
 
@@ -117,7 +130,7 @@ class ViewedRun:
     def echo(self, node: Node, row: int) -> dict[str, Any]:
         tile, at = self._row_of(node, row)
         path = self.delivery.path / "parquet" / f"{tile}.parquet"
-        names = [f["name"] for f in self._fields]
+        names = [f["name"] for f in self._fields if f["name"] != RIGHT]
         values = {n: _plain(v[at]) for n, v in table_columns(path, names).items()}
         if len(self._asked) >= REMEMBERED:
             self._asked.clear()
@@ -157,10 +170,6 @@ class ViewedRun:
         raise InputError("there is no such echo", where=self.delivery.path, got=f"{strip}, {pulse}, {echo_number}")
 
     # ------------------------------------------------------------------ blocks
-
-    @cached_property
-    def index_levels(self) -> frozenset[int]:
-        return frozenset(self.pyramid.levels())
 
     def _whole_level(self, part: str, level: int) -> bytes:
         if level < self.pyramid.own:
@@ -218,7 +227,7 @@ class ViewedRun:
     def _coarse(self, number: int, key: str) -> dict[str, NDArray]:
         columns = self._read(key)
         rank = _rank(columns)
-        limit = self.pyramid.limit(self.pyramid.skimmed - 1) if self.pyramid.skimmed else 0
+        limit = self.pyramid.limit(self.pyramid.own - 1)
         rows = np.flatnonzero(rank < np.uint64(limit))
         return {**{n: v[rows] for n, v in columns.items()}, "tile": np.full(len(rows), number), "row": rows}
 
@@ -237,7 +246,12 @@ class ViewedRun:
 
     @cached_property
     def _fields(self) -> list[dict[str, str]]:
-        return table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
+        fields = table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
+        if self.delivery.report["accuracy"] and self._behind.has_reference:
+            fields.append(
+                {"name": RIGHT, "unit": "", "meaning": "the class beside the reference's, training areas too"}
+            )
+        return fields
 
     def _field(self, name: str) -> dict[str, str]:
         known = {f["name"]: f for f in self._fields}
@@ -261,28 +275,51 @@ class ViewedRun:
         return table_columns(self.delivery.path / "parquet" / f"{key}.parquet", (name,))[name]
 
     def _bytes(self, name: str, node: Node, rows: NDArray[np.int64]) -> NDArray[np.uint8]:
-        scale = self._scale(name)
         if node[0] < self.pyramid.own:
-            return self._skimmed_column(name, scale)[rows]
+            return self._skimmed_column(name)[rows]
         key = "{}_{}".format(*self.pyramid.tile_of(node))
-        return scale.bytes_of(self._column(key, name)[rows])
+        return self._tile_bytes(key, name)[rows]
 
-    def _skimmed_column(self, name: str, scale: Scale) -> NDArray[np.uint8]:
-        return self._open.get(("skimmed", name), lambda: self._skim_column(name, scale), lambda v: v.nbytes)
+    def _tile_bytes(self, key: str, name: str) -> NDArray[np.uint8]:
+        """A byte an echo of a tile, in the table's order."""
+        if name == RIGHT:
+            return self._verdicts(key)
+        values = self._column(key, name)
+        return (values % NO_VALUE).astype(np.uint8) if name == "strip" else self._scale(name).bytes_of(values)
 
-    def _skim_column(self, name: str, scale: Scale) -> NDArray[np.uint8]:
+    def _verdicts(self, key: str) -> NDArray[np.uint8]:
+        """0 without a reference, 1 right, 2 wrong; of a code that no class counts there is no verdict."""
+        given = self._column(key, "classification")
+        try:
+            reference = self._behind.reference(key)
+        except (FwclassError, OSError):
+            return np.zeros(len(given), np.uint8)
+        counted = np.zeros(256, np.int64)
+        for one in self.delivery.report["config"]["survey"]["classes"]:
+            counted[list(one["codes"])] = one["code"]
+        known = counted[reference]
+        return np.where(known == 0, 0, np.where(known == given, 1, 2)).astype(np.uint8)
+
+    def _skimmed_column(self, name: str) -> NDArray[np.uint8]:
+        return self._open.get(("skimmed", name), lambda: self._skim_column(name), lambda v: v.nbytes)
+
+    def _skim_column(self, name: str) -> NDArray[np.uint8]:
         columns = self._skim().columns
         tile, row = columns["tile"], columns["row"]
         bounds = np.searchsorted(tile, np.arange(len(self.tiles) + 1))
         out = np.empty(len(tile), np.uint8)
         for number, key in enumerate(self.tiles):
             mine = slice(bounds[number], bounds[number + 1])
-            out[mine] = scale.bytes_of(self._column(key, name)[row[mine]])
+            out[mine] = self._tile_bytes(key, name)[row[mine]]
         return out
 
 
 def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
     return drawn_by(Table({n: columns[n] for n in IDENTITY}))
+
+
+def _kind(code: int, name: str, colour: str) -> dict[str, Any]:
+    return {"code": code, "name": name, "colour": colour}
 
 
 def _plain(value: Any) -> Any:

@@ -25,7 +25,7 @@ from fwclass.view.scene import Cache
 TELLING = 10
 """Features that are told."""
 
-CHUNKS, MODELS = 256 << 20, 1
+CHUNKS = 256 << 20
 """Bytes of opened chunks of waveforms that are kept."""
 
 
@@ -92,6 +92,15 @@ class BehindEchoes:
                     out.append((int(numbers.min()), part))
             self._firsts[strip] = out
         return self._firsts[strip]
+
+    @property
+    def has_reference(self) -> bool:
+        """The run labelled its echoes, and still has the labels."""
+        return any(stage == "label" for stage, _ in self._store.parts())
+
+    def reference(self, tile: str) -> NDArray[np.uint8]:
+        """Code of the reference of every echo of a tile, 0 for none; a fault where the run has none any more."""
+        return np.asarray(self._inputs.table("label", tile, ("reference",))["reference"])
 
     def why(self, tile: str, row: int) -> dict[str, Any]:
         """Shares of the classes, and the features whose replacement by what the runner-up usually has turns most.

@@ -13,7 +13,6 @@ class ViewParams(Params):
     Attributes
     ----------
     block : echoes of a block of an average tile at most.
-    skim : a survey of at most so many echoes is read whole for its coarse levels; a larger one is seen by its overview.
     together : levels of at most so many echoes are sent whole.
     cache : memory for blocks, and as much again for tiles that are open [MiB].
     connections : open at a time.
@@ -25,7 +24,6 @@ class ViewParams(Params):
     """
 
     block: int = Field(ge=1000, le=1_000_000)
-    skim: int = Field(ge=0, le=1_000_000_000)
     together: int = Field(ge=1000, le=10_000_000)
     cache: int = Field(ge=1, le=1_000_000)
     connections: int = Field(ge=2, le=1000)

@@ -6,7 +6,6 @@ the tiles of the run, halved for the finer levels and joined for the coarser one
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,8 +28,6 @@ class Pyramid:
     west, south : numbers of the tile at the root's south-west corner, in the run's grid.
     joined : the root has 2^joined tiles along its edge.
     halved : the finest squares have 2^-halved of a tile's edge.
-    skimmed : levels below this one are made of the whole survey at once. Those from it to the first of the tiles are
-        left out: their echoes come with the tiles' own first level.
     """
 
     size: float
@@ -38,26 +35,22 @@ class Pyramid:
     south: int
     joined: int
     halved: int
-    skimmed: int
 
     @classmethod
-    def over(cls, tiles: NDArray[np.int64], echoes: int, size: float, block: int, drawn: float = 1.0) -> Pyramid:
+    def over(cls, tiles: NDArray[np.int64], echoes: int, size: float, block: int) -> Pyramid:
         """The pyramid of tiles with `echoes` altogether.
 
         Parameters
         ----------
         tiles : shape (n, 2), column and row in the run's grid.
         block : a block of an average tile has at most so many echoes.
-        drawn : the share of the echoes, those with the lowest hashes, that levels of the whole survey can be made of.
         """
         low, high = tiles.min(axis=0), tiles.max(axis=0)
         joined = int((high - low).max()).bit_length()
         halved, mean = 0, echoes / len(tiles) / 2
         while mean > block and 2 * (joined + halved) + 3 < MAX_LEVEL:
             mean, halved = mean / 4, halved + 1
-        last = 2 * (joined + halved) + 1
-        skimmed = min(2 * joined, max(1, last + 1 + int(np.floor(np.log2(max(drawn, 2.0**-MAX_LEVEL))))))
-        return cls(size, int(low[0]), int(low[1]), joined, halved, skimmed if joined else 0)
+        return cls(size, int(low[0]), int(low[1]), joined, halved)
 
     @property
     def last(self) -> int:
@@ -84,22 +77,16 @@ class Pyramid:
 
     def share(self, level: int) -> float:
         """Share of the echoes that a level has by itself."""
-        if level < self.skimmed or level > self.own:
-            return float(2.0 ** (max(level, 1) - self.last - 1)) if level else float(2.0**-self.last)
-        before = self.limit(self.skimmed - 1) if self.skimmed else 0
-        return (self.limit(level) - before) / 2.0**64
+        return float(2.0 ** (level - self.last - (level > 0)))
 
-    def levels(self) -> Iterator[int]:
-        """Those that have echoes, the coarsest first."""
-        yield from range(self.skimmed)
-        yield from range(self.own, self.last + 1)
+    def levels(self) -> range:
+        """All of them, the coarsest first."""
+        return range(self.last + 1)
 
     def has(self, node: Node) -> bool:
         """Whether there can be such a node."""
         level, i, j = node
-        if not (0 <= level < self.skimmed or self.own <= level <= self.last):
-            return False
-        return 0 <= i < 1 << (level // 2) and 0 <= j < 1 << (level // 2)
+        return 0 <= level <= self.last and 0 <= i < 1 << (level // 2) and 0 <= j < 1 << (level // 2)
 
     def tile_of(self, node: Node) -> tuple[int, int]:
         """Column and row in the run's grid of the tile that a node of `own` or a finer level lies in."""
@@ -111,7 +98,7 @@ class Pyramid:
 def levels_of(pyramid: Pyramid, rank: NDArray[np.uint64]) -> NDArray[np.int8]:
     """The level of every echo by its hash."""
     out = np.empty(len(rank), np.int8)
-    _levels(rank, pyramid.last, pyramid.skimmed, pyramid.own, out)
+    _levels(rank, pyramid.last, out)
     return out
 
 
@@ -135,16 +122,13 @@ def placed(
 
 
 @kernel
-def _levels(rank, last, skimmed, own, out):  # type: ignore[no-untyped-def]
+def _levels(rank, last, out):  # type: ignore[no-untyped-def]
     for i in range(len(rank)):
         bits, v = 0, rank[i]
         while v:
             bits += 1
             v >>= np.uint64(1)
-        level = max(0, bits - 64 + last)
-        if skimmed <= level < own:
-            level = own
-        out[i] = level
+        out[i] = max(0, bits - 64 + last)
 
 
 @kernel

@@ -56,7 +56,7 @@ function remember() {
 }
 function whole() {
   const b = scenes[0].box, [w, h] = size(), wide = Math.max((b[3] - b[0]) / Math.min(w / h, 1), b[4] - b[1]);
-  cam.target = [(b[0] + b[3]) / 2, (b[1] + b[4]) / 2, b[2] + (b[5] - b[2]) * 0.2]; cam.far = wide * 1.25; cam.azimuth = start.azimuth; cam.tilt = start.tilt; moved();
+  cam.target = [(b[0] + b[3]) / 2, (b[1] + b[4]) / 2, b[2] + (b[5] - b[2]) * 0.2]; cam.far = wide * 1.08; cam.azimuth = start.azimuth; cam.tilt = start.tilt; moved();
 }
 function recall() {
   const o = scenes[0].origin, v = (given.get('at') || '').split(',').map(Number);
