@@ -13,8 +13,9 @@ from fwclass.cli.base import PATH, SET, cli
 @click.argument("run", type=PATH)
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Listen there (default: any free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address only.")
+@click.option("--against", type=PATH, metavar="OTHER", help="Another run of the same survey, side by side.")
 @SET
-def view(run: Path, port: int, no_browser: bool, settings: tuple[str, ...]) -> None:
+def view(run: Path, port: int, no_browser: bool, against: Path | None, settings: tuple[str, ...]) -> None:
     """Look at a run: its cloud, the waveform behind an echo, and why it has its class.
 
     The page is served on 127.0.0.1 alone, and answers who has the address that is printed. Ctrl-C ends it.
@@ -22,4 +23,4 @@ def view(run: Path, port: int, no_browser: bool, settings: tuple[str, ...]) -> N
     from fwclass import conf
     from fwclass.delivery.viewing import serve_view
 
-    serve_view(run, conf.section("view", settings), port, not no_browser, click.echo)
+    serve_view(run, conf.section("view", settings), port, against, not no_browser, click.echo)

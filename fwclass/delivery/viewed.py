@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -20,7 +20,7 @@ from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import drawn_by
 from fwclass.publish.palette import colours, css
-from fwclass.schema import IDENTITY, Table
+from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
 from fwclass.view.params import ViewParams
 from fwclass.view.pyramid import Node, Pyramid, levels_of, placed
@@ -31,11 +31,12 @@ THREADS = 2
 """That read tiles ahead; more take turns at the interpreter's lock."""
 
 
-RIGHT = "right_or_wrong"
+RIGHT, DIFFERS = "right_or_wrong", "differs"
 HIDDEN = ("x", "y", "z", "pulse", "echo_number")
 """Columns that are no colours."""
 
 VERDICTS = (("no reference", "#b8bec3"), ("right", "#2f7d46"), ("wrong", "#c8102e"))
+COMPARED = (("not in the other run", "#b8bec3"), ("same class", "#7fa7b5"), ("another class", "#c8102e"))
 STRIPS = ("#009ea3", "#c44e8c", "#f0c43c", "#566ebe", "#8c563c", "#5fa83c", "#e2782a", "#7a4fb0")
 """Colours of strips, in turn."""
 
@@ -59,7 +60,7 @@ class OpenTile:
 class ViewedRun:
     """See `fwclass.view.scene.Scene`. What it shows is the delivery that was current when it was opened."""
 
-    def __init__(self, delivery: Delivery, params: ViewParams) -> None:
+    def __init__(self, delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> None:
         self.delivery, self.params = delivery, params
         self.tiles = {t["tile"]: t for t in delivery.tiles}
         if not self.tiles:
@@ -74,6 +75,7 @@ class ViewedRun:
         self._pool, self._lock = ThreadPoolExecutor(THREADS), Lock()
         self._skimmed: OpenTile | None = None
         self._behind = BehindEchoes(delivery)
+        self._other = other.path / "parquet" if other is not None else None
         self._asked: dict[tuple[int, ...], tuple[str, int]] = {}
 
     def prepare(self) -> None:
@@ -81,6 +83,7 @@ class ViewedRun:
         with suppress(FwclassError, OSError):
             for level in self.index()["together"]:
                 self.level(ECHOES, level)
+            self._behind.prepare()
 
     def index(self) -> dict[str, Any]:
         pyramid, report = self.pyramid, self.delivery.report
@@ -94,6 +97,7 @@ class ViewedRun:
             "crs": report["place"].get("crs"),
             "delivery": self.delivery.path.name,
             "echoes": self.echoes,
+            "against": self._other is not None,
             "origin": self.origin,
             "size": pyramid.size,
             "west": pyramid.west,
@@ -112,6 +116,8 @@ class ViewedRun:
             names = {int(f["strip"]): str(f["path"]) for f in self.delivery.report["input"]["files"]}
             kinds = [(n % NO_VALUE, name) for n, name in sorted(names.items())][:NO_VALUE]
             return {**field, "classes": [_kind(code, name, STRIPS[code % len(STRIPS)]) for code, name in kinds]}
+        if part == DIFFERS:
+            return {**field, "classes": [_kind(code, *told) for code, told in enumerate(COMPARED)]}
         if part == RIGHT:
             return {**field, "classes": [_kind(code, *told) for code, told in enumerate(VERDICTS)]}
         scale = self._scale(part)
@@ -130,7 +136,7 @@ class ViewedRun:
     def echo(self, node: Node, row: int) -> dict[str, Any]:
         tile, at = self._row_of(node, row)
         path = self.delivery.path / "parquet" / f"{tile}.parquet"
-        names = [f["name"] for f in self._fields if f["name"] != RIGHT]
+        names = [f["name"] for f in self._fields if f["name"] not in (RIGHT, DIFFERS)]
         values = {n: _plain(v[at]) for n, v in table_columns(path, names).items()}
         if len(self._asked) >= REMEMBERED:
             self._asked.clear()
@@ -251,6 +257,10 @@ class ViewedRun:
             fields.append(
                 {"name": RIGHT, "unit": "", "meaning": "the class beside the reference's, training areas too"}
             )
+        if self._other is not None:
+            fields.append(
+                {"name": DIFFERS, "unit": "", "meaning": "the class beside that of the same echo in the other run"}
+            )
         return fields
 
     def _field(self, name: str) -> dict[str, str]:
@@ -272,7 +282,10 @@ class ViewedRun:
         return Scale(low, high)
 
     def _column(self, key: str, name: str) -> NDArray:
-        return table_columns(self.delivery.path / "parquet" / f"{key}.parquet", (name,))[name]
+        return self._columns(key, (name,))[name]
+
+    def _columns(self, key: str, names: Sequence[str]) -> dict[str, NDArray]:
+        return table_columns(self.delivery.path / "parquet" / f"{key}.parquet", names)
 
     def _bytes(self, name: str, node: Node, rows: NDArray[np.int64]) -> NDArray[np.uint8]:
         if node[0] < self.pyramid.own:
@@ -284,8 +297,22 @@ class ViewedRun:
         """A byte an echo of a tile, in the table's order."""
         if name == RIGHT:
             return self._verdicts(key)
+        if name == DIFFERS:
+            return self._compared(key)
         values = self._column(key, name)
         return (values % NO_VALUE).astype(np.uint8) if name == "strip" else self._scale(name).bytes_of(values)
+
+    def _compared(self, key: str) -> NDArray[np.uint8]:
+        """0 for an echo that the other run has not in this tile, 1 where the classes are the same, 2 where not."""
+        path = self._other / f"{key}.parquet" if self._other is not None else None
+        mine = self._columns(key, (*IDENTITY, "classification"))
+        out = np.zeros(len(mine["strip"]), np.uint8)
+        if path is None or not path.is_file():
+            return out
+        other = table_columns(path, (*IDENTITY, "classification"))
+        _, here, there = np.intersect1d(_key(mine), _key(other), assume_unique=True, return_indices=True)
+        out[here] = np.where(mine["classification"][here] == other["classification"][there], 1, 2)
+        return out
 
     def _verdicts(self, key: str) -> NDArray[np.uint8]:
         """0 without a reference, 1 right, 2 wrong; of a code that no class counts there is no verdict."""
@@ -316,6 +343,10 @@ class ViewedRun:
 
 def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
     return drawn_by(Table({n: columns[n] for n in IDENTITY}))
+
+
+def _key(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
+    return canonical_key(Table({n: columns[n] for n in IDENTITY}))
 
 
 def _kind(code: int, name: str, colour: str) -> dict[str, Any]:

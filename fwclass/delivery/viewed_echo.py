@@ -37,6 +37,16 @@ class BehindEchoes:
         self._inputs, self._chunks, self._trained = PartInputs(self._store), Cache(CHUNKS), Cache(1 << 30)
         self._firsts: dict[int, list[tuple[int, str]]] = {}
 
+    def prepare(self) -> None:
+        """Load what the first click would wait for: what fits and draws, the model, the training sample."""
+        import fwclass.single_file.waveforms.view  # noqa: F401
+
+        for strip in sorted({int(p.split("-")[0]) for s, p in self._store.parts() if s == "read"}):
+            self._parts(strip)
+        tile = next((p for s, p in self._store.parts() if s == "tile"), None)
+        if tile is not None:
+            self.why(tile, 0)
+
     def pulse(self, strip: int, pulse: int) -> dict[str, Any]:
         """Samples, the fitted sum and each echo alone, the residual over the noise, the vendor's returns."""
         from fwclass.single_file.waveforms.shown import see

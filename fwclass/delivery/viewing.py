@@ -14,19 +14,31 @@ from fwclass.view.params import ViewParams
 from fwclass.view.server import Server
 
 
-def serve_view(run: Path, params: ViewParams, port: int, browser: bool, tell: Callable[[str], object]) -> None:
+def scenes_of(run: Path, against: Path | None, params: ViewParams) -> list[ViewedRun]:
+    """The scene of a run, and that of another with which it is compared."""
+    first = open_run(run)
+    if against is None:
+        return [ViewedRun(first, params)]
+    second = open_run(against)
+    return [ViewedRun(first, params, second), ViewedRun(second, params, first)]
+
+
+def serve_view(
+    run: Path, params: ViewParams, port: int, against: Path | None, browser: bool, tell: Callable[[str], object]
+) -> None:
     """Serve a run until the command is interrupted; `tell` is told the address.
 
     Raises
     ------
     InputError
-        `run` is no run that has delivered.
+        `run` or `against` is no run that has delivered.
     ConfigError
         The port is taken.
     """
-    scene = ViewedRun(open_run(run), params)
-    with Server([scene], params, port) as server:
-        threading.Thread(target=scene.prepare, daemon=True).start()
+    scenes = scenes_of(run, against, params)
+    with Server(scenes, params, port) as server:
+        for scene in scenes:
+            threading.Thread(target=scene.prepare, daemon=True).start()
         tell(server.address)
         if browser and not _opened(server.address):
             tell("no browser could be started: open the address above")

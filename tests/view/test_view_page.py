@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import pytest
 from pagedriver import Driven, driven
 from scipy.spatial import cKDTree
 
+from fwclass import conf
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewing import scenes_of
 from fwclass.run.inputs import PartInputs
 from fwclass.store.run_store import Store
 from fwclass.view.server import Server
@@ -158,3 +161,20 @@ def test_a_lost_context_comes_back_and_no_token_is_told(page: Driven, server: Se
     page.until("fwclass.stats.drawn > 0 && document.getElementById('fault').hidden")
     page.open(server.address.split("#")[0])
     page.until("/token/.test(document.getElementById('fault').textContent)")
+
+
+def test_two_runs_side_by_side(browser_page: Driven, run: Path) -> None:
+    """A run beside itself: nothing differs, twice the echoes, and a click on the right asks the right one."""
+    scenes = scenes_of(run, run, conf.section("view", ()))
+    with Server(scenes, conf.section("view", ())) as server:
+        threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+        browser_page.faults.clear()
+        browser_page.open(server.address)
+        browser_page.until("window.fwclass.stats.settled")
+        assert browser_page.run("fwclass.stats.drawn") == 2 * scenes[0].echoes
+        browser_page.run("fwclass.colourBy('differs')")
+        browser_page.until("fwclass.stats.settled")
+        seen = "[...new Set(fwclass.shown().flatMap((v) => v.nodes.flatMap((n) => [...n.extra])))]"
+        assert browser_page.run(seen) == [1]
+        assert browser_page.faults == []
+        server.shutdown()

@@ -37,13 +37,13 @@ function frame() {
   }
   const now = performance.now() - stats.begun, busy = scenes.some((s) => s.loader.busy);
   if (stats.drawn && !stats.first) stats.first = now;
-  stats.settled = busy ? 0 : stats.settled || now;
+  stats.settled = busy || moving ? 0 : stats.settled || now;
   $('facts').textContent = `${stats.drawn.toLocaleString('en')} of ${scenes.reduce((n, s) => n + s.echoes, 0).toLocaleString('en')} echoes${busy ? ', more are coming' : ''}`;
   marks(m, w, h);
   if (line && !busy && line.stale) profile();
 }
-const redraw = () => { state.dirty = true; if (state.section) state.section.stale = true; };
-function moved() { state.moving = performance.now(); state.dirty = true; clearTimeout(moved.timer); moved.timer = setTimeout(() => { state.dirty = true; remember(); }, 300); }
+const redraw = () => { state.dirty = true; stats.settled = 0; if (state.section) state.section.stale = true; };
+function moved() { state.moving = performance.now(); state.dirty = true; stats.settled = 0; clearTimeout(moved.timer); moved.timer = setTimeout(() => { state.dirty = true; remember(); }, 300); }
 
 // ------------------------------------------------------------------ the address
 function remember() {
@@ -226,7 +226,10 @@ async function begin() {
   drawing = new Drawing(canvas);
   const first = await Scene.open(0, redraw, failed);
   scenes = [first];
-  if (first.against) scenes.push(await Scene.open(1, redraw, failed));
+  if (first.against) {
+    scenes.push(await Scene.open(1, redraw, failed));
+    scenes[1].moveTo(first.origin);
+  }
   $('name').textContent = scenes.map((s) => s.name).join(' | '); document.title = `${first.name} – fwclass view`;
   const by = new Set(['classification', 'confidence', 'entropy', 'height', 'height_above_ground', 'intensity', ...first.columns.map((c) => c.name)]);
   for (const n of by) if (n === 'height' || first.columns.some((c) => c.name === n)) $('by').add(new Option(n.replaceAll('_', ' '), n));

@@ -36,11 +36,19 @@ export class Scene {
         if (node) Object.assign(node, { extra: block.bytes, extraOf: this.column, stale: true }); else if (block.count) this.early.set(key, block.bytes);
       } else if (block.count) {
         const edge = this.size * 2 ** (this.joined - (block.node[0] >> 1));
+        if (this.by_) block.low = block.low.map((v, a) => v + this.by_[a]);
         this.nodes.set(key, { ...block, key, edge, level: block.node[0], extra: this.early.get(key) || null, extraOf: this.early.has(key) ? this.column : '', stale: true });
         this.early.delete(key);
       }
     }
     this.changed();
+  }
+
+  // Count places from another origin, so that one camera looks at two scenes.
+  moveTo(origin) {
+    const by = this.origin.map((v, a) => v - origin[a]);
+    for (const p of this.places) for (let a = 0; a < 3; a += 1) { p.low[a] += by[a]; p.high[a] += by[a]; }
+    this.box = this.box.map((v, a) => v + by[a % 3]); this.by_ = by; this.origin = origin;
   }
 
   // Cumulative share of the echoes up to a level.
