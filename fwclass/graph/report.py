@@ -95,7 +95,7 @@ def write_report(
             counted := sampling(
                 config,
                 *(made_in_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS)),
-                runner.whole,
+                whole_run=runner.whole,
             )
         ),
         "distribution": _distribution(runner),

@@ -18,6 +18,7 @@ def sampling(
     labelled: Sequence[Receipt],
     polygons: Sequence[Receipt],
     corrections: Sequence[Receipt] = (),
+    *,
     whole_run: bool = True,
 ) -> dict[str, Any] | None:
     """Figures for ``report.json``; None where nothing was counted.
