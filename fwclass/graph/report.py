@@ -16,6 +16,7 @@ from fwclass.decompose.plausible import added
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.classify import OUTSIDE
+from fwclass.graph.corrections import CORRECTIONS
 from fwclass.graph.drift import drift
 from fwclass.graph.kept import class_remarks, kept_codes
 from fwclass.graph.layout import Layout, Survey
@@ -91,7 +92,11 @@ def write_report(
             made_in_run(runner, "read"), {r.part for r in made_in_run(runner, "decompose")}, PartInputs(runner.store)
         ),
         "sampling": (
-            counted := sampling(config, *(made_in_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons")))
+            counted := sampling(
+                config,
+                *(made_in_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS)),
+                whole_run=runner.whole,
+            )
         ),
         "distribution": _distribution(runner),
         "waveforms": _waveforms(runner, survey),

@@ -17,12 +17,17 @@ def sampling(
     drawn: Sequence[Receipt],
     labelled: Sequence[Receipt],
     polygons: Sequence[Receipt],
+    corrections: Sequence[Receipt] = (),
+    *,
+    whole_run: bool = True,
 ) -> dict[str, Any] | None:
     """Figures for ``report.json``; None where nothing was counted.
 
     Parameters
     ----------
-    counted, drawn, labelled, polygons : receipts of the parts `label-counts`, `sample-counts`, `label` and `polygons`.
+    counted, drawn, labelled, polygons, corrections : receipts of the parts `label-counts`, `sample-counts`, `label`,
+        `polygons` and `corrections`.
+    whole_run : all tiles are among them; else nobody knows of the others' corrections.
     """
     if not counted:
         return None
@@ -34,6 +39,7 @@ def sampling(
     notes = remarks(whole, rows, by_tile, classes, train, test, config.areas.gap)
     taken = rows["train"] if rows else [0] * len(classes)
     taken_boxes = rows["boxes"] if rows else [[0] * len(classes) for _ in train]
+    corrected = _corrections(corrections, labelled)
     return {
         "reference": config.survey.reference.kind,
         "echoes": whole["echoes"],
@@ -53,8 +59,31 @@ def sampling(
         "tiles": [_tile(config, r, by_tile.get(r.part)) for r in counted],
         "gap": {"asked": config.areas.gap, "found": whole["nearest"]},
         "polygons": [dict(r.meta) for r in polygons],
-        "remarks": [*notes, *_of_polygons(polygons, ambiguous)],
+        "corrections": corrected,
+        "remarks": [
+            *notes,
+            *_of_polygons(polygons, ambiguous),
+            *(_of_corrections(corrected, config.label.max_move) if whole_run else ()),
+        ],
     }
+
+
+def _corrections(read: Sequence[Receipt], labelled: Sequence[Receipt]) -> dict[str, int] | None:
+    """How many corrections stand, were taken back, and are of an echo of the run; None without a file of them."""
+    if not read:
+        return None
+    applied = sum(int(r.meta.get("corrected", 0)) for r in labelled)
+    return {"standing": read[0].meta["rows"], "taken_back": read[0].meta["taken_back"], "applied": applied}
+
+
+def _of_corrections(corrected: dict[str, int] | None, reach: float) -> list[str]:
+    lost = corrected["standing"] - corrected["applied"] if corrected else 0
+    if lost <= 0 or corrected is None:
+        return []
+    return [
+        f"{lost:,} of {corrected['standing']:,} corrections label nothing: their echo is gone, or another one that "
+        f"lies further than {reach:g} m (label.max_move) from its place has its number."
+    ]
 
 
 def _tile(config: Config, counted: Receipt, drawn: Any) -> dict[str, Any]:

@@ -15,6 +15,7 @@ KINDS = {
     "source": "the files' own classes",
     "cloud": "the nearest point of another cloud",
     "polygons": "the polygon that an echo lies in",
+    "echoes": "strip, pulse and number of the echo",
 }
 
 
@@ -55,6 +56,9 @@ def _facts(made: Mapping[str, Any]) -> list[tuple[str, str]]:
         rows.append(("codes of no class", others))
     if made["ambiguous"]:
         rows.append(("in polygons of different classes", f"{number(made['ambiguous'])} echoes, not labelled"))
+    if corrected := made.get("corrections"):
+        back = f", {number(corrected['taken_back'])} taken back" if corrected["taken_back"] else ""
+        rows.append(("corrections", f"{number(corrected['applied'])} of {number(corrected['standing'])} applied{back}"))
     return rows
 
 

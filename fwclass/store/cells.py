@@ -39,7 +39,7 @@ def by_place(table: Table, x: NDArray[np.float64], y: NDArray[np.float64]) -> di
     order = np.lexsort((row, column))  # stable: rows of a square keep their order
     a, b = column[order], row[order]
     new = np.flatnonzero(np.concatenate([[True], (a[1:] != a[:-1]) | (b[1:] != b[:-1])])) if len(a) else order
-    ends = np.append(new[1:], len(a))
+    ends = np.append(new[1:], len(a))[: len(new)]
     arranged = table.take(order)
     digests = {(int(a[i]), int(b[i])): _digest(arranged, i, j) for i, j in zip(new, ends, strict=True)}
     if not digests:

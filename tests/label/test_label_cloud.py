@@ -8,7 +8,7 @@ from fwclass.label.stage import LabelParams, from_cloud, from_source
 from fwclass.schema import Table
 from fwclass.stage import Chunk
 
-PARAMS = LabelParams(max_distance=1.0, max_move=0.5)
+PARAMS = LabelParams(max_distance=1.0, max_move=0.075)
 
 
 def chunk(**columns):

@@ -316,7 +316,7 @@ def work_labels(_: Path) -> Any:
     codes = np.array([2, 9, 6], np.int16)
     parts = [holed, shapely.box(3, 3, 5, 7), shapely.Point(8, 8).buffer(2)]
     polygons = Polygons.of(shapes([shapely.to_wkb(p) for p in parts], "here"), codes, codes, "here")
-    return from_cloud(chunk, cloud, LabelParams(max_distance=1.0)), owners(
+    return from_cloud(chunk, cloud, LabelParams(max_distance=1.0, max_move=0.075)), owners(
         *rng.integers(-900, 11_000, (2, 200)), polygons
     )
 
