@@ -13,9 +13,10 @@ from fwclass.graph.backscatter import (
 )
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
+from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
-from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
+from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_ECHOES, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
 from fwclass.graph.learn import (
     DRAW_SAMPLE,
     GROW_TREES,
@@ -59,6 +60,8 @@ classification = Workflow(
         # files to echoes
         SIMULATE,
         READ_POLYGONS,
+        READ_ECHO_LABELS,
+        READ_CORRECTIONS,
         INDEX,
         READ_SPAN,
         MEASURE_PULSE,
@@ -87,6 +90,7 @@ classification = Workflow(
         LABEL_BY_SOURCE,
         LABEL_BY_CLOUD,
         LABEL_BY_POLYGONS,
+        LABEL_BY_ECHOES,
         CHECK_SEAMS,  # long, and one part: not at the end
         # the model
         DRAW_SAMPLE,

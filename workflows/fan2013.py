@@ -8,6 +8,7 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.graph.area_of_interest import Area
+from fwclass.graph.corrections import without_corrections
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
 from fwclass.graph.walk import until_report, until_tiles
@@ -34,7 +35,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     computed = (*used, *config.features.also)
     check_features(config, computed, f"{config.path}: survey.features, features.also")
     names = features_like(config, printed["selection"]["order"])
-    plan = until_tiles(Plan(config, used, computed), runner)
+    plan = without_corrections(until_tiles(Plan(config, used, computed), runner))
     report = until_report(plan, runner, after_tiles(classification.stages))
     if runner.failures:
         return report

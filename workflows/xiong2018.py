@@ -8,6 +8,7 @@ from typing import Any
 from fwclass.conf import Config
 from fwclass.conf.papers import paper
 from fwclass.graph.area_of_interest import Area
+from fwclass.graph.corrections import without_corrections
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
 from fwclass.graph.walk import until_report, until_tiles
@@ -34,7 +35,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     aside = runner.beside()
     choice, final = selected(config, aside)
     chosen = final.features_asked
-    plan = until_tiles(Plan(config, names, names), runner)
+    plan = without_corrections(until_tiles(Plan(config, names, names), runner))
     best = replace(plan, config=final, names=chosen, tiled=replace(plan.layout, config=final))
     report = until_report(best, runner, after_tiles(classification.stages))
     if runner.failures:

@@ -95,6 +95,7 @@ RESULTS = (
     ),
     # classes
     Column("reference", "u1", "", "reference class code; 0 is none"),
+    Column("label_code", "u1", "", "reference class code that a label by echo gives; 0 says that the echo has none"),
     Column("coarse_class", "u1", "", "class code given by the first of two layers"),
     Column("coarse_confidence", "f4", "", "share of the class in the first of two layers", low=0, high=1),
     Column("coarse_entropy", "f4", "", "entropy of the shares in the first of two layers", low=0, high=1),

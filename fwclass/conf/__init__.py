@@ -222,7 +222,7 @@ def _check_learning(config: Config) -> None:
         lacking.append(f"at least two classes are needed (survey.classes has {', '.join(names) or 'none'})")
     if config.survey.model is None:
         if config.survey.reference.kind == "none":
-            lacking.append("nothing to train on (survey.reference: source, cloud or polygons; or survey.model)")
+            lacking.append("nothing to train on (survey.reference: source, cloud, polygons or echoes; or survey.model)")
         if not config.areas.train:
             lacking.append("no training area (areas.train: at least one box [xmin, ymin, xmax, ymax])")
     if lacking:

@@ -70,27 +70,33 @@ class ReferenceSection(Section):
     """Where reference classes come from.
 
     `source`: the files' own classes; `cloud`: the nearest point of other `files`; `polygons`: files of polygons with a
-    class `field`; `none`. Only of polygons: `values` says what the field's values mean (a reference code, the name of a
+    class `field`; `echoes`: Parquet files of codes by strip, pulse and echo number (in the column `field`; `class`
+    unless given); `none`. Only of polygons: `values` says what the field's values mean (a reference code, the name of a
     class, or null for what labels nothing), `layer` which one where a file has several, `crs` what system they are in
-    where the file names none or a wrong one.
+    where the file names none or a wrong one. `corrections`: a Parquet file of delivered codes by echo that count more
+    than any of these; null: ``labels/corrections.parquet`` of the run directory, where there is one; false: none.
     """
 
-    kind: Literal["source", "cloud", "polygons", "none"]
+    kind: Literal["source", "cloud", "polygons", "echoes", "none"]
     files: tuple[str, ...] = ()
     field: str | None = None
     values: dict[str | int, str | int | None] = {}
     layer: str | None = None
     crs: str | None = None
+    corrections: str | Literal[False] | None = None
 
     @model_validator(mode="after")
     def _fit(self) -> ReferenceSection:
-        if self.kind in ("cloud", "polygons") and not self.files:
+        if self.kind == "none" and self.corrections:
+            raise ValueError("`corrections` mend labels, and kind none has none: give them as `files` of kind echoes")
+        if self.kind in ("cloud", "polygons", "echoes") and not self.files:
             raise ValueError(f"kind {self.kind} needs `files`, relative to survey.directory")
         if self.kind == "polygons" and self.field is None:
             raise ValueError("kind polygons needs `field`, which holds the class (`fwclass info FILE` lists them)")
-        alien = [n for n in ("field", "values", "layer", "crs") if getattr(self, n) and self.kind != "polygons"]
+        alien = [n for n in ("values", "layer", "crs") if getattr(self, n) and self.kind != "polygons"]
+        alien += ["field"] if self.field and self.kind not in ("polygons", "echoes") else []
         if alien:
-            raise ValueError(f"`{alien[0]}` belongs to kind polygons")
+            raise ValueError(f"`{alien[0]}` belongs to kind polygons{' or echoes' if alien[0] == 'field' else ''}")
         return self
 
 

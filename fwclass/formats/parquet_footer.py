@@ -11,6 +11,7 @@ import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 MOST = 256 << 20
 """Bytes of a footer."""
@@ -25,14 +26,18 @@ _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _ST
 def values_told(path: Path) -> int:
     """Values of all columns of all row groups; `ValueError` where the footer is damaged."""
     with path.open("rb") as stream:
-        size = stream.seek(0, os.SEEK_END)
-        stream.seek(max(0, size - 8))
-        tail = stream.read(8)
-        length = struct.unpack("<I", tail[:4])[0] if len(tail) == 8 else 0
-        if tail[4:] != b"PAR1" or not 0 < length <= min(size - 8, MOST):
-            raise ValueError("no footer at its end")
-        stream.seek(size - 8 - length)
-        footer = _Footer(stream.read(length))
+        return values_in(stream, stream.seek(0, os.SEEK_END))
+
+
+def values_in(stream: BinaryIO, size: int) -> int:
+    """As `values_told`, of an open file of `size` bytes."""
+    stream.seek(max(0, size - 8))
+    tail = stream.read(8)
+    length = struct.unpack("<I", tail[:4])[0] if len(tail) == 8 else 0
+    if tail[4:] != b"PAR1" or not 0 < length <= min(size - 8, MOST):
+        raise ValueError("no footer at its end")
+    stream.seek(size - 8 - length)
+    footer = _Footer(stream.read(length))
     try:
         counts = list(footer.struct(_WANTED, 0))
     except IndexError:

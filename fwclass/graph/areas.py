@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.graph.stage import Plan
 from fwclass.grid import Box, Tile
+from fwclass.label.corrections import apart
 from fwclass.schema import Table
 
 IDENTITY_AND_PLACE = ("strip", "pulse", "echo_number", "x", "y")
@@ -20,16 +21,21 @@ def within(table: Table, boxes: tuple[Box, ...]) -> NDArray[np.bool_]:
     return inside
 
 
-def tested(table: Table, train: tuple[Box, ...], test: tuple[Box, ...], gap: float) -> NDArray[np.bool_]:
-    """Rows to judge on: inside `test` (anywhere if empty), and further than `gap` [m] from every training box."""
+def tested(
+    table: Table, train: tuple[Box, ...], test: tuple[Box, ...], gap: float, taught: Table | None = None
+) -> NDArray[np.bool_]:
+    """Rows to judge on: inside `test` (anywhere if empty), and further than `gap` [m] from every training box and from
+    every correction that the model was `taught`."""
     near = within(table, tuple(b.grown(gap) for b in train))
-    return ~near & (within(table, test) if test else np.ones(table.rows, bool))
+    rows = ~near & (within(table, test) if test else np.ones(table.rows, bool))
+    return rows if taught is None else apart(table["x"], table["y"], taught, gap, rows)
 
 
 def training_tiles(plan: Plan) -> list[Tile]:
-    """Tiles that touch a training area."""
+    """Tiles that touch a training area, or have echoes that were corrected."""
     boxes = plan.config.areas.boxes("train")
-    return [t for t in plan.layout.tiles if any(t.box.touches(b) for b in boxes)]
+    corrected = plan.layout.corrected
+    return [t for t in plan.layout.tiles if t.key in corrected or any(t.box.touches(b) for b in boxes)]
 
 
 def labelled(plan: Plan) -> bool:

@@ -24,6 +24,8 @@ from fwclass.assess.stage import (
 from fwclass.classify.kept import Kept
 from fwclass.conf.model import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested
+from fwclass.graph.corrections import CORRECTIONS, corrected_around, corrections_of, reach_around
+from fwclass.graph.corrections import judged as untaught
 from fwclass.graph.kept import keeping, kept_by
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.model import ClassDef, class_index
@@ -51,17 +53,21 @@ def judged(
     areas: AreasSection,
     block: float,
     classes: tuple[ClassDef, ...],
+    reach: float | None = None,
     kept: Kept | None = None,
 ) -> Made:
     """Confusion counts (whole, and by blocks of edge `block` [m]) and feature histograms of a tile's echoes in the test
     areas; the ground filter's counts of all its labelled echoes, for it learns from none.
 
-    Echoes that are `kept` as the source has them are no answers: they are left out, and counted where they have a
-    reference.
+    `reach`: corrections lie within it of their echo [m]; None where no model of this run learned from any. Echoes that
+    are `kept` as the source has them are no answers: they are left out, and counted where they have a reference.
     """
     table = here.rows()
     filtered = ground_counts(table, classes)
-    table = table.take(tested(table, areas.boxes("train"), areas.boxes("test"), areas.gap))
+    if reach is None or not here.parts(CORRECTIONS):
+        table = table.take(tested(table, areas.boxes("train"), areas.boxes("test"), areas.gap))
+    else:
+        table = table.take(untaught(table, corrections_of(here), areas, reach))
     stay = kept.rows(table["source_class"]) if kept else np.zeros(table.rows, bool)
     left_out = int((class_index(table["reference"], classes) >= 0)[stay].sum())
     table = table.take(~stay)
@@ -152,6 +158,11 @@ def assessed(
     }
 
 
+def _learned_around(plan: Plan, tile: Any) -> Mapping[str, Any]:
+    """As `reach_around`; nothing where a given model is judged, which has not learned from corrections."""
+    return reach_around(plan, tile) if plan.config.survey.model is None else {}
+
+
 def _judging(plan: Plan) -> Mapping[str, Any]:
     config = plan.config
     return {"names": described(plan), "areas": config.areas, "block": config.assess.block, "classes": config.classes}
@@ -167,7 +178,11 @@ COUNT_CONFUSION = Stage(
     judged,
     when=labelled,
     arguments=lambda plan: {**_judging(plan), **keeping(plan)},
-    own=lambda plan: (*IDENTITY_AND_PLACE, *described(plan), *_ANSWERS, *kept_by(plan)),
+    each=_learned_around,
+    own=lambda plan: (*IDENTITY_AND_PLACE, "z", *described(plan), *_ANSWERS, *kept_by(plan)),
+    after=(CORRECTIONS,),
+    needs=lambda plan, tile: corrected_around(plan, tile) if plan.config.survey.model is None else (),
+    named=True,
     check=True,
 )
 ASSESS = Stage(

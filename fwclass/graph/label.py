@@ -1,4 +1,4 @@
-"""Stages of the reference: its polygons, and the class of every echo."""
+"""Stages of the reference: its polygons, and the class of every echo, by whatever it comes from and is corrected by."""
 
 from __future__ import annotations
 
@@ -9,6 +9,15 @@ from typing import Any
 import numpy as np
 from pyproj import CRS
 
+from fwclass.graph.corrections import (
+    CORRECTIONS,
+    ECHO_LABELS,
+    corrected_here,
+    corrections_of,
+    labelled,
+    labels_of,
+    reach_here,
+)
 from fwclass.graph.layout import PolygonFile
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.label.polygons import Polygons, from_polygons
@@ -19,12 +28,15 @@ from fwclass.read.polygons import open_polygons, read_polygons, reprojected
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table
+from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays, write_arrays
 from fwclass.waveforms import IMPLAUSIBLE
 
 POLYGONS = "polygons.zarr"
 _CLOUD = ("x", "y", "z", "gps_time", "source_class")
 _CLASSES = LABEL.writes
+_OF_ECHOES = frozenset({"max_move"})
+"""Settings that say nothing of labels of another kind; where there are corrections, it is among what a part gets."""
 
 
 def polygons_read(
@@ -78,31 +90,53 @@ def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
     return _loaded[key]
 
 
-def labelled_by_source(here: StageInputs, params: LabelParams) -> Made:
-    """Reference classes from the source's own classification."""
-    return _counted(from_source(here.chunk(), params))
+def labelled_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+    """Reference classes from the source's own classification; corrections lie within `reach` [m] of their echo."""
+    chunk = here.chunk()
+    return _counted(*_corrected(here, chunk, from_source(chunk, params), reach))
 
 
-def labelled_by_cloud(here: StageInputs, params: LabelParams) -> Made:
+def labelled_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
     """Reference classes from the nearest point of another cloud."""
     box, clouds = here.tile.box.grown(here.halo), here.parts("reference")
     cloud = here.inputs.inside(box, here.tile_size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
     order = np.lexsort(tuple(cloud[n] for n in ("source_class", "gps_time", "z", "y", "x")))
-    return _counted(from_cloud(here.chunk(), cloud.take(order), params))
+    chunk = here.chunk()
+    return _counted(*_corrected(here, chunk, from_cloud(chunk, cloud.take(order), params), reach))
 
 
-def labelled_by_polygons(here: StageInputs) -> Made:
+def labelled_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+    """Reference classes by strip, pulse and number of the echo."""
+    chunk = here.chunk()
+    echoes = chunk.table.take(chunk.core)
+    labels = labels_of(here.inputs, ECHO_LABELS, here.parts(ECHO_LABELS), here.part)
+    reference, known = labelled(echoes, labels, params.max_move, np.zeros(echoes.rows, np.uint8))
+    table, facts = _counted(*_corrected(here, chunk, Table({"reference": reference}), reach))
+    return table, {**facts, "by_echo": known}
+
+
+def labelled_by_polygons(here: StageInputs, reach: float = 0.0) -> Made:
     """Reference classes from the polygons that the echoes lie in; implausible echoes have none, whatever is above."""
     chunk = here.chunk()
     table, ambiguous = from_polygons(chunk, polygons_at(here.parts("polygons"), here.inputs).within(here.tile.box))
     implausible = (chunk.table["fit_flags"][chunk.core] & IMPLAUSIBLE) > 0
-    table, facts = _counted(Table({"reference": np.where(implausible, 0, table["reference"])}))
+    table = Table({"reference": np.where(implausible, 0, table["reference"])})
+    table, facts = _counted(*_corrected(here, chunk, table, reach))
     return table, {**facts, "ambiguous": ambiguous}
 
 
-def _counted(table: Table) -> tuple[Table, dict[str, Any]]:
+def _corrected(here: StageInputs, chunk: Chunk, table: Table, reach: float) -> tuple[Table, int | None]:
+    """`table` with the corrections of the tile's echoes, and how many there are; None where nothing is corrected."""
+    if not here.parts(CORRECTIONS):
+        return table, None
+    reference, number = labelled(chunk.table.take(chunk.core), corrections_of(here), reach, table["reference"])
+    return Table({"reference": reference}), number
+
+
+def _counted(table: Table, corrected: int | None) -> tuple[Table, dict[str, Any]]:
     codes, counts = np.unique(table["reference"], return_counts=True)
-    return table, {"codes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}}
+    facts: dict[str, Any] = {"codes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}}
+    return table, facts if corrected is None else {**facts, "corrected": corrected}
 
 
 @dataclass(frozen=True)
@@ -137,7 +171,20 @@ def _only_judges(plan: Plan) -> bool:
 
 def _clouds(plan: Plan, tile: Any) -> list[Name]:
     box = tile.box.grown(LABEL.halo(plan.config.label))
-    return [("reference", c) for c in plan.layout.around(box, plan.layout.clouds)]
+    return [*(("reference", c) for c in plan.layout.around(box, plan.layout.clouds)), *corrected_here(plan, tile)]
+
+
+def _label_parts(plan: Plan, tile: Any) -> list[Name]:
+    return [*((ECHO_LABELS, p) for p in plan.layout.echo_labels.get(tile.key, ())), *corrected_here(plan, tile)]
+
+
+def _moved(plan: Plan) -> float:
+    """How far around a tile corrections are read that may be of its echoes [m]."""
+    return plan.config.label.max_move if plan.tiled is not None and plan.tiled.corrected else 0.0
+
+
+def _cloud_halo(plan: Plan) -> float:
+    return max(LABEL.halo(plan.config.label), _moved(plan))
 
 
 READ_POLYGONS = Stage(
@@ -160,9 +207,13 @@ LABEL_BY_SOURCE = Stage(
     labelled_by_source,
     when=_of_kind("source"),
     arguments=_params,
-    own=("x", "y", "source_class"),
+    each=reach_here,
+    silent=_OF_ECHOES,
+    own=("x", "y", "z", "source_class"),
     writes=_CLASSES,
-    halo=0.0,
+    halo=_moved,
+    after=(CORRECTIONS,),
+    needs=corrected_here,
     check=_only_judges,
 )
 LABEL_BY_CLOUD = Stage(
@@ -173,11 +224,30 @@ LABEL_BY_CLOUD = Stage(
     labelled_by_cloud,
     when=_of_kind("cloud"),
     arguments=_params,
+    each=reach_here,
+    silent=_OF_ECHOES,
     own=("x", "y", "z", "gps_time"),
     writes=_CLASSES,
-    halo=lambda plan: LABEL.halo(plan.config.label),
-    after=("reference",),
+    halo=_cloud_halo,
+    after=("reference", CORRECTIONS),
     needs=_clouds,
+    check=_only_judges,
+)
+LABEL_BY_ECHOES = Stage(
+    LABEL.name,
+    LABEL.version,
+    "tile",
+    "echo",
+    labelled_by_echoes,
+    when=_of_kind("echoes"),
+    arguments=_params,
+    each=reach_here,
+    silent=frozenset({"max_distance"}),
+    own=("x", "y", "z"),
+    writes=_CLASSES,
+    halo=lambda plan: plan.config.label.max_move,
+    after=(ECHO_LABELS, CORRECTIONS),
+    needs=_label_parts,
     check=_only_judges,
 )
 LABEL_BY_POLYGONS = Stage(
@@ -187,10 +257,11 @@ LABEL_BY_POLYGONS = Stage(
     "echo",
     labelled_by_polygons,
     when=_of_kind("polygons"),
-    own=("x", "y", "fit_flags"),
+    each=reach_here,
+    own=("x", "y", "z", "fit_flags"),
     writes=_CLASSES,
-    halo=0.0,
-    after=("polygons",),
-    needs=lambda plan, tile: [("polygons", p) for p in plan.layout.polygons],
+    halo=_moved,
+    after=("polygons", CORRECTIONS),
+    needs=lambda plan, tile: [*(("polygons", p) for p in plan.layout.polygons), *corrected_here(plan, tile)],
     check=_only_judges,
 )

@@ -54,7 +54,8 @@ class Survey:
 
     `strips` by name; `reference` is (file, digests, points); `crs` is WKT or None;
     `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests); `polygons` are the
-    reference's files of polygons; `quantities`: what amplitudes and widths are, by name of the file.
+    reference's files of polygons; `quantities`: what amplitudes and widths are, by name of the file; `echo_labels`:
+    the reference's labels by echo; `corrections`: what corrects labels of any kind, None for nothing.
     """
 
     strips: tuple[Strip, ...]
@@ -64,6 +65,8 @@ class Survey:
     trajectory: tuple[tuple[Location, FileDigests], ...] = ()
     polygons: tuple[PolygonFile, ...] = ()
     quantities: Mapping[str, Quantities] = field(default_factory=dict)
+    echo_labels: tuple[tuple[Location, FileDigests], ...] = ()
+    corrections: tuple[Location, FileDigests] | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,8 @@ class Layout:
     `occupied` has for every size of block [m] those that own an echo; `times` is (first, last) GPS time [s], NaN
     without any; `passes` the same of every tile, for each strip that has times there; `lowest` the least z [m];
     `polygons` are parts of the reference that are no tiles; `quantities`: what amplitudes and widths are; `providers`:
-    the stage that writes each column.
+    the stage that writes each column; `echo_labels`: by tile the parts that hold labels by echo; `corrected`: the tiles
+    whose echoes may be corrected, `near_corrected`: those where a correction keeps echoes from being tested.
     """
 
     config: Config
@@ -88,6 +92,9 @@ class Layout:
     polygons: tuple[str, ...] = ()
     quantities: Quantities | None = None
     providers: Mapping[str, str] = field(default_factory=dict)
+    echo_labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    corrected: frozenset[str] = frozenset()
+    near_corrected: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:

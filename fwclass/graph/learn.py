@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.conf.model import AreasSection
 from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
+from fwclass.graph.corrections import CORRECTIONS, corrected_here, corrections_of, learned, reach_here
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.machine_search import MACHINE_SEARCH, gathered, judge, searches, spatial, trials
 from fwclass.graph.model_fit import computed
@@ -52,17 +54,31 @@ def sampled(
     areas: tuple[Box, ...],
     params: TrainParams,
     classes: tuple[ClassDef, ...],
+    judging: AreasSection | None = None,
+    reach: float = 0.0,
 ) -> Made:
-    """The rows of a tile that may train."""
+    """The rows of a tile that may train: those in training areas, and those that are corrected, wherever they lie."""
     table = here.rows()
-    inside = within(table, areas)
+    inside, corrected = within(table, areas), taught_rows(here, table, judging, reach)
+    inside |= corrected
     if "sampled" in table:  # a thinned run
         inside &= table["sampled"]
-    sample = candidates(
-        table.select(names), table["reference"], canonical_key(table), inside, params, classes, places(table)
-    )
+    key, place = canonical_key(table), places(table)
+    sample = candidates(table.select(names), table["reference"], key, inside, params, classes, place, corrected)
     write_arrays(here.directory / SAMPLE, sample.arrays())
-    return {"rows": sample.rows}
+    return {"rows": sample.rows, **({"corrected": int(corrected.sum())} if judging is not None else {})}
+
+
+def taught_rows(here: StageInputs, table: Table, judging: AreasSection | None, reach: float) -> NDArray[np.bool_]:
+    """bool (rows,): echoes of a tile that train because they are corrected; `judging` None: there is no correction."""
+    if judging is None:
+        return np.zeros(table.rows, bool)
+    return learned(table, corrections_of(here), judging, reach)
+
+
+def taught_here(plan: Plan, tile: Any) -> Mapping[str, Any]:
+    """What a stage that draws rows gets besides where echoes of its tile are corrected."""
+    return {"judging": plan.config.areas, **reach_here(plan, tile)} if corrected_here(plan, tile) else {}
 
 
 def places(table: Table) -> NDArray[np.int64]:
@@ -244,8 +260,12 @@ DRAW_SAMPLE = Stage(
     when=trains,
     parts=training_tiles,
     arguments=lambda plan: {**growing(plan), "areas": plan.config.areas.boxes("train")},
+    each=taught_here,
     silent=NOT_OF_THE_SAMPLE,
-    own=lambda plan: (*IDENTITY_AND_PLACE, *plan.config.features_asked, *sampled_columns(plan), "reference"),
+    own=lambda plan: (*IDENTITY_AND_PLACE, "z", *plan.config.features_asked, *sampled_columns(plan), "reference"),
+    after=(CORRECTIONS,),
+    needs=corrected_here,
+    named=True,
 )
 MERGE_SAMPLE = Stage(
     "training",

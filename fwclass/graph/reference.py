@@ -1,4 +1,4 @@
-"""The reference's files, found and checked before anything is computed: another cloud, or polygons."""
+"""The reference's files, found and checked before anything is computed: another cloud, polygons, labels by echo."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from pyproj import CRS
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
+from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
 from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, found_files, joint_bounds
 from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.grid import Box
+from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
 from fwclass.read.polygons import check_field, open_polygons, source_crs, values_of
 from fwclass.read.source import open_source
+from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.receipts import Receipt
-from fwclass.store.remote_file import Location, local
+from fwclass.store.remote_file import Location, found_outside, local
 from fwclass.store.url import Url
 
 
@@ -63,6 +66,47 @@ def reference_polygons(
             )
         )
     return tuple(files)
+
+
+def reference_echo_labels(
+    config: Config, directory: Path | Url, digests: Digests
+) -> tuple[tuple[Location, FileDigests], ...]:
+    """The reference's files of labels by echo."""
+    asked = config.survey.reference
+    if asked.kind != "echoes":
+        return ()
+    places = found_files(asked.files, directory, "survey.reference.files", config.path, config.store)
+    for place in places:
+        check_echo_labels(local(place), asked.field or FIELD)
+    return tuple((place, digests.of([local(place)], place)) for place in places)
+
+
+def reference_corrections(
+    config: Config, directory: Path | Url, digests: Digests, run: Path | Url
+) -> tuple[Location, FileDigests] | None:
+    """What corrects the labels: the file that the configuration names, or that of the `run`; None for nothing."""
+    asked = config.survey.reference
+    if asked.kind == "none" or asked.corrections is False:
+        return None
+    if asked.corrections:
+        places = found_files([asked.corrections], directory, "survey.reference.corrections", config.path, config.store)
+    elif isinstance(run, Url):
+        places = list(found_outside(CORRECTIONS, run, config.store))
+    else:
+        places = [run / CORRECTIONS] if (run / CORRECTIONS).is_file() else []
+    if len(places) > 1:
+        raise InputError(
+            "there are several files of corrections, and their order counts",
+            where=f"{config.path}: survey.reference.corrections",
+            expected="one file",
+            got=", ".join(p.name for p in places[:3]),
+            do="name one",
+        )
+    if not places:
+        return None
+    labels = read_echo_labels(local(places[0]), places[0]).standing()
+    reference_codes(labels.code[labels.code >= 0], config.classes, places[0])
+    return places[0], digests.of([local(places[0])], places[0])
 
 
 def check_polygons(config: Config, polygons: Iterable[Receipt], box: Box) -> None:

@@ -13,11 +13,13 @@ from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.params import RefineParams
 from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refined
 from fwclass.classify.stage import CLASSIFY, classify, filled
+from fwclass.conf.model import AreasSection
 from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
 from fwclass.features.stage import FEATURES, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, own_model, seen_outside
+from fwclass.graph.corrections import CORRECTIONS, corrected_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
 from fwclass.graph.kept import NO_SOURCE, keeping, kept_by
@@ -32,6 +34,8 @@ from fwclass.graph.learn import (
     parameters_of,
     places,
     stamped,
+    taught_here,
+    taught_rows,
     trains,
 )
 from fwclass.graph.machine_search import spatial
@@ -101,15 +105,18 @@ def drawn(
     classes: tuple[ClassDef, ...],
     rows: str,
     drawing: TrainParams,
+    judging: AreasSection | None = None,
+    reach: float = 0.0,
 ) -> Made:
     """The rows of a tile that the second layer may learn from, with all that it decides by."""
     chunk, own = here.chunk(), here.own_rows()
-    inside = within(own, areas)
+    corrected = taught_rows(here, own, judging, reach)
+    inside = within(own, areas) | corrected
     if rows == "boundary":
         inside &= at_boundary(chunk, layer.pair, layer.within)
     key = canonical_key(own)
     known = Table({"z": np.zeros(own.rows, np.float32)})  # which rows have a value is not known before it is computed
-    sample = candidates(known, own["reference"], key, inside, drawing, classes, places(own))
+    sample = candidates(known, own["reference"], key, inside, drawing, classes, places(own), corrected)
     order = np.argsort(key)
     chosen = order[np.searchsorted(key[order], sample.key)]
     made = own.take(chosen)
@@ -283,10 +290,18 @@ DRAW_BOUNDARY = Stage(
         "classes": _pair(plan),
         **_drawn_by(plan),
     },
+    each=taught_here,
     silent=NOT_OF_THE_SAMPLE | {"also"},
     reads=_wide_reads,
-    own=lambda plan: (*IDENTITY_AND_PLACE, "reference", *(n for n in _layer(plan).names if n not in _layer(plan).wide)),
+    own=lambda plan: (
+        *IDENTITY_AND_PLACE,
+        "z",
+        "reference",
+        *(n for n in _layer(plan).names if n not in _layer(plan).wide),
+    ),
     halo=lambda plan: _layer(plan).halo(plan),
+    after=(CORRECTIONS,),
+    needs=corrected_here,
 )
 MERGE_BOUNDARY = Stage(
     MERGED,

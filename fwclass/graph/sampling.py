@@ -10,6 +10,7 @@ import numpy as np
 from fwclass.conf.model import AreasSection
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested, training_tiles
+from fwclass.graph.corrections import CORRECTIONS, corrected_around, corrections_of, judged, learned, reach_around
 from fwclass.graph.learn import SAMPLE, trains
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.label.census import census, lacking, taken, total
@@ -21,10 +22,14 @@ from fwclass.store.receipts import Receipt
 LABELS, SAMPLES = "label-counts", "sample-counts"
 
 
-def labels_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Made:
+def labels_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...], reach: float = 0.0) -> Made:
     """How many of a tile's echoes are labelled as what, and where they lie."""
     table, train = here.rows(), areas.boxes("train")
-    return census(table, tested(table, train, areas.boxes("test"), areas.gap), train, classes)
+    if not here.parts(CORRECTIONS):
+        return census(table, tested(table, train, areas.boxes("test"), areas.gap), train, classes)
+    corrections = corrections_of(here)
+    corrected = learned(table, corrections, areas, reach)
+    return census(table, judged(table, corrections, areas, reach), train, classes, corrected)
 
 
 def samples_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Made:
@@ -69,7 +74,11 @@ COUNT_LABELS = Stage(
     labels_counted,
     when=_counted,
     arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},
-    own=("x", "y", "reference"),
+    each=reach_around,
+    own=(*IDENTITY_AND_PLACE, "z", "reference"),
+    after=(CORRECTIONS,),
+    needs=corrected_around,
+    named=True,
 )
 COUNT_SAMPLES = Stage(
     SAMPLES,

@@ -20,10 +20,11 @@ from fwclass.graph.backscatter import (
 )
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
+from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.ground_classes import CLASSIFY_GROUND
-from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
+from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_ECHOES, LABEL_BY_POLYGONS, LABEL_BY_SOURCE, READ_POLYGONS
 from fwclass.graph.learn import (
     DRAW_SAMPLE,
     GROW_TREES,
@@ -63,7 +64,17 @@ from fwclass.radiometry.stage import RADIOMETRY
 
 OF_STRIPS = (READ_SPAN, MEASURE_PULSE, MEASURE_PLACES, DECOMPOSE_WAVES, DECOMPOSE_RETURNS, SPLIT_ECHOES)
 """What every strip goes through by itself."""
-TO_TILES = (READ_POLYGONS, INDEX, *OF_STRIPS, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, READ_TRAJECTORY)
+TO_TILES = (
+    READ_POLYGONS,
+    READ_ECHO_LABELS,
+    READ_CORRECTIONS,
+    INDEX,
+    *OF_STRIPS,
+    SPLIT_REFERENCE,
+    TILE_ECHOES,
+    TILE_REFERENCE,
+    READ_TRAJECTORY,
+)
 """From files to tiles: each of these is planned by what the ones before it found."""
 TO_LABELS = (
     FILTER_GROUND,
@@ -81,6 +92,7 @@ TO_LABELS = (
     LABEL_BY_SOURCE,
     LABEL_BY_CLOUD,
     LABEL_BY_POLYGONS,
+    LABEL_BY_ECHOES,
 )
 """What is known of every echo before it is classified."""
 LEARNING = (

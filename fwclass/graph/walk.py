@@ -10,6 +10,7 @@ from fwclass.conf import Config
 from fwclass.conf.model import ClassSection
 from fwclass.errors import ConfigError
 from fwclass.graph.area_of_interest import Area
+from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS, laid_out
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.label import READ_POLYGONS
 from fwclass.graph.layout import Layout, Strip
@@ -93,6 +94,7 @@ def deciding(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
 
 def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) -> Plan:
     """Make all parts up to the tiles; the plan with what is known then."""
+    stages = tuple(stages)
     config, plan = plan.config, replace(plan, providers=providers(plan, stages))
     survey = gather(config, runner)
     learned: Mapping[str, Any] | None = load_model(local(plan.model[0])).card if plan.model else None
@@ -101,6 +103,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) ->
         runner.display.say(f"note: {note}")
     plan = replace(plan, files=survey)
     polygons = require_all(runner, READ_POLYGONS.tasks(plan))
+    by_echo = require_all(runner, tasks_of(plan, [s for s in (READ_ECHO_LABELS, READ_CORRECTIONS) if s in stages]))
     indexed = require_all(runner, INDEX.tasks(plan))
     survey = replace(survey, strips=tuple(s for s in survey.strips if index_name(s) in indexed))
     plan = replace(plan, files=survey, indexed=indexed)
@@ -110,6 +113,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) ->
     tiled = runner.do(TILE_ECHOES.tasks(plan) + TILE_REFERENCE.tasks(plan))
     stop_if_nothing(runner, {name: receipt for name, receipt in tiled.items() if name[0] == "tile"})
     layout = replace(Layout.of(config, {**tiled, **polygons}), quantities=quantities, providers=providers(plan, stages))
+    layout = replace(layout, **laid_out(layout, by_echo))
     check_polygons(config, polygons.values(), layout.box)
     plan = replace(plan, tiled=layout)
     plan = replace(plan, flown=flown_by(plan, runner.do(READ_TRAJECTORY.tasks(plan))))
@@ -159,7 +163,8 @@ def until_report(
         first = [stage for stage in stages if stage.name in LABELLING]
         done = runner.do(tasks_of(plan, first))
         counted = {name: receipt for name, receipt in done.items() if name[0] == COUNT_LABELS.name}
-        runner.tell(lambda: check_labels(plan, counted))
+        if not runner.failures:  # what failed may hold the labels that are lacking
+            runner.tell(lambda: check_labels(plan, counted))
         tasks = tasks_of(plan, [stage for stage in stages if stage not in first])
     runner.do(tasks)
     runner.finish(whole=keys is None)

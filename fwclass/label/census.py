@@ -22,7 +22,13 @@ LOPSIDED = 100
 Census = Mapping[str, Any]
 
 
-def census(table: Table, tested: NDArray[np.bool_], train: Sequence[Box], classes: Sequence[ClassDef]) -> Census:
+def census(
+    table: Table,
+    tested: NDArray[np.bool_],
+    train: Sequence[Box],
+    classes: Sequence[ClassDef],
+    corrected: NDArray[np.bool_] | None = None,
+) -> Census:
     """Counts of one tile.
 
     Parameters
@@ -30,6 +36,7 @@ def census(table: Table, tested: NDArray[np.bool_], train: Sequence[Box], classe
     table : x, y [m] and reference of the tile's echoes.
     tested : bool (rows,), the echo lies in a test area.
     train : the training boxes.
+    corrected : bool (rows,), the echo trains wherever it lies.
 
     Returns
     -------
@@ -41,6 +48,8 @@ def census(table: Table, tested: NDArray[np.bool_], train: Sequence[Box], classe
     n = len(classes)
     inside = [box.contains(table["x"], table["y"]) for box in train]
     anywhere = np.any(inside, axis=0) if inside else np.zeros(table.rows, bool)
+    if corrected is not None:
+        anywhere |= corrected
     codes, counts = np.unique(table["reference"][index < 0], return_counts=True)
     other = {str(c): int(k) for c, k in zip(codes.tolist(), counts.tolist(), strict=True)}
     judged = tested & (index >= 0)

@@ -60,11 +60,16 @@ def write_text(path: Path, text: str, flush: bool = True) -> None:
     Without `flush` a power cut may leave an earlier file, none, or a torn one: for what tells of itself whether it is
     whole, and can be made again.
     """
+    write_bytes(path, text.encode("utf-8"), flush)
+
+
+def write_bytes(path: Path, data: bytes, flush: bool = True) -> None:
+    """As `write_text`."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
-        with beside.open("w", encoding="utf-8") as stream:
-            stream.write(text)
+        with beside.open("wb") as stream:
+            stream.write(data)
             if flush:
                 stream.flush()
                 os.fsync(stream.fileno())

@@ -11,12 +11,14 @@ import numpy as np
 from fwclass.assess.stage import confusion, figures
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
-from fwclass.graph.areas import tested
+from fwclass.graph.corrections import corrections_in
+from fwclass.graph.corrections import judged as judged_rows
 from fwclass.graph.layout import Layout
 from fwclass.graph.learn import merged_sample
 from fwclass.graph.machine_search import spatial
 from fwclass.model import ClassDef, Model, assemble, class_index, sample_matrix
 from fwclass.run.inputs import PartInputs
+from fwclass.schema import IDENTITY
 from fwclass.store.run_store import Store
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
@@ -29,7 +31,7 @@ from fwclass.train.stage import card, grow_trees
 WARM_ROWS = 200
 """Rows that every classifier is trained on once before the clock runs, so that it measures no compilation."""
 
-_PLACE = dict.fromkeys(("x", "y"), "tile")
+_PLACE = dict.fromkeys((*IDENTITY, "x", "y", "z"), "tile")
 
 
 def fit(
@@ -72,10 +74,10 @@ def compared(
         spent[method] = [seconds, 0.0]
     matrices = {m: np.zeros((len(classes), len(classes)), np.int64) for m in methods}
     columns = {**layout.columns(names), **_PLACE, "reference": "label"}
-    train, test = config.areas.boxes("train"), config.areas.boxes("test")
     for number, tile in enumerate(layout.tiles, 1):
-        table = inputs.rows(tile.key, columns)
-        rows = tested(table, train, test, config.areas.gap) & (class_index(table["reference"], classes) >= 0)
+        table, corrections = inputs.rows(tile.key, columns), corrections_in(inputs, layout, tile.key)
+        rows = judged_rows(table, corrections, config.areas, config.label.max_move)
+        rows &= class_index(table["reference"], classes) >= 0
         if not rows.any():
             continue
         table = table.take(rows)

@@ -84,7 +84,7 @@ def _check_labelled(config: Config) -> None:
         raise ConfigError(
             "a model learns from labels, and the survey has none",
             where=f"{config.path}: survey.reference",
-            expected="kind: source, cloud or polygons",
+            expected="kind: source, cloud, polygons or echoes",
             got="none",
             do="name labelled files in survey.reference",
         )

@@ -83,10 +83,12 @@ def draw(
     per_class: int,
     seed: int,
     place: NDArray[np.int64] | None = None,
+    first: NDArray[np.bool_] | None = None,
 ) -> Sample:
     """Of every class the `per_class` labelled rows inside the training areas with the smallest hashes.
 
-    Rows whose code no class counts, and rows without any feature value, never train.
+    Rows whose code no class counts, and rows without any feature value, never train. `first`: bool (rows,), rows whose
+    hashes are made smaller than those of all others, but for one in 2^32 of these.
     """
     index = class_index(reference, classes)
     names = tuple(features)
@@ -100,6 +102,8 @@ def draw(
     eligible = np.bincount(y, minlength=len(classes)).astype(np.int64)
     key = np.asarray(key, np.uint64)[rows]
     drawn = hashed(seed, key)
+    if first is not None:
+        drawn = np.where(first[rows], drawn >> np.uint64(32), drawn)
     kept = _smallest(y, drawn, len(classes), per_class)
     X = sample_matrix(features.take(rows[kept]), names, "training rows")
     there = np.empty((0, 2), np.int64) if place is None else place[rows[kept]]

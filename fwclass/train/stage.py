@@ -34,6 +34,7 @@ def candidates(
     params: TrainParams,
     classes: Sequence[ClassDef],
     place: NDArray[np.int64] | None = None,
+    first: NDArray[np.bool_] | None = None,
 ) -> Sample:
     """The rows of one tile that may train.
 
@@ -45,8 +46,9 @@ def candidates(
     inside : bool (rows,), the row lies in a training area.
     classes : the classes in the order of the votes.
     place : int64 (rows, 2), x and y in whole millimetres, where the sample is to know.
+    first : bool (rows,), rows that are drawn before all others.
     """
-    return draw(features, reference, key, inside, classes, params.samples_per_class, params.seed, place)
+    return draw(features, reference, key, inside, classes, params.samples_per_class, params.seed, place, first)
 
 
 def merge(samples: Iterable[Sample], params: TrainParams) -> Sample:

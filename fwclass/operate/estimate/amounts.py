@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.graph.areas import training_tiles
+from fwclass.graph.corrections import READ_CORRECTIONS
 from fwclass.graph.ground import CHECK_SEAMS
 from fwclass.graph.learn import TREES_PER_PART
 from fwclass.graph.radiometry import READ_TRAJECTORY
@@ -166,6 +167,8 @@ class _Quantities:
             most = min(points, CLOUD_ROWS)
             return Amount(math.ceil(points / CLOUD_ROWS), points, most, most) if points else None
         asked = self.config.survey
+        if stage is READ_CORRECTIONS:  # the run directory may have some, and they take next to nothing
+            return Amount(1, 1.0, 1.0, 1.0) if asked.reference.corrections else None
         number = len(asked.trajectory.files if stage.name == READ_TRAJECTORY.name else asked.reference.files)
         return Amount(number, float(number), 1.0, 1.0)
 
