@@ -34,7 +34,7 @@ STARTING = (
 ABOVE_ROOMS = (
     "click",
     "workflows",
-    *(f"fwclass.{n}" for n in ("cli", "operate", "graph", "run", "single_file", "study")),
+    *(f"fwclass.{n}" for n in ("cli", "delivery", "operate", "graph", "run", "single_file", "study")),
 )
 """What runs commands and whole surveys: its tests are another tier, whether or not they start a process."""
 

@@ -29,6 +29,7 @@ from fwclass.cli import (
     status,
     street,
     survey,
+    view,
 )
 from fwclass.cli.base import cli
 from fwclass.errors import FAILED, INTERRUPTED, INTERRUPTS, FwclassError, system_error
@@ -54,6 +55,7 @@ __all__ = [
     "status",
     "street",
     "survey",
+    "view",
 ]
 
 

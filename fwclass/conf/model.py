@@ -34,6 +34,7 @@ from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.params import TrainParams
+from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
 
 
@@ -242,6 +243,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "classify": ClassifyParams,
     "assess": AssessParams,
     "publish": PublishParams,
+    "view": ViewParams,
 }
 
 
@@ -288,6 +290,7 @@ class Config:
     classify: ClassifyParams
     assess: AssessParams
     publish: PublishParams
+    view: ViewParams
 
     @property
     def classes(self) -> tuple[ClassDef, ...]:

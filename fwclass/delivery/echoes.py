@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import NDArray
+
 from fwclass.errors import InputError, nearest
 from fwclass.lazy_module import LazyModule
 
@@ -96,3 +98,23 @@ def _needed(name: str) -> Any:
         return importlib.import_module(name)
     except ImportError as fault:
         raise InputError(f"this needs {name}", where="fwclass.open", got=fault, do=f"pip install {name}") from fault
+
+
+def table_columns(path: Path, names: Sequence[str]) -> dict[str, NDArray]:
+    """Columns of a delivered tile as arrays, those of `names` that it has; its rows are those of the store's tile."""
+    with pq.ParquetFile(path) as file:
+        there = [n for n in names if n in file.schema_arrow.names]
+        arrow = file.read(columns=there, use_threads=False)
+    return {n: arrow.column(n).to_numpy() for n in there}
+
+
+def table_fields(path: Path) -> list[dict[str, str]]:
+    """Name, unit and meaning of the columns of numbers of a delivered tile."""
+    with pq.ParquetFile(path) as file:
+        schema = file.schema_arrow
+    out = []
+    for field in schema:
+        if field.name not in GEOMETRY:
+            about = {k.decode(): v.decode() for k, v in (field.metadata or {}).items()}
+            out.append({"name": field.name, "unit": about.get("unit", ""), "meaning": about.get("meaning", "")})
+    return out

@@ -52,7 +52,7 @@ def explained(store: Store, model: Path, echoes: Echoes, row: Mapping[str, Any])
     forest = load_model(model)
     inputs = PartInputs(store)
     tile, place = _place(store, inputs, strip, pulse, number)
-    table = _features(store, inputs, tile, forest.features)
+    table = tile_features(store, inputs, tile, forest.features)
     X = sample_matrix(table, forest.features, tile)
     usual = np.nanmedian(np.where(np.isfinite(X), X, np.nan), axis=0)
     asked = np.repeat(X[[place]], 1 + X.shape[1], axis=0)
@@ -89,7 +89,7 @@ def _place(store: Store, inputs: PartInputs, strip: int, pulse: int, number: int
     )
 
 
-def _features(store: Store, inputs: PartInputs, tile: str, names: tuple[str, ...]) -> Table:
+def tile_features(store: Store, inputs: PartInputs, tile: str, names: tuple[str, ...]) -> Table:
     """The model's features of a tile, from whichever stages wrote them."""
     known: dict[str, Any] = {}
     for stage, part in store.parts():

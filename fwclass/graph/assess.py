@@ -59,8 +59,9 @@ def judged(
     """Confusion counts (whole, and by blocks of edge `block` [m]) and feature histograms of a tile's echoes in the test
     areas; the ground filter's counts of all its labelled echoes, for it learns from none.
 
-    `reach`: corrections lie within it of their echo [m]; None where no model of this run learned from any. Echoes that
-    are `kept` as the source has them are no answers: they are left out, and counted where they have a reference.
+    `reach`: corrections lie within it of their echo [m]; None where no model of this run learned from any.
+    Echoes that are `kept` as the source has them are no answers: they are left out, and counted where they have a
+    reference.
     """
     table = here.rows()
     filtered = ground_counts(table, classes)

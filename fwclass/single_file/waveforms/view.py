@@ -158,7 +158,7 @@ def _named(
     rows = {}
     for seen in views:
         for at, number in enumerate(seen.ids.tolist()):
-            rows[number] = _shown(seen, at, system)
+            rows[number] = pulse_picture(seen, at, system)
     for number in pulses:
         if number not in rows:
             raise InputError(
@@ -177,12 +177,12 @@ def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], d
         for why, score in _scores(seen).items():
             at = int(np.argmax(score)) if len(score) else -1
             if at >= 0 and score[at] > best.get(why, (-np.inf,))[0]:
-                best[why] = (float(score[at]), _shown(seen, at, system))
+                best[why] = (float(score[at]), pulse_picture(seen, at, system))
         for why, score in _scores_of_several(seen).items():
             least = many.get(why, [])[SIX - 1 :]
             top = np.argsort(-score, kind="stable")[:SIX]
             more = [(float(score[at]), at) for at in top.tolist() if score[at] > (least[0][0] if least else -np.inf)]
-            some = [*many.get(why, []), *((value, _shown(seen, at, system)) for value, at in more)]
+            some = [*many.get(why, []), *((value, pulse_picture(seen, at, system)) for value, at in more)]
             many[why] = sorted(some, key=lambda one: (-one[0], one[1][1]["pulse"]))[:SIX]
         new = np.flatnonzero(seen.missed)
         cropped += int((~seen.complete).sum())
@@ -298,7 +298,7 @@ def _echo(seen: Seen, e: int) -> dict[str, Any]:
     }
 
 
-def _shown(seen: Seen, at: int, system: SystemPulse) -> Shown:
+def pulse_picture(seen: Seen, at: int, system: SystemPulse) -> Shown:
     """Pulse `at` of `seen` as a picture and as plain data."""
     rows, mine = np.flatnonzero(seen.of_row == at), np.flatnonzero(seen.pulse == at)
     fits, pulses = seen.fits, seen.waves.pulses

@@ -1,0 +1,190 @@
+"""What stands behind an echo, for the viewer: its waveform with the fit, and why it has its class."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.classify.stage import classify
+from fwclass.decompose.params import DecomposeParams
+from fwclass.delivery.explain import tile_features
+from fwclass.delivery.opened import Delivery
+from fwclass.errors import FwclassError, InputError
+from fwclass.graph.learn import merged_sample
+from fwclass.graph.sources import chunk_name, pulse_of, waveforms_of
+from fwclass.model.matrix import sample_matrix
+from fwclass.run.inputs import PartInputs
+from fwclass.store.models import load_model
+from fwclass.store.run_store import Store
+from fwclass.view.scene import Cache
+
+TELLING = 10
+"""Features that are told."""
+
+CHUNKS = 256 << 20
+"""Bytes of opened chunks of waveforms that are kept."""
+
+
+class BehindEchoes:
+    """Reads the run's store, which is not part of the delivery: parts that are gone are told."""
+
+    def __init__(self, delivery: Delivery) -> None:
+        self._delivery, self._store = delivery, Store(delivery.root, read_only=True)
+        self._inputs, self._chunks, self._trained = PartInputs(self._store), Cache(CHUNKS), Cache(1 << 30)
+        self._firsts: dict[int, list[tuple[int, str]]] = {}
+
+    def prepare(self) -> None:
+        """Load what the first click would wait for: what fits and draws, the model, the training sample."""
+        import fwclass.single_file.waveforms.view  # noqa: F401
+
+        for strip in sorted({int(p.split("-")[0]) for s, p in self._store.parts() if s == "read"}):
+            self._parts(strip)
+        tile = next((p for s, p in self._store.parts() if s == "tile"), None)
+        if tile is not None:
+            self.why(tile, 0)
+
+    def pulse(self, strip: int, pulse: int) -> dict[str, Any]:
+        """Samples, the fitted sum and each echo alone, the residual over the noise, the vendor's returns."""
+        from fwclass.single_file.waveforms.shown import see
+        from fwclass.single_file.waveforms.view import pulse_picture
+
+        waves = self._waves(strip, pulse)
+        params = DecomposeParams(**self._delivery.report["config"]["decompose"])
+        seen = see(waves, params, pulse_of(strip, self._inputs), (pulse,))
+        picture, facts = pulse_picture(seen, 0, pulse_of(strip, self._inputs))
+        residual = np.where(picture.clipped, np.nan, (picture.samples - picture.model) / picture.sigma)
+        n = len(facts["echoes"])
+        says = f"{n} fitted {'echo' if n == 1 else 'echoes'}, {len(picture.vendor)} of the vendor; noise "
+        says += f"{facts['noise']:.2f} DN, misfit {facts['misfit']:.2f}; below the residual in units of the noise"
+        return {
+            "strip": strip,
+            "pulse": pulse,
+            "says": says,
+            "time": _listed(picture.time),
+            "samples": _listed(picture.samples),
+            "residual": _listed(residual),
+            "fine": _listed(picture.fine),
+            "total": _listed(picture.total),
+            "curves": [_listed(c) for c in picture.curves],
+            "vendor": _listed(picture.vendor),
+            "echoes": [
+                {k: _plain(e[k]) for k in ("time", "amplitude", "amplitude_sigma", "width", "width_sigma")}
+                for e in facts["echoes"]
+            ],
+        }
+
+    def _waves(self, strip: int, pulse: int) -> Any:
+        part = next((name for first, name in reversed(self._parts(strip)) if first <= pulse), None)
+        if part is not None:
+            waves = self._chunks.get(part, lambda: waveforms_of(part, self._inputs), lambda w: w.samples.nbytes)
+            if (waves.pulses["pulse"] == pulse).any():
+                return waves
+        raise InputError(
+            "this run has no waveform of the pulse",
+            where=self._store.where,
+            got=f"strip {strip}, pulse {pulse}",
+            do="strips of discrete returns have none, and `fwclass clean` removes them: run again to have them",
+        )
+
+    def _parts(self, strip: int) -> list[tuple[int, str]]:
+        """First pulse and name of every chunk with waveforms of a strip."""
+        if strip not in self._firsts:
+            begins = chunk_name(strip, 0).rpartition("-")[0]
+            parts = [p for s, p in self._store.parts() if s == "read" and p.rpartition("-")[0] == begins]
+            out = []
+            for part in sorted(parts):
+                if self._inputs.meta("read", part).get("waveforms"):
+                    numbers = self._inputs.table("read", part, ("pulse",), "pulses.parquet")["pulse"]
+                    out.append((int(numbers.min()), part))
+            self._firsts[strip] = out
+        return self._firsts[strip]
+
+    @property
+    def has_reference(self) -> bool:
+        """The run labelled its echoes, and still has the labels."""
+        return any(stage == "label" for stage, _ in self._store.parts())
+
+    def reference(self, tile: str) -> NDArray[np.uint8]:
+        """Code of the reference of every echo of a tile, 0 for none; a fault where the run has none any more."""
+        return np.asarray(self._inputs.table("label", tile, ("reference",))["reference"])
+
+    def why(self, tile: str, row: int) -> dict[str, Any]:
+        """Shares of the classes, and the features whose replacement by what the runner-up usually has turns most.
+
+        Usual is the median of the runner-up's training sample; where the run keeps none (a model that was given), of
+        the tile's echoes of that class.
+        """
+        model = self._delivery.path / "model"
+        if not model.is_dir():
+            raise InputError("this delivery has no model to ask", where=self._delivery.path)
+        forest = self._trained.get("model", lambda: load_model(model), lambda _: 1 << 20)
+        names = forest.features
+        X = sample_matrix(tile_features(self._store, self._inputs, tile, names), names, tile)
+        mine = X[[row]]
+        shares = {c.name: float(s[0]) for c, s in self._asked(mine, forest)}
+        order = sorted(shares, key=lambda name: -shares[name])
+        given, other = order[0], order[1] if len(order) > 1 else order[0]
+        medians, of = self._medians(forest, X, tile)
+        asked = np.repeat(mine, X.shape[1], axis=0)
+        np.fill_diagonal(asked, medians[other][0.5])
+        answers = {c.name: s for c, s in self._asked(asked, forest)}
+        effects = shares[given] - answers[given]
+        telling = np.argsort(-effects, kind="stable")[:TELLING].tolist()
+        features = [
+            {
+                "name": names[k],
+                "value": _plain(mine[0, k]),
+                "own": _plain(medians[given][0.5][k]),
+                "own_low": _plain(medians[given][0.05][k]),
+                "own_high": _plain(medians[given][0.95][k]),
+                "others": _plain(medians[other][0.5][k]),
+                "effect": float(effects[k]),
+            }
+            for k in telling
+        ]
+        return {"shares": {n: shares[n] for n in order}, "given": given, "other": other, "of": of, "features": features}
+
+    def _asked(self, X: NDArray, forest: Any) -> list[tuple[Any, NDArray]]:
+        answers = classify(np.ascontiguousarray(X, np.float32), forest, True)
+        return [(c, answers[f"probability_{c.code}"]) for c in forest.classes]
+
+    def _medians(self, forest: Any, X: NDArray, tile: str) -> tuple[Mapping[str, Mapping[float, NDArray]], str]:
+        """Quantiles of every class's features, and what they are of."""
+        try:
+            return self._trained.get("medians", lambda: self._of_training(forest), lambda _: 1 << 20), " in training"
+        except (FwclassError, OSError, KeyError):
+            return _quantiles(X, self._given(X, forest), forest), f" in tile {tile}"
+
+    def _of_training(self, forest: Any) -> Mapping[str, Mapping[float, NDArray]]:
+        sample = merged_sample(self._inputs, forest.features)
+        return _quantiles(sample.X, sample.y, forest)
+
+    def _given(self, X: NDArray, forest: Any) -> NDArray:
+        """Number of the class of every row."""
+        return np.argmax(np.stack([s for _, s in self._asked(X, forest)]), axis=0)
+
+
+def _quantiles(X: NDArray, y: NDArray, forest: Any) -> Mapping[str, Mapping[float, NDArray]]:
+    out = {}
+    for number, one in enumerate(forest.classes):
+        rows = X[y == number]
+        rows = np.where(np.isfinite(rows), rows, np.nan) if len(rows) else np.full((1, X.shape[1]), np.nan)
+        finite = np.isfinite(rows).any(axis=0)
+        values = {q: np.full(X.shape[1], np.nan) for q in (0.05, 0.5, 0.95)}
+        for q, at in values.items():
+            at[finite] = np.nanquantile(rows[:, finite], q, axis=0)
+        out[one.name] = values
+    return out
+
+
+def _listed(values: NDArray) -> list[float | None]:
+    return [round(float(v), 4) if math.isfinite(v) else None for v in values]
+
+
+def _plain(value: Any) -> float | None:
+    number = float(value)
+    return number if math.isfinite(number) else None

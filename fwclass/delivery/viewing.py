@@ -1,0 +1,53 @@
+"""`fwclass view`: serving runs, or writing them as a folder."""
+
+from __future__ import annotations
+
+import threading
+import webbrowser
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from fwclass.delivery.opened import open_run
+from fwclass.delivery.viewed import ViewedRun
+from fwclass.view.params import ViewParams
+from fwclass.view.server import Server
+
+
+def scenes_of(run: Path, against: Path | None, params: ViewParams) -> list[ViewedRun]:
+    """The scene of a run, and that of another with which it is compared."""
+    first = open_run(run)
+    if against is None:
+        return [ViewedRun(first, params)]
+    second = open_run(against)
+    return [ViewedRun(first, params, second), ViewedRun(second, params, first)]
+
+
+def serve_view(
+    run: Path, params: ViewParams, port: int, against: Path | None, browser: bool, tell: Callable[[str], object]
+) -> None:
+    """Serve a run until the command is interrupted; `tell` is told the address.
+
+    Raises
+    ------
+    InputError
+        `run` or `against` is no run that has delivered.
+    ConfigError
+        The port is taken.
+    """
+    scenes = scenes_of(run, against, params)
+    with Server(scenes, params, port) as server:
+        for scene in scenes:
+            threading.Thread(target=scene.prepare, daemon=True).start()
+        tell(server.address)
+        if browser and not _opened(server.address):
+            tell("no browser could be started: open the address above")
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()
+
+
+def _opened(address: str) -> bool:
+    try:
+        return webbrowser.open(address)
+    except webbrowser.Error:
+        return False

@@ -1,0 +1,240 @@
+import { matrix, onHeight, project, axes, start, FIELD } from './camera.js';
+import { BUDGET, Scene } from './scene.js';
+import { Drawing, MODES, rampColours } from './draw.js';
+import { cut, pick, touches } from './pick.js';
+import { $, element, number, values, wave, why } from './panel.js';
+import { json, traffic, useToken } from './net.js';
+
+const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, hidden = new Set();
+const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
+const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, section: null, selected: null, motion: 600_000 };
+let scenes = [], drawing, works = null, at = -1, shown = [];
+useToken(given.get('token') || '');
+const fault = (text) => { $('fault').hidden = !text; $('fault').textContent = text || ''; };
+const failed = (text, status) => fault(status === 401 ? 'The address lacks the token, or fwclass view was started again: open the address that it printed last.' : text);
+const canvas = $('view');
+
+// ------------------------------------------------------------------ frames
+const size = () => [canvas.clientWidth / scenes.length, canvas.clientHeight];
+function frame() {
+  requestAnimationFrame(frame);
+  if (!state.dirty || document.hidden) return;
+  const began = performance.now(), [w, h] = size(), m = matrix(cam, w / h), moving = began - state.moving < 250;
+  if (!w || !h) return;
+  state.dirty = moving;
+  const line = state.section, full = line && ((low, high) => touches(low, high, line.A, line.B, line.half));
+  shown = scenes.map((s) => {
+    const nodes = s.select(cam, m, w, h, BUDGET / scenes.length, full);
+    if (!moving) return { nodes };
+    let sum = 0;
+    return { nodes: nodes.filter((n) => (sum += n.count) <= state.motion / scenes.length || n.level === nodes[0].level) };
+  });
+  stats.drawn = drawing.draw(cam, shown, state.look, true);
+  if (moving) { // the pixels are read, so that what was asked for is done
+    drawing.gl.readPixels(0, 0, 1, 1, drawing.gl.RGBA, drawing.gl.UNSIGNED_BYTE, new Uint8Array(4));
+    const took = performance.now() - began; stats.frames.push(took); if (stats.frames.length > 500) stats.frames.shift();
+    state.motion = Math.max(100_000, Math.min(BUDGET, state.motion * (took > 80 ? 0.85 : took < 50 ? 1.1 : 1)));
+  }
+  const now = performance.now() - stats.begun, busy = scenes.some((s) => s.loader.busy);
+  if (stats.drawn && !stats.first) stats.first = now;
+  stats.settled = busy || moving ? 0 : stats.settled || now;
+  $('facts').textContent = `${stats.drawn.toLocaleString('en')} of ${scenes.reduce((n, s) => n + s.echoes, 0).toLocaleString('en')} echoes${busy ? ', more are coming' : ''}`;
+  marks(m, w, h);
+  if (line && !busy && line.stale) profile();
+}
+const redraw = () => { state.dirty = true; stats.settled = 0; if (state.section) state.section.stale = true; };
+function moved() { state.moving = performance.now(); state.dirty = true; stats.settled = 0; clearTimeout(moved.timer); moved.timer = setTimeout(() => { state.dirty = true; remember(); }, 300); }
+
+// ------------------------------------------------------------------ the address
+function remember() {
+  const o = scenes[0].origin, p = new URLSearchParams();
+  if (given.get('token')) p.set('token', given.get('token'));
+  p.set('at', [cam.target[0] + o[0], cam.target[1] + o[1], cam.target[2] + o[2], cam.far].map((v) => v.toFixed(2)).concat(cam.azimuth.toFixed(4), cam.tilt.toFixed(4)).join(','));
+  p.set('by', state.by);
+  if (hidden.size) p.set('without', [...hidden].join(','));
+  history.replaceState(null, '', `#${p.toString().replaceAll('%2C', ',')}`);
+}
+function whole() {
+  const b = scenes[0].box, [w, h] = size(), wide = Math.max((b[3] - b[0]) / Math.min(w / h, 1), b[4] - b[1]);
+  cam.target = [(b[0] + b[3]) / 2, (b[1] + b[4]) / 2, b[2] + (b[5] - b[2]) * 0.2]; cam.far = wide * 1.08; cam.azimuth = start.azimuth; cam.tilt = start.tilt; moved();
+}
+function recall() {
+  const o = scenes[0].origin, v = (given.get('at') || '').split(',').map(Number);
+  if (v.length === 6 && v.every(Number.isFinite) && v[3] > 0) { cam.target = [v[0] - o[0], v[1] - o[1], v[2] - o[2]]; cam.far = v[3]; [cam.azimuth, cam.tilt] = v.slice(4); moved(); } else whole();
+  for (const code of (given.get('without') || '').split(',').filter(Boolean).map(Number)) hidden.add(code);
+}
+
+// ------------------------------------------------------------------ colours
+async function colourBy(name) {
+  const field = scenes[0].columns.find((c) => c.name === name), mode = MODES[name];
+  if (mode === undefined && !field) { name = 'classification'; }
+  state.by = name; $('by').value = name;
+  const box = scenes[0].box, ranges = { classification: [0, 1], confidence: [0.3, 1], height: [box[2], box[5]], height_above_ground: [0, 20] };
+  let about = { unit: { height: 'm', height_above_ground: 'm' }[name] || '', meaning: field?.meaning || '' }, range = ranges[name];
+  try {
+    if (!range) { about = await json(`0/${name}/scale.json`); range = [about.low, about.high]; }
+  } catch (e) { failed(e.message, e.status); return; }
+  if (state.by !== name) return;
+  if (about.classes) { state.look.mode = 6; categories(about.classes); } else Object.assign(state.look, { mode: mode ?? 5, low: mode === undefined ? 0 : range[0], high: mode === undefined ? 1 : range[1] });
+  for (const s of scenes) s.by(mode === undefined ? name : '');
+  const o = name === 'height' ? scenes[0].origin[2] : 0;
+  legend(name, about, about.low === null ? null : [range[0] + o, range[1] + o]); redraw(); remember();
+}
+function categories(list) { for (const c of list) drawing.palette.set([...rgb(c.colour), 255], 4 * (256 + c.code)); drawing.setPalette(); }
+const rgb = (css) => [1, 3, 5].map((k) => parseInt(css.slice(k, k + 2), 16));
+function legend(name, about, range) {
+  const box = $('legend'); box.replaceChildren();
+  if (name === 'classification') return;
+  if (about.classes) { for (const c of about.classes) { const l = element('div', '', 'row'), i = element('i'); i.style.background = c.colour; l.append(i, element('span', c.name)); box.append(l); } return; }
+  const c = document.createElement('canvas'), g = c.getContext('2d'); c.width = 256; c.height = 1;
+  const ramp = g.createLinearGradient(0, 0, 256, 0); for (let k = 0; k < rampColours.length / 3; k += 1) ramp.addColorStop(k / (rampColours.length / 3 - 1), `rgb(${rampColours.slice(3 * k, 3 * k + 3).join(',')})`);
+  g.fillStyle = ramp; g.fillRect(0, 0, 256, 1);
+  const ends = element('div', '', 'ends'); if (range) ends.append(element('span', number(range[0])), element('span', about.unit), element('span', number(range[1]))); else ends.append(element('span', 'no echo has a value'));
+  box.append(c, ends); if (about.meaning) box.append(element('p', about.meaning));
+}
+function classes() {
+  const known = new Map(scenes.flatMap((s) => s.classes).map((c) => [c.code, c]));
+  drawing.palette.fill(255);
+  for (let code = 0; code < 256; code += 1) drawing.palette.set([...rgb(known.get(code)?.colour || '#9aa0a6'), hidden.has(code) ? 0 : 255], 4 * code);
+  drawing.setPalette();
+  const box = $('classes'); box.replaceChildren();
+  for (const c of known.values()) {
+    const l = element('label'), tick = element('input'), dot = element('i'); tick.type = 'checkbox'; tick.checked = !hidden.has(c.code); dot.style.background = c.colour;
+    tick.onchange = () => { if (tick.checked) hidden.delete(c.code); else hidden.add(c.code); drawing.palette[4 * c.code + 3] = tick.checked ? 255 : 0; drawing.setPalette(); redraw(); remember(); };
+    l.append(tick, dot, element('span', c.name || `code ${c.code}`), element('small', c.code)); box.append(l);
+  }
+}
+
+// ------------------------------------------------------------------ tools
+function tool(name) {
+  state.tool = state.tool === name ? '' : name; state.points = [];
+  for (const id of ['section', 'measure']) $(id).setAttribute('aria-pressed', String(state.tool === id));
+  $('says').textContent = state.tool === 'section' ? 'Click both ends of the section.' : state.tool === 'measure' ? 'Click two echoes.' : '';
+  redraw();
+}
+const svg = (kind, attributes, text) => { const e = document.createElementNS('http://www.w3.org/2000/svg', kind); for (const [k, v] of Object.entries(attributes)) e.setAttribute(k, v); if (text) e.textContent = text; return e; };
+function marks(m, w, h) {
+  const out = [], at2 = (p) => project(m, p, w, h);
+  const line = (a, b) => { const A = at2(a), B = at2(b); if (A[2] > 0 && B[2] > 0) out.push(svg('line', { x1: A[0], y1: A[1], x2: B[0], y2: B[1] })); return [A, B]; };
+  if (state.section) line(state.section.A, state.section.B);
+  for (const p of state.points) { const [x, y, d] = at2(p); if (d > 0) out.push(svg('circle', { cx: x, cy: y, r: 5 })); }
+  if (state.measured) { const [a, b] = state.measured, [A, B] = line(a, b); out.push(svg('text', { x: (A[0] + B[0]) / 2 + 6, y: (A[1] + B[1]) / 2 - 6 }, `${Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]).toFixed(2)} m`)); }
+  if (state.selected) scenes.forEach((_, k) => { const [x, y, d] = at2(state.selected.place); if (d > 0) out.push(svg('circle', { cx: x + k * w, cy: y, r: 8 })); });
+  $('marks').replaceChildren(...out);
+}
+function chosen(hit, x, y) {
+  const [w, h] = size();
+  if (state.tool === 'section') {
+    const p = hit?.place || onHeight(cam, x % w, y, w, h);
+    if (!p) return;
+    state.points.push(p);
+    if (state.points.length === 2) { state.section = { A: state.points[0], B: state.points[1], half: Number($('width').value) / 2, stale: true }; $('profile').hidden = false; tool(''); }
+  } else if (hit) {
+    state.points.push(hit.place);
+    if (state.points.length === 2) {
+      const [a, b] = state.points, flat = Math.hypot(b[0] - a[0], b[1] - a[1]);
+      state.measured = [a, b]; tool(''); $('says').textContent = `${Math.hypot(flat, b[2] - a[2]).toFixed(2)} m; sideways ${flat.toFixed(2)} m, upwards ${(b[2] - a[2]).toFixed(2)} m`;
+    }
+  }
+  redraw();
+}
+function profile() {
+  const c = $('cut'), g = c.getContext('2d'), line = state.section; c.width = c.clientWidth; c.height = c.clientHeight; line.stale = false;
+  const nodes = shown[0].nodes, { echoes, length } = cut(nodes, line.A, line.B, line.half, hidden);
+  if (!echoes.length) { $('cut-says').textContent = 'no echo lies here'; line.echoes = []; return; }
+  let low = Infinity, high = -Infinity; for (const e of echoes) { low = Math.min(low, e.z); high = Math.max(high, e.z); }
+  const over = Number($('exaggeration').value) || 1, k = Math.min((c.width - 20) / length, (c.height - 16) / Math.max((high - low) * over, 1)), left = (c.width - k * length) / 2;
+  const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), pal = drawing.palette;
+  for (const e of echoes) {
+    e.x = left + e.s * k; e.y = c.height - 8 - (e.z - low) * k * over;
+    const code = e.node.bytes[12 * e.row + 10], v = (255 << 24) | (pal[4 * code + 2] << 16) | (pal[4 * code + 1] << 8) | pal[4 * code], X = Math.round(e.x), Y = Math.round(e.y);
+    for (let a = 0; a < 2; a += 1) for (let b = 0; b < 2; b += 1) if (X + a >= 0 && X + a < c.width && Y + b >= 0 && Y + b < c.height) px[(Y + b) * c.width + X + a] = v;
+  }
+  g.putImageData(picture, 0, 0); line.echoes = echoes;
+  $('cut-says').textContent = `${echoes.length.toLocaleString('en')} echoes, ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high`;
+}
+$('cut').onclick = (e) => {
+  const x = e.offsetX, y = e.offsetY; let best = null;
+  for (const one of state.section?.echoes || []) { const d = (one.x - x) ** 2 + (one.y - y) ** 2; if (d < 100 && (!best || d < best.d)) best = { d, one }; }
+  if (best) { const { node, row, s, z } = best.one, { A, B } = state.section, L = Math.hypot(B[0] - A[0], B[1] - A[1]); show(0, { node, row, place: [A[0] + (B[0] - A[0]) * s / L, A[1] + (B[1] - A[1]) * s / L, z] }); }
+};
+$('width').onchange = () => { if (state.section) { state.section.half = Number($('width').value) / 2 || 1; redraw(); } };
+$('exaggeration').onchange = redraw;
+$('close-profile').onclick = () => { $('profile').hidden = true; state.section = null; redraw(); };
+
+// ------------------------------------------------------------------ one echo
+async function show(number_, hit) {
+  state.selected = hit; redraw();
+  const s = scenes[number_], mine = (show.turn = (show.turn || 0) + 1), late = () => mine !== show.turn;
+  try {
+    const about = await json(`${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`), v = about.values; if (late()) return;
+    stats.echo = about;
+    const called = s.classes.find((c) => c.code === v.classification)?.name ?? `code ${v.classification}`;
+    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}`;
+    $('says').textContent = `${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number} of ${v.number_of_echoes ?? '?'}`;
+    values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = '';
+    json(`${number_}/pulse/${v.strip}-${v.pulse}.json`).then((p) => { if (late()) return; stats.wave = p; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
+    json(`${number_}/why/${v.strip}-${v.pulse}-${v.echo_number}.json`).then((a) => { if (late()) return; stats.why = a; why(a, new Map(s.classes.map((c) => [c.name, c.colour]))); }, (e) => { if (!late()) why({ error: e.message }, new Map()); });
+  } catch (e) { failed(e.message, e.status); }
+}
+function click(x, y) {
+  const began = performance.now(), [w, h] = size(), k = Math.min(scenes.length - 1, Math.floor(x / w));
+  const hit = pick(shown[k]?.nodes || [], matrix(cam, w / h), x - k * w, y, w, h, hidden); stats.pick = performance.now() - began;
+  if (state.tool) chosen(hit, x, y); else if (hit) show(k, hit);
+  return hit;
+}
+
+// ------------------------------------------------------------------ work list
+async function go(step) {
+  works ??= (await json('0/work.json')).places;
+  if (!works.length) { $('place').textContent = 'no unsure place'; return; }
+  at = (at + step + works.length) % works.length;
+  const p = works[at], o = scenes[0].origin;
+  cam.target = [p.x - o[0], p.y - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4);
+  $('place').textContent = `${at + 1} of ${works.length}: ${p.echoes.toLocaleString('en')} echoes`; moved();
+}
+const step = (by) => go(by).catch((e) => failed(e.message, e.status));
+
+// ------------------------------------------------------------------ hands
+const fingers = new Map(); let travelled = 0;
+function shift(dx, dy) { const { right, up } = axes(cam), k = (cam.far * 2 * Math.tan(FIELD / 2)) / size()[1]; cam.target = cam.target.map((t, i) => t - right[i] * dx * k + up[i] * dy * k); moved(); }
+function turn(dx, dy) { cam.azimuth -= dx * 0.006; cam.tilt = Math.min(1.5707, Math.max(0.02, cam.tilt + dy * 0.006)); moved(); }
+function nearer(by) { cam.far = Math.min(1e6, Math.max(1, cam.far * by)); moved(); }
+canvas.onpointerdown = (e) => { canvas.setPointerCapture(e.pointerId); fingers.set(e.pointerId, [e.clientX, e.clientY]); if (fingers.size === 1) travelled = 0; };
+canvas.onpointermove = (e) => {
+  const was = fingers.get(e.pointerId); if (!was) return;
+  const dx = e.clientX - was[0], dy = e.clientY - was[1], other = [...fingers].find(([id]) => id !== e.pointerId)?.[1];
+  travelled += Math.abs(dx) + Math.abs(dy); fingers.set(e.pointerId, [e.clientX, e.clientY]);
+  if (travelled < 4) return;
+  if (other) { const far = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]) || 1; nearer(far(was) / far([e.clientX, e.clientY])); shift(dx / 2, dy / 2); } else if (e.shiftKey || e.buttons & 6) shift(dx, dy); else turn(dx, dy);
+};
+canvas.onpointerup = (e) => { const only = fingers.size === 1; fingers.delete(e.pointerId); const r = canvas.getBoundingClientRect(); if (only && travelled < 4 && e.button === 0) click(e.clientX - r.left, e.clientY - r.top); };
+canvas.onpointercancel = (e) => fingers.delete(e.pointerId);
+canvas.oncontextmenu = (e) => e.preventDefault();
+canvas.addEventListener('wheel', (e) => { e.preventDefault(); nearer(Math.exp(Math.max(-200, Math.min(200, e.deltaY)) * 0.0015)); }, { passive: false });
+const fromAbove = () => { cam.tilt = 1.5707; cam.azimuth = 0; moved(); };
+const keys = { ArrowLeft: () => shift(40, 0), ArrowRight: () => shift(-40, 0), ArrowUp: () => shift(0, 40), ArrowDown: () => shift(0, -40), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), n: () => step(1), p: () => step(-1), Escape: () => { tool(''); state.measured = state.selected = null; redraw(); } };
+addEventListener('keydown', (e) => { if (e.ctrlKey || e.metaKey || e.altKey || /INPUT|SELECT/.test(e.target.tagName)) return; const act = keys[e.key]; if (act) { e.preventDefault(); act(); } });
+$('whole').onclick = whole; $('top').onclick = fromAbove; $('section').onclick = () => tool('section'); $('measure').onclick = () => tool('measure');
+$('next').onclick = () => step(1); $('previous').onclick = () => step(-1); $('by').onchange = () => colourBy($('by').value);
+addEventListener('resize', () => moved());
+canvas.addEventListener('webglcontextlost', (e) => { e.preventDefault(); fault('The graphics card dropped this page; it is asked again.'); });
+canvas.addEventListener('webglcontextrestored', () => { drawing.start(); fault(''); redraw(); });
+
+// ------------------------------------------------------------------ begin
+async function begin() {
+  drawing = new Drawing(canvas);
+  const first = await Scene.open(0, redraw, failed);
+  scenes = [first];
+  if (first.against) {
+    scenes.push(await Scene.open(1, redraw, failed));
+    scenes[1].moveTo(first.origin);
+  }
+  $('name').textContent = scenes.map((s) => s.name).join(' | '); document.title = `${first.name} – fwclass view`;
+  const by = new Set(['classification', 'confidence', 'entropy', 'height', 'height_above_ground', 'intensity', ...first.columns.map((c) => c.name)]);
+  for (const n of by) if (n === 'height' || first.columns.some((c) => c.name === n)) $('by').add(new Option(n.replaceAll('_', ' '), n));
+  if (!first.crs) $('says').textContent = 'The survey names no coordinate system: places are in its own metres.';
+  $('work').hidden = false; recall(); classes(); await colourBy(given.get('by') || 'classification'); frame();
+}
+window.fwclass = { cam, stats, traffic, state, click, show, moved, redraw, colourBy, tool, scenes: () => scenes, shown: () => shown, step };
+begin().catch((e) => failed(e.message, e.status));

@@ -1,0 +1,132 @@
+// Which blocks a view wants, and those that are here.
+import { Loader, json } from './net.js';
+import { eye, FIELD, project } from './camera.js';
+
+const SPACING = 1.4; // pixels between echoes that a level leaves for the next one to fill
+export const BUDGET = 2_000_000; // echoes drawn at rest
+
+export class Scene {
+  constructor(number, index, changed, failed) {
+    Object.assign(this, index);
+    this.number = number; this.changed = changed; this.nodes = new Map(); this.asked = new Set(); this.column = ''; this.failures = new Map(); this.early = new Map();
+    this.last = 2 * (this.joined + this.halved) + 1; this.own = 2 * this.joined;
+    this.loader = new Loader((job, blocks) => this.arrived(job, blocks), (job, fault, status) => {
+      this.failures.set(job.about.key, (this.failures.get(job.about.key) || 0) + 1);
+      if (this.failures.get(job.about.key) < 3) this.asked.delete(job.about.key);
+      failed(fault, status);
+    });
+    const root = [Infinity, Infinity, Infinity, -Infinity, -Infinity, -Infinity];
+    this.places = this.tiles.map(([i, j, echoes, low, high]) => {
+      const x = (i - this.west) * this.size, y = (j - this.south) * this.size, z = low - this.origin[2], top = high - this.origin[2];
+      [x, y, z].forEach((v, a) => { root[a] = Math.min(root[a], v); });
+      [x + this.size, y + this.size, top].forEach((v, a) => { root[a + 3] = Math.max(root[a + 3], v); });
+      return { i: i - this.west, j: j - this.south, echoes, low: [x, y, z], high: [x + this.size, y + this.size, top] };
+    });
+    this.box = root;
+  }
+
+  static async open(number, changed, failed) { return new Scene(number, await json(`${number}/index.json`), changed, failed); }
+
+  arrived(job, blocks) {
+    for (const block of blocks) {
+      const key = block.node.join('-');
+      if (job.about.column) {
+        if (job.about.column !== this.column) continue;
+        const node = this.nodes.get(key);
+        if (node) Object.assign(node, { extra: block.bytes, extraOf: this.column, stale: true }); else if (block.count) this.early.set(key, block.bytes);
+      } else if (block.count) {
+        const edge = this.size * 2 ** (this.joined - (block.node[0] >> 1));
+        if (this.by_) block.low = block.low.map((v, a) => v + this.by_[a]);
+        this.nodes.set(key, { ...block, key, edge, level: block.node[0], extra: this.early.get(key) || null, extraOf: this.early.has(key) ? this.column : '', stale: true });
+        this.early.delete(key);
+      }
+    }
+    this.changed();
+  }
+
+  // Count places from another origin, so that one camera looks at two scenes.
+  moveTo(origin) {
+    const by = this.origin.map((v, a) => v - origin[a]);
+    for (const p of this.places) for (let a = 0; a < 3; a += 1) { p.low[a] += by[a]; p.high[a] += by[a]; }
+    this.box = this.box.map((v, a) => v + by[a % 3]); this.by_ = by; this.origin = origin;
+  }
+
+  // Cumulative share of the echoes up to a level.
+  share(level) { return 2 ** (level - this.last); }
+
+  want(key, path, rank, column) {
+    const full = column ? `${column} ${key}` : key;
+    if (this.asked.has(full)) return;
+    this.asked.add(full);
+    this.loader.ask(`${this.number}/${path}.bin`, rank, { key: full, column });
+  }
+
+  // Blocks to draw now, the coarsest first; asks for those that lack.
+  select(cam, m, width, height, budget, full = null) {
+    const k = height / (2 * Math.tan(FIELD / 2)), e = eye(cam), column = this.column;
+    const part = column || 'echoes', out = [], ranked = [], wanted = new Set();
+    for (const level of this.together) this.want(`level-${level}`, `echoes/level-${level}`, 1e6 - level, '');
+    const near = (low, high) => {
+      const c = low.map((v, i) => (v + high[i]) / 2), r = Math.hypot(high[0] - low[0], high[1] - low[1], high[2] - low[2]) / 2;
+      const [x, y, w] = project(m, c, width, height), R = (r / Math.max(w, 1e-3)) * k;
+      if (w < -r || (w > r && (x < -R || x > width + R || y < -R || y > height + R))) return 0;
+      return k / Math.max(Math.hypot(c[0] - e[0], c[1] - e[1], c[2] - e[2]) - r * 0.7, cam.far / 20);
+    };
+    const first = Math.max(this.own, (this.together.at(-1) ?? -1) + 1);
+    for (const tile of this.places) {
+      const pixels = near(tile.low, tile.high), within = full && full(tile.low, tile.high);
+      if (!pixels && !within) continue;
+      for (let level = first; level <= this.last; level += 1) {
+        const spacing = (this.size / Math.sqrt(tile.echoes * this.share(level - 1))) * pixels;
+        if (!(spacing > SPACING || within)) break;
+        const down = (level >> 1) - this.joined, cells = 1 << down, edge = this.size / cells;
+        for (let a = 0; a < cells; a += 1) for (let b = 0; b < cells; b += 1) {
+          const low = [tile.low[0] + a * edge, tile.low[1] + b * edge, tile.low[2]], high = [low[0] + edge, low[1] + edge, tile.high[2]];
+          const cell = cells > 1 ? near(low, high) : pixels, inside = full && full(low, high);
+          if (!cell && !inside) continue;
+          ranked.push({ rank: inside ? 1e5 - level : (spacing * cell) / (pixels || cell), count: (tile.echoes * this.share(level)) / 2 / cells ** 2, key: `${level}-${(tile.i << down) + a}-${(tile.j << down) + b}` });
+        }
+      }
+    }
+    ranked.sort((a, b) => b.rank - a.rank);
+    let sum = 0;
+    for (const r of ranked) {
+      if ((sum += r.count) > budget) break;
+      wanted.add(r.key); this.want(r.key, `echoes/${r.key}`, r.rank, '');
+    }
+    for (const gone of this.loader.keep((job) => job.rank >= 1e5 || wanted.has(job.about.key.split(' ').at(-1)) || job.about.key.includes('level-'))) this.asked.delete(gone.about.key);
+    for (const node of this.nodes.values()) {
+      if (!wanted.has(node.key) && !this.together.includes(node.level)) continue;
+      if (!near(node.low, [node.low[0] + node.edge, node.low[1] + node.edge, node.low[2] + node.rise * 65535])) continue;
+      out.push(node);
+    }
+    if (column) {
+      for (const level of this.together) if (this.asked.has(`level-${level}`)) this.want(`level-${level}`, `${part}/level-${level}`, 1e6 - level, column);
+      for (const n of out) if (!this.together.includes(n.level) && n.extraOf !== column) this.want(n.key, `${part}/${n.key}`, 1, column);
+    }
+    this.forget(wanted);
+    return out.sort((a, b) => a.level - b.level);
+  }
+
+  // Blocks that were not wanted for long make room.
+  forget(wanted) {
+    let held = 0;
+    for (const n of this.nodes.values()) held += n.count;
+    for (const [key, n] of this.nodes) {
+      if (held <= 2 * BUDGET) return;
+      if (wanted.has(key) || this.together.includes(n.level)) continue;
+      held -= n.count; n.free?.(); this.nodes.delete(key); this.asked.delete(key); this.asked.delete(`${this.column} ${key}`);
+    }
+  }
+
+  by(column) {
+    for (const key of [...this.asked]) if (key.includes(' ')) this.asked.delete(key);
+    this.column = column; this.early.clear(); this.changed();
+  }
+}
+
+// Place of an echo of a node, relative to the scene's origin [m].
+export function placeOf(node, k) {
+  const w = node.words ??= new Uint16Array(node.bytes.buffer);
+  return [node.low[0] + (w[6 * k] + 0.5) * node.step, node.low[1] + (w[6 * k + 1] + 0.5) * node.step, node.low[2] + w[6 * k + 2] * node.rise];
+}

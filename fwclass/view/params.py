@@ -1,0 +1,34 @@
+"""Numbers of the viewer."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from fwclass.stage import Params
+
+
+class ViewParams(Params):
+    """Settings of the viewer; none of them changes a result.
+
+    Attributes
+    ----------
+    block : echoes of a block of an average tile at most.
+    together : levels of at most so many echoes are sent whole.
+    cache : memory for blocks, and as much again for tiles that are open [MiB].
+    connections : open at a time.
+    request : a request is heard for so long [s], and an answer may stand still for so long.
+    head : of a request [bytes].
+    unsure : echoes with less confidence are places to look at.
+    cluster : unsure echoes nearer than this, in squares of the global grid, are one place [m].
+    places : of the work list.
+    """
+
+    block: int = Field(ge=1000, le=1_000_000)
+    together: int = Field(ge=1000, le=10_000_000)
+    cache: int = Field(ge=1, le=1_000_000)
+    connections: int = Field(ge=2, le=1000)
+    request: float = Field(ge=0.1, le=3600)
+    head: int = Field(ge=1024, le=1_000_000)
+    unsure: float = Field(ge=0, le=1)
+    cluster: float = Field(ge=0.1, le=10_000)
+    places: int = Field(ge=1, le=100_000)

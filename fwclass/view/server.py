@@ -1,0 +1,190 @@
+"""The viewer's server: the page's files, and answers of scenes, on 127.0.0.1 alone."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import socket
+import threading
+from collections.abc import Callable, Sequence
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from typing import Any
+
+from fwclass.errors import ConfigError, FwclassError
+from fwclass.redact import redacted
+from fwclass.view.guard import HEADERS, BoundedReader, Guard
+from fwclass.view.params import ViewParams
+from fwclass.view.scene import Scene
+
+KINDS = {".html": "text/html; charset=utf-8", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+JSON, BYTES = "application/json", "application/octet-stream"
+
+_NUMBER = r"(0|[1-9]\d{0,18})"
+_NODE = rf"{_NUMBER}-{_NUMBER}-{_NUMBER}"
+_PART = r"([a-z][a-z0-9_]{0,63})"
+
+Answer = Callable[..., tuple[str, bytes]]
+
+
+def page_files() -> dict[str, bytes]:
+    """The page by name, as the package has it."""
+    return {f.name: f.read_bytes() for f in files("fwclass.view").joinpath("page").iterdir() if f.is_file()}
+
+
+def _json(value: Any) -> tuple[str, bytes]:
+    return JSON, json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
+
+
+ROUTES: tuple[tuple[re.Pattern[str], Answer], ...] = tuple(
+    (re.compile(rf"/data/(0|1)/{pattern}", re.ASCII), answer)
+    for pattern, answer in (
+        (r"index\.json", lambda scene: _json(scene.index())),
+        (r"work\.json", lambda scene: _json(scene.work())),
+        (rf"{_PART}/scale\.json", lambda scene, part: _json(scene.scale(part))),
+        (rf"{_PART}/level-{_NUMBER}\.bin", lambda scene, part, level: (BYTES, scene.level(part, int(level)))),
+        (rf"{_PART}/{_NODE}\.bin", lambda scene, part, *node: (BYTES, scene.node(part, tuple(map(int, node))))),
+        (rf"echo/{_NODE}/{_NUMBER}\.json", lambda scene, *at: _json(scene.echo(tuple(map(int, at[:3])), int(at[3])))),
+        (rf"pulse/{_NUMBER}-{_NUMBER}\.json", lambda scene, *who: _json(scene.pulse(*map(int, who)))),
+        (rf"why/{_NODE}\.json", lambda scene, *who: _json(scene.why(*map(int, who)))),
+    )
+)
+"""Every address that is answered, besides the page's own files; nothing in them is decoded."""
+
+
+class Server(ThreadingHTTPServer):
+    """Serves scenes until it is shut down.
+
+    Raises
+    ------
+    ConfigError
+        The port is taken, or none of this host.
+    """
+
+    daemon_threads = True
+    allow_reuse_address = False
+    request_queue_size = 32
+
+    def __init__(self, scenes: Sequence[Scene], params: ViewParams, port: int = 0) -> None:
+        self.scenes, self.params, self.page = scenes, params, page_files()
+        self._free = threading.BoundedSemaphore(params.connections)
+        try:
+            super().__init__(("127.0.0.1", port), _Handler)
+        except OSError as fault:
+            raise ConfigError(
+                "the port cannot be had",
+                where=f"127.0.0.1:{port}",
+                expected="a port that nothing listens on",
+                got=fault.strerror or fault,
+                do="name another with --port, or leave --port out: any free one is taken",
+            ) from fault
+        self.guard = Guard(self.server_port)
+
+    @property
+    def address(self) -> str:
+        """Where the page is, with the token: who knows it may read the run."""
+        return f"http://127.0.0.1:{self.server_port}/#token={self.guard.token}"
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if not self._free.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:
+            self._free.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._free.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Whoever hangs up, or comes too late, is not told of."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "fwclass", ""
+    server: Server
+    connection: socket.socket
+
+    def setup(self) -> None:
+        super().setup()
+        params = self.server.params
+        self.connection.settimeout(params.request)
+        self._bounded = BoundedReader(self.connection, params.head, params.request)
+        self.rfile = io.BufferedReader(self._bounded)  # type: ignore[type-var]
+
+    def handle_one_request(self) -> None:
+        self._bounded.begin()
+        super().handle_one_request()
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Nothing: addresses would stand in a log."""
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Also of requests that are none; their words are never repeated."""
+        self.close_connection = True
+        self._answer(code, JSON, json.dumps({"error": message if code != 400 else "no such request"}).encode())
+
+    def do_GET(self) -> None:
+        """Answer, or say why not."""
+        path, _, query = self.path.partition("?")
+        private = path.startswith("/data/")
+        status, words = self.server.guard.refusal(self.headers, private)
+        if status:
+            self.send_error(status, words)
+            return
+        if query or not private:
+            self._file("index.html" if path == "/" else path[1:], bool(query))
+            return
+        try:
+            self._answer(200, *self._data(path))
+        except FwclassError as fault:
+            self._answer(404, *_json({"error": redacted(str(fault))}))
+        except OSError as fault:
+            self._answer(
+                410,
+                *_json(
+                    {
+                        "error": f"the delivery cannot be read any more ({fault.strerror}): a new one "
+                        "may have taken its place; end `fwclass view` and start it again"
+                    }
+                ),
+            )
+
+    def do_HEAD(self) -> None:
+        """Not answered: nothing needs it."""
+        self.send_error(405, "GET alone")
+
+    do_POST = do_PUT = do_DELETE = do_OPTIONS = do_PATCH = do_TRACE = do_CONNECT = do_HEAD
+
+    def _file(self, name: str, query: bool) -> None:
+        """A file of the page, by its name in the package."""
+        body = None if query else self.server.page.get(name)
+        if body is None:
+            self._answer(404, *_json({"error": "there is nothing here"}))
+        else:
+            self._answer(200, KINDS.get("." + name.rpartition(".")[2], BYTES), body)
+
+    def _data(self, path: str) -> tuple[str, bytes]:
+        for pattern, answer in ROUTES:
+            match = pattern.fullmatch(path)
+            if match and int(match[1]) < len(self.server.scenes):
+                return answer(self.server.scenes[int(match[1])], *match.groups()[1:])
+        raise FwclassError("there is nothing here", where="the viewer's server")
+
+    def _answer(self, status: int, kind: str, body: bytes) -> None:
+        self.send_response_only(status)
+        for name, value in HEADERS.items():
+            self.send_header(name, value)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+        self.wfile.write(body)

@@ -1,0 +1,96 @@
+"""The viewer: echoes to blocks per CPU-second beside reading COPC, blocks from the cache, and the page in Chromium.
+
+.venv/bin/python -m pytest -q -s tests/bench/bench_view.py         # the demo's survey, run here
+FWCLASS_VIEWED=RUN .venv/bin/python -m pytest -q -s tests/bench/bench_view.py   # any finished run with tiles
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from pathlib import Path
+
+import laspy
+import pytest
+from pagedriver import driven
+
+from fwclass import conf
+from fwclass.delivery.opened import open_run
+from fwclass.delivery.process import process
+from fwclass.delivery.viewed import ViewedRun
+from fwclass.view.scene import ECHOES
+from fwclass.view.server import Server
+
+pytestmark = pytest.mark.bench
+
+HEAP = "performance.memory.usedJSHeapSize"
+
+WALK = """(() => { const c = document.getElementById('view'), out = [];
+for (let k = 0; k < 60; k += 1) {
+const x = c.clientWidth * (0.3 + 0.4 * ((k * 7) % 13) / 13), y = c.clientHeight * (0.35 + 0.3 * ((k * 5) % 11) / 11);
+if (fwclass.click(x, y)) out.push(fwclass.stats.pick); } return out.sort((a, b) => a - b); })()"""
+
+TURN = """(async () => { fwclass.stats.frames.length = 0;
+for (let k = 0; k < 40; k += 1) {
+fwclass.cam.azimuth += 0.02; fwclass.moved(); await new Promise(requestAnimationFrame); }
+const f = [...fwclass.stats.frames].sort((a, b) => a - b); return [f.length, f[f.length >> 1], f.at(-1)]; })()"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    named = os.environ.get("FWCLASS_VIEWED")
+    return Path(named) if named else process("demo", tmp_path_factory.mktemp("viewed") / "run").root
+
+
+def test_echoes_to_blocks(run: Path) -> None:
+    params = conf.section("view", ())
+    made(ViewedRun(open_run(run), params))  # compiles
+    scene = ViewedRun(open_run(run), params)
+    seconds, size = made(scene)
+    again, _ = made(scene)
+    copc = sorted((run / "laz" / "tiles").glob("*.laz"))[:20]
+    began, points = time.process_time(), 0
+    for path in copc:
+        las = laspy.read(path)
+        points += len(las.points)
+    other = (time.process_time() - began) / points * scene.echoes
+    print(
+        f"\n{scene.echoes:,} echoes: {scene.echoes / seconds / 1e6:.2f} M a CPU-second to blocks, "
+        f"{size / scene.echoes:.2f} bytes an echo; from the cache "
+        f"{scene.echoes / max(again, 1e-3) / 1e6:.0f} M or more; LASzip of the COPC tiles alone "
+        f"{scene.echoes / other / 1e6:.2f} M: ratio {other / seconds:.1f}"
+    )
+
+
+def made(scene: ViewedRun) -> tuple[float, int]:
+    """CPU seconds for every block, and their bytes."""
+    began, size = time.process_time(), 0
+    for level in scene.pyramid.levels():
+        size += len(scene.level(ECHOES, level))
+    return time.process_time() - began, size
+
+
+def test_the_page(run: Path) -> None:
+    params = conf.section("view", ())
+    with driven() as page:
+        scene = ViewedRun(open_run(run), params)
+        with Server([scene], params) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            threading.Thread(target=scene.prepare, daemon=True).start()
+            page.open(server.address)
+            page.until("window.fwclass.stats.settled", 120)
+            stats, traffic = page.run("({...fwclass.stats, frames: 0})"), page.run("fwclass.traffic")
+            print(
+                f"\nfirst points {stats['first'] / 1e3:.2f} s, whole picture {stats['settled'] / 1e3:.2f} s after the "
+                f"script, {stats['drawn']:,} echoes, {traffic['bytes'] / 1e6:.1f} MB in {traffic['requests']} requests "
+                f"of data, {len(page.requests)} of all; heap {page.run(HEAP) / 1e6:.0f} MB"
+            )
+            n, middle, most = page.run(TURN)
+            print(f"in motion {n} frames, median {middle:.0f} ms, longest {most:.0f} ms")
+            picks = page.run(WALK)
+            print(f"pick: median {picks[len(picks) // 2]:.0f} ms, longest {picks[-1]:.0f} ms of {len(picks)}")
+            began = time.monotonic()
+            page.until("fwclass.stats.wave && fwclass.stats.why")
+            print(f"first waveform and votes {time.monotonic() - began:.2f} s after the last click")
+            server.shutdown()
