@@ -57,8 +57,11 @@ class Terrain:
 
     @property
     def mask(self) -> NDArray[np.uint8]:
-        """uint8, what the terrain of a cell comes from: 0 there is none, 1 ground echoes of the cell, 2 a triangle
-        between ground echoes (interpolated), 3 a membrane beyond all triangles (extrapolated)."""
+        """uint8 raster, shape of `dtm`: what the terrain of a cell comes from.
+
+        0 no terrain, 1 ground echoes of the cell, 2 a triangle between ground echoes (interpolated), 3 a membrane
+        beyond all triangles (extrapolated).
+        """
         between = np.where(self.continued, np.uint8(CONTINUED), np.uint8(BETWEEN))
         known = np.where(self.support == MEASURED, np.uint8(ON_ECHOES), between)
         return np.where(np.isnan(self.dtm), np.uint8(NO_TERRAIN), known)
