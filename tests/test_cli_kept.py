@@ -98,6 +98,16 @@ def test_kept_classes_do_not_depend_on_tiles(place: Path, tmp_path: Path) -> Non
     assert strips[0] == strips[1]
 
 
+def test_a_source_without_any_point_is_told(place: Path, tmp_path: Path) -> None:
+    las = laspy.read(place / "a.las")
+    las.write(tmp_path / "a.las")
+    las.points = las.points[:0]
+    las.write(tmp_path / "b.las")
+    (tmp_path / "s.yaml").write_text('survey: {name: z, sources: ["*.las"]}')
+    told = fwclass("run", "s.yaml", "--workflow", "ground", "--out", "g", *WORDS, cwd=tmp_path)
+    assert told.returncode == 0 and "files without any point: b.las" in told.stderr, told.stderr
+
+
 def test_a_ground_run_keeps_them_too(place: Path, tmp_path: Path) -> None:
     words = ("--workflow", "ground", "--set", "classify.keep=[9]", *WORDS)
     told = fwclass("run", "s.yaml", "--out", tmp_path / "g", *words, cwd=place)

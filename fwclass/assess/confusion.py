@@ -39,7 +39,7 @@ def figures(
     """Figures of a confusion matrix, fractions, plain data for JSON; None where a figure is 0 / 0.
 
     With N counts, r_i rows, c_i columns and d_i the diagonal: overall accuracy sum d / N, producer's d_i /
-    r_i, user's d_i / c_i, IoU d_i / (r_i + c_i - d_i), mean IoU over the classes that occur, and kappa (P_a
+    r_i, user's d_i / c_i, IoU d_i / (r_i + c_i - d_i), mean IoU over the classes that the reference has, and kappa (P_a
     - P_c) / (1 - P_c) with P_a = sum d / N and P_c = sum r_i c_i / N^2. For two classes, the first being
     ground, also the errors of He 2023: type I = ground lost, type II = other taken for ground, total.
 
@@ -55,7 +55,7 @@ def figures(
     rows = matrix.sum(axis=1) + lost
     total = int(rows.sum())
     union = _shares(right, rows + columns - right)
-    known = [v for v in union if v is not None]
+    known = [v for v, n in zip(union, rows, strict=True) if v is not None and n]
     plain: dict[str, Any] = {
         "classes": list(names),
         "confusion": matrix.tolist(),

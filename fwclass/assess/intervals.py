@@ -107,7 +107,7 @@ def scores(matrices: ArrayLike) -> NDArray[np.float64]:
         chance = (rows * columns).sum(axis=1) / total**2
         kappa = np.where(chance < 1.0, (overall - chance) / (1.0 - chance), np.nan)
         union = rows + columns - right
-        iou = np.where(union > 0, right / union, 0.0).sum(axis=1) / (union > 0).sum(axis=1)
+        iou = np.where(rows > 0, right / union, 0.0).sum(axis=1) / (rows > 0).sum(axis=1)
     return np.stack([overall, kappa, iou], axis=1)
 
 

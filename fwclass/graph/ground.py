@@ -28,6 +28,9 @@ from fwclass.schema import Table, column
 from fwclass.store.cells import CELLS, by_name
 from fwclass.waveforms import IMPLAUSIBLE
 
+STORED = ("dtm", "dsm", "mask", "distance")
+"""Rasters of a block of the terrain."""
+
 WITHIN = 0.01
 """Difference of terrain heights that counts as none [m]."""
 
@@ -111,7 +114,7 @@ def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
         no, yes = np.zeros(table.rows, bool), np.ones(table.rows, bool)
         t, own = Table.concat([t, table.with_columns({"ground": yes, "noise": no})]), np.concatenate([own, no])
     rasters = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], own, core, params)
-    write_rasters(here.directory, {"dtm": rasters.dtm, "dsm": rasters.dsm, "support": rasters.support}, core)
+    write_rasters(here.directory, {name: getattr(rasters, name) for name in STORED}, core)
     heights = Table({"height_above_ground": rasters.height[: len(around.own)]})
     return heights, {
         **around.facts(heights),

@@ -18,13 +18,14 @@ from fwclass.graph.sites import WHOLE, Site, sites
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
+from fwclass.ground.terrain.terrain import NO_TERRAIN
 from fwclass.publish.class_raster import NO_CONFIDENCE, class_rasters
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole
 from fwclass.publish.palette import colours
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import style_file
-from fwclass.publish.raster_styles import STYLED, Spread, raster_style
+from fwclass.publish.raster_styles import MASK, STYLED, Spread, raster_style
 from fwclass.publish.shade import hillshade
 from fwclass.run.inputs import PartInputs
 
@@ -47,7 +48,7 @@ def delivered_rasters(
     block: float,
     bounds: tuple[float, float, float, float],
 ) -> Made:
-    """Terrain, surface, their difference, hillshade, class, confidence and density of a box as cloud-optimised GeoTIFF.
+    """Terrain and what it comes from, surface, their difference, relief, class, confidence and density of a box as COG.
 
     They are made in stripes from north to south: memory grows with the box's width alone. `names` of classes by code.
     """
@@ -83,6 +84,7 @@ _TERRAIN = {
     "dtm": "terrain height [m]",
     "dsm": "height of the highest echo [m]",
     "ndsm": "highest echo above the terrain [m]",
+    "dtm_distance": "distance of the nearest cell with a ground echo [m]",
 }
 
 
@@ -95,9 +97,10 @@ def _terrain_rasters(
     target: Path,
     spreads: dict[str, Spread],
 ) -> int:
-    """Write heights and shaded relief; cells with terrain."""
+    """Write heights, what they come from, and shaded relief; cells with terrain."""
     nothing = np.float32(np.nan)
-    mosaic = Mosaic(inputs, "terrain", blocks, window.cell, {"dtm": nothing, "dsm": nothing})
+    empty: dict[str, np.generic] = {"dtm": nothing, "dsm": nothing, "distance": nothing, "mask": np.uint8(NO_TERRAIN)}
+    mosaic = Mosaic(inputs, "terrain", blocks, window.cell, empty)
     cells = 0
     spreads |= {name: Spread() for name in _TERRAIN}
     with ExitStack() as files:
@@ -111,6 +114,9 @@ def _terrain_rasters(
         shade = files.enter_context(
             cog(np.dtype(np.uint8), window, target / "hillshade.tif", crs, params, 0, tags=what)
         )
+        mask = files.enter_context(
+            cog(np.dtype(np.uint8), window, target / "dtm_mask.tif", crs, params, NO_TERRAIN, names=MASK)
+        )
         for stripe in stripes(window, STRIPE):
             if not mosaic.touches(stripe):
                 continue
@@ -119,10 +125,17 @@ def _terrain_rasters(
             dtm = heights["dtm"]
             there = np.isfinite(dtm)
             tone = np.where(there, 1 + 254 * hillshade(dtm, window.cell, params), 0).astype(np.uint8)
-            for name, raster in {**heights, "ndsm": heights["dsm"] - dtm}.items():
+            made = {
+                "dtm": dtm,
+                "dsm": heights["dsm"],
+                "ndsm": heights["dsm"] - dtm,
+                "dtm_distance": heights["distance"],
+            }
+            for name, raster in made.items():
                 put[name](stripe, raster[inner])
                 spreads[name].add(raster[inner])
             shade(stripe, tone[inner])
+            mask(stripe, heights["mask"][inner])
             cells += int(there[inner].sum())
     return cells
 
@@ -192,7 +205,7 @@ MAP_CLASSES = Stage(
 )
 DELIVER_RASTERS = Stage(
     "publish-rasters",
-    4,
+    5,
     "survey",
     "cell",
     delivered_rasters,

@@ -13,6 +13,7 @@ from fwclass.classes import standard_name
 from fwclass.classify.kept import Kept
 from fwclass.conf import Config
 from fwclass.decompose.plausible import added
+from fwclass.errors import visible
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.classify import OUTSIDE
@@ -71,7 +72,7 @@ def write_report(
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
-        "input": _input(runner, survey),
+        "input": (files := _input(runner, survey)),
         "counts": _counts(runner),
         "stages": [_stage(runner, name, tally) for name, tally in runner.tallies.items()],
         "graph": list(graph),
@@ -107,6 +108,7 @@ def write_report(
             *(plausible or {}).get("remarks", ()),
             *(drifted or {}).get("remarks", ()),
             *_crowded(runner, config),
+            *_empty(files),
             *class_remarks(source, _known(config), Kept.of(config.classify)),
         ],
         "kept": {str(c): n for c, n in kept_codes(source, Kept.of(config.classify)).items()},
@@ -174,6 +176,13 @@ def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
         facts = {n: meta.get(n) for n in ("points", "pulses", "point_format")}
         files.append({"path": strip.path.name, "strip": strip.number, **facts})
     return {"files": files, "faults": dict(sorted(faults.items()))}
+
+
+def _empty(files: Mapping[str, Any]) -> list[str]:
+    """That source files have nothing in them."""
+    names = [visible(f["path"]) for f in files["files"] if f["points"] == 0 and not f["pulses"]]
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return [f"files without any point: {', '.join(names[:SHOWN])}{more}"] if names else []
 
 
 def _read(runner: Runner) -> list[Mapping[str, Any]]:

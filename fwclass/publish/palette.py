@@ -23,6 +23,9 @@ BY_NAME: dict[str, RGB] = {
     "noise": (30, 30, 30),
     "unclassified": (190, 195, 200),
     "other": (150, 155, 165),
+    "measured": (70, 120, 90),
+    "interpolated": (240, 214, 140),
+    "extrapolated": (200, 80, 60),
 }
 """Lightness differs beside hue, so that the main classes stay apart without red-green vision and in grey."""
 

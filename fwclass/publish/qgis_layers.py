@@ -33,6 +33,8 @@ _RASTERS = {
     "ndsm": ("height of objects [m]", "Terrain"),
     "dsm": ("surface [m]", "Terrain"),
     "dtm": ("terrain [m]", "Terrain"),
+    "dtm_mask": ("what the terrain comes from", "Terrain"),
+    "dtm_distance": ("distance of the nearest ground echo [m]", "Terrain"),
 }
 
 

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 from fwclass.publish.qgis_style import HEIGHTS, MANY, SURE, class_raster_style, grey_raster_style, ramp_raster_style
 
-STYLED = ("classes", "confidence", "density", "dtm", "dsm", "ndsm", "hillshade")
+STYLED = ("classes", "confidence", "density", "dtm", "dsm", "ndsm", "hillshade", "dtm_mask", "dtm_distance")
+
+MASK = {1: "measured", 2: "interpolated", 3: "extrapolated"}
+"""Values of `dtm_mask`."""
 
 DEVIATIONS = 2.0
 """Standard deviations around the mean that colours are spread over: a crane or a pit takes none away."""
@@ -56,6 +59,8 @@ def raster_style(
     """
     if name == "classes":
         return class_raster_style(names, multiply)
+    if name == "dtm_mask":
+        return class_raster_style(MASK, multiply)
     if name == "hillshade":
         return grey_raster_style(1, 255)
     if name == "confidence":

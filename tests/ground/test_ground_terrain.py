@@ -168,7 +168,20 @@ def test_support_is_the_distance_of_cells_even_to_ground_in_the_halo():
     expected = np.where(distance == 0, MEASURED, np.where(distance <= 40, INTERPOLATED, BEYOND))
     np.testing.assert_array_equal(out.support, expected)
     np.testing.assert_array_equal(np.isnan(out.dtm), expected == BEYOND)
+    np.testing.assert_array_equal(out.distance, np.where(distance <= 40, distance, np.nan).astype(np.float32))
+    np.testing.assert_array_equal(out.mask == 0, expected == BEYOND)
+    np.testing.assert_array_equal(out.mask == 1, expected == MEASURED)
     assert {MEASURED, INTERPOLATED, BEYOND} == set(np.unique(expected))
+
+
+def test_terrain_beyond_all_triangles_is_told_from_that_between_them():
+    """Ground in a square of 30 m with a hole of 10 m in the middle: the hole is interpolated, what is around is not."""
+    x, y = scattered(4000, 30)
+    hole = (np.abs(x - X0 - 15) < 5) & (np.abs(y - Y0 - 15) < 5)
+    out = made(x[~hole], y[~hole], np.zeros((~hole).sum()))
+    assert (out.mask[12:18, 12:18] == 2).all()
+    assert (out.mask[:50, 32:60] == 3).all() and (out.mask[32:, :28] == 3).all()
+    assert np.mean(out.mask[1:9, 1:29] == 1) > 0.9
 
 
 def test_the_border_of_a_survey_has_terrain():
@@ -309,7 +322,7 @@ def test_points_beyond_the_halo_do_not_matter():
     core = Window(1.0, 512000, 5403200, 60, 50)
     near = core.box.grown(64.0).contains(x, y)
     one, two = made(x, y, z, ground, core=core), made(x[near], y[near], z[near], ground[near], core=core)
-    for name in ("dtm", "dsm", "support", "height"):
+    for name in ("dtm", "dsm", "support", "distance", "mask", "height"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
     assert near.sum() < len(x)
 
@@ -326,6 +339,8 @@ def test_blocks_join_without_seams_in_a_town_with_large_halls():
     assert np.mean(np.abs(blocks.dtm - whole.dtm) > SEAM) < SEAM_SHARE
     assert np.mean(np.abs(blocks.height - whole.height) > SEAM) < SEAM_SHARE
     np.testing.assert_array_equal(blocks.support, whole.support)
+    np.testing.assert_array_equal(blocks.mask, whole.mask)
+    np.testing.assert_array_equal(blocks.distance, whole.distance)
     np.testing.assert_array_equal(blocks.dsm, whole.dsm)
     assert np.isfinite(blocks.dtm).all()
 

@@ -46,7 +46,10 @@ def block_rasters(block: Tile, cell: float) -> tuple[dict[str, np.ndarray], Wind
     classes = rng.choice(np.array([0, 2, 6], np.uint8), window.shape)
     confidence = np.where(classes > 0, rng.integers(0, 101, window.shape), 255).astype(np.uint8)
     echoes = np.where(classes > 0, rng.integers(1, 9, window.shape), 0).astype(np.uint32)
-    return {"dtm": dtm, "dsm": dsm, "classes": classes, "confidence": confidence, "echoes": echoes}, window
+    distance = np.where(np.isnan(dtm), np.nan, rng.random(window.shape)).astype(np.float32)
+    mask = np.where(np.isnan(dtm), 0, rng.integers(1, 4, window.shape)).astype(np.uint8)
+    terrain = {"dtm": dtm, "dsm": dsm, "distance": distance, "mask": mask}
+    return {**terrain, "classes": classes, "confidence": confidence, "echoes": echoes}, window
 
 
 def written(arrays: dict[str, np.ndarray], window: Window, directory: Path) -> dict:
@@ -61,7 +64,8 @@ def laid(request, tmp_path: Path):
     blocks = tuple(b for b in TileGrid(SIZE).touching(BOX) if b.iy % 5 not in (2, 3))
     for block in blocks:
         arrays, window = block_rasters(block, cell)
-        for stage, names in (("terrain", ("dtm", "dsm")), ("class-block", ("classes", "confidence", "echoes"))):
+        terrain = ("dtm", "dsm", "distance", "mask")
+        for stage, names in (("terrain", terrain), ("class-block", ("classes", "confidence", "echoes"))):
             work = partial(written, {n: arrays[n] for n in names}, window)
             store.commit(stage, block.key, "k", {}, "store", work)
     return Counted(store), blocks, cell
@@ -69,7 +73,8 @@ def laid(request, tmp_path: Path):
 
 def expected(blocks: tuple[Tile, ...], cell: float, window: Window) -> dict[str, np.ndarray]:
     """Cell by cell: what the last block that has it says."""
-    out = {n: np.full(window.shape, np.nan, np.float32) for n in ("dtm", "dsm")}
+    out = {n: np.full(window.shape, np.nan, np.float32) for n in ("dtm", "dsm", "distance")}
+    out["mask"] = np.zeros(window.shape, np.uint8)
     out["classes"] = np.zeros(window.shape, np.uint8)
     out["confidence"] = np.full(window.shape, 255, np.uint8)
     out["echoes"] = np.zeros(window.shape, np.uint32)
@@ -144,10 +149,11 @@ def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> N
         assert np.nanmin(whole[name]) - 0.01 <= low < high <= np.nanmax(whole[name]) + 0.01
     many = whole.pop("echoes")
     whole["density"] = np.where(many > 0, many / cell**2, np.nan).astype(np.float32)
+    whole["dtm_distance"], whole["dtm_mask"] = whole.pop("distance"), whole.pop("mask")
     tone = np.where(there, 1 + 254 * hillshade(whole["dtm"], cell, params), 0).astype(np.uint8)
     wanted = {**whole, "ndsm": whole["dsm"] - whole["dtm"], "hillshade": tone}
     assert sorted(p.name for p in (tmp_path / "rasters").iterdir()) == sorted(
-        ["classes.tif.aux.xml", *(f"{n}.tif" for n in wanted), *(f"{n}.qml" for n in wanted)]
+        ["classes.tif.aux.xml", "dtm_mask.tif.aux.xml", *(f"{n}.tif" for n in wanted), *(f"{n}.qml" for n in wanted)]
     )
     for name, raster in wanted.items():
         with rasterio.open(tmp_path / "rasters" / f"{name}.tif") as file:

@@ -23,6 +23,9 @@ from fwclass.ground.tin.tin import tin_of
 MEASURED, INTERPOLATED, BEYOND = 0, 1, 2
 """Values of the raster `support`."""
 
+NO_TERRAIN, ON_ECHOES, BETWEEN, CONTINUED = 0, 1, 2, 3
+"""Values of the raster `mask`."""
+
 PYRAMID = 64
 """Cells of the coarse global grid that the membrane's pyramid hangs on."""
 
@@ -40,13 +43,28 @@ class Terrain:
     dsm : float32, highest echo of the cell [m], NaN where there is none and no small gap; ``dsm - dtm`` may be a
         little below 0, where the terrain is smoother than its echoes.
     support : uint8, 0 a cell with a ground echo, 1 interpolated, 2 further than max_gap from any such cell.
+    distance : float32, from the cell's middle to that of the nearest cell with a ground echo [m], NaN beyond support.
+    continued : bool, cells without a triangle or a ground echo, where a membrane goes on.
     height : float32 (n,), height above ground [m] of the points asked for, NaN where their cell is beyond support.
     """
 
     dtm: NDArray[np.float32]
     dsm: NDArray[np.float32]
     support: NDArray[np.uint8]
+    distance: NDArray[np.float32]
+    continued: NDArray[np.bool_]
     height: NDArray[np.float32]
+
+    @property
+    def mask(self) -> NDArray[np.uint8]:
+        """uint8 raster, shape of `dtm`: what the terrain of a cell comes from.
+
+        0 no terrain, 1 ground echoes of the cell, 2 a triangle between ground echoes (interpolated), 3 a membrane
+        beyond all triangles (extrapolated).
+        """
+        between = np.where(self.continued, np.uint8(CONTINUED), np.uint8(BETWEEN))
+        known = np.where(self.support == MEASURED, np.uint8(ON_ECHOES), between)
+        return np.where(np.isnan(self.dtm), np.uint8(NO_TERRAIN), known)
 
 
 def terrain(
@@ -89,7 +107,7 @@ def terrain(
     asked = _rows_of(x, y, z, rows[has])
     work, circle = _needed(distance, core, outer, params)
     echoes = _rows_of(x, y, z, np.flatnonzero(used & work.box.contains(x, y)))
-    floor, dtm = _surface(echoes, asked, core, work, circle, params)
+    floor, dtm, continued = _surface(echoes, asked, core, work, circle, params)
     dtm[support[work.within(outer)] == BEYOND] = np.nan
     above = asked[2] - floor
     if params.height == "nearest":
@@ -104,6 +122,8 @@ def terrain(
         dtm=dtm[core.within(work)].astype(np.float32),
         dsm=without_pepper(top, params.dsm_gap / params.cell)[core.within(outer)].astype(np.float32),
         support=support[core.within(outer)],
+        distance=np.where(support == BEYOND, np.nan, distance)[core.within(outer)].astype(np.float32),
+        continued=continued[core.within(work)],
         height=height,
     )
 
@@ -161,8 +181,9 @@ def _needed(distance: NDArray[np.float64], core: Window, outer: Window, params: 
 
 def _surface(
     ground: Points, asked: Points, core: Window, window: Window, circle: float, params: TerrainParams
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Terrain [m] at the points `asked`, which lie in `core`, and at the middle of every cell of `window`.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Terrain [m] at the points `asked`, which lie in `core`, and at the middle of every cell of `window`; the cells
+    that only the membrane reaches.
 
     Off the triangles the raster has the mean of a cell's ground points, and where there are none a membrane. Points
     there take the value of the raster: of what is known of it, where their own cell is.
@@ -179,7 +200,7 @@ def _surface(
     for heights in (known, raster):
         off = np.isnan(floor)
         floor[off] = bilinear(heights, window, asked[0][off], asked[1][off])
-    return floor, raster
+    return floor, raster, np.isnan(known)
 
 
 def _continued(known: NDArray[np.float64], window: Window, gap: float) -> NDArray[np.float64]:
