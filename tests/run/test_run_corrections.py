@@ -170,7 +170,7 @@ def test_a_listed_test_area_stays_one(first, tmp_path):
 
 def test_labels_by_echo_are_a_reference(first, tmp_path):
     """The delivered table of another run serves as one, in several files."""
-    survey, root, _, before = first
+    survey, root, _, _before = first
     settings = (
         f"survey.reference={{kind: echoes, files: ['{root / 'parquet'}/*.parquet'], field: classification}}",
         "survey.reference.corrections=false",
