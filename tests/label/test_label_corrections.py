@@ -133,7 +133,7 @@ def test_writers_at_the_same_time_lose_nothing(where):
 
     def add(k: int) -> None:
         for m in range(5):
-            add_corrections(where, lambda _: rows(3, 2, who=f"{k}/{m}"))
+            add_corrections(where, lambda _, m=m: rows(3, 2, who=f"{k}/{m}"))
 
     threads = [threading.Thread(target=add, args=(k,)) for k in range(4)]
     for thread in threads:

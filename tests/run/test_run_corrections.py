@@ -1,4 +1,4 @@
-"""Corrections of labels: what a run does with them, what it makes anew for them, and that none is trained on and tested."""
+"""Corrections of labels: what a run does with them and makes anew for them; none is trained on and tested."""
 
 from __future__ import annotations
 
