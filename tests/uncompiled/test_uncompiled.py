@@ -23,7 +23,7 @@ CLOSE = {"float64": {"rtol": 1e-9, "atol": 1e-12}, "float32": {"rtol": 1e-6, "at
 
 NOT_REACHED: dict[str, str] = dict.fromkeys(
     ("fwclass.view.packing.pack", "fwclass.view.pyramid._keys", "fwclass.view.pyramid._levels"),
-    "whole numbers, held to plain NumPy in tests/view/test_view_blocks.py",
+    "what they give is held in tests/view/test_view_blocks.py, through the blocks",
 )
 """Kernels that no work of `workloads` calls, and why."""
 
