@@ -41,11 +41,11 @@ print(json.dumps(found))
 
 
 def run(code: str, directory: Path, **environment: str) -> str:
-    """What a process of its own prints."""
+    """What a process of its own prints; Python's bytecode would go by a file's whole seconds, and these are rewritten."""
     path = os.pathsep.join([str(directory), str(Path(__file__).parents[1])])
     ended = subprocess.run(
         [sys.executable, "-P", "-c", code],
-        env=os.environ | {"PYTHONPATH": path} | environment,
+        env=os.environ | {"PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"} | environment,
         check=True,
         capture_output=True,
         text=True,
