@@ -41,7 +41,7 @@ print(json.dumps(found))
 
 
 def run(code: str, directory: Path, **environment: str) -> str:
-    """What a process of its own prints; Python's bytecode would go by a file's whole seconds, and these are rewritten."""
+    """What a process prints, without bytecode: that goes by whole seconds, and files are rewritten within one."""
     path = os.pathsep.join([str(directory), str(Path(__file__).parents[1])])
     ended = subprocess.run(
         [sys.executable, "-P", "-c", code],
