@@ -50,14 +50,14 @@ def seen(path: Path, width: int) -> Page:
             stderr=subprocess.DEVNULL,
         )
         try:
-            port = _port(Path(home))
+            port = debugging_port(Path(home))
             return Page(asyncio.run(_visit(port, path.resolve().as_uri(), width)))
         finally:
             process.terminate()
             process.wait(30)
 
 
-def _port(home: Path, seconds: float = 60.0) -> str:
+def debugging_port(home: Path, seconds: float = 60.0) -> str:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         place = home / "DevToolsActivePort"

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from browser import _port, browser
+from browser import browser, debugging_port
 
 FLAGS = [
     "--headless=new",
@@ -92,11 +92,9 @@ class Driven:
             at = {"x": x + k * dx, "y": y + k * dy}
             self.ask("Input.dispatchMouseEvent", type=kind, button="left", buttons=1, clickCount=1, **at)
 
-    def picture(self, path: Path | None = None) -> bytes:
-        png = base64.b64decode(self.ask("Page.captureScreenshot")["data"])
-        if path is not None:
-            path.write_bytes(png)
-        return png
+    def picture(self) -> bytes:
+        """PNG of what the window shows."""
+        return base64.b64decode(self.ask("Page.captureScreenshot")["data"])
 
 
 @contextmanager
@@ -110,7 +108,7 @@ def driven(width: int = 1280) -> Iterator[Driven]:
         process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         loop = asyncio.new_event_loop()
         try:
-            port = _port(Path(home))
+            port = debugging_port(Path(home))
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
                 target = next(t for t in json.load(answer) if t["type"] == "page")
 

@@ -50,5 +50,5 @@ def with_kept(answered: Table, source: NDArray[np.uint8], kept: Kept | None) -> 
     if kept is None:
         return answered
     stays = kept.rows(source)
-    made = {n: np.where(stays, np.float32(np.nan), answered[n]) for n in answered if n != "classification"}
-    return Table({"classification": np.where(stays, source, answered["classification"]), **made})
+    others = {n: np.where(stays, np.float32(np.nan), answered[n]) for n in answered if n != "classification"}
+    return Table({"classification": np.where(stays, source, answered["classification"]), **others})

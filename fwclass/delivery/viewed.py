@@ -22,9 +22,10 @@ from fwclass.publish.octree import drawn_by
 from fwclass.publish.palette import colours, css
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
+from fwclass.view.cache import Cache
 from fwclass.view.params import ViewParams
 from fwclass.view.pyramid import Node, Pyramid, levels_of, placed
-from fwclass.view.scene import ECHOES, Cache
+from fwclass.view.scene import ECHOES
 from fwclass.view.worklist import unsure_places
 
 THREADS = 2
@@ -117,9 +118,9 @@ class ViewedRun:
             kinds = [(n % NO_VALUE, name) for n, name in sorted(names.items())][:NO_VALUE]
             return {**field, "classes": [_kind(code, name, STRIPS[code % len(STRIPS)]) for code, name in kinds]}
         if part == DIFFERS:
-            return {**field, "classes": [_kind(code, *told) for code, told in enumerate(COMPARED)]}
+            return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(COMPARED)]}
         if part == RIGHT:
-            return {**field, "classes": [_kind(code, *told) for code, told in enumerate(VERDICTS)]}
+            return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(VERDICTS)]}
         scale = self._scale(part)
         return {**field, "low": scale.low, "high": scale.high}
 
@@ -149,7 +150,7 @@ class ViewedRun:
     def why(self, strip: int, pulse: int, echo_number: int) -> dict[str, Any]:
         tile, row = self._asked.get((strip, pulse, echo_number), ("", -1))
         if row < 0:
-            tile, row = self._found(strip, pulse, echo_number)
+            tile, row = self._place_of(strip, pulse, echo_number)
         return self._behind.why(tile, row)
 
     def work(self) -> dict[str, Any]:
@@ -167,7 +168,7 @@ class ViewedRun:
         places = unsure_places(x, y, z, self.params.cluster, self.params.places)
         return {"unsure": limit, "echoes": len(x), "places": [asdict(p) for p in places]}
 
-    def _found(self, strip: int, pulse: int, echo_number: int) -> tuple[str, int]:
+    def _place_of(self, strip: int, pulse: int, echo_number: int) -> tuple[str, int]:
         for key in self.tiles:
             who = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", IDENTITY)
             here = (who["strip"] == strip) & (who["pulse"] == pulse) & (who["echo_number"] == echo_number)

@@ -20,7 +20,7 @@ from fwclass.model.matrix import sample_matrix
 from fwclass.run.inputs import PartInputs
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
-from fwclass.view.scene import Cache
+from fwclass.view.cache import Cache
 
 TELLING = 10
 """Features that are told."""

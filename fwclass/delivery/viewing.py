@@ -1,4 +1,4 @@
-"""`fwclass view`: serving runs, or writing them as a folder."""
+"""`fwclass view`: runs served to a browser."""
 
 from __future__ import annotations
 

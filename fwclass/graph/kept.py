@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.classes import standard_name
+from fwclass.classes import STANDARD, ClassDef, standard_name
 from fwclass.classify.kept import Kept
 from fwclass.graph.stage import Plan, StageInputs
 
@@ -40,6 +40,17 @@ def source_of(here: StageInputs, kept: Kept | None) -> NDArray[np.uint8]:
 def kept_codes(by_code: Mapping[int, int], kept: Kept | None) -> dict[int, int]:
     """Of the echoes by the class of their source those that stay."""
     return {code: by_code[code] for code in sorted(by_code) if kept and kept.codes[code]}
+
+
+def kept_names(by_code: Mapping[int, int], kept: Kept | None, own: Iterable[int]) -> dict[int, str]:
+    """What the standard calls the codes that stay, but for those of a class (`own`)."""
+    classes = frozenset(own)
+    return {code: standard_name(code) for code in kept_codes(by_code, kept) if code not in classes}
+
+
+def known_codes(classes: Iterable[ClassDef]) -> frozenset[int]:
+    """Codes that a class is written as, or counts."""
+    return frozenset(code for c in classes for code in (c.code, *c.codes))
 
 
 def class_remarks(
@@ -74,5 +85,5 @@ def class_remarks(
 
 def _listed(by_code: Mapping[int, int]) -> str:
     most = sorted(by_code, key=lambda c: (-by_code[c], c))
-    words = [f"{c} {standard_name(c)}: {by_code[c]:,}".replace(f"{c} class {c}", f"class {c}") for c in most[:SHOWN]]
+    words = [f"{f'{c} {STANDARD[c]}' if c in STANDARD else standard_name(c)}: {by_code[c]:,}" for c in most[:SHOWN]]
     return ", ".join(words) + (f" and {len(most) - SHOWN} more" if len(most) > SHOWN else "")

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from fwclass.classes import standard_name
 from fwclass.classify.kept import Kept
 from fwclass.errors import StoreError
 from fwclass.graph.classify import classes_written
-from fwclass.graph.kept import keeping, kept_by, kept_codes
+from fwclass.graph.kept import keeping, kept_by, kept_names
 from fwclass.graph.layout import FileDigests, Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
@@ -201,8 +200,8 @@ def columns_of_tiles(plan: Plan) -> Names:
 def class_names(plan: Plan) -> dict[str, str]:
     """Names of the survey's classes by code, and of those that stay as the sources have them."""
     own = {str(c.code): c.name for c in plan.config.survey.classes}
-    others = kept_codes(source_codes(plan.splits), Kept.of(plan.config.classify))
-    return {**{str(code): standard_name(code) for code in others if str(code) not in own}, **own}
+    others = kept_names(source_codes(plan.splits), Kept.of(plan.config.classify), map(int, own))
+    return {**{str(code): name for code, name in others.items()}, **own}
 
 
 DELIVER_TILE = Stage(

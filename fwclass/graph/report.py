@@ -9,7 +9,6 @@ from typing import Any
 
 from fwclass import __version__
 from fwclass.assess.stage import caution
-from fwclass.classes import standard_name
 from fwclass.classify.kept import Kept
 from fwclass.conf import Config
 from fwclass.decompose.plausible import added
@@ -19,7 +18,7 @@ from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.classify import OUTSIDE
 from fwclass.graph.corrections import CORRECTIONS
 from fwclass.graph.drift import drift
-from fwclass.graph.kept import class_remarks, kept_codes
+from fwclass.graph.kept import class_remarks, kept_codes, kept_names, known_codes
 from fwclass.graph.layout import Layout, Survey
 from fwclass.graph.plausibility import UNREADABLE, of_strip, receiver_facts, remarks
 from fwclass.graph.report_facts import made_in_run, place_of, some_waves, sureness
@@ -69,6 +68,7 @@ def write_report(
     from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
 
     source = source_codes({(SPLIT.name, r.part): r for r in made_in_run(runner, SPLIT.name)})
+    kept = Kept.of(config.classify)
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
@@ -76,7 +76,7 @@ def write_report(
         "counts": _counts(runner),
         "stages": [_stage(runner, name, tally) for name, tally in runner.tallies.items()],
         "graph": list(graph),
-        "classes": (classes := _classes(config, source)),
+        "classes": (classes := _classes(config, source, kept)),
         "accuracy": (accuracy := _accuracy(runner, config)),
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(runner, names),
@@ -109,9 +109,9 @@ def write_report(
             *(drifted or {}).get("remarks", ()),
             *_crowded(runner, config),
             *_empty(files),
-            *class_remarks(source, _known(config), Kept.of(config.classify)),
+            *class_remarks(source, known_codes(config.classes), kept),
         ],
-        "kept": {str(c): n for c, n in kept_codes(source, Kept.of(config.classify)).items()},
+        "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
         "ground": _ground(runner, config),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(runner),
@@ -131,17 +131,11 @@ def write_report(
     return report
 
 
-def _classes(config: Config, source: Mapping[int, int]) -> list[dict[str, Any]]:
+def _classes(config: Config, source: Mapping[int, int], kept: Kept | None) -> list[dict[str, Any]]:
     """The survey's classes, and those that stay as the sources have them."""
     own = [{"name": c.name, "code": c.code} for c in config.survey.classes]
-    codes = {c.code for c in config.survey.classes}
-    others = [code for code in kept_codes(source, Kept.of(config.classify)) if code not in codes]
-    return [*own, *({"name": standard_name(code), "code": code} for code in others)]
-
-
-def _known(config: Config) -> frozenset[int]:
-    """Codes that a class is written as, or counts."""
-    return frozenset(code for c in config.survey.classes for code in (c.code, *c.codes))
+    others = kept_names(source, kept, (c.code for c in config.survey.classes))
+    return [*own, *({"name": name, "code": code} for code, name in others.items())]
 
 
 def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:

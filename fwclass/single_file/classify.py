@@ -20,7 +20,7 @@ from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
 from fwclass.features.stage import features
 from fwclass.graph.drift import drift
-from fwclass.graph.kept import class_remarks, kept_codes
+from fwclass.graph.kept import class_remarks, kept_codes, known_codes
 from fwclass.graph.model_fit import check_computed, check_names, ground_note
 from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
@@ -127,7 +127,6 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     wrote = write_strip_laz(job.source, job.output, classes, extra, conf.section("publish", job.settings))
     used, counts = np.unique(classes, return_counts=True)
     by_code = dict(zip(*(n.tolist() for n in np.unique(own, return_counts=True)), strict=True))
-    known = frozenset(code for c in model.classes for code in (c.code, *c.codes))
     stay = kept_codes(by_code, kept)
     sure = answered["confidence"][np.isfinite(answered["confidence"])]
     return {
@@ -155,7 +154,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
             *dense,
             *notes,
             *_drift_notes(seen),
-            *class_remarks(by_code, known, kept, "points"),
+            *class_remarks(by_code, known_codes(model.classes), kept, "points"),
             *(str(n) for n in wrote.get("notes", ())),
         ],
         "seconds": round(time.perf_counter() - began, 3),

@@ -25,7 +25,7 @@ def pack(x, y, z, code, confidence, height, intensity, rows, corner, step, rise,
         now[0] = min(max(int((x[row] - corner[0]) / step), 0), 65535)
         now[1] = min(max(int((y[row] - corner[1]) / step), 0), 65535)
         now[2] = min(max(int(np.floor((z[row] - corner[2]) / rise + 0.5)), 0), 65535) if np.isfinite(z[row]) else 0
-        h = height[row]
+        h = np.float64(height[row])
         code_of_h = min(max(int(np.floor((h - HEIGHT_LOW) / HEIGHT_STEP + 1.5)), 1), 65535) if np.isfinite(h) else 0
         now[3] = code_of_h - int(now[2] * rise / HEIGHT_STEP)
         for axis in range(4):
@@ -37,5 +37,5 @@ def pack(x, y, z, code, confidence, height, intensity, rows, corner, step, rise,
         out[8 * n + k] = intensity[row] & 255
         out[9 * n + k] = (intensity[row] >> 8) & 255
         out[10 * n + k] = code[row]
-        sure = confidence[row]
+        sure = np.float64(confidence[row])
         out[11 * n + k] = min(max(int(sure * CONFIDENCE + 0.5), 0), 200) if np.isfinite(sure) else 255

@@ -19,6 +19,7 @@ from fwclass import conf
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.process import process
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.view.blocks import HEAD
 from fwclass.view.scene import ECHOES
 from fwclass.view.server import Server
 
@@ -64,11 +65,21 @@ def test_echoes_to_blocks(run: Path) -> None:
 
 
 def made(scene: ViewedRun) -> tuple[float, int]:
-    """CPU seconds for every block, and their bytes."""
-    began, size = time.process_time(), 0
-    for level in scene.pyramid.levels():
-        size += len(scene.level(ECHOES, level))
-    return time.process_time() - began, size
+    """CPU seconds for every block, and their bytes; every echo is in one."""
+    began = time.process_time()
+    levels = [scene.level(ECHOES, level) for level in scene.pyramid.levels()]
+    seconds = time.process_time() - began
+    assert sum(map(echoes_in, levels)) == scene.echoes
+    return seconds, sum(map(len, levels))
+
+
+def echoes_in(level: bytes) -> int:
+    """Of all blocks of a level."""
+    at = count = 0
+    while at < len(level):
+        size, _, _, _, n, *_ = HEAD.unpack_from(level, at)
+        at, count = at + HEAD.size + size, count + n
+    return count
 
 
 def test_the_page(run: Path) -> None:
@@ -89,6 +100,7 @@ def test_the_page(run: Path) -> None:
             n, middle, most = page.run(TURN)
             print(f"in motion {n} frames, median {middle:.0f} ms, longest {most:.0f} ms")
             picks = page.run(WALK)
+            assert stats["drawn"] > 0 and picks and page.faults == []
             print(f"pick: median {picks[len(picks) // 2]:.0f} ms, longest {picks[-1]:.0f} ms of {len(picks)}")
             began = time.monotonic()
             page.until("fwclass.stats.wave && fwclass.stats.why")

@@ -7,10 +7,12 @@ taken from `../shared/data` where there is any.
 
 from __future__ import annotations
 
+import _thread
 import json
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,8 +45,11 @@ COMMANDS = [
     f"decompose {DATA / 'waveform' / 'geolas_example2.pls'} pulses.laz",
     f"ground {DATA / 'isprs' / 'samp21.txt'} text.txt",
     f"features {DATA / 'ign_hd' / 'urban_77050_627755.laz'} town.parquet --set xiong2018",
+    "view demo --no-browser",
 ]
 """What is run, in this order."""
+LONG_ENOUGH = 30.0
+"""s, after which the viewer, which does not end by itself, has made its first blocks and answers."""
 
 
 def child(to: Path, words: list[str]) -> None:
@@ -53,6 +58,8 @@ def child(to: Path, words: list[str]) -> None:
     from fwclass.cli import cli
     from fwclass.operate.ahead import lines
 
+    if words[0] == "view":
+        threading.Timer(LONG_ENOUGH, _thread.interrupt_main).start()
     try:
         cli(words, standalone_mode=False)
     finally:

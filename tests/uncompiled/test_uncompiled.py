@@ -21,10 +21,7 @@ ROOT = Path(__file__).parents[2]
 CLOSE = {"float64": {"rtol": 1e-9, "atol": 1e-12}, "float32": {"rtol": 1e-6, "atol": 1e-12}}
 """Only kernels that are `vectorised` may differ at all, in their last bits: they may sum in another order."""
 
-NOT_REACHED: dict[str, str] = dict.fromkeys(
-    ("fwclass.view.packing.pack", "fwclass.view.pyramid._keys", "fwclass.view.pyramid._levels"),
-    "what they give is held in tests/view/test_view_blocks.py, through the blocks",
-)
+NOT_REACHED: dict[str, str] = {}
 """Kernels that no work of `workloads` calls, and why."""
 
 

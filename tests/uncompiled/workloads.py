@@ -70,6 +70,8 @@ from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 from fwclass.train.stage import grow_tree, grow_trees, out_of_bag, train
 from fwclass.units import METRES_PER_NS
+from fwclass.view.blocks import block
+from fwclass.view.pyramid import Pyramid, levels_of, placed
 from fwclass.voxels.traversal import follow
 
 EAST, NORTH = 512_000.0, 5_403_200.0
@@ -438,6 +440,22 @@ def work_octree(_: Path) -> Any:
     echoes = Table({"strip": np.ones(400), "pulse": np.arange(400), "echo_number": np.ones(400)})
     made = octree(rng.integers(-500, 500, (400, 3)), echoes, 20)
     return [made.low, made.order, made.keys, made.counts]
+
+
+def work_blocks_of_the_viewer(_: Path) -> Any:
+    rng = np.random.default_rng(7)
+    places = rng.uniform(0, 100, (3, 300))
+    pyramid = Pyramid.over(np.array([[0, 0], [1, 1]]), 300, 50.0, 40)
+    order, nodes = placed(pyramid, levels_of(pyramid, rng.integers(0, 2**64, 300, np.uint64)), places[0], places[1])
+    echoes = {
+        **dict(zip("xyz", places, strict=True)),
+        "classification": rng.integers(0, 256, 300).astype(np.uint8),
+        "confidence": np.where(rng.random(300) < 0.1, np.nan, rng.random(300)).astype(np.float32),
+        "height_above_ground": np.where(rng.random(300) < 0.1, np.nan, rng.uniform(-150, 700, 300)).astype(np.float32),
+        "intensity": rng.integers(0, 65536, 300).astype(np.uint16),
+    }
+    packed = [block(pyramid, n, echoes, order[a:b], (0.0, 0.0, 0.0)) for n, (a, b) in nodes.items()]
+    return [order, np.array(list(nodes)), np.frombuffer(b"".join(packed), np.uint8)]
 
 
 def work_street(_: Path) -> Any:

@@ -142,6 +142,20 @@ def test_section_measure_keys_and_work_list(page: Driven) -> None:
     assert page.faults == []
 
 
+def test_a_mouse_turns_and_asks(page: Driven) -> None:
+    """Events of a hand, not the page's own functions."""
+    before = page.run("fwclass.cam.azimuth")
+    page.drag(400, 400, 60, 0)
+    assert page.run("fwclass.cam.azimuth") != before
+    assert page.run("document.getElementById('picked').hidden")  # who drags asks for nothing
+    page.until("fwclass.stats.settled")
+    for x, y in page.run(PLACES):
+        page.click(x, y)
+        if page.run("fwclass.state.selected !== null"):
+            break
+    page.until("!document.getElementById('picked').hidden")
+
+
 @pytest.mark.parametrize("width", [390, 1280])
 def test_nothing_lies_outside_the_window(page: Driven, width: int) -> None:
     page.size(width)
@@ -159,8 +173,10 @@ def test_a_lost_context_comes_back_and_no_token_is_told(page: Driven, server: Se
     page.run("new Promise((done) => setTimeout(() => { lose.restoreContext(); setTimeout(done, 500); }, 200))")
     page.run("fwclass.moved()")
     page.until("fwclass.stats.drawn > 0 && document.getElementById('fault').hidden")
+    assert page.run("fwclass.stats.drawn") > 0 and page.run("document.getElementById('fault').textContent") == ""
     page.open(server.address.split("#")[0])
     page.until("/token/.test(document.getElementById('fault').textContent)")
+    assert not page.run("document.getElementById('fault').hidden") and page.run("fwclass.stats.drawn") == 0
 
 
 def test_two_runs_side_by_side(browser_page: Driven, run: Path) -> None:

@@ -1,4 +1,4 @@
-// Requests of the scene's data. The token goes as a header; a folder on a plain web server needs none.
+// Requests of the scene's data; the token goes as a header.
 let token = '';
 export const traffic = { requests: 0, bytes: 0 };
 export const useToken = (text) => { token = text; };
@@ -6,9 +6,7 @@ export const useToken = (text) => { token = text; };
 export async function json(path) {
   let answer;
   try { answer = await fetch(`data/${path}`, { headers: token ? { 'X-Fwclass-Token': token } : {} }); } catch {
-    throw new Error(location.protocol === 'file:'
-      ? 'A page from a disk may not read its data. Serve the folder: python -m http.server'
-      : 'The server does not answer: it was ended, or this machine slept. Start fwclass view again and open the address that it prints.');
+    throw new Error('The server does not answer: it was ended, or this machine slept. Start fwclass view again and open the address that it prints.');
   }
   const text = await answer.text();
   traffic.requests += 1; traffic.bytes += text.length;
