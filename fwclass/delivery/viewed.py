@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
 from threading import Lock
 from typing import Any
@@ -15,8 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
-from fwclass.delivery.opened import Delivery
+from fwclass.delivery.opened import Delivery, open_run
+from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
+from fwclass.delivery.viewed_relabel import Relabelling
+from fwclass.delivery.viewed_tile import OpenTile, by_node
 from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import drawn_by
 from fwclass.publish.palette import colours, css
@@ -32,30 +35,18 @@ THREADS = 2
 """That read tiles ahead; more take turns at the interpreter's lock."""
 
 
-RIGHT, DIFFERS = "right_or_wrong", "differs"
+RIGHT, DIFFERS, CORRECTED = "right_or_wrong", "differs", "corrected"
 HIDDEN = ("x", "y", "z", "pulse", "echo_number")
 """Columns that are no colours."""
 
 VERDICTS = (("no reference", "#b8bec3"), ("right", "#2f7d46"), ("wrong", "#c8102e"))
 COMPARED = (("not in the other run", "#b8bec3"), ("same class", "#7fa7b5"), ("another class", "#c8102e"))
+OWN = (("as delivered", "#b8bec3"), ("corrected", "#c8102e"))
 STRIPS = ("#009ea3", "#c44e8c", "#f0c43c", "#566ebe", "#8c563c", "#5fa83c", "#e2782a", "#7a4fb0")
 """Colours of strips, in turn."""
 
 REMEMBERED = 10_000
 """Echoes whose place in the tables is known from when they were looked at."""
-
-
-@dataclass(frozen=True)
-class OpenTile:
-    """A tile's columns, the order of its echoes in blocks, and the span of every node in that order."""
-
-    columns: Mapping[str, NDArray]
-    order: NDArray[np.int64]
-    nodes: Mapping[Node, tuple[int, int]]
-
-    @property
-    def size(self) -> int:
-        return int(sum(v.nbytes for v in self.columns.values()) + self.order.nbytes)
 
 
 class ViewedRun:
@@ -76,8 +67,16 @@ class ViewedRun:
         self._pool, self._lock = ThreadPoolExecutor(THREADS), Lock()
         self._skimmed: OpenTile | None = None
         self._behind = BehindEchoes(delivery)
+        self.relabel = Relabelling(delivery, params, self._in_blocks)
         self._other = other.path / "parquet" if other is not None else None
         self._asked: dict[tuple[int, ...], tuple[str, int]] = {}
+
+    @property
+    def name(self) -> str:
+        return self.delivery.path.name
+
+    def reopened(self) -> ViewedRun:
+        return ViewedRun(open_run(self.delivery.root), self.params)
 
     def prepare(self) -> None:
         """Make ahead what the page asks for first; what fails will be said when it is asked for."""
@@ -96,7 +95,8 @@ class ViewedRun:
         return {
             "name": report["survey"],
             "crs": report["place"].get("crs"),
-            "delivery": self.delivery.path.name,
+            "delivery": self.name,
+            "rows": self.relabel.corrections.rows().all.rows,
             "echoes": self.echoes,
             "against": self._other is not None,
             "origin": self.origin,
@@ -119,6 +119,8 @@ class ViewedRun:
             return {**field, "classes": [_kind(code, name, STRIPS[code % len(STRIPS)]) for code, name in kinds]}
         if part == DIFFERS:
             return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(COMPARED)]}
+        if part == CORRECTED:
+            return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(OWN)]}
         if part == RIGHT:
             return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(VERDICTS)]}
         scale = self._scale(part)
@@ -127,17 +129,19 @@ class ViewedRun:
     def level(self, part: str, level: int) -> bytes:
         if level not in self.pyramid.levels():
             raise InputError("no such level", where=self.delivery.path, got=level)
-        return bytes(self._blocks.get((part, level), lambda: self._whole_level(part, level)))
+        version = self.relabel.corrections.rows().all.rows if part in (ECHOES, CORRECTED) else 0
+        return bytes(self._blocks.get((part, level, version), lambda: self._whole_level(part, level)))
 
     def node(self, part: str, node: Node) -> bytes:
         if not self.pyramid.has(node):
             raise InputError("no such block", where=self.delivery.path, got=node)
-        return bytes(self._blocks.get((part, node), lambda: self._block(part, node)))
+        version = self._version(self._key_of(node)) if part in (ECHOES, CORRECTED) else 0
+        return bytes(self._blocks.get((part, node, version), lambda: self._block(part, node)))
 
     def echo(self, node: Node, row: int) -> dict[str, Any]:
         tile, at = self._row_of(node, row)
         path = self.delivery.path / "parquet" / f"{tile}.parquet"
-        names = [f["name"] for f in self._fields if f["name"] not in (RIGHT, DIFFERS)]
+        names = [f["name"] for f in self._fields if f["name"] not in (RIGHT, DIFFERS, CORRECTED)]
         values = {n: _plain(v[at]) for n, v in table_columns(path, names).items()}
         if len(self._asked) >= REMEMBERED:
             self._asked.clear()
@@ -196,14 +200,51 @@ class ViewedRun:
         first, last = opened.nodes[node]
         rows = opened.order[first:last]
         if part == ECHOES:
-            return block(self.pyramid, node, opened.columns, rows, self.origin)
+            shown = {**opened.columns, "classification": self._classes(opened, self._key_of(node))[0]}
+            return block(self.pyramid, node, shown, rows, self.origin)
         return column_block(node, self._bytes(part, node, rows))
 
     def _holder(self, node: Node) -> OpenTile:
-        if node[0] < self.pyramid.own:
+        key = self._key_of(node)
+        if not key:
             return self._skim()
-        key = "{}_{}".format(*self.pyramid.tile_of(node))
         return self._tile(key) if key in self.tiles else OpenTile({}, np.empty(0, np.int64), {})
+
+    def _key_of(self, node: Node) -> str:
+        """The tile that a node lies in, "" for one over several."""
+        return "" if node[0] < self.pyramid.own else "{}_{}".format(*self.pyramid.tile_of(node))
+
+    def _version(self, key: str) -> int:
+        """What changes with corrections in a tile, with any for ""."""
+        rows = self.relabel.corrections.rows()
+        return rows.version(key) if key else rows.all.rows
+
+    def _classes(self, opened: OpenTile, key: str) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """Classes of a tile's echoes, or of the coarse ones for "", corrections in place; rows of corrected ones."""
+        rows = self.relabel.corrections.rows()
+        labels = rows.of(key) if key else rows.labels
+        if not labels.rows:
+            return in_place(opened.columns, labels, 0.0)
+        name = "classes", key, self._version(key)
+        reach = self.relabel.corrections.reach
+        return self._open.get(name, lambda: in_place(opened.columns, labels, reach), lambda v: len(v[0]))
+
+    def _in_blocks(self, key: str, rows: NDArray[np.int64]) -> list[tuple[Node, NDArray, NDArray]]:
+        """Nodes that have echoes `rows` of a tile, their rows in the node's block, and indices into `rows`."""
+        opened, out = self._tile(key), []
+        for node, at, index in by_node(opened, rows):
+            if node[0] >= self.pyramid.own:
+                out.append((node, at, index))
+        if self.pyramid.own:
+            skim = self._skim()
+            number = list(self.tiles).index(key)
+            bounds = np.searchsorted(skim.columns["tile"], [number, number + 1])
+            there = skim.columns["row"][bounds[0] : bounds[1]]
+            if len(there):
+                at = np.minimum(np.searchsorted(there, rows), len(there) - 1)
+                index = np.flatnonzero(there[at] == rows)
+                out += [(n, r, index[i]) for n, r, i in by_node(skim, bounds[0] + at[index])]
+        return out
 
     def _tile(self, key: str) -> OpenTile:
         return self._open.get(key, lambda: self._opened(key), lambda tile: tile.size)
@@ -254,6 +295,7 @@ class ViewedRun:
     @cached_property
     def _fields(self) -> list[dict[str, str]]:
         fields = table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
+        fields.append({"name": CORRECTED, "unit": "", "meaning": "echoes that have a class by corrections"})
         if self.delivery.report["accuracy"] and self._behind.has_reference:
             fields.append(
                 {"name": RIGHT, "unit": "", "meaning": "the class beside the reference's, training areas too"}
@@ -290,6 +332,9 @@ class ViewedRun:
 
     def _bytes(self, name: str, node: Node, rows: NDArray[np.int64]) -> NDArray[np.uint8]:
         if node[0] < self.pyramid.own:
+            if name == CORRECTED:
+                skim = self._skim()
+                return _at(len(skim.order), self._classes(skim, "")[1])[rows]
             return self._skimmed_column(name)[rows]
         key = "{}_{}".format(*self.pyramid.tile_of(node))
         return self._tile_bytes(key, name)[rows]
@@ -298,6 +343,9 @@ class ViewedRun:
         """A byte an echo of a tile, in the table's order."""
         if name == RIGHT:
             return self._verdicts(key)
+        if name == CORRECTED:
+            tile = self._tile(key)
+            return _at(len(tile.order), self._classes(tile, key)[1])
         if name == DIFFERS:
             return self._compared(key)
         values = self._column(key, name)
@@ -340,6 +388,13 @@ class ViewedRun:
             mine = slice(bounds[number], bounds[number + 1])
             out[mine] = self._tile_bytes(key, name)[row[mine]]
         return out
+
+
+def _at(count: int, rows: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """1 in `rows`, 0 elsewhere."""
+    out = np.zeros(count, np.uint8)
+    out[rows] = 1
+    return out
 
 
 def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:

@@ -21,6 +21,9 @@ class ViewParams(Params):
     unsure : echoes with less confidence are places to look at.
     cluster : unsure echoes nearer than this, in squares of the global grid, are one place [m].
     places : of the work list.
+    body : of a request that changes something [bytes].
+    searched : echoes of the tiles that a selection may touch.
+    selected : echoes of one selection.
     """
 
     block: int = Field(ge=1000, le=1_000_000)
@@ -32,3 +35,6 @@ class ViewParams(Params):
     unsure: float = Field(ge=0, le=1)
     cluster: float = Field(ge=0.1, le=10_000)
     places: int = Field(ge=1, le=100_000)
+    body: int = Field(ge=1024, le=1_000_000)
+    searched: int = Field(ge=1000, le=1_000_000_000)
+    selected: int = Field(ge=1, le=10_000_000)
