@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
@@ -40,12 +43,12 @@ def write_work_list(run: Path, params: ViewParams, path: Path, overwrite: bool) 
     scene = ViewedRun(open_run(run), params)
     places = scene.work_list().places
     names = {int(c["code"]): str(c["name"]) for c in scene.delivery.report["classes"]}
-    told = [", ".join(f"{names.get(code, f'code {code}')} {n}" for code, n in p.classes) for p in places]
-    fields = {
+    texts = [", ".join(f"{names.get(code, f'code {code}')} {n}" for code, n in p.classes) for p in places]
+    fields: dict[str, NDArray[Any] | Sequence[str]] = {
         "rank": np.arange(1, len(places) + 1, dtype=np.int32),
         "echoes": np.array([p.echoes for p in places], np.int64),
         "confidence": np.array([p.confidence for p in places], np.float64),
-        "classes": told,
+        "classes": texts,
         **{axis: np.array([getattr(p, axis) for p in places], np.float64) for axis in ("x", "y", "z", "size")},
     }
     write_gpkg([Layer(LAYER, [Box(*p.box) for p in places], fields)], path, scene.delivery.crs)

@@ -58,7 +58,7 @@ class WorkList:
 
     def of(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int64]:
         """(rows,), which of `places` unsure echoes at `x`, `y` belong to; -1 for none."""
-        known = {square: k for square, k in zip(map(tuple, self.squares.tolist()), self.number.tolist(), strict=True)}
+        known = dict(zip(map(tuple, self.squares.tolist()), self.number.tolist(), strict=True))
         asked, at = np.unique(_squares(x, y, self.cell), axis=0, return_inverse=True)
         found = np.array([known.get((i, j), -1) for i, j in asked.tolist()], np.int64)
         return np.asarray(found[at.ravel()], np.int64)
@@ -90,7 +90,7 @@ class UnsureEchoes:
     ) -> None:
         """Unsure echoes of a tile: places [m], confidence, class code."""
         squares = _squares(x, y, self.cell)
-        at = [millimetres(v) - millimetres(squares[:, k] * self.cell) for k, v in enumerate((x, y))]
+        at = [millimetres(v) - self._corner(squares, k) for k, v in enumerate((x, y))]
         sure = np.rint(confidence.astype(np.float64) * PARTS).astype(np.int64)
         sums = np.stack([np.ones(len(x), np.int64), *at, millimetres(z), sure], axis=1)
         keys, sums = _summed(np.c_[squares, code.astype(np.int64)], sums)
@@ -117,13 +117,17 @@ class UnsureEchoes:
         places = tuple(self._place(keys[r], sums[r]) for r in rows)
         return WorkList(places, self.cell, keys[np.concatenate(rows), :2], number)
 
+    def _corner(self, squares: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
+        """West or south border of squares [mm]."""
+        return millimetres(np.asarray(squares[:, axis] * self.cell, np.float64))
+
     def _place(self, keys: NDArray[np.int64], sums: NDArray[np.int64]) -> Place:
         """The place of some squares by class."""
         classes = np.bincount(keys[:, 2], weights=sums[:, 0]).astype(np.int64)
         codes = [c for c in np.argsort(-classes, kind="stable").tolist() if classes[c]]
         squares, sums = _summed(keys[:, :2], sums)
         n = sums[:, 0]
-        x, y = ((millimetres(squares[:, k] * self.cell) + sums[:, 1 + k] / n) / 1000 for k in (0, 1))
+        x, y = ((self._corner(squares, k) + sums[:, 1 + k] / n) / 1000 for k in (0, 1))
         mx, my, mz = (_quantile(v, n, 0.5) for v in (x, y, sums[:, 3] / n / 1000))
         far = _quantile(np.hypot(x - mx, y - my), n, SHOWN)
         low, high = squares.min(axis=0) * self.cell, (squares.max(axis=0) + 1) * self.cell
