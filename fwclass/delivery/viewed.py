@@ -29,7 +29,7 @@ from fwclass.view.cache import Cache
 from fwclass.view.params import ViewParams
 from fwclass.view.pyramid import Node, Pyramid, levels_of, placed
 from fwclass.view.scene import ECHOES
-from fwclass.view.worklist import unsure_places
+from fwclass.view.worklist import UnsureEchoes, WorkList
 
 THREADS = 2
 """That read tiles ahead; more take turns at the interpreter's lock."""
@@ -44,6 +44,9 @@ COMPARED = (("not in the other run", "#b8bec3"), ("same class", "#7fa7b5"), ("an
 OWN = (("as delivered", "#b8bec3"), ("corrected", "#c8102e"))
 STRIPS = ("#009ea3", "#c44e8c", "#f0c43c", "#566ebe", "#8c563c", "#5fa83c", "#e2782a", "#7a4fb0")
 """Colours of strips, in turn."""
+
+UNSURE = ("x", "y", "z", "confidence", "classification")
+"""Columns that the work list is made of."""
 
 REMEMBERED = 10_000
 """Echoes whose place in the tables is known from when they were looked at."""
@@ -158,19 +161,20 @@ class ViewedRun:
         return self._behind.why(tile, row)
 
     def work(self) -> dict[str, Any]:
-        return dict(self._open.get("work", self._places, lambda _: 1 << 20))
+        places = [asdict(p) for p in self.work_list().places]
+        return {"unsure": self.params.unsure, "places": places}
 
-    def _places(self) -> dict[str, Any]:
-        names = ("x", "y", "z", "confidence")
-        limit = self.params.unsure
-        parts = []
+    def work_list(self) -> WorkList:
+        """The places of unsure echoes, as `work` tells them."""
+        return self._open.get("work", self._places, lambda work: 1 << 20)
+
+    def _places(self) -> WorkList:
+        unsure = UnsureEchoes(self.params.cluster)
         for key in self.tiles:
-            columns = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", names)
-            rows = np.flatnonzero(columns["confidence"] < limit)
-            parts.append([columns[n][rows] for n in names[:3]])
-        x, y, z = (np.concatenate([p[k] for p in parts]) for k in range(3))
-        places = unsure_places(x, y, z, self.params.cluster, self.params.places)
-        return {"unsure": limit, "echoes": len(x), "places": [asdict(p) for p in places]}
+            columns = self._columns(key, UNSURE)
+            rows = columns["confidence"] < self.params.unsure
+            unsure.add(*(columns[n][rows] for n in UNSURE))
+        return unsure.work_list(self.params.places)
 
     def _place_of(self, strip: int, pulse: int, echo_number: int) -> tuple[str, int]:
         for key in self.tiles:

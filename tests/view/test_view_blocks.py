@@ -11,7 +11,6 @@ import pytest
 from fwclass.view.blocks import BYTES, DRAWN, HEAD, STEP, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
 from fwclass.view.pyramid import Pyramid, levels_of, placed
-from fwclass.view.worklist import unsure_places
 
 SIZE = 50.0
 TILES = np.array([[10, 20], [11, 20], [10, 21], [12, 22]])
@@ -112,13 +111,3 @@ def test_the_cache_forgets_what_was_not_used() -> None:
     with pytest.raises(ZeroDivisionError):
         cache.get("d", lambda: 1 / 0)
     assert cache.get("d", lambda: b"1") == b"1"
-
-
-def test_places_join_squares_that_touch() -> None:
-    x = np.array([0.5, 1.5, 2.5, 9.5, 9.6, -7.0])
-    y = np.array([0.5, 1.5, 0.5, 0.5, 0.5, 3.0])
-    places = unsure_places(x, y, np.zeros(6), 1.0, 10)
-    assert [p.echoes for p in places] == [3, 2, 1]
-    shuffled = [5, 3, 1, 0, 2, 4]
-    assert unsure_places(x[shuffled], y[shuffled], np.zeros(6), 1.0, 10) == places
-    assert unsure_places(x[:0], y[:0], x[:0], 1.0, 5) == []
