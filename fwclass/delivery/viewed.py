@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict
 from functools import cached_property
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import Delivery, open_run
+from fwclass.delivery.viewed_colours import CORRECTED, DIFFERS, MEANING, RIGHT, accepted, compared, kinds, verdicts
 from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.delivery.viewed_relabel import Relabelling
@@ -23,7 +25,7 @@ from fwclass.delivery.viewed_tile import OpenTile, by_node
 from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import drawn_by
 from fwclass.publish.palette import colours, css
-from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.schema import IDENTITY, Table
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
 from fwclass.view.params import ViewParams
@@ -34,16 +36,8 @@ from fwclass.view.worklist import UnsureEchoes, WorkList
 THREADS = 2
 """That read tiles ahead; more take turns at the interpreter's lock."""
 
-
-RIGHT, DIFFERS, CORRECTED = "right_or_wrong", "differs", "corrected"
 HIDDEN = ("x", "y", "z", "pulse", "echo_number")
 """Columns that are no colours."""
-
-VERDICTS = (("no reference", "#b8bec3"), ("right", "#2f7d46"), ("wrong", "#c8102e"))
-COMPARED = (("not in the other run", "#b8bec3"), ("same class", "#7fa7b5"), ("another class", "#c8102e"))
-OWN = (("as delivered", "#b8bec3"), ("corrected", "#c8102e"))
-STRIPS = ("#009ea3", "#c44e8c", "#f0c43c", "#566ebe", "#8c563c", "#5fa83c", "#e2782a", "#7a4fb0")
-"""Colours of strips, in turn."""
 
 UNSURE = ("x", "y", "z", "confidence", "classification")
 """Columns that the work list is made of."""
@@ -79,7 +73,8 @@ class ViewedRun:
         return self.delivery.path.name
 
     def reopened(self) -> ViewedRun:
-        return ViewedRun(open_run(self.delivery.root), self.params)
+        current = open_run(self.delivery.root)
+        return self if current.path == self.delivery.path else ViewedRun(current, self.params)
 
     def prepare(self) -> None:
         """Make ahead what the page asks for first; what fails will be said when it is asked for."""
@@ -102,6 +97,7 @@ class ViewedRun:
             "rows": self.relabel.corrections.rows().all.rows,
             "echoes": self.echoes,
             "against": self._other is not None,
+            "relabels": self._other is None,
             "origin": self.origin,
             "size": pyramid.size,
             "west": pyramid.west,
@@ -116,16 +112,8 @@ class ViewedRun:
 
     def scale(self, part: str) -> dict[str, Any]:
         field = self._field(part)
-        if part == "strip":
-            names = {int(f["strip"]): str(f["path"]) for f in self.delivery.report["input"]["files"]}
-            kinds = [(n % NO_VALUE, name) for n, name in sorted(names.items())][:NO_VALUE]
-            return {**field, "classes": [_kind(code, name, STRIPS[code % len(STRIPS)]) for code, name in kinds]}
-        if part == DIFFERS:
-            return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(COMPARED)]}
-        if part == CORRECTED:
-            return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(OWN)]}
-        if part == RIGHT:
-            return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(VERDICTS)]}
+        if (named := kinds(part, self.delivery.report["input"]["files"])) is not None:
+            return {**field, "classes": named}
         scale = self._scale(part)
         return {**field, "low": scale.low, "high": scale.high}
 
@@ -143,13 +131,14 @@ class ViewedRun:
 
     def echo(self, node: Node, row: int) -> dict[str, Any]:
         tile, at = self._row_of(node, row)
-        path = self.delivery.path / "parquet" / f"{tile}.parquet"
-        names = [f["name"] for f in self._fields if f["name"] not in (RIGHT, DIFFERS, CORRECTED)]
-        values = {n: _plain(v[at]) for n, v in table_columns(path, names).items()}
+        names = [f["name"] for f in self._fields if f["name"] not in MEANING]
+        values = {n: _plain(v[at]) for n, v in self._columns(tile, names).items()}
         if len(self._asked) >= REMEMBERED:
             self._asked.clear()
         self._asked[tuple(int(values[n]) for n in IDENTITY)] = tile, at
-        return {"tile": tile, "row": at, "values": values}
+        classes, rows = self._classes(self._tile(tile), tile)
+        corrected = int(classes[at]) if at in rows else None
+        return {"tile": tile, "row": at, "values": values, "corrected": corrected}
 
     def pulse(self, strip: int, pulse: int) -> dict[str, Any]:
         return self._behind.pulse(strip, pulse)
@@ -178,7 +167,7 @@ class ViewedRun:
 
     def _place_of(self, strip: int, pulse: int, echo_number: int) -> tuple[str, int]:
         for key in self.tiles:
-            who = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", IDENTITY)
+            who = self._columns(key, IDENTITY)
             here = (who["strip"] == strip) & (who["pulse"] == pulse) & (who["echo_number"] == echo_number)
             if here.any():
                 return key, int(np.flatnonzero(here)[0])
@@ -261,7 +250,7 @@ class ViewedRun:
         return OpenTile(columns, *placed(self.pyramid, level, columns["x"], columns["y"]))
 
     def _read(self, key: str) -> dict[str, NDArray]:
-        columns = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", (*DRAWN, *IDENTITY))
+        columns = self._columns(key, (*DRAWN, *IDENTITY))
         lacking = [n for n in (*DRAWN, *IDENTITY) if n not in columns]
         if lacking:
             raise InputError("a delivered tile lacks columns", where=key, got=", ".join(lacking), do="run again")
@@ -298,17 +287,13 @@ class ViewedRun:
 
     @cached_property
     def _fields(self) -> list[dict[str, str]]:
-        fields = table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
-        fields.append({"name": CORRECTED, "unit": "", "meaning": "echoes that have a class by corrections"})
+        fields = table_fields(self._file(next(iter(self.tiles))))
+        more = [CORRECTED]
         if self.delivery.report["accuracy"] and self._behind.has_reference:
-            fields.append(
-                {"name": RIGHT, "unit": "", "meaning": "the class beside the reference's, training areas too"}
-            )
+            more.append(RIGHT)
         if self._other is not None:
-            fields.append(
-                {"name": DIFFERS, "unit": "", "meaning": "the class beside that of the same echo in the other run"}
-            )
-        return fields
+            more.append(DIFFERS)
+        return fields + [{"name": name, "unit": "", "meaning": MEANING[name]} for name in more]
 
     def _field(self, name: str) -> dict[str, str]:
         known = {f["name"]: f for f in self._fields}
@@ -332,13 +317,15 @@ class ViewedRun:
         return self._columns(key, (name,))[name]
 
     def _columns(self, key: str, names: Sequence[str]) -> dict[str, NDArray]:
-        return table_columns(self.delivery.path / "parquet" / f"{key}.parquet", names)
+        return table_columns(self._file(key), names)
+
+    def _file(self, key: str) -> Path:
+        return self.delivery.path / "parquet" / f"{key}.parquet"
 
     def _bytes(self, name: str, node: Node, rows: NDArray[np.int64]) -> NDArray[np.uint8]:
         if node[0] < self.pyramid.own:
             if name == CORRECTED:
-                skim = self._skim()
-                return _at(len(skim.order), self._classes(skim, "")[1])[rows]
+                return self._accepted(self._skim(), "")[rows]
             return self._skimmed_column(name)[rows]
         key = "{}_{}".format(*self.pyramid.tile_of(node))
         return self._tile_bytes(key, name)[rows]
@@ -348,37 +335,22 @@ class ViewedRun:
         if name == RIGHT:
             return self._verdicts(key)
         if name == CORRECTED:
-            tile = self._tile(key)
-            return _at(len(tile.order), self._classes(tile, key)[1])
-        if name == DIFFERS:
-            return self._compared(key)
+            return self._accepted(self._tile(key), key)
+        if name == DIFFERS and self._other is not None:
+            return compared(self._file(key), self._other / f"{key}.parquet")
         values = self._column(key, name)
         return (values % NO_VALUE).astype(np.uint8) if name == "strip" else self._scale(name).bytes_of(values)
 
-    def _compared(self, key: str) -> NDArray[np.uint8]:
-        """0 for an echo that the other run has not in this tile, 1 where the classes are the same, 2 where not."""
-        path = self._other / f"{key}.parquet" if self._other is not None else None
-        mine = self._columns(key, (*IDENTITY, "classification"))
-        out = np.zeros(len(mine["strip"]), np.uint8)
-        if path is None or not path.is_file():
-            return out
-        other = table_columns(path, (*IDENTITY, "classification"))
-        _, here, there = np.intersect1d(_key(mine), _key(other), assume_unique=True, return_indices=True)
-        out[here] = np.where(mine["classification"][here] == other["classification"][there], 1, 2)
-        return out
+    def _accepted(self, opened: OpenTile, key: str) -> NDArray[np.uint8]:
+        return accepted(opened.columns["classification"], *self._classes(opened, key))
 
     def _verdicts(self, key: str) -> NDArray[np.uint8]:
-        """0 without a reference, 1 right, 2 wrong; of a code that no class counts there is no verdict."""
         given = self._column(key, "classification")
         try:
             reference = self._behind.reference(key)
         except (FwclassError, OSError):
             return np.zeros(len(given), np.uint8)
-        counted = np.zeros(256, np.int64)
-        for one in self.delivery.report["config"]["survey"]["classes"]:
-            counted[list(one["codes"])] = one["code"]
-        known = counted[reference]
-        return np.where(known == 0, 0, np.where(known == given, 1, 2)).astype(np.uint8)
+        return verdicts(given, reference, self.delivery.report["config"]["survey"]["classes"])
 
     def _skimmed_column(self, name: str) -> NDArray[np.uint8]:
         return self._open.get(("skimmed", name), lambda: self._skim_column(name), lambda v: v.nbytes)
@@ -394,23 +366,8 @@ class ViewedRun:
         return out
 
 
-def _at(count: int, rows: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """1 in `rows`, 0 elsewhere."""
-    out = np.zeros(count, np.uint8)
-    out[rows] = 1
-    return out
-
-
 def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
     return drawn_by(Table({n: columns[n] for n in IDENTITY}))
-
-
-def _key(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
-    return canonical_key(Table({n: columns[n] for n in IDENTITY}))
-
-
-def _kind(code: int, name: str, colour: str) -> dict[str, Any]:
-    return {"code": code, "name": name, "colour": colour}
 
 
 def _plain(value: Any) -> Any:

@@ -70,9 +70,13 @@ class Relabelling:
     def begin(self) -> dict[str, Any]:
         self.corrections.check()
         rows = self.corrections.rows()
-        trains = self._delivery.report["config"]["survey"]["reference"]["kind"] != "none"
-        says = "" if trains else "This survey has no reference labels: a run takes no corrections, and trains nothing."
-        return {"rows": rows.all.rows, "standing": rows.labels.rows, "who": self.corrections.who, "says": says}
+        reference = self._delivery.report["config"]["survey"]["reference"]
+        return {
+            "rows": rows.all.rows,
+            "standing": rows.labels.rows,
+            "who": self.corrections.who,
+            "says": _not_taken(reference["kind"], reference.get("corrections")),
+        }
 
     def select(self, selection: Selection) -> dict[str, Any]:
         self.corrections.check_current()
@@ -175,6 +179,16 @@ class Relabelling:
             if len(place)
             for node, rows, index in self._in_blocks(key, place)
         )
+
+
+def _not_taken(kind: str, corrections: str | bool | None) -> str:
+    """Why the next run takes nothing of what is corrected here; "" where it does."""
+    if kind == "none":
+        return "This survey has no reference labels: a run takes no corrections, and trains nothing."
+    if corrections is not None:
+        named = repr(corrections) if corrections else "false"
+        return f"The next run takes none of this: its configuration says survey.reference.corrections: {named}."
+    return ""
 
 
 def _check_amount(what: str, echoes: int, most: int, tiles: int) -> None:

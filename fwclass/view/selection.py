@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -82,7 +83,7 @@ class Selection:
         """From JSON; `InputError` for what is no selection."""
         names = {"about", "matrix", "depth", "points", "radius", "slab", "classes", "confidence", "height"}
         if not isinstance(plain, dict) or set(plain) != names:
-            raise _no("a selection", ", ".join(sorted(names)), ", ".join(map(str, plain)) if plain else "nothing")
+            raise _no("a selection", ", ".join(sorted(names)), plain)
         points = plain["points"]
         if not isinstance(points, list) or not 0 < len(points) <= MOST_POINTS:
             raise _no("points", f"1 to {MOST_POINTS} pairs", "another number of them")
@@ -200,7 +201,7 @@ def _no(what: str, expected: object, got: object) -> InputError:
         f"{what}: not as the page sends it",
         where="the page's request",
         expected=expected,
-        got=str(got)[:200],
+        got=got if isinstance(got, str | int) else reprlib.repr(got),
         do="reload the page",
     )
 

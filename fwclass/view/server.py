@@ -213,6 +213,9 @@ class _Handler(BaseHTTPRequestHandler):
         size = body_bytes(self.headers)
         self._bounded.allow(size)
         body = self.rfile.read(size)
+        if len(body) < size:
+            self.send_error(400)
+            return
         self._answer(*self._outcome(400, lambda: self._changed(change, body)))
 
     def _changed(self, change: Callable[[Server, Any], Any], body: bytes) -> tuple[str, bytes]:
