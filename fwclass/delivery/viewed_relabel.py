@@ -131,6 +131,7 @@ class Relabelling:
         return self._told(self.corrections.revert(time))
 
     def changes(self, known: int) -> bytes:
+        self.corrections.check_current()
         rows = self.corrections.rows()
         tiles = [k for k in rows.since(known) if k in self._tiles] if known <= rows.all.rows else []
         if known > rows.all.rows or len(tiles) > TOLD:

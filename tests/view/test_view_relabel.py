@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -14,12 +13,10 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
 from drawn import box, drawn
-from smallsurvey import small_survey
+from smallsurvey import deliver
 
 from fwclass import conf
-from fwclass.cli import cli
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_command import LastCommand
@@ -38,38 +35,14 @@ SPOT = box(500_040, 5_400_005, 500_060, 5_400_025)
 COLUMNS = ("x", "y", "z", "strip", "pulse", "echo_number", "classification", "confidence", "height_above_ground")
 
 
-def deliver(place: Path, *settings: str) -> None:
-    words = [w for s in settings for w in ("--set", s)]
-    made = CliRunner().invoke(
-        cli, ["run", str(place / "s.yaml"), "--out", str(place / "run"), "--workers", "0", *words]
-    )
-    assert made.exit_code == 0, made.output
-
-
-@pytest.fixture(scope="module")
-def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with a small survey and its finished run."""
-    place = tmp_path_factory.mktemp("relabelled")
-    small_survey(place)
-    deliver(place)
-    return place
-
-
-@pytest.fixture
-def root(pristine: Path, tmp_path: Path) -> Path:
-    """The run, for one test."""
-    shutil.copytree(pristine, tmp_path / "survey", symlinks=True)
-    return tmp_path / "survey" / "run"
-
-
 def opened(root: Path, **settings: object) -> ViewedRun:
     named = {"block": 1000, "together": 1000} | settings
     return ViewedRun(open_run(root), conf.section("view", tuple(f"view.{n}={v}" for n, v in named.items())))
 
 
 @pytest.fixture
-def scene(root: Path) -> ViewedRun:
-    return opened(root)
+def scene(small_run: Path) -> ViewedRun:
+    return opened(small_run)
 
 
 def delivered(scene: ViewedRun) -> dict[str, np.ndarray]:
@@ -105,7 +78,7 @@ def drawn_classes(scene: ViewedRun) -> dict[tuple[int, int, int], list[int]]:
     return out
 
 
-def test_what_is_counted_is_marked_and_written(scene: ViewedRun, root: Path) -> None:
+def test_what_is_counted_is_marked_and_written(scene: ViewedRun, small_run: Path) -> None:
     every = delivered(scene)
     told = scene.relabel.select(Selection.of(drawn(SPOT, classes=[2])))
     (x0, y0), (x1, y1) = SPOT[0], SPOT[2]
@@ -120,7 +93,7 @@ def test_what_is_counted_is_marked_and_written(scene: ViewedRun, root: Path) -> 
     before = drawn_classes(scene)
     written = scene.relabel.correct(told["selection"], 5)
     assert written["echoes"] == len(expected) and written["left"] == 0
-    rows = pq.read_table(root / CORRECTIONS).to_pandas()
+    rows = pq.read_table(small_run / CORRECTIONS).to_pandas()
     identity = ["strip", "pulse", "echo_number", "x", "y", "z"]
     assert set(rows["class"]) == {5} and rows["who"].nunique() == 1 and rows["time"].nunique() == 1
     assert sorted(map(tuple, rows[identity].to_numpy().tolist())) == sorted(
@@ -133,18 +106,18 @@ def test_what_is_counted_is_marked_and_written(scene: ViewedRun, root: Path) -> 
     node, row = next((n, next(iter(r))) for n, r in marks.items())
     told = scene.echo(node, row)
     assert told["corrected"] == 5 and told["values"]["classification"] == 2
-    assert drawn_classes(opened(root)) == after  # as after a reload
+    assert drawn_classes(opened(small_run)) == after  # as after a reload
 
 
-def test_undo_and_redo_leave_what_others_wrote_since(scene: ViewedRun, root: Path) -> None:
-    relabel, other = scene.relabel, opened(root).relabel
+def test_undo_and_redo_leave_what_others_wrote_since(scene: ViewedRun, small_run: Path) -> None:
+    relabel, other = scene.relabel, opened(small_run).relabel
     number = relabel.select(Selection.of(drawn(SPOT)))["selection"]
     first = relabel.correct(number, 5)
     second = relabel.correct(number, 2)
     undone = relabel.revert(second["time"])
-    assert undone["echoes"] == second["echoes"] and set(read_corrections(root).standing().code) == {5}
+    assert undone["echoes"] == second["echoes"] and set(read_corrections(small_run).standing().code) == {5}
     again = relabel.revert(undone["time"])
-    assert set(read_corrections(root).standing().code) == {2} and again["left"] == 0
+    assert set(read_corrections(small_run).standing().code) == {2} and again["left"] == 0
     half = other.select(Selection.of(drawn(box(500_040, 5_400_005, 500_050, 5_400_025))))
     other.correct(half["selection"], 0)
     back = relabel.revert(again["time"])
@@ -152,25 +125,25 @@ def test_undo_and_redo_leave_what_others_wrote_since(scene: ViewedRun, root: Pat
     assert relabel.revert(first["time"])["echoes"] == 0  # all of it was corrected since
     with pytest.raises(InputError, match="cannot be undone"):
         relabel.revert(12345)
-    rows = read_corrections(root)
+    rows = read_corrections(small_run)
     assert rows.rows == sum(w["echoes"] for w in (first, second, undone, again, back)) + half["echoes"]
     assert (np.diff(rows.time) >= 0).all()
 
 
-def test_taking_back_gives_the_delivered_class(scene: ViewedRun, root: Path) -> None:
+def test_taking_back_gives_the_delivered_class(scene: ViewedRun, small_run: Path) -> None:
     before = drawn_classes(scene)
     number = scene.relabel.select(Selection.of(drawn(SPOT)))["selection"]
     scene.relabel.correct(number, 0)
     assert drawn_classes(scene) != before
     taken = scene.relabel.correct(number, None)
     assert taken["standing"] == 0 and drawn_classes(scene) == before
-    assert set(read_corrections(root).standing().code) == {TAKEN_BACK}
+    assert set(read_corrections(small_run).standing().code) == {TAKEN_BACK}
     assert scene.relabel.correct(number, None)["echoes"] == 0  # nothing is written twice
 
 
-def test_another_page_learns_what_changed(scene: ViewedRun, root: Path) -> None:
+def test_another_page_learns_what_changed(scene: ViewedRun, small_run: Path) -> None:
     """Two servers of one run: what one writes, the other tells its page as marks."""
-    other = opened(root)
+    other = opened(small_run)
     before, known = drawn_classes(other), other.index()["rows"]
     assert other.relabel.changes(known) == np.array([known, 0], "<u4").tobytes()
     scene.relabel.correct(scene.relabel.select(Selection.of(drawn(SPOT)))["selection"], 5)
@@ -181,12 +154,12 @@ def test_another_page_learns_what_changed(scene: ViewedRun, root: Path) -> None:
         for row, code in changed.items():
             before[node][row] = code
     assert before == drawn_classes(other)
-    (root / CORRECTIONS).unlink()
+    (small_run / CORRECTIONS).unlink()
     assert np.frombuffer(other.relabel.changes(int(rows)), "<u4").tolist()[1] != 0  # another file: all blocks anew
 
 
-def test_two_pages_that_write_at_once_lose_nothing(root: Path) -> None:
-    scenes = [opened(root) for _ in range(4)]
+def test_two_pages_that_write_at_once_lose_nothing(small_run: Path) -> None:
+    scenes = [opened(small_run) for _ in range(4)]
     told: list[int] = []
 
     def work(k: int) -> None:
@@ -200,14 +173,14 @@ def test_two_pages_that_write_at_once_lose_nothing(root: Path) -> None:
         thread.start()
     for thread in threads:
         thread.join()
-    rows = read_corrections(root)
+    rows = read_corrections(small_run)
     assert len(told) == 12 and rows.rows == sum(told) and set(rows.standing().code) == {2}
     assert all(drawn_classes(s) == drawn_classes(scenes[0]) for s in scenes)
 
 
-def test_rows_of_tiles_are_those_near_them(scene: ViewedRun, root: Path) -> None:
+def test_rows_of_tiles_are_those_near_them(scene: ViewedRun, small_run: Path) -> None:
     scene.relabel.correct(scene.relabel.select(Selection.of(drawn(SPOT)))["selection"], 5)
-    rows = Rows(read_corrections(root), scene.size, scene.relabel.corrections.reach)
+    rows = Rows(read_corrections(small_run), scene.size, scene.relabel.corrections.reach)
     for key in scene.tiles:
         i, j = map(int, key.split("_"))
         x, y = rows.labels["x"] / scene.size - i, rows.labels["y"] / scene.size - j
@@ -217,15 +190,15 @@ def test_rows_of_tiles_are_those_near_them(scene: ViewedRun, root: Path) -> None
         assert (rows.version(key) >= 0) == bool(mine.any()) == (key in rows.since(0))
 
 
-def test_too_much_at_once_is_refused_before_it_is_read(root: Path) -> None:
+def test_too_much_at_once_is_refused_before_it_is_read(small_run: Path) -> None:
     whole = Selection.of(drawn(box(0, 0, 1e6, 1e7)))
     with pytest.raises(InputError, match="too many echoes would be searched"):
-        opened(root, searched=1000).relabel.select(whole)
+        opened(small_run, searched=1000).relabel.select(whole)
     with pytest.raises(InputError, match="too many echoes or more are selected"):
-        opened(root, selected=100).relabel.select(whole)
+        opened(small_run, selected=100).relabel.select(whole)
 
 
-def test_a_code_or_a_selection_that_is_none_is_refused(scene: ViewedRun, root: Path) -> None:
+def test_a_code_or_a_selection_that_is_none_is_refused(scene: ViewedRun, small_run: Path) -> None:
     number = scene.relabel.select(Selection.of(drawn(SPOT)))["selection"]
     with pytest.raises(InputError, match="no class of this run"):
         scene.relabel.correct(number, 200)
@@ -239,19 +212,19 @@ def test_a_code_or_a_selection_that_is_none_is_refused(scene: ViewedRun, root: P
         scene.relabel.select(Selection.of(drawn(SPOT)))
     with pytest.raises(InputError, match="not kept any more"):
         scene.relabel.correct(number, 5)
-    assert not (root / CORRECTIONS).exists()
+    assert not (small_run / CORRECTIONS).exists()
 
 
-def test_where_nothing_can_be_written_it_is_said_before_anything_is_drawn(scene: ViewedRun, root: Path) -> None:
-    (root / "labels").write_text("")  # a file in the way: also root cannot write below it
+def test_where_nothing_can_be_written_it_is_said_before_anything_is_drawn(scene: ViewedRun, small_run: Path) -> None:
+    (small_run / "labels").write_text("")  # a file in the way: also root cannot write below it
     with pytest.raises(StoreError, match="cannot be written here"):
         scene.relabel.begin()
 
 
-def test_a_new_delivery_under_an_open_page_is_said(scene: ViewedRun, root: Path) -> None:
+def test_a_new_delivery_under_an_open_page_is_said(scene: ViewedRun, small_run: Path) -> None:
     number = scene.relabel.select(Selection.of(drawn(SPOT)))["selection"]
     scene.relabel.correct(number, 5)
-    deliver(root.parent)
+    deliver(small_run.parent)
     for call in (
         scene.relabel.begin,
         lambda: scene.relabel.select(Selection.of(drawn(SPOT))),
@@ -266,8 +239,8 @@ def test_a_new_delivery_under_an_open_page_is_said(scene: ViewedRun, root: Path)
 
 
 @pytest.mark.parametrize(("setting", "words"), [("false", "takes none of this"), ("mine.parquet", "mine.parquet")])
-def test_who_corrects_for_nothing_is_told(root: Path, setting: str, words: str) -> None:
-    scene = opened(root)
+def test_who_corrects_for_nothing_is_told(small_run: Path, setting: str, words: str) -> None:
+    scene = opened(small_run)
     assert scene.relabel.begin()["says"] == ""
     scene.delivery.report["config"]["survey"]["reference"]["corrections"] = False if setting == "false" else setting
     assert words in scene.relabel.begin()["says"]
@@ -301,13 +274,13 @@ def posted(server: Server, path: str, body: Any, **headers: str | None) -> tuple
         connection.close()
 
 
-def test_the_page_relabels(server: Server, root: Path) -> None:
+def test_the_page_relabels(server: Server, small_run: Path) -> None:
     begun = {DELIVERY: server.scenes[0].name}
     assert posted(server, "/data/0/relabel.json", {}, **begun)[1]["says"] == ""
     code, told = posted(server, "/data/0/select.json", drawn(SPOT), **begun)
     assert code == 200 and told["echoes"] > 0
     code, done = posted(server, "/data/0/correct.json", {"selection": told["selection"], "code": 5}, **begun)
-    assert code == 200 and done["echoes"] == read_corrections(root).rows > 0
+    assert code == 200 and done["echoes"] == read_corrections(small_run).rows > 0
     assert posted(server, "/data/0/revert.json", {"time": done["time"]}, **begun)[1]["standing"] == 0
 
 
@@ -329,14 +302,14 @@ def test_the_page_relabels(server: Server, root: Path) -> None:
 )
 @pytest.mark.parametrize("name", ["0/correct", "run", "stop"])
 def test_who_is_not_the_page_changes_nothing(
-    server: Server, root: Path, headers: dict[str, str | None], status: int, name: str
+    server: Server, small_run: Path, headers: dict[str, str | None], status: int, name: str
 ) -> None:
     number = server.scenes[0].relabel.select(Selection.of(drawn(SPOT)))["selection"]
     got, told = posted(server, f"/data/{name}.json", {"selection": number, "code": 5}, **headers)
     if status == 409 and name != "0/correct":
         status = 400  # those are of the run, whatever it has delivered; nothing may be started here
     assert got == status and server.guard.token not in str(told)
-    assert not (root / CORRECTIONS).exists()
+    assert not (small_run / CORRECTIONS).exists()
 
 
 @pytest.mark.parametrize(
@@ -360,13 +333,13 @@ def test_who_is_not_the_page_changes_nothing(
     ],
     ids=lambda body: str(body)[:30],
 )
-def test_hostile_json_is_refused(server: Server, root: Path, body: bytes) -> None:
+def test_hostile_json_is_refused(server: Server, small_run: Path, body: bytes) -> None:
     server.scenes[0].relabel.select(Selection.of(drawn(SPOT)))
     for name in ("correct", "select", "revert"):
         status, told = posted(server, f"/data/0/{name}.json", body)
         assert status in (400, 413), told
         assert "Traceback" not in told["error"] and len(told["error"]) < 1000
-    assert not (root / CORRECTIONS).exists()
+    assert not (small_run / CORRECTIONS).exists()
 
 
 def test_a_body_is_bounded_in_bytes_and_time(server: Server) -> None:
@@ -395,12 +368,12 @@ def test_two_thousand_points_fit_into_a_body(server: Server) -> None:
 # ---------------------------------------------------------------------- the run's last command
 
 
-def test_the_last_command_runs_once_more_only_where_allowed(root: Path) -> None:
+def test_the_last_command_runs_once_more_only_where_allowed(small_run: Path) -> None:
     with pytest.raises(InputError, match="may start nothing"):
-        LastCommand(root, False).start()
-    again = LastCommand(root, True)
+        LastCommand(small_run, False).start()
+    again = LastCommand(small_run, True)
     assert again.state()["command"].startswith("fwclass run ") and not again.state()["running"]
-    scene = opened(root)
+    scene = opened(small_run)
     scene.relabel.correct(scene.relabel.select(Selection.of(drawn(SPOT)))["selection"], 5)
     assert again.start()["running"]
     with pytest.raises(InputError, match="under way"):
@@ -414,8 +387,8 @@ def test_the_last_command_runs_once_more_only_where_allowed(root: Path) -> None:
     assert new is not scene and new.delivery.report["sampling"]["corrections"]["applied"] > 0
 
 
-def test_a_run_is_stopped_and_ends_with_the_viewer(root: Path) -> None:
-    again = LastCommand(root, True)
+def test_a_run_is_stopped_and_ends_with_the_viewer(small_run: Path) -> None:
+    again = LastCommand(small_run, True)
     again.start()
     time.sleep(0.5)
     again.close()
@@ -423,15 +396,15 @@ def test_a_run_is_stopped_and_ends_with_the_viewer(root: Path) -> None:
     assert not told["running"] and told["code"] != 0, told
 
 
-def test_what_a_run_directory_names_as_code_is_not_started(root: Path) -> None:
+def test_what_a_run_directory_names_as_code_is_not_started(small_run: Path) -> None:
     """A run of a workflow's file: the page may not start code that a directory names."""
     import fwclass.operate.request as request
     from fwclass.store.run_store import Store
 
-    store = Store(root)
+    store = Store(small_run)
     kept = request.Request.kept(store)
-    request.Request(kept.conf, kept.root, workflow=str(root / "evil.py")).keep(store)
-    again = LastCommand(root, True)
+    request.Request(kept.conf, kept.root, workflow=str(small_run / "evil.py")).keep(store)
+    again = LastCommand(small_run, True)
     assert again.state()["command"] == "" and "workflow" in again.state()["why"]
     with pytest.raises(Exception, match="workflow"):
         again.start()
