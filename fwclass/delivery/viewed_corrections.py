@@ -67,7 +67,8 @@ class Rows:
     def since(self, known: int) -> list[str]:
         """Tiles that rows from number `known` on may have changed."""
         tiles, _ = self._by_tile(self.all.take(np.arange(known, self.all.rows)))
-        return [f"{t >> 32}_{(t & 0xFFFFFFFF) - 2**31}" for t in np.unique(tiles).tolist()]
+        each = tiles[np.flatnonzero(np.diff(tiles, prepend=np.int64(-(2**62))))]
+        return [f"{t >> 32}_{(t & 0xFFFFFFFF) - 2**31}" for t in each.tolist()]
 
     def _by_tile(self, labels: EchoLabels) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Tiles, packed and ascending, that an echo of each label may lie in, and its row, ascending in each tile."""
@@ -101,7 +102,7 @@ class Corrections:
             try:
                 facts = path.stat()
                 stamp: object = (facts.st_mtime_ns, facts.st_size, facts.st_ino)
-            except FileNotFoundError:
+            except (FileNotFoundError, NotADirectoryError):
                 stamp = None
             if stamp != self._stamp:
                 every = read_corrections(self._delivery.root)

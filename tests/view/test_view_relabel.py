@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -394,6 +395,13 @@ def test_a_run_is_stopped_and_ends_with_the_viewer(small_run: Path) -> None:
     again.close()
     told = again.state()
     assert not told["running"] and told["code"] != 0, told
+    again.start()
+    again.stop()
+    assert again.stop()["lines"] is not None  # who asks twice has it killed
+    end = time.monotonic() + 10
+    while again.state()["running"] and time.monotonic() < end:
+        time.sleep(0.05)
+    assert again.state()["code"] == -signal.SIGKILL
 
 
 def test_what_a_run_directory_names_as_code_is_not_started(small_run: Path) -> None:

@@ -67,5 +67,6 @@ export class Loader {
     this.jobs.delete(data.id); this.idle.push(worker);
     if (data.fault) this.failed(job, data.fault, data.status);
     this.next();
+    if (!this.busy) this.arrived(job, []); // a frame may have come between the last block and its end
   }
 }

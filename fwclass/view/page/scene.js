@@ -29,8 +29,7 @@ export class Scene {
   static async open(number, changed, failed) { return new Scene(number, await json(`${number}/index.json`), changed, failed); }
 
   arrived(job, blocks) {
-    if (job.about.epoch !== this.epoch) return;
-    for (const block of blocks) {
+    for (const block of job.about.epoch === this.epoch ? blocks : []) {
       const key = block.node.join('-');
       if (job.about.column) {
         if (job.about.column !== this.column) continue;
