@@ -44,9 +44,11 @@ def served(root: Path, allowed: bool = False) -> Iterator[Server]:
     with Server([ViewedRun(open_run(root), params)], params, again=again) as server, closing(again):
         thread = threading.Thread(target=server.serve_forever, args=(0.05,))
         thread.start()
-        yield server
-        server.shutdown()
-        thread.join()
+        try:
+            yield server
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 def opened(page: Driven, server: Server, width: int = 1280) -> Driven:
