@@ -32,6 +32,7 @@ from fwclass.cli import (
     view,
 )
 from fwclass.cli.base import cli
+from fwclass.cli.output import watched_output
 from fwclass.errors import FAILED, INTERRUPTED, INTERRUPTS, FwclassError, system_error
 from fwclass.isolation import isolate
 from fwclass.redact import redacted
@@ -85,7 +86,9 @@ def main() -> None:
     isolate()
     _heed_interrupts()
     try:
-        cli(standalone_mode=False)
+        with watched_output() as check:
+            cli(standalone_mode=False)
+            check()
     except click.exceptions.Exit as end:
         sys.exit(end.exit_code)
     except click.ClickException as fault:

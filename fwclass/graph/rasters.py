@@ -13,7 +13,7 @@ from fwclass.grid import Tile, Window
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 
-RASTERS = "rasters.zarr"
+RASTERS = "rasters"
 
 
 def window_of(attributes: Mapping[str, Any]) -> Window:
