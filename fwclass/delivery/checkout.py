@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-import uuid
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from fwclass.delivery.opened import Delivery, open_run
 from fwclass.errors import ConfigError, InputError, StoreError, nearest, system_error
 from fwclass.formats.echo_labels import EchoLabels, echo_labels_bytes
 from fwclass.grid import TileGrid
+from fwclass.publish.files import whole_directory
 from fwclass.publish.qgis import MapLayer, write_project
 from fwclass.publish.qgis_layers import cloud_styles
 from fwclass.schema import IDENTITY
@@ -76,14 +75,6 @@ def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
     ConfigError
         The directory is not empty, or there is no such tile.
     """
-    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
-        raise ConfigError(
-            "the tiles need a directory of their own",
-            where=directory,
-            expected="a new or empty directory",
-            got="one with files" if directory.is_dir() else "a file",
-            do="name another; what was edited here is collected by `fwclass label collect`",
-        )
     delivery, keys = open_run(run), sorted(set(tiles))
     known = {str(t["tile"]): t for t in delivery.tiles}
     for key in keys:
@@ -95,7 +86,7 @@ def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
                 got=key,
                 do=nearest(key, list(known)[:50]),
             )
-    with _directory(directory) as beside:
+    with whole_directory(directory) as beside:
         labels = {key: _copied(delivery, Path(known[key]["file"]), key, beside) for key in keys}
         _write_project(delivery, [known[key] for key in keys], beside)
         note = Note(
@@ -108,20 +99,6 @@ def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
         f"{len(keys)} {'tile' if len(keys) == 1 else 'tiles'} of delivery {delivery.path.name}, {echoes:,} echoes, "
         f"{size / 1e6:,.1f} MB: open {directory / PROJECT} in QGIS, change classes, save, then `fwclass label collect`"
     )
-
-
-@contextmanager
-def _directory(path: Path) -> Iterator[Path]:
-    """A directory beside `path`, which becomes it when the block ends well, else it is removed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    try:
-        beside.mkdir()
-        yield beside
-        beside.replace(path)
-        sync(path.parent)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
 
 
 def _copied(delivery: Delivery, source: Path, tile: str, directory: Path) -> str:

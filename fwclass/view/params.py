@@ -21,6 +21,7 @@ class ViewParams(Params):
     unsure : echoes with less confidence are places to look at.
     cluster : unsure echoes nearer than this, in squares of the global grid, are one place [m].
     places : of the work list.
+    export : unsure echoes of a place whose waveform, votes and columns a folder has.
     """
 
     block: int = Field(ge=1000, le=1_000_000)
@@ -32,3 +33,4 @@ class ViewParams(Params):
     unsure: float = Field(ge=0, le=1)
     cluster: float = Field(ge=0.1, le=10_000)
     places: int = Field(ge=1, le=100_000)
+    export: int = Field(ge=0, le=10_000)

@@ -198,7 +198,7 @@ def test_tiles_are_checked_out_whole_or_not_at_all(run, out, tmp_path):
         assert ended.returncode == code and words in ended.stderr, ended.stderr
         assert sorted(p.name for p in tmp_path.iterdir()) == before
 
-    refused("a directory of their own", 2, run, out, "--tiles", TILES)
+    refused("a directory of its own", 2, run, out, "--tiles", TILES)
     refused("no such tile", 2, run, tmp_path / "new", "--tiles", "20000_216000,1_2")
     refused("not a tile key", 2, run, tmp_path / "new", "--tiles", "../x")
     refused("no tile is named", 2, run, tmp_path / "new", "--tiles", " ")
