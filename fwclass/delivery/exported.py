@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.delivery.echoes import table_columns
+from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import open_run
-from fwclass.delivery.viewed import DIFFERS, RIGHT, UNSURE, ViewedRun
+from fwclass.delivery.viewed import UNSURE, ViewedRun
 from fwclass.publish.copc import streamed
 from fwclass.publish.files import whole_directory
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -27,9 +27,11 @@ class ExportedRun(ViewedRun):
 
     def colours(self) -> Sequence[str]:
         """The columns that the delivered COPC has, strips, and what is right and differs."""
-        names = [f["name"] for f in self.index()["columns"]]
-        wanted = {*streamed(n for n in names if n not in (RIGHT, DIFFERS)), "strip", RIGHT, DIFFERS}
-        return [n for n in names if n in wanted and n not in DRAWN]
+        delivered = [
+            f["name"] for f in table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
+        ]
+        left = {*delivered} - {*streamed(delivered), "strip"} | {*DRAWN}
+        return [f["name"] for f in self.index()["columns"] if f["name"] not in left]
 
     def scale(self, part: str) -> dict[str, Any]:
         """As that of the viewer, with names of files alone: where they lie on this host is nobody's business."""

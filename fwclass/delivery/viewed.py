@@ -72,7 +72,7 @@ class ViewedRun:
         self.size = float(delivery.report["config"]["tile"]["size"])
         places = np.array([key.split("_") for key in self.tiles], np.int64)
         self.echoes = sum(int(t["echoes"]) for t in self.tiles.values())
-        self.pyramid = Pyramid.over(places, self.echoes, self.size, params.block)
+        self.pyramid = Pyramid.over(places, self.echoes, self.size, params.block, params.together)
         low = np.min([t["bounds"][:3] for t in self.tiles.values()], axis=0)
         self.origin = (*self.pyramid.corner, math.floor(float(low[2])))
         self._blocks, self._open = Cache(params.cache << 20), Cache(params.cache << 20)
@@ -108,7 +108,7 @@ class ViewedRun:
             "south": pyramid.south,
             "joined": pyramid.joined,
             "halved": pyramid.halved,
-            "together": [k for k in pyramid.levels() if self.echoes * pyramid.share(k) <= self.params.together],
+            "together": list(pyramid.levels()[: pyramid.whole + 1]),
             "tiles": tiles,
             "classes": [{**c, "colour": css(shown[int(c["code"])])} for c in report["classes"]],
             "columns": [f for f in self._fields if f["name"] not in HIDDEN],
@@ -230,15 +230,18 @@ class ViewedRun:
         """The echoes of the levels that squares of several tiles have."""
         with self._lock:
             if self._skimmed is None:
-                parts = list(self._pool.map(self._coarse, range(len(self.tiles)), self.tiles))
-                columns = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
-                self._skimmed = self._arranged(columns)
+                self._skimmed = self._arranged(self._coarsest())
             return self._skimmed
+
+    def _coarsest(self) -> dict[str, NDArray]:
+        """Columns of the coarse echoes, and the tile and row that each comes from."""
+        parts = list(self._pool.map(self._coarse, range(len(self.tiles)), self.tiles))
+        return {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
 
     def _coarse(self, number: int, key: str) -> dict[str, NDArray]:
         columns = self._read(key)
         rank = _rank(columns)
-        limit = self.pyramid.limit(self.pyramid.own - 1)
+        limit = self.pyramid.limit(self.pyramid.coarse) if self.pyramid.coarse >= 0 else 0
         rows = np.flatnonzero(rank < np.uint64(limit))
         return {**{n: v[rows] for n, v in columns.items()}, "tile": np.full(len(rows), number), "row": rows}
 

@@ -92,7 +92,7 @@ export class Scene {
           const low = [tile.low[0] + a * edge, tile.low[1] + b * edge, tile.low[2]], high = [low[0] + edge, low[1] + edge, tile.high[2]];
           const cell = cells > 1 ? near(low, high) : pixels, inside = full && full(low, high);
           if (!cell && !inside) continue;
-          ranked.push({ rank: inside ? 1e5 - level : (spacing * cell) / (pixels || cell), count: (tile.echoes * this.share(level)) / 2 / cells ** 2, key: `${level}-${(tile.i << down) + a}-${(tile.j << down) + b}` });
+          ranked.push({ rank: inside ? 1e5 - level : (spacing * cell) / (pixels || cell), count: (tile.echoes * (this.share(level) - this.share(level === first ? this.together.at(-1) ?? -Infinity : level - 1))) / cells ** 2, key: `${level}-${(tile.i << down) + a}-${(tile.j << down) + b}` });
         }
       }
     }
