@@ -79,7 +79,8 @@ def write_folder(scenes: Sequence[Kept], directory: Path, tell: Callable[[str], 
                 _write_echo(scene, one, here)
         _write_json(here / "work.json", work)
         names = [t.name for echoes in told for t in echoes]
-        _write_json(here / "index.json", {**index, "folder": {"nodes": nodes, "columns": columns, "told": names}})
+        folder = {"nodes": nodes, "columns": columns, "told": names}
+        _write_json(here / "index.json", {**index, "relabels": False, "folder": folder})
 
 
 def _served_anywhere(page: bytes) -> bytes:
