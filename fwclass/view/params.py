@@ -28,7 +28,7 @@ class ViewParams(Params):
 
     block: int = Field(ge=1000, le=1_000_000)
     together: int = Field(ge=1000, le=10_000_000)
-    whole: int = Field(ge=0)
+    whole: int = Field(ge=0, le=1_000_000_000)
     cache: int = Field(ge=1, le=1_000_000)
     connections: int = Field(ge=2, le=1000)
     request: float = Field(ge=0.1, le=3600)
