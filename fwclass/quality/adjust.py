@@ -76,11 +76,12 @@ def adjusted(strips: Sequence[Strip], pairs: Pairs, max_tilt_error: float) -> Ad
     for _ in range(ROUNDS):
         x, cov, unseen, sigma = design.solved(free)
         error = np.sqrt(np.maximum(0.0, np.diag(cov))).reshape(n, 3)
-        unsure = free & ((error > max_tilt_error) | (unseen.reshape(n, 3) > UNSEEN))
+        unsure = free & (~(error <= max_tilt_error) | (unseen.reshape(n, 3) > UNSEEN))
         unsure[:, 0] = False
         if not unsure.any():
             break
         free &= ~unsure
+    free &= np.isfinite(error)
     values[free], errors[free] = x.reshape(n, 3)[free], error[free]
     left = design.residuals(x)
     return Adjusted(values, errors, counts, sigma, float(np.sqrt((left**2).mean())))
@@ -114,7 +115,7 @@ class _Design:
         """Solution (3 strips), covariance, the share of each unknown that is not seen, and sigma."""
         used = np.flatnonzero(free.ravel())
         left = np.concatenate([self.dz[some] - np.median(self.dz[some]) for some, _, _ in self.blocks])
-        x, sigma = np.zeros(3 * self.n), np.inf
+        x, sigma = np.zeros(3 * self.n), np.nan
         for _ in range(ROUNDS):
             spread = max(1.4826 * float(np.median(np.abs(left))), LEAST_SIGMA)
             far = np.minimum(1.0, (left / (TUKEY * spread)) ** 2)
@@ -130,8 +131,9 @@ class _Design:
             before, x = x, np.zeros(3 * self.n)
             x[used] = inverse @ right[used]
             left = self.residuals(x)
-            freedom = weight.sum() - seen.sum()
-            sigma = float(np.sqrt((weight * left**2).sum() / freedom)) if freedom > 0 else np.nan
+            inside = np.where(far < 1, self.weight, 0.0)
+            freedom = inside.sum() - seen.sum()
+            sigma = float(np.sqrt((inside * left**2).sum() / freedom)) if freedom > 0 else np.nan
             if np.abs(x - before).max() < LEAST_SIGMA / 100:
                 break
         cov, unseen = np.zeros((3 * self.n, 3 * self.n)), np.zeros(3 * self.n)

@@ -33,49 +33,18 @@ class PlaneParams(Params):
 
 
 class QualityParams(Params):
-    """What is measured of a survey's quality, and what it must reach.
+    """What is measured of a survey's quality.
 
     Attributes
     ----------
     cell : edge of the cells that echoes and pulses are counted in [m]; a whole number of them is a block.
-    void_spacings : a void is an area without any echo of at least this many mean pulse spacings squared.
     strips : what a strip is: each source file (files), each uninterrupted span of GPS time whatever the files (times),
         or files unless these hold several lines each that overlap (auto).
     line_gap : a strip by time ends where there is no echo for one to two times this [s].
     planes : where strips are compared.
-    area : file of polygons that the survey must cover, relative to survey.directory; None: what it covers.
-    checkpoints : file of points of known height, ``id,x,y,z[,class]``, relative to survey.directory.
-    checkpoints_crs : their coordinate system; None: the survey's.
-    checkpoint_rmse : root mean square error of their own heights [m], added to that of the terrain (ASPRS 2023).
-    vegetated : classes of check points that count as vegetated (VVA); all others are not (NVA).
-    min_density, min_pulse_density : echoes and pulses per m², at least.
-    max_void : area of the largest void, at most [m²].
-    max_dz : root mean square difference of strips, at most [m].
-    max_noise : share of the echoes, at most.
-    max_rmse_z : of the check points on open terrain, at most [m].
-    min_coverage : share of `area`, at least.
     """
 
     cell: float = Field(ge=0.1, le=256)
-    void_spacings: float = Field(ge=1, le=1000)
     strips: Literal["auto", "files", "times"]
-    line_gap: float = Field(ge=0.1, le=100_000)
+    line_gap: float = Field(ge=0.1, le=100)
     planes: PlaneParams
-    area: str | None
-    checkpoints: str | None
-    checkpoints_crs: str | None
-    checkpoint_rmse: float = Field(ge=0, le=100)
-    vegetated: tuple[str, ...]
-    min_density: float | None = Field(gt=0)
-    min_pulse_density: float | None = Field(gt=0)
-    max_void: float | None = Field(ge=0)
-    max_dz: float | None = Field(gt=0)
-    max_noise: float | None = Field(ge=0, le=1)
-    max_rmse_z: float | None = Field(gt=0)
-    min_coverage: float | None = Field(gt=0, le=1)
-
-
-THRESHOLDS = frozenset(
-    {"min_density", "min_pulse_density", "max_void", "max_dz", "max_noise", "max_rmse_z", "min_coverage"}
-)
-"""They judge figures, and change none."""

@@ -14,10 +14,13 @@ NO_TIME = np.iinfo(np.int64).min
 """Span of time of echoes whose time is unknown."""
 
 SUMS = ("n", "x", "y", "t", "xx", "xy", "yy", "xt", "yt", "tt")
-"""Sums over a piece's echoes in a block: places in decimetres from the block's corner, times in milliseconds from the
-beginning of the span; whole numbers, and exact in any order."""
+"""Sums over a piece's echoes in a block: places in decimetres from the block's corner, times in hundredths of a second
+from the beginning of the span; whole numbers, and exact in any order."""
 
-UNIT, TICK = 0.1, 0.001
+UNIT, TICK = 0.1, 0.01
+MAX_TIME = 1e12
+"""s, beyond which a time is none."""
+
 LEAST_LENGTH = 1.0
 """m that a strip must have moved along its line for its times to tell the direction."""
 
@@ -48,16 +51,18 @@ def pieces_of(
 ) -> tuple[Pieces, NDArray[np.int64]]:
     """The pieces of a block whose south-west `corner` this is [m], and the number of each echo's piece."""
     span = np.full(len(x), NO_TIME)
-    known = np.isfinite(time)
+    known = np.abs(time) < MAX_TIME
     span[known] = np.floor(time[known] / gap).astype(np.int64)
-    both = np.stack([file.astype(np.int64), span], axis=1)
-    rows, number = np.unique(both, axis=0, return_inverse=True)
-    number = number.reshape(-1)
+    files, of_file = np.unique(file.astype(np.int64), return_inverse=True)
+    spans, of_span = np.unique(span, return_inverse=True)
+    rows, number = np.unique(of_file * len(spans) + of_span, return_inverse=True)
     u, v = (np.rint((a - c) / UNIT) for a, c in ((x, corner[0]), (y, corner[1])))
-    t = np.where(known, np.rint((time - span * gap) / TICK), 0.0) if known.any() else np.zeros(len(x))
+    t = np.zeros(len(x))
+    t[known] = np.rint((time[known] - span[known] * gap) / TICK)
     values = (np.ones(len(x)), u, v, t, u * u, u * v, v * v, u * t, v * t, t * t)
-    sums = [np.bincount(number, a, minlength=len(rows)) for a in values]
-    return Pieces(rows[:, 0], rows[:, 1], np.stack(sums, axis=1) if len(rows) else np.empty((0, len(SUMS)))), number
+    sums = np.stack([np.bincount(number, a, minlength=len(rows)) for a in values], axis=1).astype(np.float64)
+    at = divmod(rows, max(len(spans), 1))
+    return Pieces(files[at[0]], spans[at[1]], sums), number
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,13 @@ def strips_of(
         for k, f in zip(n.tolist(), block.file.tolist(), strict=True):
             files[k].add(f)
     return [
-        _strip(total[k], tuple(sorted(files[k])), (int(first[k]), int(last[k])) if last[k] != NO_TIME else None, middle, gap)
+        _strip(
+            total[k],
+            tuple(sorted(files[k])),
+            (int(first[k]), int(last[k])) if last[k] != NO_TIME else None,
+            middle,
+            gap,
+        )
         for k in range(strips)
     ]
 

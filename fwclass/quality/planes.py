@@ -50,7 +50,8 @@ def plane_pairs(
     `least` echoes, spread over the cell, a residual of at most `max_residual` and a slope of at most `max_slope`.
     """
     if not len(x):
-        return PlanePairs(*(np.empty(0, np.int32) for _ in range(4)), *(np.empty(0) for _ in range(2)))
+        none, nothing = np.empty(0, np.int32), np.empty(0)
+        return PlanePairs(none, none, none, none, nothing, nothing)
     mm = whole_millimetres(window.cell, "quality.planes.cell")
     mx, my, mz = millimetres(x), millimetres(y), millimetres(z)
     col, row = mx // mm - window.col, my // mm - window.row
@@ -90,6 +91,5 @@ def plane_pairs(
     du, dv = (mean[n][q] - mean[n][p] for n in "uv")
     dz = mean["w"][p] - mean["w"][q] + (a[p] + a[q]) * du / 2 + (b[p] + b[q]) * dv / 2
     r, c = np.divmod(cells[i], window.ncols)
-    return PlanePairs(
-        *(n.astype(np.int32) for n in (r, c, number[i], number[j])), dz / 1000, 2.0 / of[i] if len(i) else np.empty(0)
-    )
+    row, col, one, other = (n.astype(np.int32) for n in (r, c, number[i], number[j]))
+    return PlanePairs(row, col, one, other, dz / 1000, 2.0 / of[i])
