@@ -125,3 +125,14 @@ def test_cells_divide_a_block(survey: Path, tmp_path: Path) -> None:
 def test_the_terrain_of_the_maker_is_smooth() -> None:
     x, y = np.meshgrid(np.arange(500_000.0, 500_220), np.arange(5_400_000.0, 5_400_240))
     assert np.abs(np.gradient(ground(x, y))).max() < np.tan(np.radians(9))
+
+
+def test_the_page_says_what_the_figures_say(made: tuple[Path, dict[str, Any]]) -> None:
+    out, facts = made
+    page = (out / "quality.html").read_text()
+    assert page.count("data:image/png;base64,") == 2 and "http" not in page.replace("http-equiv", "")
+    for words in ("5.45", "l0 – l1", "-9.0", f"{100 * facts['strips']['rms']:.1f} cm", "a tilt that all strips share"):
+        assert words in page, words
+    report = (out / "report.html").read_text()
+    assert 'id="quality"' in report and "./quality.html" in report and "l0 – l1" in report
+    assert "classified as" not in report

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from fwclass import __version__
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
@@ -30,8 +31,11 @@ from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import write_json
 
+if TYPE_CHECKING:
+    from fwclass.publish.quality_page import Picture
+
 COMPARED = "compared.zarr"
-FACTS = "quality.json"
+FACTS, PAGE = "quality.json", "quality.html"
 PIECES = tuple(Pieces.__dataclass_fields__)
 
 
@@ -80,6 +84,9 @@ def delivered_quality(
 ) -> Made:
     """The survey's quality as JSON and rasters. `files`: names by number; `block`: edge of the blocks [m]; `places`:
     bounds [m] of the sites."""
+    # matplotlib is slow to load, and only the page needs it
+    from fwclass.publish.quality_page import render_quality
+
     grid = TileGrid(block)
     blocks = tuple(grid.tile(key) for key in here.parts(MEASURE_QUALITY.name))
     metas = [here.inputs.meta(MEASURE_QUALITY.name, b.key) for b in blocks]
@@ -106,6 +113,8 @@ def delivered_quality(
         "remarks": [*(["all echoes are noise"] if not echoes else []), *strip_remarks(strips)],
     }
     write_json(here.directory / FACTS, facts)
+    largest = Box(*max(places.values(), key=lambda b: (Box(*b).area, b)))
+    render_quality(facts, _pictures(counted, differences, largest, publish), __version__, here.directory / PAGE)
     return {"quality": facts}
 
 
@@ -160,6 +169,21 @@ def _difference_raster(
                 put(stripe, values)
                 spread.add(values)
     _style(target / "strip_dz.qml", spread, "m")
+
+
+def _pictures(counted: Mosaic, differences: _Differences, box: Box, publish: PublishParams) -> list[Picture]:
+    """Maps of the place that covers `box`, of some cells of a large one."""
+    from fwclass.publish.drawing import View
+    from fwclass.publish.figures import step_of
+    from fwclass.publish.quality_page import density_picture, difference_picture
+
+    windows = [Window.covering(box, mosaic.cell) for mosaic in (counted, differences)]
+    steps = [step_of(window, publish.figure_pixels) for window in windows]
+    pulses, dz = (m.thinned(w, s) for m, w, s in zip((counted, differences), windows, steps, strict=True))
+    views = [View.of(window, step) for window, step in zip(windows, steps, strict=True)]
+    density = np.where(pulses["echoes"] > 0, pulses["pulses"] / counted.cell**2, np.nan).astype(np.float32)
+    made = density_picture(density, views[0], publish), difference_picture(dz["dz"], views[1], publish)
+    return [picture for picture in made if picture is not None]
 
 
 def _style(path: Path, spread: Spread, unit: str) -> None:
