@@ -136,3 +136,23 @@ def test_the_page_says_what_the_figures_say(made: tuple[Path, dict[str, Any]]) -
     report = (out / "report.html").read_text()
     assert 'id="quality"' in report and "./quality.html" in report and "l0 – l1" in report
     assert "classified as" not in report
+
+
+@pytest.mark.parametrize("setting", ["min_density=6", "min_pulse_density=6", "max_dz=0.08", "max_noise=0"])
+def test_thresholds_end_with_exit_code_4(survey: Path, made: tuple[Path, dict[str, Any]], setting: str) -> None:
+    name = setting.split("=")[0]
+    told = fwclass(
+        "run",
+        survey / "s.yaml",
+        "--out",
+        made[0],
+        *WORDS,
+        *BLOCKS,
+        "--set",
+        "tile.size=100",
+        "--set",
+        f"quality.{setting}",
+    )
+    missed = name != "max_noise"
+    assert told.returncode == (4 if missed else 0) and (f"quality.{name}" in told.stderr) == missed
+    assert "computed" not in told.stderr and "Traceback" not in told.stderr  # they change no part

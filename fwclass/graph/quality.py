@@ -24,7 +24,7 @@ from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
 from fwclass.publish.raster_styles import Spread
 from fwclass.quality.block import READS, block_quality, pairs_from, pieces_from
 from fwclass.quality.density import Density
-from fwclass.quality.params import QualityParams
+from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
 from fwclass.quality.strips import Comparison, largest_differences, numbers_of, strip_remarks, strips_by
 from fwclass.run.inputs import PartInputs
@@ -204,7 +204,7 @@ MEASURE_QUALITY = Stage(
     quality_of_block,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"params": plan.config.quality},
-    silent=frozenset({"strips"}),
+    silent=THRESHOLDS | {"strips"},
     reads=READS,
     halo=0.0,
 )
@@ -223,7 +223,7 @@ DELIVER_QUALITY = Stage(
         "block": plan.config.terrain.block,
         "places": {site.name: site.box.bounds for site in sites(plan.layout)},
     },
-    silent=NO_BYTE,
+    silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS,
     after=(MEASURE_QUALITY.name,),
     needs=_every_block,
     where="deliver",

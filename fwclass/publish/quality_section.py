@@ -11,10 +11,11 @@ LISTED = 40
 """Strips, and pairs of strips, that a page lists; quality.json has all of them."""
 
 NOTE = (
-    "Heights, roll and pitch are what would bring the strips together: of the strip's middle, of its right edge and of "
-    "its far end along the line, with standard errors. Overlaps cannot see a lift or a tilt that all strips share, and "
-    "share none out: use check points. Pitch is a tilt along the line, whatever its cause. Errors take pairs for "
-    "independent; whatever bends a strip makes them too small."
+    "Height, roll and pitch tell how far a strip lies too high in its middle, and how much more at its right edge and "
+    "at its far end along the line, with standard errors; taking that off brings the strips together best. Overlaps "
+    "cannot see a lift or a tilt that all strips share: it is taken as none, and only check points show it. Pitch is a "
+    "tilt along the line, whatever its cause. Errors take pairs for independent: where a strip is bent they are too "
+    "small."
 )
 
 
@@ -81,10 +82,10 @@ def _share(share: float) -> str:
 
 def _strip(strip: Mapping[str, Any]) -> dict[str, Any]:
     figures = [
-        f"{_cm(strip[name])} ± {_cm(strip[f'{name}_error'], sign=False)}" if strip[name] is not None else "–"
+        f"{_cm(strip[name])} ± {100 * strip[f'{name}_error']:.2f}" if strip[name] is not None else "–"
         for name in ("height", "roll", "pitch")
     ]
-    flight = f"{strip['azimuth']:.0f}°" + ("" if strip["timed"] else " or back")
+    flight = f"{round(strip['azimuth']) % 360}°" + ("" if strip["timed"] else " or back")
     size = f"{strip['width']:,.0f} × {strip['length']:,.0f}".replace(",", "\u202f")
     return {"name": strip["name"], "cells": [number(strip["echoes"]), flight, size, number(strip["pairs"]), *figures]}
 

@@ -42,9 +42,20 @@ class QualityParams(Params):
         or files unless these hold several lines each that overlap (auto).
     line_gap : a strip by time ends where there is no echo for one to two times this [s].
     planes : where strips are compared.
+    min_density, min_pulse_density : echoes and pulses per m², at least; None asks for nothing, here and below.
+    max_dz : root mean square difference of strips, at most [m].
+    max_noise : share of the echoes, at most.
     """
 
     cell: float = Field(ge=0.1, le=256)
     strips: Literal["auto", "files", "times"]
     line_gap: float = Field(ge=0.1, le=100)
     planes: PlaneParams
+    min_density: float | None = Field(gt=0)
+    min_pulse_density: float | None = Field(gt=0)
+    max_dz: float | None = Field(gt=0)
+    max_noise: float | None = Field(ge=0, le=1)
+
+
+THRESHOLDS = frozenset({"min_density", "min_pulse_density", "max_dz", "max_noise"})
+"""They judge figures, and change none."""

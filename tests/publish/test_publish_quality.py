@@ -77,7 +77,7 @@ def test_the_worst_pairs_come_first() -> None:
     told = quality(made)
     assert told is not None
     assert [row["names"] for row in told["between"]] == ["a – c", "a – b"]
-    assert told["between"][0]["cells"] == ["1", "-20.0", "30.0"] and told["strips"][0]["cells"][4] == "+1.2 ± 0.1"
+    assert told["between"][0]["cells"] == ["1", "-20.0", "30.0"] and told["strips"][0]["cells"][4] == "+1.2 ± 0.10"
 
 
 def test_maps_of_nothing_are_none_and_of_one_value_are_drawn(params: PublishParams) -> None:
