@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyogrio
 import pytest
 import rasterio
 from commandline import fwclass
@@ -29,7 +30,9 @@ def run(place: Path, out: Path, *settings: str, expect: int = 0) -> dict[str, An
 def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("lines")
     for k, lift in enumerate(LIFTS):
-        write_lines(place / f"l{k}.las", [line(k, lift)])
+        one = line(k, lift)
+        lake = (np.abs(one["x"] - 500_080) < 10) & (np.abs(one["y"] - 5_400_120) < 20)
+        write_lines(place / f"l{k}.las", [one], ~lake)
     (place / "s.yaml").write_text("survey: {name: lines, sources: ['l*.las']}\n")
     return place
 
@@ -58,14 +61,24 @@ def test_lifts_of_lines_come_out(made: tuple[Path, dict[str, Any]]) -> None:
 
 def test_density_is_what_was_flown(made: tuple[Path, dict[str, Any]]) -> None:
     facts = made[1]
-    assert facts["echoes"] == facts["pulses"] == 3 * 96_000 and facts["noise"] == 0
-    assert facts["density"]["area"] == pytest.approx(220 * 240, rel=0.01)
-    assert facts["density"]["pulses"] == pytest.approx(288_000 / (220 * 240), rel=0.01)
+    assert facts["echoes"] == facts["pulses"] == pytest.approx(281_600, rel=0.01) and facts["noise"] == 0
+    assert facts["density"]["area"] == pytest.approx(220 * 240 - 800, rel=0.01)
+    assert facts["density"]["pulses"] == pytest.approx(281_600 / (220 * 240 - 800), rel=0.01)
     with rasterio.open(made[0] / "rasters/pulse_density.tif") as raster:
         values = raster.read(1)
         left = values[10:110, 2:18]  # of one line alone
         assert raster.res == (2.0, 2.0) and np.nanmean(left) == pytest.approx(4.0, rel=0.05)
-        assert np.nansum(values) * 4 == 288_000
+        assert np.nansum(values) * 4 == facts["pulses"]
+
+
+def test_a_lake_is_a_void(made: tuple[Path, dict[str, Any]]) -> None:
+    voids = made[1]["voids"]
+    assert voids["count"] == 1 and voids["largest"] == [
+        {"area": 800.0, "bounds": [500_070.0, 5_400_100.0, 500_090.0, 5_400_140.0]}
+    ]
+    info = pyogrio.read_info(made[0] / "quality.gpkg", layer="voids")
+    assert info["features"] == 1 and info["total_bounds"] == (500_070.0, 5_400_100.0, 500_090.0, 5_400_140.0)
+    assert "32633" in str(info["crs"])
 
 
 def test_the_map_of_differences_shows_the_lifts(made: tuple[Path, dict[str, Any]]) -> None:
@@ -80,14 +93,14 @@ def test_the_map_of_differences_shows_the_lifts(made: tuple[Path, dict[str, Any]
 @pytest.mark.parametrize("setting", ["tile.size=64", "tile.size=1000"])
 def test_tiles_change_no_byte(survey: Path, made: tuple[Path, dict[str, Any]], setting: str, tmp_path: Path) -> None:
     run(survey, tmp_path / "run", "--set", setting)
-    for name in ("quality.json", "rasters/pulse_density.tif", "rasters/strip_dz.tif"):
+    for name in ("quality.json", "quality.gpkg", "rasters/pulse_density.tif", "rasters/strip_dz.tif"):
         assert (tmp_path / "run" / name).read_bytes() == (made[0] / name).read_bytes(), name
 
 
 @pytest.mark.slow
 def test_workers_change_no_byte(survey: Path, made: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     run(survey, tmp_path / "run", "--set", "tile.size=100", "--workers", "2")
-    for name in ("quality.json", "rasters/pulse_density.tif", "rasters/strip_dz.tif"):
+    for name in ("quality.json", "quality.gpkg", "rasters/pulse_density.tif", "rasters/strip_dz.tif"):
         assert (tmp_path / "run" / name).read_bytes() == (made[0] / name).read_bytes(), name
 
 
@@ -131,14 +144,23 @@ def test_the_page_says_what_the_figures_say(made: tuple[Path, dict[str, Any]]) -
     out, facts = made
     page = (out / "quality.html").read_text()
     assert page.count("data:image/png;base64,") == 2 and "http" not in page.replace("http-equiv", "")
-    for words in ("5.45", "l0 – l1", "-9.0", f"{100 * facts['strips']['rms']:.1f} cm", "a tilt that all strips share"):
+    for words in (
+        f"{facts['density']['pulses']:.2f}",
+        "the largest 800 m²",
+        "l0 – l1",
+        "-9.0",
+        f"{100 * facts['strips']['rms']:.1f} cm",
+        "a tilt that all strips share",
+    ):
         assert words in page, words
     report = (out / "report.html").read_text()
     assert 'id="quality"' in report and "./quality.html" in report and "l0 – l1" in report
     assert "classified as" not in report
 
 
-@pytest.mark.parametrize("setting", ["min_density=6", "min_pulse_density=6", "max_dz=0.08", "max_noise=0"])
+@pytest.mark.parametrize(
+    "setting", ["min_density=6", "min_pulse_density=6", "max_dz=0.08", "max_void=700", "max_noise=0"]
+)
 def test_thresholds_end_with_exit_code_4(survey: Path, made: tuple[Path, dict[str, Any]], setting: str) -> None:
     name = setting.split("=")[0]
     told = fwclass(

@@ -19,6 +19,7 @@ from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole
+from fwclass.publish.gpkg import Layer, write_gpkg
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
 from fwclass.publish.raster_styles import Spread
@@ -27,6 +28,7 @@ from fwclass.quality.density import Density
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
 from fwclass.quality.strips import Comparison, largest_differences, numbers_of, strip_remarks, strips_by
+from fwclass.quality.voids import LISTED, EmptyCells, void_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import write_json
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
     from fwclass.publish.quality_page import Picture
 
 COMPARED = "compared.zarr"
-FACTS, PAGE = "quality.json", "quality.html"
+FACTS, PAGE, POLYGONS = "quality.json", "quality.html", "quality.gpkg"
 PIECES = tuple(Pieces.__dataclass_fields__)
 
 
@@ -95,12 +97,19 @@ def delivered_quality(
         here.inputs, MEASURE_QUALITY.name, blocks, params.cell, {"echoes": np.uint32(0), "pulses": np.uint32(0)}
     )
     differences = _Differences(here.inputs, blocks, params, number)
-    density, system = Density(params.cell), crs_of(crs)
+    density, system, empty = Density(params.cell), crs_of(crs), list[EmptyCells]()
     for place, bounds in places.items():
         target = here.directory / ("rasters" if place == WHOLE else f"rasters/{place}")
         target.mkdir(parents=True)
-        _density_raster(counted, Box(*bounds), density, target, system, publish)
+        empty.append(_density_raster(counted, Box(*bounds), density, target, system, publish))
         _difference_raster(differences, Box(*bounds), target, system, publish)
+    told = density.facts()
+    least = (params.void_spacings * (told["spacing"] or 0.0)) ** 2
+    voids = sorted((v for one in empty for v in one.voids(least)), key=lambda v: (-v.area, v.box.bounds))
+    if voids:
+        areas = np.array([v.area for v in voids[:LISTED]])
+        layer = Layer("voids", [v.box for v in voids[:LISTED]], {"area_m2": areas})
+        write_gpkg([layer], here.directory / POLYGONS, system)
     echoes, noise = (sum(int(m[name]) for m in metas) for name in ("echoes", "noise"))
     facts = {
         "survey": survey,
@@ -108,7 +117,8 @@ def delivered_quality(
         "noise": noise,
         "noise_share": noise / (echoes + noise) if echoes + noise else None,
         "pulses": density.pulses,
-        "density": density.facts(),
+        "density": told,
+        "voids": void_facts(voids, least, told["area"]),
         "strips": strips,
         "remarks": [*(["all echoes are noise"] if not echoes else []), *strip_remarks(strips)],
     }
@@ -142,19 +152,22 @@ def _strips(
 
 def _density_raster(
     counted: Mosaic, box: Box, density: Density, target: Path, crs: CRS | None, publish: PublishParams
-) -> None:
+) -> EmptyCells:
+    """Write the raster, count into `density`, and return the cells without a pulse."""
     window = Window.covering(box, density.cell)
     check_cells(window, box)
-    spread, tags = Spread(), {"what": "pulses per square metre, noise left out"}
+    spread, empty, tags = Spread(), EmptyCells(window), {"what": "pulses per square metre, noise left out"}
     with cog(np.dtype(np.float32), window, target / "pulse_density.tif", crs, publish, np.nan, tags=tags) as put:
         for stripe in stripes(window, STRIPE):
+            laid = counted.laid(stripe)
+            empty.add(stripe, laid["pulses"] == 0)
             if counted.touches(stripe):
-                laid = counted.laid(stripe)
                 density.add(laid["echoes"], laid["pulses"])
                 values = np.where(laid["echoes"] > 0, laid["pulses"] / density.cell**2, np.nan).astype(np.float32)
                 put(stripe, values)
                 spread.add(values)
     _style(target / "pulse_density.qml", spread, "pulses/m²")
+    return empty
 
 
 def _difference_raster(

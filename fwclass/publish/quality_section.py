@@ -62,6 +62,12 @@ def _rows(made: Mapping[str, Any], density: Mapping[str, Any], strips: Mapping[s
         ]
     if density["spacing"] is not None:
         rows.append(("pulse spacing", f"{density['spacing']:.2f} m"))
+    voids = made["voids"]
+    text = f"{number(voids['count'])} from {voids['least']:.3g} m² on"
+    if voids["count"]:
+        text += f", {number(voids['area'])} m² together ({_share(voids['share'])}), the largest "
+        text += f"{number(voids['largest'][0]['area'])} m²; quality.gpkg has the boxes around them"
+    rows.append(("voids inside the survey", text))
     rows.append(("strips", f"{number(len(strips['strips']))}, told by {strips['by']}"))
     if strips["pairs"]:
         rows += [

@@ -16,7 +16,9 @@ def judge_quality(made: Mapping[str, Any], params: QualityParams) -> None:
         ("min_density", "echoes per m²", density["echoes"], params.min_density),
         ("min_pulse_density", "pulses per m²", density["pulses"], params.min_pulse_density),
     )
+    largest = max((v["area"] for v in made["voids"]["largest"]), default=0.0)
     most = (
+        ("max_void", "the largest void [m²]", largest, params.max_void),
         ("max_dz", "the root mean square difference of strips [m]", strips["rms"], params.max_dz),
         ("max_noise", "the share of noise", made["noise_share"], params.max_noise),
     )

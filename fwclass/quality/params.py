@@ -38,24 +38,28 @@ class QualityParams(Params):
     Attributes
     ----------
     cell : edge of the cells that echoes and pulses are counted in [m]; a whole number of them is a block.
+    void_spacings : a void counts from the square of so many mean pulse spacings on.
     strips : what a strip is: each source file (files), each uninterrupted span of GPS time whatever the files (times),
         or files unless these hold several lines each that overlap (auto).
     line_gap : a strip by time ends where there is no echo for one to two times this [s].
     planes : where strips are compared.
     min_density, min_pulse_density : echoes and pulses per m², at least; None asks for nothing, here and below.
+    max_void : area of the largest void, at most [m²].
     max_dz : root mean square difference of strips, at most [m].
     max_noise : share of the echoes, at most.
     """
 
     cell: float = Field(ge=0.1, le=256)
+    void_spacings: float = Field(ge=1, le=1000)
     strips: Literal["auto", "files", "times"]
     line_gap: float = Field(ge=0.1, le=100)
     planes: PlaneParams
     min_density: float | None = Field(gt=0)
     min_pulse_density: float | None = Field(gt=0)
+    max_void: float | None = Field(ge=0)
     max_dz: float | None = Field(gt=0)
     max_noise: float | None = Field(ge=0, le=1)
 
 
-THRESHOLDS = frozenset({"min_density", "min_pulse_density", "max_dz", "max_noise"})
+THRESHOLDS = frozenset({"min_density", "min_pulse_density", "max_void", "max_dz", "max_noise"})
 """They judge figures, and change none."""

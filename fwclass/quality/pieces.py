@@ -51,7 +51,7 @@ def pieces_of(
 ) -> tuple[Pieces, NDArray[np.int64]]:
     """The pieces of a block whose south-west `corner` this is [m], and the number of each echo's piece."""
     span = np.full(len(x), NO_TIME)
-    known = np.abs(time) < MAX_TIME
+    known = (np.abs(time) < MAX_TIME) & (time != 0)  # writers that know no time write 0
     span[known] = np.floor(time[known] / gap).astype(np.int64)
     files, of_file = np.unique(file.astype(np.int64), return_inverse=True)
     spans, of_span = np.unique(span, return_inverse=True)

@@ -151,7 +151,7 @@ def strip_remarks(facts: Mapping[str, Any]) -> list[str]:
     if not facts["pairs"]:
         return [
             f"no two of the {len(strips)} strips see one flat surface: nothing tells how well they agree "
-            "(quality.planes says what counts as one)"
+            "(quality.planes says what counts as one; a larger cell takes more echoes together)"
         ]
     out = []
     if any(s["times"] is None for s in strips):

@@ -35,6 +35,7 @@ BARE: dict[str, Any] = {
     "noise_share": 1.0,
     "pulses": 0,
     "density": {"cell": 2.0, "area": 0.0, "echoes": None, "pulses": None, "spacing": None, "percentiles": None},
+    "voids": {"least": 0.0, "count": 0, "area": 0.0, "share": None, "largest": []},
     "strips": {
         "by": "files",
         "pairs": 0,
