@@ -38,6 +38,7 @@ class Mosaic:
     def __init__(
         self, inputs: PartInputs, stage: str, blocks: Sequence[Tile], cell: float, empty: Mapping[str, np.generic]
     ) -> None:
+        self.cell = cell
         self._inputs, self._stage, self._empty = inputs, stage, empty
         self._keys = [b.key for b in blocks]
         windows = [Window.covering(b.box, cell) for b in blocks]

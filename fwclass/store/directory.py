@@ -238,6 +238,9 @@ class Directory:
             "model",
             "survey.qgz",
             "tiles.gpkg",
+            "quality.gpkg",
+            "quality.html",
+            "quality.json",
             "report.html",
             "report.json",
         ):
