@@ -36,7 +36,7 @@ from fwclass.store.atomic import write_json
 if TYPE_CHECKING:
     from fwclass.publish.quality_page import Picture
 
-COMPARED = "compared.zarr"
+COMPARED = "compared"
 FACTS, PAGE, POLYGONS = "quality.json", "quality.html", "quality.gpkg"
 PIECES = tuple(Pieces.__dataclass_fields__)
 
