@@ -27,6 +27,7 @@ from fwclass.graph.learn import (
     WEIGH_FEATURES,
 )
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
+from fwclass.graph.quality import DELIVER_QUALITY, MEASURE_QUALITY
 from fwclass.graph.radiometry import (
     CALIBRATE_STRIPS,
     CHECK_POINTING,
@@ -92,6 +93,7 @@ classification = Workflow(
         LABEL_BY_POLYGONS,
         LABEL_BY_ECHOES,
         CHECK_SEAMS,  # long, and one part: not at the end
+        MEASURE_QUALITY,
         # the model
         DRAW_SAMPLE,
         MERGE_SAMPLE,
@@ -121,6 +123,7 @@ classification = Workflow(
         DELIVER_STACK,
         MAP_CLASSES,
         DELIVER_RASTERS,
+        DELIVER_QUALITY,
         DELIVER_OVERVIEW,
         DELIVER_CATALOGUE,
         DELIVER_POLYGONS,

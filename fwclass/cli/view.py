@@ -16,6 +16,7 @@ from fwclass.cli.base import OVERWRITE, PATH, SET, cli
 @click.option("--against", type=PATH, metavar="OTHER", help="Another run of the same survey, side by side.")
 @click.option("--allow-run", is_flag=True, help="Let the page start the run's last command once more.")
 @click.option("--worklist", type=PATH, metavar="FILE", help="Write the unsure places as a GeoPackage, and end.")
+@click.option("--export", type=PATH, metavar="DIR", help="Write the page to a new folder for any web server, and end.")
 @SET
 @OVERWRITE
 def view(
@@ -25,6 +26,7 @@ def view(
     against: Path | None,
     allow_run: bool,
     worklist: Path | None,
+    export: Path | None,
     settings: tuple[str, ...],
     overwrite: bool,
 ) -> None:
@@ -35,6 +37,8 @@ def view(
     from fwclass import conf
 
     params = conf.section("view", settings)
+    if worklist is not None and export is not None:
+        raise click.UsageError("--worklist and --export are two commands")
     if worklist is not None:
         if against is not None or port is not None or no_browser or allow_run:
             raise click.UsageError(
@@ -43,6 +47,13 @@ def view(
         from fwclass.delivery.worklist import write_work_list
 
         click.echo(write_work_list(run, params, worklist, overwrite), err=True)
+        return
+    if export is not None:
+        if port is not None or no_browser or overwrite:
+            raise click.UsageError("--export serves nothing: it goes without --port, --no-browser and --overwrite")
+        from fwclass.delivery.exported import export_view
+
+        click.echo(export_view(run, against, params, export, lambda text: click.echo(text, err=True)), err=True)
         return
     if overwrite:
         raise click.UsageError("--overwrite belongs to --worklist")

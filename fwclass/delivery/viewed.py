@@ -21,7 +21,7 @@ from fwclass.delivery.viewed_colours import CORRECTED, DIFFERS, MEANING, RIGHT, 
 from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.delivery.viewed_relabel import Relabelling
-from fwclass.delivery.viewed_tile import OpenTile, by_node
+from fwclass.delivery.viewed_tile import OpenTile, by_node, positions
 from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import drawn_by
 from fwclass.publish.palette import colours, css
@@ -57,7 +57,7 @@ class ViewedRun:
         self.size = float(delivery.report["config"]["tile"]["size"])
         places = np.array([key.split("_") for key in self.tiles], np.int64)
         self.echoes = sum(int(t["echoes"]) for t in self.tiles.values())
-        self.pyramid = Pyramid.over(places, self.echoes, self.size, params.block)
+        self.pyramid = Pyramid.over(places, self.echoes, self.size, params.block, params.together)
         low = np.min([t["bounds"][:3] for t in self.tiles.values()], axis=0)
         self.origin = (*self.pyramid.corner, math.floor(float(low[2])))
         self._blocks, self._open = Cache(params.cache << 20), Cache(params.cache << 20)
@@ -73,8 +73,10 @@ class ViewedRun:
         return self.delivery.path.name
 
     def reopened(self) -> ViewedRun:
+        from fwclass.delivery.viewed_large import viewed  # which is made of this
+
         current = open_run(self.delivery.root)
-        return self if current.path == self.delivery.path else ViewedRun(current, self.params)
+        return self if current.path == self.delivery.path else viewed(current, self.params)
 
     def prepare(self) -> None:
         """Make ahead what the page asks for first; what fails will be said when it is asked for."""
@@ -104,7 +106,7 @@ class ViewedRun:
             "south": pyramid.south,
             "joined": pyramid.joined,
             "halved": pyramid.halved,
-            "together": [k for k in pyramid.levels() if self.echoes * pyramid.share(k) <= self.params.together],
+            "together": list(pyramid.levels()[: pyramid.whole + 1]),
             "tiles": tiles,
             "classes": [{**c, "colour": css(shown[int(c["code"])])} for c in report["classes"]],
             "columns": [f for f in self._fields if f["name"] not in HIDDEN],
@@ -136,9 +138,11 @@ class ViewedRun:
         if len(self._asked) >= REMEMBERED:
             self._asked.clear()
         self._asked[tuple(int(values[n]) for n in IDENTITY)] = tile, at
+        return self._about(tile, at, values)
+
+    def _about(self, tile: str, row: int, values: dict[str, Any]) -> dict[str, Any]:
         classes, rows = self._classes(self._tile(tile), tile)
-        corrected = int(classes[at]) if at in rows else None
-        return {"tile": tile, "row": at, "values": values, "corrected": corrected}
+        return {"tile": tile, "row": row, "values": values, "corrected": int(classes[row]) if row in rows else None}
 
     def pulse(self, strip: int, pulse: int) -> dict[str, Any]:
         return self._behind.pulse(strip, pulse)
@@ -224,20 +228,18 @@ class ViewedRun:
 
     def _in_blocks(self, key: str, rows: NDArray[np.int64]) -> list[tuple[Node, NDArray, NDArray]]:
         """Nodes that have echoes `rows` of a tile, their rows in the node's block, and indices into `rows`."""
-        opened, out = self._tile(key), []
-        for node, at, index in by_node(opened, rows):
-            if node[0] >= self.pyramid.own:
-                out.append((node, at, index))
+        out = [part for part in by_node(self._tile(key), rows) if part[0][0] >= self.pyramid.own]
         if self.pyramid.own:
-            skim = self._skim()
-            number = list(self.tiles).index(key)
-            bounds = np.searchsorted(skim.columns["tile"], [number, number + 1])
-            there = skim.columns["row"][bounds[0] : bounds[1]]
-            if len(there):
-                at = np.minimum(np.searchsorted(there, rows), len(there) - 1)
-                index = np.flatnonzero(there[at] == rows)
-                out += [(n, r, index[i]) for n, r, i in by_node(skim, bounds[0] + at[index])]
+            at, index = self._coarse_rows(key, rows)
+            out += [(node, r, index[i]) for node, r, i in by_node(self._skim(), at)]
         return out
+
+    def _coarse_rows(self, key: str, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where echoes `rows` of a tile stand among the coarse ones, for those that do, and indices into `rows`."""
+        columns, number = self._skim().columns, list(self.tiles).index(key)
+        first, last = np.searchsorted(columns["tile"], [number, number + 1])
+        at, index = positions(columns["row"][first:last], rows)
+        return first + at, index
 
     def _tile(self, key: str) -> OpenTile:
         return self._open.get(key, lambda: self._opened(key), lambda tile: tile.size)
@@ -260,15 +262,18 @@ class ViewedRun:
         """The echoes of the levels that squares of several tiles have."""
         with self._lock:
             if self._skimmed is None:
-                parts = list(self._pool.map(self._coarse, range(len(self.tiles)), self.tiles))
-                columns = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
-                self._skimmed = self._arranged(columns)
+                self._skimmed = self._arranged(self._coarsest())
             return self._skimmed
+
+    def _coarsest(self) -> dict[str, NDArray]:
+        """Columns of the coarse echoes, and the tile and row that each comes from."""
+        parts = list(self._pool.map(self._coarse, range(len(self.tiles)), self.tiles))
+        return {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
 
     def _coarse(self, number: int, key: str) -> dict[str, NDArray]:
         columns = self._read(key)
         rank = _rank(columns)
-        limit = self.pyramid.limit(self.pyramid.own - 1)
+        limit = self.pyramid.limit(self.pyramid.coarse) if self.pyramid.coarse >= 0 else 0
         rows = np.flatnonzero(rank < np.uint64(limit))
         return {**{n: v[rows] for n, v in columns.items()}, "tile": np.full(len(rows), number), "row": rows}
 

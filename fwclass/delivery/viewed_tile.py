@@ -37,6 +37,15 @@ class OpenTile:
         return list(self.nodes), np.array([first for first, _ in self.nodes.values()], np.int64)
 
 
+def positions(ascending: NDArray, values: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where those of `values` that are among `ascending` stand there, and their indices."""
+    if not len(ascending):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    at = np.minimum(np.searchsorted(ascending, values), len(ascending) - 1)
+    index = np.flatnonzero(ascending[at] == values)
+    return at[index], index
+
+
 def by_node(opened: OpenTile, rows: NDArray[np.int64]) -> list[tuple[Node, NDArray, NDArray]]:
     """Nodes that have `rows` of what is open, rows in their blocks, indices into `rows`."""
     nodes, firsts = opened.firsts

@@ -14,7 +14,7 @@ import pyproj
 from fwclass.publish.files import whole
 from fwclass.publish.qgis_style import VERSION, document, plain_text
 
-PROVIDERS = {"raster": "gdal", "vector": "ogr", "pointcloud": "vpc"}
+PROVIDERS = {"raster": "gdal", "vector": "ogr", "pointcloud": "vpc", "copc": "copc"}
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _tree(groups: Groups) -> Xml.Element:
 
 
 def _layer(layer: MapLayer, number: int, crs: pyproj.CRS | None) -> Xml.Element:
-    kind = {"pointcloud": "point-cloud"}.get(layer.kind, layer.kind)
+    kind = {"pointcloud": "point-cloud", "copc": "point-cloud"}.get(layer.kind, layer.kind)
     made = Xml.Element("maplayer", {"type": kind, "hasScaleBasedVisibilityFlag": "0"})
     if layer.kind == "vector":
         made.set("geometry", "Polygon")

@@ -4,6 +4,7 @@ import { Drawing, MODES, rampColours } from './draw.js';
 import { cut, pick, touches } from './pick.js';
 import { $, element, number, values, wave, why } from './panel.js';
 import { json, traffic, useDelivery, useToken } from './net.js';
+import { kept, LITTLE } from './folder.js';
 import { Again } from './again.js';
 import { Relabel } from './relabel.js';
 
@@ -11,7 +12,7 @@ const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, h
 const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
 const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, section: null, selected: null, motion: 600_000 };
 let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null;
-useToken(given.get('token') || '');
+useToken(given.get('token') || ''); $('unserved').remove();
 const fault = (text) => { $('fault').hidden = !text; $('fault').textContent = text || ''; };
 const failed = (text, status) => { $('take').hidden = status !== 409; fault(status === 401 ? 'The address lacks the token, or fwclass view was started again: open the address that it printed last.' : text); };
 async function take() { try { await json('0/reopen.json', {}); location.reload(); } catch (e) { failed(e.message, e.status); } }
@@ -124,6 +125,7 @@ function marks(m, w, h) {
   if (state.section) line(state.section.A, state.section.B);
   for (const p of state.points) { const [x, y, d] = at2(p); if (d > 0) out.push(svg('circle', { cx: x, cy: y, r: 5 })); }
   if (state.measured) { const [a, b] = state.measured, [A, B] = line(a, b); out.push(svg('text', { x: (A[0] + B[0]) / 2 + 6, y: (A[1] + B[1]) / 2 - 6 }, `${Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]).toFixed(2)} m`)); }
+  for (const t of marked()) { t.at = at2(t.place); if (t.at[2] > 0) out.push(svg('circle', { cx: t.at[0], cy: t.at[1], r: 4 })); }
   if (state.selected) scenes.forEach((_, k) => { const [x, y, d] = at2(state.selected.place); if (d > 0) out.push(svg('circle', { cx: x + k * w, cy: y, r: 8 })); });
   const shape = relabel?.shape(); if (shape) out.push(svg('path', shape));
   $('marks').replaceChildren(...out);
@@ -180,18 +182,21 @@ async function show(number_, hit) {
   state.selected = hit; redraw();
   const s = scenes[number_], mine = (show.turn = (show.turn || 0) + 1), late = () => mine !== show.turn;
   try {
-    const about = await json(`${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`), v = about.values; if (late()) return;
+    const about = s.folder ? await kept(s, hit) : await json(`${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`), v = about.values; if (late()) return;
     stats.echo = about;
     const called = s.classes.find((c) => c.code === v.classification)?.name ?? `code ${v.classification}`;
-    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected === null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}`;
+    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}`;
     $('says').textContent = `${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number} of ${v.number_of_echoes ?? '?'}`;
-    values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = '';
+    values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? LITTLE : '';
+    if (about.little) return;
     json(`${number_}/pulse/${v.strip}-${v.pulse}.json`).then((p) => { if (late()) return; stats.wave = p; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
     json(`${number_}/why/${v.strip}-${v.pulse}-${v.echo_number}.json`).then((a) => { if (late()) return; stats.why = a; why(a, new Map(s.classes.map((c) => [c.name, c.colour]))); }, (e) => { if (!late()) why({ error: e.message }, new Map()); });
   } catch (e) { failed(e.message, e.status); }
 }
 function click(x, y) {
   const began = performance.now(), [w, h] = size(), k = Math.min(scenes.length - 1, Math.floor(x / w));
+  const told = state.tool ? null : marked().find((t) => Math.hypot(t.at[0] - x, t.at[1] - y) < 9);
+  if (told) { show(0, { ...told, node: { node: told.node } }); return told; }
   const hit = pick(shown[k]?.nodes || [], matrix(cam, w / h), x - k * w, y, w, h, hidden); stats.pick = performance.now() - began;
   if (state.tool) chosen(hit, x, y); else if (hit) show(k, hit);
   return hit;
@@ -205,7 +210,9 @@ async function go(step) {
   const p = works[at], o = scenes[0].origin;
   cam.target = [p.x - o[0], p.y - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4);
   $('place').textContent = `${at + 1} of ${works.length}: ${p.echoes.toLocaleString('en')} echoes`; moved();
+  const [told] = marked(); if (told) show(0, { ...told, node: { node: told.node } });
 }
+const marked = () => works?.[at]?.told || []; // echoes of which a folder has everything
 const step = (by) => go(by).catch((e) => failed(e.message, e.status));
 
 // ------------------------------------------------------------------ hands
@@ -242,8 +249,8 @@ canvas.addEventListener('webglcontextrestored', () => { drawing.start(); fault('
 function noClass(s) { if (!s.classes.some((c) => c.code === 0)) { s.classes.push({ code: 0, name: 'no class', colour: '#9aa0a6' }); classes(); } }
 async function edit() { if (!relabel) return; noClass(scenes[0]); const opened = relabel.toggle(); remember(); if (relabel.open) again.look(); await opened; }
 function relabels(first) {
-  useDelivery(first.delivery);
   if (!first.relabels) return;
+  useDelivery(first.delivery);
   if (first.rows) noClass(first);
   const section = () => state.section, wantSection = () => { if (state.tool !== 'section') tool('section'); };
   relabel = new Relabel({ scene: first, cam, size, hidden, section, wantSection, redraw, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
@@ -263,7 +270,7 @@ async function begin() {
   }
   $('name').textContent = scenes.map((s) => s.name).join(' | '); document.title = `${first.name} – fwclass view`;
   const by = new Set(['classification', 'confidence', 'entropy', 'height', 'height_above_ground', 'intensity', ...first.columns.map((c) => c.name)]);
-  for (const n of by) if (n === 'height' || first.columns.some((c) => c.name === n)) $('by').add(new Option(n.replaceAll('_', ' '), n));
+  for (const n of by) if (n === 'height' || ((MODES[n] !== undefined || !first.folder || first.folder.columns.includes(n)) && first.columns.some((c) => c.name === n))) $('by').add(new Option(n.replaceAll('_', ' '), n));
   if (!first.crs) $('says').textContent = 'The survey names no coordinate system: places are in its own metres.';
   $('work').hidden = false; recall(); relabels(first); classes(); await colourBy(given.get('by') || 'classification'); frame();
 }

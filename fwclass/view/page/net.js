@@ -8,16 +8,21 @@ async function asked(path, body) {
   const way = body === undefined ? { headers } : { method: 'POST', headers: { ...headers, 'Content-Type': 'application/json' }, body: JSON.stringify(body) };
   let answer, bytes;
   try { answer = await fetch(`data/${path}`, way); bytes = await answer.arrayBuffer(); } catch {
-    throw new Error('The server does not answer: it was ended, or this machine slept. Start fwclass view again and open the address that it prints.');
+    throw new Error('The server does not answer: it was ended, or this machine slept. If it was fwclass view, start that again and open the address that it prints.');
   }
   traffic.requests += 1; traffic.bytes += bytes.byteLength;
-  if (answer.ok) return bytes;
-  let words = '';
-  try { words = JSON.parse(new TextDecoder().decode(bytes)).error; } catch { /* no words */ }
-  throw Object.assign(new Error(words || `not here (${answer.status})`), { status: answer.status });
+  if (!answer.ok) throw Object.assign(new Error(parsed(bytes)?.error || `not here (${answer.status})`), { status: answer.status });
+  return bytes;
 }
 
-export async function json(path, body) { return JSON.parse(new TextDecoder().decode(await asked(path, body))); }
+const parsed = (bytes) => { try { return JSON.parse(new TextDecoder().decode(bytes)); } catch { return null; } };
+
+// A folder has files that say why something is not there.
+export async function json(path, body) {
+  const value = parsed(await asked(path, body)) || { error: `not here (${path} is no JSON)` };
+  if (value.error) throw Object.assign(new Error(value.error), { status: 200 });
+  return value;
+}
 
 // Rows of blocks, with a byte each: from byte `at` on of an answer.
 export async function marked(path, at = 0) {
@@ -55,7 +60,7 @@ export class Loader {
       this.queue.forEach((job, i) => { if (job.rank > this.queue[best].rank) best = i; });
       const [job] = this.queue.splice(best, 1), worker = this.idle.pop();
       this.number += 1; this.jobs.set(this.number, job);
-      worker.postMessage({ id: this.number, path: new URL(`data/${job.path}`, document.baseURI).href, headers, column: job.about.column });
+      worker.postMessage({ id: this.number, path: new URL(`data/${job.path}`, document.baseURI).href, headers, column: job.about.column, stride: job.about.stride });
     }
   }
 
