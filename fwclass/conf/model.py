@@ -34,6 +34,7 @@ from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.params import TrainParams
+from fwclass.vectors.params import VectorParams
 from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
 
@@ -243,6 +244,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "classify": ClassifyParams,
     "assess": AssessParams,
     "publish": PublishParams,
+    "vectors": VectorParams,
     "view": ViewParams,
 }
 
@@ -290,6 +292,7 @@ class Config:
     classify: ClassifyParams
     assess: AssessParams
     publish: PublishParams
+    vectors: VectorParams
     view: ViewParams
 
     @property

@@ -218,6 +218,7 @@ def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
         "rasters": "Rasters (GeoTIFF)",
         "model": "Trained model",
         "gis": "QGIS project and tile map",
+        "vectors": "Vectors (GeoPackage, GeoParquet)",
     }
     out = []
     for kind, items in outputs.items():

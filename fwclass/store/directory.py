@@ -229,6 +229,8 @@ class Directory:
             "model",
             "survey.qgz",
             "tiles.gpkg",
+            "vectors",
+            "vectors.gpkg",
             "report.html",
             "report.json",
         ):

@@ -1,0 +1,62 @@
+"""Parameters of building footprints and trees."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from fwclass.stage import Params
+
+Code = Annotated[int, Field(ge=1, le=255)]
+
+
+class FootprintParams(Params):
+    """Parameters of building footprints; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    codes : class codes of buildings.
+    least_area : of a building, and of a courtyard in one [m²].
+    least_height : of a building, by `height_share` of its cells [m].
+    height_share : share of a building's cells that its height is not below.
+    low : an echo of another class below shows that a cell is no building's [m].
+    tolerance : outlines are simplified by so much [cells].
+    shortest : shorter walls are taken into their neighbours' [cells].
+    agreement : least intersection over union of a right-angled outline with the cells.
+    """
+
+    codes: tuple[Code, ...] = Field(min_length=1)
+    least_area: float = Field(ge=1, le=100_000)
+    least_height: float = Field(ge=0, le=1000)
+    height_share: float = Field(ge=0.5, le=1)
+    low: float = Field(gt=0, le=100)
+    tolerance: float = Field(ge=0.5, le=20)
+    shortest: float = Field(ge=1, le=100)
+    agreement: float = Field(ge=0, le=1)
+
+
+class VectorParams(Params):
+    """Parameters of all vectors; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    write : vectors are delivered.
+    cells : edges that a cell may have, rising; the smallest that is not finer than the spacing of the pulses [m].
+    finer : a cell may be finer than the spacing by this factor.
+    sparse : pulses per square metre below which outlines are told to be rough.
+    square : edge of the squares that pulses are counted in, for their density [m].
+    """
+
+    write: bool
+    cells: tuple[Annotated[float, Field(ge=0.05, le=100)], ...] = Field(min_length=1)
+    finer: float = Field(gt=0, le=1)
+    sparse: float = Field(ge=0)
+    square: float = Field(ge=0.5, le=1000)
+    buildings: FootprintParams
+
+    @model_validator(mode="after")
+    def _rising(self) -> Self:
+        if sorted(set(self.cells)) != list(self.cells):
+            raise ValueError("cells must rise")
+        return self
