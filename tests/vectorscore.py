@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyogrio.raw
 import shapely
+from scipy.spatial import cKDTree
 
 LEAST = 30.0
 """m2, of the buildings that are counted."""
@@ -59,4 +60,36 @@ def scored(found: np.ndarray, truth: Path) -> dict[str, float]:
         "doubled": doubled,
         "overlapping": int((pairs[0] < pairs[1]).sum()),
         "invalid": int((~shapely.is_valid(found)).sum()),
+    }
+
+
+def scored_trees(x: np.ndarray, y: np.ndarray, height: np.ndarray, truth: Path) -> dict[str, float]:
+    """Tops against all stems of `TALL` and more that were surveyed, each taken once, nearest pairs first.
+
+    A top is a stem's as near as half the width of its crown, and 2 m at least. Others are `false`, of those as tall and
+    half a metre more; `open` stems are those that no other crown rises over; `spread` and `bias` are of heights [m].
+    """
+    _, _, geometry, (tall, crown, whole, overtopped) = pyogrio.raw.read(
+        truth, layer="trees", columns=["height", "crown", "whole", "overtopped"]
+    )
+    stems = shapely.get_coordinates(shapely.from_wkb(geometry))
+    near = np.maximum(0.5 * crown, 2.0)
+    pairs = cKDTree(np.c_[x, y]).query_ball_point(stems, near)
+    ends = [(np.hypot(*(stems[n] - (x[k], y[k]))), n, k) for n, some in enumerate(pairs) for k in some]
+    top_of, stem_of = {}, {}
+    for _, n, k in sorted(ends):
+        if n not in top_of and k not in stem_of:
+            top_of[n], stem_of[k] = k, n
+    counted = np.flatnonzero((tall >= TALL) & whole.astype(bool))
+    off = np.array([height[top_of[n]] - tall[n] for n in counted if n in top_of])
+    clear = [n for n in counted if not overtopped[n]]
+    free = [k for k in range(len(x)) if k not in stem_of and height[k] >= TALL + 0.5]
+    return {
+        "stems": len(counted),
+        "found": len(off) / len(counted),
+        "open": len(clear) / len(counted),
+        "found_open": sum(n in top_of for n in clear) / len(clear),
+        "false": len(free) / max(1, len(free) + len(off)),
+        "bias": float(np.median(off)),
+        "spread": float(np.std(off)),
     }

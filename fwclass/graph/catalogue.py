@@ -13,7 +13,7 @@ from fwclass.graph.outputs import DELIVER_TILE, NO_BYTE, TILE_ENDING, TILES, cla
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
-from fwclass.graph.vectors import makes_vectors
+from fwclass.graph.vectors import layers_made
 from fwclass.grid import Box, TileGrid
 from fwclass.publish.copc import streamed, write_tile_copc
 from fwclass.publish.files import whole
@@ -224,7 +224,7 @@ DELIVER_CATALOGUE = Stage(
         "columns": _streamed(plan),
         "title": plan.config.survey.name,
         "polygons": ("tiles", "areas") if any(_areas(plan).values()) else ("tiles",),
-        **({"vectors": ("buildings",)} if makes_vectors(plan) else {}),
+        **({"vectors": layers_made(plan)} if layers_made(plan) else {}),
     },
     after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
     needs=_published,

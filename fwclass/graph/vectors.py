@@ -1,19 +1,20 @@
-"""Stages of vectors: building footprints by blocks of the fixed grid, joined across them, and delivered."""
+"""Stages of vectors: building footprints and trees by blocks of the fixed grid, joined across them, and delivered."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.formats.wkb import polygon_wkb
+from fwclass.formats.wkb import point_wkb, polygon_wkb
 from fwclass.graph.outputs import NO_BYTE, class_names, crs_of
 from fwclass.graph.rasters import owned
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
-from fwclass.grid import Box, Tile
+from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.grid import Box, Tile, Window
 from fwclass.ground.stage import last_of
 from fwclass.publish.geoparquet import write_shape_parquet
 from fwclass.publish.gpkg import Layer, write_gpkg
@@ -21,18 +22,21 @@ from fwclass.publish.params import PublishParams
 from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.store.tables import write_table
-from fwclass.vectors.buildings import COLUMNS, OUTLINES, footprints
-from fwclass.vectors.cells import CELL_COLUMNS, MARGIN, by_piece, counted, joined, pieces, roofs
+from fwclass.vectors.buildings import COLUMNS as BUILDING_COLUMNS
+from fwclass.vectors.buildings import OUTLINES, footprints
+from fwclass.vectors.cells import CELL_COLUMNS, MARGIN, Counts, by_piece, counted, joined, pieces, roofs
 from fwclass.vectors.density import cell_of, median_density, pulses_by_square
 from fwclass.vectors.params import VectorParams
 from fwclass.vectors.shapes import CORNERS, Shapes
+from fwclass.vectors.trees import COLUMNS as TREE_COLUMNS
+from fwclass.vectors.trees import trees
 
 CELL = "vector-cell"
-ROWS, RINGS, BEYOND = "buildings.parquet", "corners.parquet", "beyond.parquet"
-"""Of a block: buildings that lie in it, their corners, and cells of buildings that reach its edge."""
+ROWS, RINGS, BEYOND = "objects.parquet", "corners.parquet", "beyond.parquet"
+"""Of a block: what lies in it, the corners of these, and cells of buildings that reach its edge."""
 
 VECTORS = "vectors.gpkg"
-UNITS = {"height": "m", "height_median": "m", "area": "m2"}
+UNITS = {"height": "m", "height_median": "m", "area": "m2", "crown_area": "m2"}
 
 
 def counted_pulses(here: StageInputs, square: float) -> Made:
@@ -56,34 +60,72 @@ def building_block(here: StageInputs, params: VectorParams) -> Made:
     """The buildings that lie in one block, and the cells of those that may go on beyond its edge."""
     cell = here.inputs.meta(CELL, "all")["cell"]
     core = owned(here.tile, cell)
-    window = core.grown(MARGIN)
-    table = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
-    counts = counted(table, window, params.buildings.codes, params.buildings.low)
-    inner = core.within(window)
+    counts = _counted(here, core.grown(MARGIN), params.buildings.codes, params.buildings.low)
+    inner = core.within(core.grown(MARGIN))
     whole, beyond = pieces(roofs(counts)[inner], counts.within(inner), core)
     made = footprints(by_piece(whole), cell, params.buildings)
-    for name, rows in ((ROWS, made.rows), (RINGS, made.corners), (BEYOND, beyond)):
-        write_table(here.directory / name, rows)
+    _write(here, made)
+    write_table(here.directory / BEYOND, beyond)
     return {"buildings": made.rows.rows, "beyond": beyond.rows}
 
 
+def tree_block(here: StageInputs, params: VectorParams) -> Made:
+    """The trees whose tops lie in one block."""
+    cell = max(here.inputs.meta(CELL, "all")["cell"], params.trees.cell)
+    core = owned(here.tile, cell)
+    window = core.grown(math.ceil(params.trees.halo(cell) / cell))
+    made = trees(_counted(here, window, params.trees.codes, 0.0), window, core, params.trees)
+    _write(here, made)
+    return {"trees": made.rows.rows}
+
+
+def _counted(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
+    return counted(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
+
+
+def _write(here: StageInputs, made: Shapes) -> None:
+    for name, rows in ((ROWS, made.rows), (RINGS, made.corners)):
+        write_table(here.directory / name, rows)
+
+
+def _read(here: StageInputs, stage: Stage, columns: Names) -> list[Shapes]:
+    """The objects of all declared blocks."""
+    tables = here.inputs.table
+    blocks = here.parts(stage.name)
+    return [Shapes(tables(stage.name, b, columns, ROWS), tables(stage.name, b, CORNERS, RINGS)) for b in blocks]
+
+
 def delivered_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Made:
-    """All buildings as GeoParquet and GeoPackage; those that cross blocks are put together first."""
-    about, cell = here.inputs.meta(CELL, "all"), here.inputs.meta(CELL, "all")["cell"]
-    parts, beyond = [], [Table.empty(CELL_COLUMNS)]
-    for block in here.parts(FIND_BUILDINGS.name):
-        rows = here.inputs.table(FIND_BUILDINGS.name, block, COLUMNS, ROWS)
-        parts.append(Shapes(rows, here.inputs.table(FIND_BUILDINGS.name, block, CORNERS, RINGS)))
-        beyond.append(here.inputs.table(FIND_BUILDINGS.name, block, CELL_COLUMNS, BEYOND))
-    across = footprints(by_piece(joined(Table.concat(beyond))), cell, params.buildings)
-    made = Shapes.together([*parts, across])
-    made = made.ordered(np.lexsort((made.rows["cell_column"], made.rows["cell_row"])))
-    fields, geometry = building_fields(made.rows), [polygon_wkb(p) for p in made.polygons()]
-    path = here.directory / "vectors" / "buildings.parquet"
-    write_shape_parquet(fields, geometry, _bounds(made), path, crs_of(crs), publish, units=UNITS)
-    write_gpkg([Layer("buildings", geometry, fields)], here.directory / VECTORS, crs_of(crs))
-    outlines = {OUTLINES[k]: int((made.rows["outline"] == k).sum()) for k in OUTLINES}
-    return {"buildings": made.rows.rows, "across_blocks": across.rows.rows, "outlines": outlines, **about}
+    """All buildings and trees as GeoParquet and GeoPackage; buildings that cross blocks are put together first."""
+    facts, layers = dict(here.inputs.meta(CELL, "all")), []
+    if here.parts(FIND_BUILDINGS.name):
+        cells = (
+            here.inputs.table(FIND_BUILDINGS.name, b, CELL_COLUMNS, BEYOND) for b in here.parts(FIND_BUILDINGS.name)
+        )
+        across = footprints(by_piece(joined(Table.concat(cells))), facts["cell"], params.buildings)
+        made = Shapes.together([*_read(here, FIND_BUILDINGS, BUILDING_COLUMNS), across])
+        made = made.ordered(np.lexsort((made.rows["cell_column"], made.rows["cell_row"])))
+        layers.append((made, Layer("buildings", _wkb(made), building_fields(made.rows))))
+        outlines = {OUTLINES[k]: int((made.rows["outline"] == k).sum()) for k in OUTLINES}
+        facts |= {"buildings": made.rows.rows, "across_blocks": across.rows.rows, "outlines": outlines}
+    if here.parts(FIND_TREES.name):
+        made = Shapes.together(_read(here, FIND_TREES, TREE_COLUMNS))
+        made = made.ordered(np.lexsort((made.rows["x"], made.rows["y"])))
+        x, y, fields = made.rows["x"], made.rows["y"], tree_fields(made.rows)
+        places = Shapes.of(made.rows, [[np.array([place])] for place in np.stack([x, y], axis=1)])
+        layers.append((made, Layer("crowns", _wkb(made), fields)))
+        layers.append((places, Layer("trees", point_wkb(x, y), fields, "Point")))
+        facts |= {"trees": made.rows.rows}
+    for shapes, layer in layers:
+        path = here.directory / "vectors" / f"{layer.name}.parquet"
+        boxes = _bounds(shapes)
+        write_shape_parquet(layer.fields, layer.geometry, boxes, path, crs_of(crs), publish, layer.kind, UNITS)
+    write_gpkg([layer for _, layer in layers], here.directory / VECTORS, crs_of(crs))
+    return facts
+
+
+def _wkb(shapes: Shapes) -> list[bytes]:
+    return [polygon_wkb(polygon) for polygon in shapes.polygons()]
 
 
 def building_fields(rows: Table) -> dict[str, Any]:
@@ -91,13 +133,29 @@ def building_fields(rows: Table) -> dict[str, Any]:
     places = zip(rows["cell_column"].tolist(), rows["cell_row"].tolist(), strict=True)
     return {
         "id": [f"{column}_{row}" for column, row in places],
-        "height": np.round(rows["object_height"].astype(np.float64), 2),
-        "height_median": np.round(rows["median_height"].astype(np.float64), 2),
-        "area": np.round(rows["object_area"].astype(np.float64), 2),
-        "confidence": np.round(rows["confidence"].astype(np.float64), 4),
+        "height": _round(rows["object_height"]),
+        "height_median": _round(rows["median_height"]),
+        "area": _round(rows["object_area"]),
+        "confidence": _round(rows["confidence"], 4),
         "echoes": rows["object_echoes"].astype(np.int64),
         "outline": [OUTLINES[k] for k in rows["outline"].tolist()],
     }
+
+
+def tree_fields(rows: Table) -> dict[str, Any]:
+    """The delivered fields of trees; `id` follows from the place of the top, in centimetres."""
+    places = np.rint(100.0 * np.stack([rows["x"], rows["y"]], axis=1)).astype(np.int64)
+    return {
+        "id": [f"{x}_{y}" for x, y in places.tolist()],
+        "height": _round(rows["object_height"]),
+        "crown_area": _round(rows["object_area"]),
+        "confidence": _round(rows["confidence"], 4),
+        "echoes": rows["object_echoes"].astype(np.int64),
+    }
+
+
+def _round(values: NDArray[np.float32], digits: int = 2) -> NDArray[np.float64]:
+    return np.asarray(np.round(values.astype(np.float64), digits), np.float64)
 
 
 def _bounds(shapes: Shapes) -> NDArray[np.float64]:
@@ -108,18 +166,25 @@ def _bounds(shapes: Shapes) -> NDArray[np.float64]:
     return out
 
 
-def makes_vectors(plan: Plan) -> bool:
-    """A run delivers vectors: they are asked for, and there is a class that they are made of."""
-    return plan.config.vectors.write and not lacking(plan)
+def layers_made(plan: Plan) -> Names:
+    """The layers of ``vectors.gpkg`` that a run makes: of what is asked for, where there is a class of it."""
+    wanted, there = plan.config.vectors, class_names(plan)
+    if not wanted.write:
+        return ()
+    buildings = any(str(code) in there for code in wanted.buildings.codes)
+    trees = any(str(code) in there for code in wanted.trees.codes)
+    return (*(("buildings",) if buildings else ()), *(("trees", "crowns") if trees else ()))
 
 
 def lacking(plan: Plan) -> str:
-    """What a user should know of a survey without buildings; nothing of others."""
-    codes = plan.config.vectors.buildings.codes
-    if not plan.config.vectors.write or any(str(code) in class_names(plan) for code in codes):
-        return ""
-    wanted = ", ".join(map(str, codes))
-    return f"note: no vectors are made: the survey has no class of code {wanted} (vectors.buildings.codes)"
+    """What a user should know of vectors that a survey's classes do not give; nothing of others."""
+    wanted, made = plan.config.vectors, layers_made(plan)
+    codes = {"buildings": wanted.buildings.codes, "trees": wanted.trees.codes}
+    return "\n".join(
+        f"note: vectors have no {name}: no class has code {', '.join(map(str, some))} (vectors.{name}.codes)"
+        for name, some in codes.items()
+        if wanted.write and name not in made
+    )
 
 
 def vector_remarks(made: Mapping[str, Any]) -> list[str]:
@@ -144,8 +209,13 @@ def _of_blocks(stage: str) -> Any:
 
 
 def _largest_cells(plan: Plan, block: Tile) -> Box:
-    """What a block owns, and the smaller cells too."""
-    return owned(block, plan.config.vectors.cells[-1]).box.grown(plan.config.vectors.cells[-1])
+    """What a block owns, in cells of any size."""
+    return owned(block, _largest(plan)).box.grown(_largest(plan))
+
+
+def _largest(plan: Plan) -> float:
+    """Edge of the largest cells that there may be [m]."""
+    return max(plan.config.vectors.cells[-1], plan.config.vectors.trees.cell)
 
 
 def _given(plan: Plan) -> Mapping[str, Any]:
@@ -158,7 +228,7 @@ COUNT_PULSES = Stage(
     "block",
     "echo",
     counted_pulses,
-    when=makes_vectors,
+    when=lambda plan: bool(layers_made(plan)),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"square": plan.config.vectors.square},
@@ -172,23 +242,40 @@ CHOOSE_CELL = Stage(
     "survey",
     "part",
     chosen_cell,
-    when=makes_vectors,
+    when=lambda plan: bool(layers_made(plan)),
     arguments=_given,
     after=(COUNT_PULSES.name,),
     needs=_of_blocks(COUNT_PULSES.name),
 )
+_READ = ("classification", "confidence", "height_above_ground")
 FIND_BUILDINGS = Stage(
     "buildings",
     1,
     "block",
     "echo",
     building_block,
-    when=makes_vectors,
+    when=lambda plan: "buildings" in layers_made(plan),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=_given,
-    reads=("classification", "confidence", "height_above_ground"),
+    reads=_READ,
     halo=lambda plan: MARGIN * plan.config.vectors.cells[-1],
+    area=_largest_cells,
+    after=(CELL,),
+    needs=lambda plan, part: [(CELL, "all")],
+)
+FIND_TREES = Stage(
+    "tree-tops",
+    1,
+    "block",
+    "echo",
+    tree_block,
+    when=lambda plan: "trees" in layers_made(plan),
+    parts=_blocks,
+    edge=lambda plan: plan.config.terrain.block,
+    arguments=_given,
+    reads=_READ,
+    halo=lambda plan: plan.config.vectors.trees.halo(_largest(plan)) + _largest(plan),
     area=_largest_cells,
     after=(CELL,),
     needs=lambda plan, part: [(CELL, "all")],
@@ -199,10 +286,13 @@ DELIVER_VECTORS = Stage(
     "survey",
     "part",
     delivered_vectors,
-    when=makes_vectors,
+    when=lambda plan: bool(layers_made(plan)),
     arguments=lambda plan: {"params": plan.config.vectors, "publish": plan.config.publish, "crs": plan.survey.crs},
     silent=NO_BYTE,
-    after=(CELL, FIND_BUILDINGS.name),
-    needs=lambda plan, part: [(CELL, "all"), *_of_blocks(FIND_BUILDINGS.name)(plan, part)],
+    after=(CELL, FIND_BUILDINGS.name, FIND_TREES.name),
+    needs=lambda plan, part: [
+        (CELL, "all"),
+        *((s.name, b.key) for s in (FIND_BUILDINGS, FIND_TREES) if s.when(plan) for b in _blocks(plan)),
+    ],
     where="deliver",
 )

@@ -12,6 +12,7 @@ from fwclass.publish.qgis_style import (
     class_cloud_style,
     graduated_style,
     outline_style,
+    point_style,
     ramp_cloud_style,
 )
 from fwclass.publish.raster_styles import raster_style
@@ -37,7 +38,11 @@ _RASTERS = {
     "dtm_distance": ("distance of the nearest ground echo [m]", "Terrain"),
 }
 
-_VECTORS = {"buildings": outline_style((150, 40, 10), 0.5)}
+_VECTORS = {
+    "buildings": outline_style((150, 40, 10), 0.5),
+    "trees": point_style((20, 90, 30), 1.6),
+    "crowns": outline_style((40, 130, 60), 0.2),
+}
 
 
 def cloud_styles(names: Mapping[int, str]) -> dict[str, list[Xml.Element]]:
@@ -73,7 +78,11 @@ def groups_of(
         for name, style in cloud_styles(names).items()
         if name == "classes" or name in columns
     ]
-    shapes = [MapLayer(n, "vector", f"vectors.gpkg|layername={n}", _VECTORS[n], shown=True) for n in vectors]
+    kinds = {name: "Point" if name == "trees" else "Polygon" for name in vectors}
+    shapes = [
+        MapLayer(name, "vector", f"vectors.gpkg|layername={name}", _VECTORS[name], name != "crowns", kind)
+        for name, kind in kinds.items()
+    ]
     groups = {"Echoes": echoes, **({"Vectors": shapes} if shapes else {}), "Tiles": _polygons(polygons)}
     groups |= {"Maps": [], "Terrain": []}
     for site, made in ranges.items():

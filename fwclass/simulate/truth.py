@@ -14,7 +14,7 @@ from fwclass.formats.gdal import write_shapes
 from fwclass.formats.wkb import point_wkb, polygon_wkb
 from fwclass.simulate.city import build_scene
 from fwclass.simulate.params import SimulateParams
-from fwclass.simulate.scene import BUILDING, HIGH, Scene, in_gap, terrain
+from fwclass.simulate.scene import BUILDING, CONE, HIGH, Scene, terrain
 
 TRUTH = "truth.gpkg"
 
@@ -51,15 +51,25 @@ def _overlap(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     return True
 
 
-def trees_of(scene: Scene) -> NDArray[np.float64]:
+def trees_of(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Every tree, (trees, 5): x, y of the stem, height of its top, its height above the terrain, diameter of the crown
-    [m]."""
+    [m]; and whether another crown rises over its top."""
     stems = scene.box[: len(scene.solid_class)][scene.solid_class == HIGH]
     place = 0.5 * (stems[:, :2] + stems[:, 3:5])
     at = scipy.spatial.cKDTree(scene.crown[:, 1:3]).query_ball_point(place, 1e-6)
     crown = scene.crown[[min(rows) for rows in at]] if len(place) else scene.crown[:0]
     ground = [terrain(scene.height, scene.margin, scene.step, x, y) for x, y in place]
-    return np.column_stack([place, crown[:, 4], crown[:, 4] - np.array(ground), 2.0 * crown[:, 5]])
+    trees = np.column_stack([place, crown[:, 4], crown[:, 4] - np.array(ground), 2.0 * crown[:, 5]])
+    return trees, np.array([_overtopped(one, crown) for one in crown], bool)
+
+
+def _overtopped(one: NDArray[np.float64], crowns: NDArray[np.float64]) -> bool:
+    """Whether one of `crowns` (rows of `Scene.crown`) is higher above the top of `one` than that."""
+    shape, x, y, bottom, top, reach = crowns.T[:6]
+    share = np.hypot(x - one[1], y - one[2]) / reach
+    ellipsoid = 0.5 * (bottom + top) + 0.5 * (top - bottom) * np.sqrt(np.clip(1.0 - share**2, 0.0, None))
+    height = np.where(shape == CONE, top - share * (top - bottom), ellipsoid)
+    return bool(((share < 1.0) & (height > one[4] + 1e-9)).any())
 
 
 def write_truth(params: SimulateParams, out: Path) -> Path:
@@ -67,7 +77,7 @@ def write_truth(params: SimulateParams, out: Path) -> Path:
 
     Layer `buildings`: the plan of every part (`building`: the number of what it belongs to, `top` [m], `whole`: no part
     of that building lies outside the survey area or in its gap). Layer `trees`: stems (`height` above the terrain,
-    `crown` diameter [m], `whole`).
+    `crown` diameter [m], `whole`, `overtopped`: another crown rises over its top).
     """
     scene = build_scene(params)
     move, path = np.array([params.origin_x, params.origin_y]), out / TRUTH
@@ -80,14 +90,17 @@ def write_truth(params: SimulateParams, out: Path) -> Path:
     whole = np.bincount(building, ~seen)[building] == 0 if len(seen) else seen
     fields: dict[str, Any] = {"building": building, "top": top + params.base_height, "whole": whole}
     write_shapes(beside, "buildings", [polygon_wkb([part + move]) for part in corners], fields, crs)
-    trees = trees_of(scene)
+    trees, overtopped = trees_of(scene)
     seen = np.array([_seen(scene, one[None, :2]) for one in trees], bool)
     fields = {"top": trees[:, 2] + params.base_height, "height": trees[:, 3], "crown": trees[:, 4], "whole": seen}
+    fields["overtopped"] = overtopped
     write_shapes(beside, "trees", point_wkb(trees[:, 0] + move[0], trees[:, 1] + move[1]), fields, crs, "Point")
     return beside.replace(path)
 
 
 def _seen(scene: Scene, points: NDArray[np.float64]) -> bool:
-    """Whether points (n, 2) [m] lie in the survey area and not in its gap."""
-    inside = (points > 0.0).all() and (points < scene.size).all()
-    return bool(inside and not any(in_gap(scene.gap, x, y) for x, y in points))
+    """Whether all points (n, 2) [m] lie in the survey area and none in its gap."""
+    x, y, cos, sin, half_length, half_width = scene.gap
+    dx, dy = (points - (x, y)).T
+    gap = (np.abs(dx * cos + dy * sin) < half_length) & (np.abs(dy * cos - dx * sin) < half_width)
+    return bool(((points > 0.0) & (points < scene.size)).all() and not gap.any())

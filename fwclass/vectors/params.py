@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from fwclass.stage import Params
@@ -36,6 +38,39 @@ class FootprintParams(Params):
     agreement: float = Field(ge=0, le=1)
 
 
+class TreeParams(Params):
+    """Parameters of trees; the numbers are in `conf/base.yaml`.
+
+    Attributes
+    ----------
+    codes : class codes of vegetation.
+    least_height : of a tree [m].
+    cell : edge of the cells at least [m].
+    smooth : standard deviation that the surface is smoothed by [m].
+    narrowest, widening : width of a crown at no height [m], and more of it for a square metre of height [1/m].
+    share : of a tree's height that its crown is not lower than.
+    reach : from a tree's top to the end of its crown, at most [m].
+    """
+
+    codes: tuple[Code, ...] = Field(min_length=1)
+    least_height: float = Field(ge=0.5, le=100)
+    cell: float = Field(ge=0.05, le=100)
+    smooth: float = Field(ge=0.05, le=10)
+    narrowest: float = Field(gt=0, le=20)
+    widening: float = Field(ge=0, le=1)
+    share: float = Field(gt=0, le=1)
+    reach: float = Field(ge=1, le=50)
+
+    def halo(self, cell: float) -> float:
+        """What is read around cells of `cell` [m] for the trees whose tops lie in them [m]: their crowns, those beside,
+        and what the surface is smoothed by."""
+        return 2.0 * self.reach + 4.0 * self.smooth + 3.0 * cell
+
+    def width(self, height: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Width of the crown of a tree of some height [m] (Popescu and Wynne 2004, equation 1)."""
+        return self.narrowest + self.widening * height**2
+
+
 class VectorParams(Params):
     """Parameters of all vectors; the numbers are in `conf/base.yaml`.
 
@@ -54,6 +89,7 @@ class VectorParams(Params):
     sparse: float = Field(ge=0)
     square: float = Field(ge=0.5, le=1000)
     buildings: FootprintParams
+    trees: TreeParams
 
     @model_validator(mode="after")
     def _rising(self) -> Self:

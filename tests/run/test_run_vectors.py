@@ -102,7 +102,7 @@ def test_the_delivery_knows_them(place: Path):
 
 def test_without_a_class_of_buildings_it_says_so(tmp_path: Path):
     ended = run(survey(tmp_path / "s", code=5, name="bush"), "r")
-    assert "no vectors are made: the survey has no class of code 6" in ended.stderr
+    assert "vectors have no buildings: no class has code 6" in ended.stderr
     assert not (tmp_path / "s/r/vectors.gpkg").exists()
 
 
