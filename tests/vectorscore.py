@@ -28,37 +28,35 @@ def true_buildings(truth: Path) -> tuple[np.ndarray, np.ndarray]:
 def scored(found: np.ndarray, truth: Path) -> dict[str, float]:
     """Polygons against all buildings of `LEAST` and more that were surveyed whole.
 
-    A building is found where polygons cover half of it. Its `iou` is with all polygons that lie in it for half of their
-    area or cover half of it; `joint_iou` is of the whole area. A polygon is `false` where it covers less than half of
-    itself in buildings, and a building is `doubled` where two polygons share area, or cover a tenth of it each.
+    A building is `found` where polygons cover half of it, `split` where two cover a tenth of it each; `iou` is the mean
+    over the buildings, of the polygon that covers most of each; `joint_iou` of all area. A polygon is `false` where
+    less than half of it is built over, and `doubled` counts pairs that share a hundredth.
     """
     outlines, whole = true_buildings(truth)
-    tree = shapely.STRtree(found)
-    counted = np.flatnonzero(whole & (shapely.area(outlines) >= LEAST))
-    seen, ious, doubled = 0, [], 0
+    tree, sizes = shapely.STRtree(found), shapely.area(outlines)
+    counted = np.flatnonzero(whole & (sizes >= LEAST))
+    seen, split, ious = 0, 0, []
     for k in counted:
         near = found[tree.query(outlines[k], predicate="intersects")]
         shares = shapely.area(shapely.intersection(near, outlines[k]))
-        seen += bool(shares.sum() >= 0.5 * shapely.area(outlines[k]))
-        doubled += int((shares >= 0.1 * shapely.area(outlines[k])).sum() > 1)
-        best = near[np.argmax(shares)] if len(near) else shapely.Polygon()
-        both = shapely.area(shapely.intersection(best, outlines[k]))
-        ious.append(both / (shapely.area(best) + shapely.area(outlines[k]) - both))
-    built = shapely.union_all(outlines)
-    pairs = tree.query(found, predicate="overlaps")
-    edge = shapely.union_all(outlines[~whole]) if (~whole).any() else shapely.Polygon()
-    inside = found[~shapely.intersects(found, edge)]
+        seen += bool(shares.sum() >= 0.5 * sizes[k])
+        split += int((shares >= 0.1 * sizes[k]).sum() > 1)
+        best = int(np.argmax(shares)) if len(near) else 0
+        ious.append(shares[best] / (shapely.area(near[best]) + sizes[k] - shares[best]) if len(near) else 0.0)
+    one, other = tree.query(found, predicate="overlaps")
+    shared = shapely.area(shapely.intersection(found[one], found[other]))
+    twice = (shared > 0.01 * np.minimum(shapely.area(found[one]), shapely.area(found[other]))) & (one < other)
+    inside = shapely.union_all(found[~shapely.intersects(found, shapely.union_all(outlines[~whole]))])
     true = shapely.union_all(outlines[whole])
-    joint = shapely.union_all(inside)
+    built = shapely.area(shapely.intersection(found, shapely.union_all(outlines)))
     return {
         "buildings": len(counted),
         "found": seen / len(counted),
         "iou": float(np.mean(ious)),
-        "joint_iou": shapely.area(shapely.intersection(joint, true)) / shapely.area(shapely.union(joint, true)),
-        "area": shapely.area(joint) / shapely.area(true),
-        "false": int((shapely.area(shapely.intersection(found, built)) < 0.5 * shapely.area(found)).sum()),
-        "doubled": doubled,
-        "overlapping": int((pairs[0] < pairs[1]).sum()),
+        "joint_iou": float(shapely.area(inside & true) / shapely.area(inside | true)),
+        "false": int((built < 0.5 * shapely.area(found)).sum()),
+        "split": split,
+        "doubled": int(twice.sum()),
         "invalid": int((~shapely.is_valid(found)).sum()),
     }
 
@@ -93,3 +91,11 @@ def scored_trees(x: np.ndarray, y: np.ndarray, height: np.ndarray, truth: Path) 
         "bias": float(np.median(off)),
         "spread": float(np.std(off)),
     }
+
+
+def scored_run(run: Path, truth: Path) -> tuple[dict[str, float], dict[str, float]]:
+    """Buildings and trees that a run delivered."""
+    buildings = shapely.from_wkb(pyogrio.raw.read(run / "vectors.gpkg", layer="buildings")[2])
+    _, _, places, (height,) = pyogrio.raw.read(run / "vectors.gpkg", layer="trees", columns=["height"])
+    x, y = shapely.get_coordinates(shapely.from_wkb(places)).T
+    return scored(buildings, truth), scored_trees(x, y, height, truth)

@@ -6,9 +6,11 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.schema import Table
+from fwclass.vectors.cells import EIGHT
 from fwclass.vectors.outline import Cells, Ring, area, corners, covered, filled, mask_of, rings, simplified, sound
 from fwclass.vectors.params import FootprintParams
 from fwclass.vectors.regular import direction, middles, right_angled
@@ -82,12 +84,22 @@ def _polygon(piece: Table, cell: float, params: FootprintParams) -> tuple[list[R
     regular = [right_angled(ring, angle, params.tolerance, params.shortest) for ring in points]
     full = [ring for ring in regular if ring is not None]
     for polygon, kind in ((full, RIGHT_ANGLED), (plain, SIMPLIFIED)):
-        if len(polygon) == len(points) and _agrees(polygon, mask, params.agreement) and sound(polygon):
+        if len(polygon) == len(points) and _agrees(polygon, mask, params) and sound(polygon):
             return [ring + origin for ring in polygon], kind
     return [corners(ring) + origin for ring in around], OF_CELLS
 
 
-def _agrees(polygon: list[Ring], mask: Cells, least: float) -> bool:
-    """Whether the polygon covers what the cells do, by intersection over union."""
-    inside = covered(polygon, mask.shape)
-    return bool((inside & mask).sum() >= least * (inside | mask).sum())
+def _agrees(polygon: list[Ring], mask: Cells, params: FootprintParams) -> bool:
+    """Whether the polygon covers what the cells do, by intersection over union, and nowhere ends far from them."""
+    far = math.ceil(params.furthest)
+    mask = np.pad(mask, far + 1)
+    moved = [ring + (far + 1.0) for ring in polygon]
+    corner = np.concatenate(moved)
+    if (corner < 0.0).any() or (corner > mask.shape[::-1]).any():
+        return False
+    inside = covered(moved, mask.shape)
+    if (inside & ~scipy.ndimage.binary_dilation(mask, EIGHT, far)).any():
+        return False
+    if (mask & ~scipy.ndimage.binary_dilation(inside, EIGHT, far)).any():
+        return False
+    return bool((inside & mask).sum() >= params.agreement * (inside | mask).sum())

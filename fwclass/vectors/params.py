@@ -25,7 +25,8 @@ class FootprintParams(Params):
     low : an echo of another class below shows that a cell is no building's [m].
     tolerance : outlines are simplified by so much [cells].
     shortest : shorter walls are taken into their neighbours' [cells].
-    agreement : least intersection over union of a right-angled outline with the cells.
+    agreement : least intersection over union of a simpler outline with the cells.
+    furthest : that a simpler outline covers beyond the cells, or leaves out of them, at most [cells].
     """
 
     codes: tuple[Code, ...] = Field(min_length=1)
@@ -36,6 +37,7 @@ class FootprintParams(Params):
     tolerance: float = Field(ge=0.5, le=20)
     shortest: float = Field(ge=1, le=100)
     agreement: float = Field(ge=0, le=1)
+    furthest: float = Field(ge=1, le=100)
 
 
 class TreeParams(Params):
@@ -46,6 +48,7 @@ class TreeParams(Params):
     codes : class codes of vegetation.
     least_height : of a tree [m].
     cell : edge of the cells at least [m].
+    least_area : of a crown [m²].
     smooth : standard deviation that the surface is smoothed by [m].
     narrowest, widening : width of a crown at no height [m], and more of it for a square metre of height [1/m].
     share : of a tree's height that its crown is not lower than.
@@ -55,6 +58,7 @@ class TreeParams(Params):
     codes: tuple[Code, ...] = Field(min_length=1)
     least_height: float = Field(ge=0.5, le=100)
     cell: float = Field(ge=0.05, le=100)
+    least_area: float = Field(ge=0, le=10_000)
     smooth: float = Field(ge=0.05, le=10)
     narrowest: float = Field(gt=0, le=20)
     widening: float = Field(ge=0, le=1)

@@ -109,9 +109,12 @@ def trees(counts: Counts, window: Window, core: Window, params: TreeParams) -> S
         labels, _ = scipy.ndimage.label(tree[piece] == k, EIGHT)
         at = places[k - 1] - (piece[0].start, piece[1].start)
         mine = labels == labels[at[0], at[1]]
+        if mine.sum() * window.cell**2 < params.least_area:
+            continue
         polygon = _outline(mine, window, piece)
         rated, percent = int(counts.rated[piece][mine].sum()), int(counts.percent[piece][mine].sum())
-        height = float(surface.top[piece][mine].max())
+        low_r, low_c = np.maximum(places[k - 1] - 1, 0)
+        height = float(surface.top[low_r : low_r + 3, low_c : low_c + 3].max())  # smoothing may move it by a cell
         size = sum(area(ring) for ring in polygon)
         sure = 0.01 * percent / rated if rated else math.nan
         x, y = (col + 0.5) * window.cell, (row + 0.5) * window.cell
