@@ -19,9 +19,9 @@ ground in every second one."""
 REGROWN = 5
 """Cells that a building grows back by: what a cell on the ground beside it, and an opening, take of its corners."""
 
-MARGIN = 5 + APART + REGROWN
-"""Cells around a window that decide which of its cells are of a building: a closing and an opening by one cell, what is
-held apart, what grows back, and what meets."""
+MARGIN = 7 + APART + REGROWN
+"""Cells around a window that decide which of its cells are of a building: a closing and two openings by one cell, what
+is held apart, what grows back, and what meets."""
 
 EIGHT = np.ones((3, 3), bool)
 """Neighbours by a side or a corner."""
@@ -82,7 +82,9 @@ def roofs(counts: Counts) -> NDArray[np.bool_]:
 
     Gaps of a cell are closed where nothing lies on the ground, and what is narrower than three cells is taken away.
     What hangs together away from cells on the ground is one building; it grows back over what was taken away, `REGROWN`
-    cells at most, and where two meet a cell is left out. A cell within `MARGIN` of the edge may lack what lies beyond.
+    cells at most. What is too narrow for that, as a shed is, is one of its own. Where two meet a cell is left out.
+
+    A cell within `MARGIN` of the edge may lack what lies beyond.
     """
     there = counts.echoes > 0
     closed = scipy.ndimage.binary_closing(np.pad(there, 1), EIGHT)[1:-1, 1:-1]
@@ -93,6 +95,8 @@ def roofs(counts: Counts) -> NDArray[np.bool_]:
     for _ in range(REGROWN):
         near = scipy.ndimage.maximum_filter(labels, 3, mode="constant")
         labels = np.where((labels == 0) & cover, near, labels)
+    narrow, _ = scipy.ndimage.label(scipy.ndimage.binary_opening(cover & (labels == 0), EIGHT), EIGHT)
+    labels = np.where(narrow > 0, narrow + labels.max(initial=0), labels)
     return np.asarray((labels > 0) & ~_met(labels))
 
 

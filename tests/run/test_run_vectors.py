@@ -101,10 +101,14 @@ def test_the_delivery_knows_them(place: Path):
     assert ended.returncode == 0, ended.stderr
 
 
-def test_without_a_class_of_buildings_it_says_so(tmp_path: Path):
-    ended = run(survey(tmp_path / "s", code=5, name="bush"), "r")
+def test_what_the_classes_do_not_give_is_told(tmp_path: Path):
+    ended = run(survey(tmp_path / "bushes", code=5, name="bush"), "r")
     assert "vectors have no buildings: no class has code 6" in ended.stderr
-    assert not (tmp_path / "s/r/vectors.gpkg").exists()
+    layers = pyogrio.list_layers(tmp_path / "bushes/r/vectors.gpkg")[:, 0]
+    assert sorted(layers) == ["crowns", "trees"]
+    ended = run(survey(tmp_path / "cars", code=64, name="car"), "r")
+    assert "no buildings" in ended.stderr and "vectors have no trees: no class has code 3, 4, 5" in ended.stderr
+    assert not (tmp_path / "cars/r/vectors.gpkg").exists()
 
 
 def test_sparse_echoes_are_told(tmp_path: Path):

@@ -93,6 +93,12 @@ def test_houses_an_alley_apart_are_two():
     assert found(echoes(shapely.box(10, 10, 31, 22)), WHOLE)[0].rows == 1
 
 
+def test_a_narrow_shed_is_a_building():
+    shed = shapely.affinity.rotate(shapely.box(30, 30, 41, 32.8), 25)
+    _, (made,) = found(echoes(shed), WHOLE)
+    assert made.intersection(shed).area / made.union(shed).area > 0.75
+
+
 def test_a_courtyard_is_a_hole():
     yard = shapely.box(10, 10, 40, 40).difference(shapely.box(20, 20, 30, 30))
     _, (made,) = found(echoes(yard), WHOLE)
