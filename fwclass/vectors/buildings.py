@@ -84,14 +84,14 @@ def _polygon(piece: Table, cell: float, params: FootprintParams) -> tuple[list[R
     regular = [right_angled(ring, angle, params.tolerance, params.shortest) for ring in points]
     full = [ring for ring in regular if ring is not None]
     for polygon, kind in ((full, RIGHT_ANGLED), (plain, SIMPLIFIED)):
-        if len(polygon) == len(points) and _agrees(polygon, mask, params) and sound(polygon):
+        if len(polygon) == len(points) and _agrees(polygon, mask, cell, params) and sound(polygon):
             return [ring + origin for ring in polygon], kind
     return [corners(ring) + origin for ring in around], OF_CELLS
 
 
-def _agrees(polygon: list[Ring], mask: Cells, params: FootprintParams) -> bool:
+def _agrees(polygon: list[Ring], mask: Cells, cell: float, params: FootprintParams) -> bool:
     """Whether the polygon covers what the cells do, by intersection over union, and nowhere ends far from them."""
-    far = math.ceil(params.furthest)
+    far = math.ceil(max(params.furthest / cell, 2.0 * params.tolerance))
     mask = np.pad(mask, far + 1)
     moved = [ring + (far + 1.0) for ring in polygon]
     corner = np.concatenate(moved)

@@ -26,7 +26,8 @@ class FootprintParams(Params):
     tolerance : outlines are simplified by so much [cells].
     shortest : shorter walls are taken into their neighbours' [cells].
     agreement : least intersection over union of a simpler outline with the cells.
-    furthest : that a simpler outline covers beyond the cells, or leaves out of them, at most [cells].
+    furthest : that a simpler outline covers beyond the cells, or leaves out of them, at most [m]; twice the tolerance
+        where that is more.
     """
 
     codes: tuple[Code, ...] = Field(min_length=1)
@@ -37,7 +38,7 @@ class FootprintParams(Params):
     tolerance: float = Field(ge=0.5, le=20)
     shortest: float = Field(ge=1, le=100)
     agreement: float = Field(ge=0, le=1)
-    furthest: float = Field(ge=1, le=100)
+    furthest: float = Field(ge=0, le=100)
 
 
 class TreeParams(Params):
