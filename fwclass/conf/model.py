@@ -35,6 +35,7 @@ from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.params import TrainParams
+from fwclass.vectors.params import VectorParams
 from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
 
@@ -245,6 +246,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "quality": QualityParams,
     "assess": AssessParams,
     "publish": PublishParams,
+    "vectors": VectorParams,
     "view": ViewParams,
 }
 
@@ -293,6 +295,7 @@ class Config:
     quality: QualityParams
     assess: AssessParams
     publish: PublishParams
+    vectors: VectorParams
     view: ViewParams
 
     @property

@@ -26,6 +26,7 @@ from fwclass.graph.report_figures import report_figures
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
 from fwclass.graph.tiling import source_codes
+from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
 from fwclass.model.ranges import RANGES
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import reported
@@ -109,6 +110,7 @@ def write_report(
             *(drifted or {}).get("remarks", ()),
             *_crowded(runner, config),
             *_empty(files),
+            *(words for r in made_in_run(runner, DELIVER_VECTORS.name) for words in vector_remarks(r.meta)),
             *(class_remarks(source, known_codes(config.classes), kept) if classified else ()),
         ],
         "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
@@ -366,6 +368,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "publish-overview",
         "publish-catalogue",
         "publish-polygons",
+        DELIVER_VECTORS.name,
         "train",
     )
     names = [n for stage in stages for r in made_in_run(runner, stage) for n in r.outputs]
@@ -376,6 +379,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "model": "model/",
         "quality": "quality.",
         "gis": ("survey.qgz", "tiles.gpkg"),
+        "vectors": ("vectors.gpkg", "vectors/"),
     }
     return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
 

@@ -25,6 +25,7 @@ class MapLayer:
     ----------
     kind : a key of `PROVIDERS`.
     source : path below the project, with ``|layername=…|subset=…`` of a vector layer.
+    geometry : of a vector layer, ``Polygon`` or ``Point``.
     shown : drawn when the project opens.
     """
 
@@ -33,6 +34,7 @@ class MapLayer:
     source: str
     style: Sequence[Xml.Element]
     shown: bool = False
+    geometry: str = "Polygon"
 
 
 Groups = Mapping[str, Sequence[MapLayer]]
@@ -111,7 +113,7 @@ def _layer(layer: MapLayer, number: int, crs: pyproj.CRS | None) -> Xml.Element:
     kind = {"pointcloud": "point-cloud", "copc": "point-cloud"}.get(layer.kind, layer.kind)
     made = Xml.Element("maplayer", {"type": kind, "hasScaleBasedVisibilityFlag": "0"})
     if layer.kind == "vector":
-        made.set("geometry", "Polygon")
+        made.set("geometry", layer.geometry)
     _text(made, "id", _key(number))
     _text(made, "datasource", f"./{layer.source}")
     _text(made, "layername", layer.name)

@@ -222,6 +222,7 @@ def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
         "model": "Trained model",
         "quality": "Survey quality",
         "gis": "QGIS project and tile map",
+        "vectors": "Vectors (GeoPackage, GeoParquet)",
     }
     out = []
     for kind, items in outputs.items():

@@ -241,6 +241,8 @@ class Directory:
             "quality.gpkg",
             "quality.html",
             "quality.json",
+            "vectors",
+            "vectors.gpkg",
             "report.html",
             "report.json",
         ):
