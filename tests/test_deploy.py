@@ -56,3 +56,19 @@ def test_systemd_takes_the_units(tmp_path):
     assert len(units) == 3
     done = subprocess.run(["systemd-analyze", "verify", *units], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and not done.stderr.strip(), done.stderr
+
+
+def test_the_image_is_made_by_the_commands_of_the_readme():
+    """It is not built here: what it runs is held against what is."""
+    root = DEPLOY.parent
+    text = (DEPLOY / "docker" / "Dockerfile").read_text().replace("\\\n", " ")
+    steps = [line.split(None, 1) for line in text.splitlines() if line and not line.startswith("#")]
+    assert {step for step, _ in steps} <= {"FROM", "ENV", "WORKDIR", "COPY", "RUN", "ENTRYPOINT"}
+    assert [rest for step, rest in steps if step == "FROM"] == ["python:3.11-slim"]
+    run = next(rest for step, rest in steps if step == "RUN").replace("--no-cache-dir ", "")
+    install = (root / "README.md").read_text().split("## Install")[1].split("```sh\n")[1].split("```")[0]
+    wanted = [c.strip() for line in install.splitlines() for c in line.split("&&") if c.strip().startswith("pip")]
+    assert len(wanted) == 2 and all(command in run for command in wanted)
+    assert "fwclass compile" in run and (root / "requirements.lock").is_file()
+    page = (root / "docs" / "commands.md").read_text()
+    assert "docker build -f deploy/docker/Dockerfile -t fwclass ." in page

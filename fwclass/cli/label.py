@@ -27,12 +27,15 @@ def label() -> None:
 @label.command()
 @click.argument("run", type=PATH)
 @click.argument("directory", metavar="DIR", type=PATH)
-@click.option("--tiles", required=True, help="Keys of the tiles, e.g. 12_34,12_35.")
-def checkout(run: Path, directory: Path, tiles: str) -> None:
+@click.option("--tiles", help="Keys of the tiles, e.g. 12_34,12_35.")
+@click.option("--least-sure", type=click.IntRange(1), metavar="N", help="The N tiles whose classes are least sure.")
+def checkout(run: Path, directory: Path, tiles: str | None, least_sure: int | None) -> None:
     """Copy delivered tiles to DIR, to be edited in QGIS there: the delivery itself is never changed."""
-    from fwclass.delivery.checkout import check_out
+    from fwclass.delivery.checkout import check_out, least_sure_tiles
 
-    keys = chosen(tiles, None)
+    if (tiles is None) == (least_sure is None):
+        raise click.UsageError("give either --tiles or --least-sure")
+    keys = chosen(tiles, None) if least_sure is None else least_sure_tiles(run, least_sure)
     click.echo(check_out(run, directory, keys if isinstance(keys, frozenset) else ()), err=True)
 
 

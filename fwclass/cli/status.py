@@ -12,6 +12,7 @@ import click
 from fwclass.cli.base import JSON, PATH, RUN, SET, cli, little_garbage
 from fwclass.cli.runner import open_runner, tell_failures
 from fwclass.errors import PARTIAL, ConfigError, StoreError, visible
+from workflows import WORKFLOWS
 
 TILES = click.option("--tiles", metavar="12_34,…", help="Only these tiles, after decomposition.")
 AOI = click.option("--aoi", type=PATH, metavar="FILE", help="Only tiles that the polygons of FILE share area with.")
@@ -19,8 +20,7 @@ WORKFLOW = click.option(
     "--workflow",
     default="classification",
     show_default=True,
-    help="Which workflow: a name (classification, ground, backscatter, fan2013, shi2019, xiong2018), or a Python file "
-    "of your own.",
+    help=f"Which workflow: a name ({', '.join(WORKFLOWS)}), or a Python file of your own.",
 )
 
 

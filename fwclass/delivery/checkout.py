@@ -65,6 +65,26 @@ def labels_file(directory: Path, tile: str) -> Path:
     return directory / "labels" / f"{tile}.parquet"
 
 
+def least_sure_tiles(run: Path, count: int) -> frozenset[str]:
+    """The keys of the `count` tiles that the report lists as least sure, or of all that it lists if these are fewer.
+
+    Raises
+    ------
+    InputError
+        `run` is no run that has delivered, or its delivery has no confidences (``--workflow ground``).
+    """
+    delivery = open_run(run)
+    listed = (delivery.report["sureness"] or {"tiles": []})["tiles"]
+    if not listed:
+        raise InputError(
+            "no tile of this delivery has a confidence",
+            where=delivery.path,
+            expected="a delivery of classified echoes",
+            do="name tiles with --tiles",
+        )
+    return frozenset(str(one["tile"]) for one in listed[:count])
+
+
 def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
     """Copy tiles of the current delivery to a new directory; a sentence of what is there now.
 

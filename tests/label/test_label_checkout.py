@@ -291,3 +291,15 @@ def test_a_new_delivery_is_refused_only_where_changed_echoes_moved(made, run, ou
     ended = collect(out, "--run", place / "run")
     assert ended.returncode == 1 and "not at their place any more" in ended.stderr
     assert read_corrections(place / "run").rows == len(set(read_corrections(place / "run").key.tolist()))
+
+
+def test_the_least_sure_tiles_are_those_of_the_report(run, tmp_path):
+    listed = json.loads((run / "report.json").read_text())["sureness"]["tiles"]
+    ended = fwclass("label", "checkout", run, tmp_path / "least", "--least-sure", 2)
+    assert ended.returncode == 0, ended.stderr
+    note = json.loads((tmp_path / "least" / "checkout.json").read_text())
+    assert set(note["tiles"]) == {one["tile"] for one in listed[:2]}
+    for words in ((), ("--least-sure", 1, "--tiles", TILES)):
+        ended = fwclass("label", "checkout", run, tmp_path / "other", *words)
+        assert ended.returncode == 2 and "either --tiles or --least-sure" in ended.stderr
+    assert not (tmp_path / "other").exists()
