@@ -65,7 +65,7 @@ def test_what_is_delivered_has_no_classifier_in_it(run: Path) -> None:
     assert report["accuracy"] is None and report["training"] is None and not report["outputs"]["model"]
     assert [c["code"] for c in report["classes"]] == [1, 2, 7, 18]
     names = {Path(n).name for n in report["outputs"]["rasters"]}
-    assert {"dtm.tif", "dsm.tif", "ndsm.tif", "hillshade.tif", "classes.tif"} <= names
+    assert {"dtm.tif", "dsm.tif", "ndsm.tif", "hillshade.tif", "slope.tif", "roughness.tif", "classes.tif"} <= names
     page = (run / "report.html").read_text()
     assert "least sure" not in page and "training areas" not in page and 'id="layer-confidence"' not in page
 
@@ -75,7 +75,9 @@ def test_tiles_change_no_byte_of_a_strip(bare: Path, run: Path, setting: str, tm
     told = fwclass("run", bare, "--out", tmp_path / "run", *WORDS, "--set", setting)
     assert told.returncode == 0, told.stderr
     assert digests(tmp_path / "run", "laz/strips") == digests(run, "laz/strips")
-    assert (tmp_path / "run/rasters/dtm.tif").read_bytes() == (run / "rasters/dtm.tif").read_bytes()
+    for name in ("dtm", "slope", "roughness"):
+        made = (tmp_path / f"run/rasters/{name}.tif").read_bytes()
+        assert made == (run / f"rasters/{name}.tif").read_bytes(), name
 
 
 def test_commands_know_the_run(bare: Path, run: Path) -> None:

@@ -28,7 +28,7 @@ from fwclass.schema import Table, column
 from fwclass.store.cells import CELLS, by_name
 from fwclass.waveforms import IMPLAUSIBLE
 
-STORED = ("dtm", "dsm", "mask", "distance")
+STORED = ("dtm", "dsm", "mask", "distance", "roughness")
 """Rasters of a block of the terrain."""
 
 WITHIN = 0.01

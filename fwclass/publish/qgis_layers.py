@@ -30,6 +30,8 @@ _RASTERS = {
     "confidence": ("confidence of the classes [%]", "Maps"),
     "density": ("echoes per m²", "Maps"),
     "hillshade": ("shaded relief", "Terrain"),
+    "slope": ("slope [°]", "Terrain"),
+    "roughness": ("roughness of the ground [m]", "Terrain"),
     "ndsm": ("height of objects [m]", "Terrain"),
     "dsm": ("surface [m]", "Terrain"),
     "dtm": ("terrain [m]", "Terrain"),

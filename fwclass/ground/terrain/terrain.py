@@ -17,6 +17,7 @@ from fwclass.ground.terrain.dsm import highest, without_pepper
 from fwclass.ground.terrain.facets import facet_heights, facet_raster, facets_of
 from fwclass.ground.terrain.nearest import nearest_height
 from fwclass.ground.terrain.params import TerrainParams
+from fwclass.ground.terrain.roughness import roughness
 from fwclass.ground.terrain.thinning import thinned
 from fwclass.ground.tin.tin import tin_of
 
@@ -45,6 +46,7 @@ class Terrain:
     support : uint8, 0 a cell with a ground echo, 1 interpolated, 2 further than max_gap from any such cell.
     distance : float32, from the cell's middle to that of the nearest cell with a ground echo [m], NaN beyond support.
     continued : bool, cells without a triangle or a ground echo, where a membrane goes on.
+    roughness : float32, spread of the ground echoes about their plane [m], see `roughness`; NaN where they are few.
     height : float32 (n,), height above ground [m] of the points asked for, NaN where their cell is beyond support.
     """
 
@@ -53,6 +55,7 @@ class Terrain:
     support: NDArray[np.uint8]
     distance: NDArray[np.float32]
     continued: NDArray[np.bool_]
+    roughness: NDArray[np.float32]
     height: NDArray[np.float32]
 
     @property
@@ -124,6 +127,7 @@ def terrain(
         support=support[core.within(outer)],
         distance=np.where(support == BEYOND, np.nan, distance)[core.within(outer)].astype(np.float32),
         continued=continued[core.within(work)],
+        roughness=roughness(*_rows_of(x, y, z, np.flatnonzero(used)), core),
         height=height,
     )
 
