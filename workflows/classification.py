@@ -13,6 +13,7 @@ from fwclass.graph.backscatter import (
 )
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
+from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -121,6 +122,8 @@ classification = Workflow(
         DELIVER_STACK,
         MAP_CLASSES,
         DELIVER_RASTERS,
+        CONTOUR_BLOCKS,
+        DELIVER_CONTOURS,
         DELIVER_OVERVIEW,
         DELIVER_CATALOGUE,
         DELIVER_POLYGONS,

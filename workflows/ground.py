@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
+from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.ground_classes import CLASSIFY_GROUND, without_classifier
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
@@ -39,6 +40,8 @@ ground = Workflow(
         DELIVER_STACK,
         MAP_CLASSES,
         DELIVER_RASTERS,
+        CONTOUR_BLOCKS,
+        DELIVER_CONTOURS,
         DELIVER_OVERVIEW,
         DELIVER_CATALOGUE,
         DELIVER_POLYGONS,

@@ -15,6 +15,7 @@ from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sets import feature_set, listed_once
+from fwclass.contours.params import ContourParams
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams, SampleParams, StackParams
 from fwclass.errors import visible
 from fwclass.features.params import FeaturesParams
@@ -231,6 +232,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "ground_auto": GroundAutoParams,
     "ground_search": GroundSearchParams,
     "terrain": TerrainParams,
+    "contours": ContourParams,
     "features": FeaturesParams,
     "radiometry": RadiometryParams,
     "train": TrainParams,
@@ -278,6 +280,7 @@ class Config:
     ground_auto: GroundAutoParams
     ground_search: GroundSearchParams
     terrain: TerrainParams
+    contours: ContourParams
     features: FeaturesParams
     radiometry: RadiometryParams
     train: TrainParams

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from fwclass.errors import FwclassError
 from fwclass.isolation import away_from
@@ -82,11 +82,16 @@ _LAST_CHANGE = "2000-01-01T00:00:00.000Z"
 """What GeoPackages that are written say of their day: nothing, or no two would be the same."""
 
 
-def write_polygons(
-    path: Path, layer: str, geometry: Sequence[bytes], fields: Mapping[str, Any], crs: str | None
+def write_shapes(
+    path: Path,
+    layer: str,
+    geometry: Sequence[bytes],
+    fields: Mapping[str, Any],
+    crs: str | None,
+    kind: Literal["Polygon", "LineString"] = "Polygon",
 ) -> None:
-    """Add a layer of polygons (WKB) to a GeoPackage, which is made where it is not there; the same ones give the same
-    bytes.
+    """Add polygons or lines (WKB) to a layer of a GeoPackage; both are made where they are not there. The same ones
+    give the same bytes.
 
     Parameters
     ----------
@@ -100,12 +105,12 @@ def write_polygons(
         module.set_gdal_config_options({"OGR_CURRENT_DATE": _LAST_CHANGE})
         module.raw.write(
             str(place),
-            np.array(geometry, dtype=object),
+            np.array([*geometry, None], dtype=object)[:-1],
             list(fields.values()),
             np.array(list(fields), dtype=object),
             layer=layer,
             driver="GPKG",
-            geometry_type="Polygon",
+            geometry_type=kind,
             crs=crs,
             append=place.exists(),
             dataset_options={"VERSION": "1.3"},  # what QGIS of 2022 knows

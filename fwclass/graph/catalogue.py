@@ -74,6 +74,7 @@ def delivered_catalogue(
     names: Mapping[str, str],
     title: str,
     polygons: Names,
+    contours: bool,
 ) -> Made:
     """The list of tiles for QGIS and PDAL, and a project that shows all of the delivery."""
     tiles = _facts(here)
@@ -93,7 +94,7 @@ def delivered_catalogue(
     ranges = {site: here.inputs.meta(DELIVER_RASTERS.name, site)["ranges"] for site in here.parts(DELIVER_RASTERS.name)}
     _write_style(here, present)
     bounds = facts["bounds"]
-    groups = groups_of(present, columns, ranges, polygons, WHOLE)
+    groups = groups_of(present, columns, ranges, polygons, WHOLE, contours)
     write_project(title, groups, (bounds[0], bounds[1], bounds[3], bounds[4]), here.directory / "survey.qgz", system)
     return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
 
@@ -222,6 +223,7 @@ DELIVER_CATALOGUE = Stage(
         "columns": _streamed(plan),
         "title": plan.config.survey.name,
         "polygons": ("tiles", "areas") if any(_areas(plan).values()) else ("tiles",),
+        "contours": plan.config.contours.enabled,
     },
     after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
     needs=_published,

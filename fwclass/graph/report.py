@@ -109,6 +109,7 @@ def write_report(
             *(drifted or {}).get("remarks", ()),
             *_crowded(runner, config),
             *_empty(files),
+            *(text for r in made_in_run(runner, "publish-contours") for text in r.meta["remarks"]),
             *class_remarks(source, known_codes(config.classes), kept),
         ],
         "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
@@ -364,6 +365,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "publish-overview",
         "publish-catalogue",
         "publish-polygons",
+        "publish-contours",
         "train",
     )
     names = [n for stage in stages for r in made_in_run(runner, stage) for n in r.outputs]
@@ -373,6 +375,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "rasters": "rasters/",
         "model": "model/",
         "gis": ("survey.qgz", "tiles.gpkg"),
+        "contours": "contours.gpkg",
     }
     return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
 
@@ -422,7 +425,9 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     rows += [f"remark      {text}" for text in report.get("remarks", ())]
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
     for kind, names in report["outputs"].items():
-        if kind == "gis":
+        if kind == "contours":
+            rows += [f"{kind:<11} {root / name}" for name in names]
+        elif kind == "gis":
             rows += [f"{'qgis':<11} {root / name}" for name in names if name.endswith(".qgz")]
         elif names:
             rows.append(f"{kind:<11} {root / kind}  ({len(names)} files)")

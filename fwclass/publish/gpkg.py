@@ -11,7 +11,7 @@ import numpy as np
 import pyproj
 from numpy.typing import NDArray
 
-from fwclass.formats.gdal import write_polygons
+from fwclass.formats.gdal import write_shapes
 from fwclass.grid import Box
 from fwclass.publish.files import whole
 from fwclass.publish.laz import wkt
@@ -48,7 +48,7 @@ def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> d
         beside.unlink(missing_ok=True)
         for layer in layers:
             fields = {name: np.asarray(v, object if _texts(v) else None) for name, v in layer.fields.items()}
-            write_polygons(beside, layer.name, _wkb(layer.boxes), fields, wkt(crs) if crs is not None else None)
+            write_shapes(beside, layer.name, _wkb(layer.boxes), fields, wkt(crs) if crs is not None else None)
         size = beside.stat().st_size
     return {"path": str(path), "layers": [layer.name for layer in layers], "bytes": size}
 

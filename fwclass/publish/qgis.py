@@ -14,7 +14,8 @@ import pyproj
 from fwclass.publish.files import whole
 from fwclass.publish.qgis_style import VERSION, document, plain_text
 
-PROVIDERS = {"raster": "gdal", "vector": "ogr", "pointcloud": "vpc"}
+PROVIDERS = {"raster": "gdal", "vector": "ogr", "lines": "ogr", "pointcloud": "vpc"}
+"""What reads a layer of each kind; a vector layer is of polygons or of lines."""
 
 
 @dataclass(frozen=True)
@@ -108,16 +109,17 @@ def _tree(groups: Groups) -> Xml.Element:
 
 
 def _layer(layer: MapLayer, number: int, crs: pyproj.CRS | None) -> Xml.Element:
-    kind = {"pointcloud": "point-cloud"}.get(layer.kind, layer.kind)
+    kind = {"pointcloud": "point-cloud", "lines": "vector"}.get(layer.kind, layer.kind)
     made = Xml.Element("maplayer", {"type": kind, "hasScaleBasedVisibilityFlag": "0"})
-    if layer.kind == "vector":
-        made.set("geometry", "Polygon")
+    if kind == "vector":
+        made.set("geometry", "Line" if layer.kind == "lines" else "Polygon")
+        made.set("labelsEnabled", str(int(any(part.tag == "labeling" for part in layer.style))))
     _text(made, "id", _key(number))
     _text(made, "datasource", f"./{layer.source}")
     _text(made, "layername", layer.name)
     made.append(_system("srs", crs))
     provider = _text(made, "provider", PROVIDERS[layer.kind])
-    if layer.kind == "vector":
+    if kind == "vector":
         provider.set("encoding", "UTF-8")
     made.extend(layer.style)
     return made

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as Xml
 
+from fwclass.publish.contour_file import LAYER
+from fwclass.publish.contour_style import contour_style
 from fwclass.publish.qgis import MapLayer
 from fwclass.publish.qgis_style import (
     HEIGHTS,
@@ -24,6 +26,8 @@ HEIGHT_SHOWN = 25.0
 
 LEAST_SURE = (0.0, 0.7, 0.8, 0.9, 0.95, 1.0)
 """Edges of the tiles' colours, mean confidence."""
+
+CONTOURS = "contours.gpkg"
 
 _RASTERS = {
     "classes": ("classes", "Maps"),
@@ -55,6 +59,7 @@ def groups_of(
     ranges: Mapping[str, Mapping[str, Sequence[float]]],
     polygons: Sequence[str],
     whole: str,
+    contours: bool,
 ) -> dict[str, list[MapLayer]]:
     """Groups of layers, the first on top.
 
@@ -64,6 +69,7 @@ def groups_of(
     columns : of the tiles.
     ranges : of the rasters of every site; those of the site `whole` lie at the top.
     polygons : layers of ``tiles.gpkg``.
+    contours : there are contour lines.
     """
     titles = {"classes": "by class", "confidence": "by confidence", "height_above_ground": "by height above ground"}
     echoes = [
@@ -71,7 +77,10 @@ def groups_of(
         for name, style in cloud_styles(names).items()
         if name == "classes" or name in columns
     ]
-    groups = {"Echoes": echoes, "Tiles": _polygons(polygons), "Maps": [], "Terrain": []}
+    groups: dict[str, list[MapLayer]] = {"Echoes": echoes, "Tiles": _polygons(polygons), "Maps": [], "Terrain": []}
+    if contours:
+        source = f"{CONTOURS}|layername={LAYER}"
+        groups["Terrain"].append(MapLayer("contours", "lines", source, contour_style()))
     for site, made in ranges.items():
         where, more = ("rasters", "") if site == whole else (f"rasters/{site}", f", {site}")
         for name, (title, group) in _RASTERS.items():

@@ -218,6 +218,7 @@ def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
         "rasters": "Rasters (GeoTIFF)",
         "model": "Trained model",
         "gis": "QGIS project and tile map",
+        "contours": "Contour lines (GeoPackage)",
     }
     out = []
     for kind, items in outputs.items():

@@ -229,6 +229,8 @@ class Directory:
             "model",
             "survey.qgz",
             "tiles.gpkg",
+            "contours.gpkg",
+            "contours.qml",
             "report.html",
             "report.json",
         ):

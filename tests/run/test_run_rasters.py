@@ -29,9 +29,9 @@ NAMES = {2: "ground", 6: "building"}
 class Counted(PartInputs):
     """Inputs that count how often each part is read."""
 
-    def arrays(self, stage: str, part: str, name: str):
+    def arrays(self, stage: str, part: str, name: str, only=None):
         self.read[stage, part] = self.read.get((stage, part), 0) + 1
-        return super().arrays(stage, part, name)
+        return super().arrays(stage, part, name, only)
 
     @property
     def read(self) -> dict:
