@@ -97,7 +97,7 @@ def _of_coarse(blocks: Sequence[str], params: ContourParams) -> list[str]:
         return []
     some = ", ".join(blocks[:NAMED]) + (f" and {len(blocks) - NAMED} more" if len(blocks) > NAMED else "")
     return [
-        f"contours every {params.interval:g} m are too many in {len(blocks)} blocks of the terrain ({some}), as on broken "
+        f"contours every {params.interval:g} m are too many in {len(blocks)} terrain blocks ({some}), as on broken "
         "land: index contours alone are drawn there, and other lines end at their edges. Choose a larger "
         "contours.interval or contours.smooth"
     ]
