@@ -15,6 +15,7 @@ from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEA
 from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import SPLIT_ECHOES, TILE_ECHOES
+from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.graph.workflow import Workflow
 
 backscatter = Workflow(
@@ -34,6 +35,9 @@ backscatter = Workflow(
         GATHER_GROUND,
         MAKE_FIRST_TERRAIN,
         STACK_PULSES,
+        READ_WATER,
+        MEASURE_SHORE,
+        LEVEL_WATER,
         MAKE_TERRAIN,
         GATHER_HEIGHT,
         DELIVER_STACK,

@@ -52,6 +52,7 @@ from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULS
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
+from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.graph.workflow import Workflow
 
 classification = Workflow(
@@ -80,6 +81,9 @@ classification = Workflow(
         GATHER_GROUND,
         MAKE_FIRST_TERRAIN,
         STACK_PULSES,
+        READ_WATER,
+        MEASURE_SHORE,
+        LEVEL_WATER,
         MAKE_TERRAIN,
         GATHER_HEIGHT,
         THIN_ECHOES,

@@ -12,6 +12,7 @@ from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEA
 from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import SPLIT_ECHOES, TILE_ECHOES
+from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.graph.workflow import Workflow
 
 ground = Workflow(
@@ -31,6 +32,9 @@ ground = Workflow(
         GATHER_GROUND,
         MAKE_FIRST_TERRAIN,
         STACK_PULSES,
+        READ_WATER,
+        MEASURE_SHORE,
+        LEVEL_WATER,
         MAKE_TERRAIN,
         GATHER_HEIGHT,
         CHECK_SEAMS,

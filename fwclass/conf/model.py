@@ -37,6 +37,7 @@ from fwclass.train.baselines.params import CompareParams
 from fwclass.train.params import TrainParams
 from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
+from fwclass.water.params import WaterParams
 
 
 class Section(BaseModel):
@@ -233,6 +234,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "ground_search": GroundSearchParams,
     "terrain": TerrainParams,
     "contours": ContourParams,
+    "water": WaterParams,
     "features": FeaturesParams,
     "radiometry": RadiometryParams,
     "train": TrainParams,
@@ -281,6 +283,7 @@ class Config:
     ground_search: GroundSearchParams
     terrain: TerrainParams
     contours: ContourParams
+    water: WaterParams
     features: FeaturesParams
     radiometry: RadiometryParams
     train: TrainParams

@@ -15,12 +15,13 @@ from fwclass.errors import StoreError
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filtered
 from fwclass.ground.terrain.params import TerrainParams
-from fwclass.ground.terrain.terrain import Points, terrain
+from fwclass.ground.terrain.terrain import FLATTENED, Points, terrain
 from fwclass.memory import give_back
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
@@ -113,9 +114,20 @@ def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
     for table in more:
         no, yes = np.zeros(table.rows, bool), np.ones(table.rows, bool)
         t, own = Table.concat([t, table.with_columns({"ground": yes, "noise": no})]), np.concatenate([own, no])
-    rasters = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], own, core, params)
-    write_rasters(here.directory, {name: getattr(rasters, name) for name in STORED}, core)
-    heights = Table({"height_above_ground": rasters.height[: len(around.own)]})
+    water = water_of(here)
+    ground, knots = t["ground"], None
+    if water is not None:
+        level = water.levels(t["x"], t["y"])
+        ground, knots = ground & np.isnan(level), water.knots_in(here.tile.box.grown(here.halo))
+    rasters = terrain(t["x"], t["y"], t["z"], ground, t["noise"], own, core, params, knots)
+    stored, height = {name: getattr(rasters, name) for name in STORED}, rasters.height
+    if water is not None:
+        height = np.where(np.isnan(level[own]), height, t["z"][own] - level[own]).astype(np.float32)
+        flat = water.of_cells(core)
+        stored["dtm"] = np.where(np.isnan(flat), stored["dtm"], flat).astype(np.float32)
+        stored["mask"] = np.where(np.isnan(flat), stored["mask"], np.uint8(FLATTENED))
+    write_rasters(here.directory, stored, core)
+    heights = Table({"height_above_ground": height[: len(around.own)]})
     return heights, {
         **around.facts(heights),
         "measured": int((rasters.support == 0).sum()),
@@ -161,7 +173,7 @@ def measured_seams(
     blocks = [cut.tile(key) for key in here.parts(TERRAIN.name)]
     mosaic = Mosaic(here.inputs, TERRAIN.name, blocks, terrain.cell, {"dtm": np.float32(np.nan)})
     parts = groups(Tile(*place, ground.block) for place in owned)
-    seen, left_out = _Seams(), 0
+    seen, left_out, water = _Seams(), 0, water_of(here)
     for k, part in enumerate(parts, 1):
         inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
         window = Window.covering(inside or box, terrain.cell)
@@ -172,7 +184,7 @@ def measured_seams(
         points = seen.add_flags(echoes, ground)
         echoes = echoes.select(())  # what is not needed any more makes room for the triangles of all
         table = table if k < len(parts) else echoes
-        seen.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain)
+        seen.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water)
     return {**seen.facts(), "left_out": left_out}
 
 
@@ -219,11 +231,19 @@ class _Seams:
         rows = np.flatnonzero(whole.ground & ~whole.noise)
         return table["x"][rows], table["y"][rows], table["z"][rows]
 
-    def add_terrain(self, points: Points, dtm: NDArray[np.float32], window: Window, params: TerrainParams) -> None:
+    def add_terrain(
+        self, points: Points, dtm: NDArray[np.float32], window: Window, params: TerrainParams, water: Water | None
+    ) -> None:
         """Hold the terrain of all ground `points` of one place against the `dtm` of its blocks."""
         give_back(None)
-        yes, no = np.ones(len(points[0]), bool), np.zeros(len(points[0]), bool)
-        surface = terrain(*points, yes, no, no, window, params).dtm
+        yes, no, knots = np.ones(len(points[0]), bool), np.zeros(len(points[0]), bool), None
+        if water is not None:
+            yes = np.isnan(water.levels(*points[:2]))
+            knots = water.knots_in(window.box.grown(params.block_halo))
+        surface = terrain(*points, yes, no, no, window, params, knots).dtm
+        if water is not None:
+            flat = water.of_cells(window)
+            surface = np.where(np.isnan(flat), surface, flat).astype(np.float32)
         both = np.isfinite(dtm) & np.isfinite(surface)
         off = np.abs(dtm - surface)[both]
         self.off.append(off)
@@ -309,8 +329,8 @@ MAKE_TERRAIN = Stage(
     writes=TERRAIN.writes,
     halo=lambda plan: TERRAIN.halo(plan.config.terrain),
     area=lambda plan, block: Window.covering(block.box, plan.config.terrain.cell).box,
-    after=(STACK,),
-    needs=_stacked_around,
+    after=(STACK, LEVELS),
+    needs=lambda plan, block: [*_stacked_around(plan, block), *levels_needed(plan)],
 )
 GATHER_HEIGHT = _gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)
 CHECK_SEAMS = Stage(
@@ -327,7 +347,7 @@ CHECK_SEAMS = Stage(
         "bounds": plan.layout.box.bounds,
     },
     reads=tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))),
-    after=("terrain",),
-    needs=lambda plan, part: [(TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)],
+    after=("terrain", LEVELS),
+    needs=lambda plan, part: [*((TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)), *levels_needed(plan)],
     check=True,
 )

@@ -10,13 +10,14 @@ from pyproj import CRS
 from fwclass.conf import Config
 from fwclass.errors import InputError
 from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
+from fwclass.graph.area_of_interest import edges, shares_area
 from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, found_files, joint_bounds
 from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.grid import Box
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
-from fwclass.read.polygons import check_field, open_polygons, source_crs, values_of
+from fwclass.read.polygons import check_field, open_polygons, read_polygons, reprojected, source_crs, values_of
 from fwclass.read.source import open_source
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.receipts import Receipt
@@ -66,6 +67,35 @@ def reference_polygons(
             )
         )
     return tuple(files)
+
+
+def water_polygons(
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, given: CRS | None, box: Box
+) -> PolygonFile | None:
+    """The file of the water that is flattened; `InputError` where none of it lies in the survey's `box` [m]."""
+    if config.water.file is None:
+        return None
+    survey = CRS.from_wkt(crs) if crs is not None else None
+    places = found_files([config.water.file], directory, "water.file", config.path, config.store)
+    if len(places) > 1:
+        raise InputError("water is one file", where=config.path, got=f"{len(places)} files", do="name one: water.file")
+    path = local(places[0])
+    opened = open_polygons(path, config.water.layer, "water.layer")
+    system = source_crs(opened, given, survey, "--set water.crs=EPSG:<code>")
+    shapes = read_polygons(opened, None)[1]
+    if system is not None and survey is not None:
+        shapes, _ = reprojected(shapes, system, survey, path)
+    a, b = edges(shapes.x, shapes.y, shapes.ring_start)
+    if not len(a) or not shares_area(box, a, b):
+        raise InputError(
+            "no water lies in the survey",
+            where=path,
+            expected=f"polygons that meet {box_text(box)}",
+            got=f"{shapes.parts} polygons",
+            do="check the file, and its coordinate system (water.crs)",
+        )
+    wkt = system.to_wkt() if system is not None else None
+    return PolygonFile(places[0], digests.of(opened.files, places[0]), opened.layer, wkt)
 
 
 def reference_echo_labels(

@@ -109,11 +109,17 @@ def write_report(
             *(drifted or {}).get("remarks", ()),
             *_crowded(runner, config),
             *_empty(files),
-            *(text for r in made_in_run(runner, "publish-contours") for text in r.meta["remarks"]),
+            *(
+                t
+                for s in ("water-levels", "publish-contours")
+                for r in made_in_run(runner, s)
+                for t in r.meta["remarks"]
+            ),
             *class_remarks(source, known_codes(config.classes), kept),
         ],
         "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
         "ground": _ground(runner, config),
+        "water": [body for r in made_in_run(runner, "water-levels") for body in r.meta["bodies"]],
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(runner),
         "lost_workers": [
@@ -424,6 +430,11 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
     rows += [f"remark      {text}" for text in report.get("remarks", ())]
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
+    if report["water"]:
+        flat = sum(body["level_enough"] for body in report["water"])
+        rows.append(
+            f"water       {flat} of {len(report['water'])} polygons flattened, each with its level in report.json"
+        )
     for kind, names in report["outputs"].items():
         if kind == "contours":
             rows += [f"{kind:<11} {root / name}" for name in names]

@@ -61,6 +61,7 @@ from fwclass.graph.stage import Plan, Stage, named
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
+from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.radiometry.stage import RADIOMETRY
 
 OF_STRIPS = (READ_SPAN, MEASURE_PULSE, MEASURE_PLACES, DECOMPOSE_WAVES, DECOMPOSE_RETURNS, SPLIT_ECHOES)
@@ -82,6 +83,9 @@ TO_LABELS = (
     GATHER_GROUND,
     MAKE_FIRST_TERRAIN,
     STACK_PULSES,
+    READ_WATER,
+    MEASURE_SHORE,
+    LEVEL_WATER,
     MAKE_TERRAIN,
     GATHER_HEIGHT,
     THIN_ECHOES,

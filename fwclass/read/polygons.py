@@ -53,8 +53,8 @@ def layers(path: Path) -> list[str]:
     return [path.stem] if path.suffix.lower() in PARQUET else vector.layers(path)
 
 
-def open_polygons(path: Path, layer: str | None = None) -> PolygonLayer:
-    """Look at a layer without reading its rows.
+def open_polygons(path: Path, layer: str | None = None, setting: str = "survey.reference.layer") -> PolygonLayer:
+    """Look at a layer without reading its rows; `setting` names it.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def open_polygons(path: Path, layer: str | None = None) -> PolygonLayer:
         )
     if path.suffix.lower() in PARQUET:
         return PolygonLayer(path, **geoparquet.header(path))
-    return PolygonLayer(path, **vector.header(path, layer))
+    return PolygonLayer(path, **vector.header(path, layer, setting))
 
 
 def check_field(opened: PolygonLayer, field: str) -> None:
