@@ -10,6 +10,7 @@ from fwclass.graph.backscatter import (
     FILL_VOXELS,
     SAMPLE_WAVES,
 )
+from fwclass.graph.breaklines import READ_BREAKLINES
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
 from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
@@ -35,6 +36,7 @@ backscatter = Workflow(
         GATHER_GROUND,
         MAKE_FIRST_TERRAIN,
         STACK_PULSES,
+        READ_BREAKLINES,
         READ_WATER,
         MEASURE_SHORE,
         LEVEL_WATER,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fwclass.graph.breaklines import READ_BREAKLINES
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -32,6 +33,7 @@ ground = Workflow(
         GATHER_GROUND,
         MAKE_FIRST_TERRAIN,
         STACK_PULSES,
+        READ_BREAKLINES,
         READ_WATER,
         MEASURE_SHORE,
         LEVEL_WATER,

@@ -37,7 +37,7 @@ from fwclass.train.baselines.params import CompareParams
 from fwclass.train.params import TrainParams
 from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
-from fwclass.water.params import WaterParams
+from fwclass.water.params import BreaklineParams, WaterParams
 
 
 class Section(BaseModel):
@@ -235,6 +235,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "terrain": TerrainParams,
     "contours": ContourParams,
     "water": WaterParams,
+    "breaklines": BreaklineParams,
     "features": FeaturesParams,
     "radiometry": RadiometryParams,
     "train": TrainParams,
@@ -284,6 +285,7 @@ class Config:
     terrain: TerrainParams
     contours: ContourParams
     water: WaterParams
+    breaklines: BreaklineParams
     features: FeaturesParams
     radiometry: RadiometryParams
     train: TrainParams

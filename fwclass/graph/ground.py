@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import StoreError
+from fwclass.graph.breaklines import BREAKLINES, breaklines_in, breaklines_needed
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
@@ -115,10 +116,11 @@ def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
         no, yes = np.zeros(table.rows, bool), np.ones(table.rows, bool)
         t, own = Table.concat([t, table.with_columns({"ground": yes, "noise": no})]), np.concatenate([own, no])
     water = water_of(here)
-    ground, knots = t["ground"], None
+    ground = t["ground"]
     if water is not None:
         level = water.levels(t["x"], t["y"])
-        ground, knots = ground & np.isnan(level), water.knots_in(here.tile.box.grown(here.halo))
+        ground = ground & np.isnan(level)
+    knots = _knots(here, water, here.tile.box.grown(here.halo))
     rasters = terrain(t["x"], t["y"], t["z"], ground, t["noise"], own, core, params, knots)
     stored, height = {name: getattr(rasters, name) for name in STORED}, rasters.height
     if water is not None:
@@ -135,6 +137,15 @@ def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
         "without_terrain": int(np.isnan(heights["height_above_ground"]).sum()),
         **({"stacked": sum(table.rows for table in more)} if more else {}),
     }
+
+
+def _knots(here: StageInputs, water: Water | None, box: Box) -> Points | None:
+    """Places in `box` that the terrain passes through: of shores and of breaklines; None without any."""
+    some = [*([water.knots_in(box)] if water is not None else []), *breaklines_in(here, box)]
+    if not some:
+        return None
+    x, y, z = (np.concatenate(v) for v in zip(*some, strict=True))
+    return x, y, z
 
 
 def gathered_columns(here: StageInputs, source: str, columns: tuple[str, ...], block: float) -> Made:
@@ -184,7 +195,8 @@ def measured_seams(
         points = seen.add_flags(echoes, ground)
         echoes = echoes.select(())  # what is not needed any more makes room for the triangles of all
         table = table if k < len(parts) else echoes
-        seen.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water)
+        knots = _knots(here, water, window.box.grown(terrain.block_halo))
+        seen.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water, knots)
     return {**seen.facts(), "left_out": left_out}
 
 
@@ -232,14 +244,19 @@ class _Seams:
         return table["x"][rows], table["y"][rows], table["z"][rows]
 
     def add_terrain(
-        self, points: Points, dtm: NDArray[np.float32], window: Window, params: TerrainParams, water: Water | None
+        self,
+        points: Points,
+        dtm: NDArray[np.float32],
+        window: Window,
+        params: TerrainParams,
+        water: Water | None,
+        knots: Points | None,
     ) -> None:
         """Hold the terrain of all ground `points` of one place against the `dtm` of its blocks."""
         give_back(None)
-        yes, no, knots = np.ones(len(points[0]), bool), np.zeros(len(points[0]), bool), None
+        yes, no = np.ones(len(points[0]), bool), np.zeros(len(points[0]), bool)
         if water is not None:
             yes = np.isnan(water.levels(*points[:2]))
-            knots = water.knots_in(window.box.grown(params.block_halo))
         surface = terrain(*points, yes, no, no, window, params, knots).dtm
         if water is not None:
             flat = water.of_cells(window)
@@ -329,8 +346,8 @@ MAKE_TERRAIN = Stage(
     writes=TERRAIN.writes,
     halo=lambda plan: TERRAIN.halo(plan.config.terrain),
     area=lambda plan, block: Window.covering(block.box, plan.config.terrain.cell).box,
-    after=(STACK, LEVELS),
-    needs=lambda plan, block: [*_stacked_around(plan, block), *levels_needed(plan)],
+    after=(STACK, LEVELS, BREAKLINES),
+    needs=lambda plan, block: [*_stacked_around(plan, block), *levels_needed(plan), *breaklines_needed(plan)],
 )
 GATHER_HEIGHT = _gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)
 CHECK_SEAMS = Stage(
@@ -347,7 +364,11 @@ CHECK_SEAMS = Stage(
         "bounds": plan.layout.box.bounds,
     },
     reads=tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))),
-    after=("terrain", LEVELS),
-    needs=lambda plan, part: [*((TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)), *levels_needed(plan)],
+    after=("terrain", LEVELS, BREAKLINES),
+    needs=lambda plan, part: [
+        *((TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)),
+        *levels_needed(plan),
+        *breaklines_needed(plan),
+    ],
     check=True,
 )

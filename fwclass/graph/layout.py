@@ -40,7 +40,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class PolygonFile:
-    """Polygons of the reference or of water: layer, and system of the file's coordinates (WKT; None: the survey's)."""
+    """Polygons or breaklines; `crs`: of the file's coordinates (WKT; None: the survey's)."""
 
     path: Location
     digests: FileDigests
@@ -56,7 +56,7 @@ class Survey:
     `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests); `polygons` are the
     reference's files of polygons; `quantities`: what amplitudes and widths are, by name of the file; `echo_labels`:
     the reference's labels by echo; `corrections`: what corrects labels of any kind, `water`: what is
-    flattened, both None for nothing.
+    flattened, `breaklines`: what the terrain passes through, all None for nothing.
     """
 
     strips: tuple[Strip, ...]
@@ -69,6 +69,7 @@ class Survey:
     echo_labels: tuple[tuple[Location, FileDigests], ...] = ()
     corrections: tuple[Location, FileDigests] | None = None
     water: PolygonFile | None = None
+    breaklines: PolygonFile | None = None
 
 
 @dataclass(frozen=True)

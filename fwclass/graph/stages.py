@@ -18,6 +18,7 @@ from fwclass.graph.backscatter import (
     FILL_VOXELS,
     SAMPLE_WAVES,
 )
+from fwclass.graph.breaklines import READ_BREAKLINES
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
@@ -83,6 +84,7 @@ TO_LABELS = (
     GATHER_GROUND,
     MAKE_FIRST_TERRAIN,
     STACK_PULSES,
+    READ_BREAKLINES,
     READ_WATER,
     MEASURE_SHORE,
     LEVEL_WATER,

@@ -20,6 +20,7 @@ from fwclass.graph.files import box_text, found_files, joint_bounds
 from fwclass.graph.layout import Strip, Survey
 from fwclass.graph.numbering import numbers
 from fwclass.graph.reference import (
+    breakline_file,
     reference_clouds,
     reference_corrections,
     reference_echo_labels,
@@ -157,10 +158,13 @@ def gather(config: Config, runner: Runner) -> Survey:
     by_echo = reference_echo_labels(config, directory, digests)
     of_water = given_crs(config.water.crs, "water.crs")
     water = water_polygons(config, directory, digests, crs, of_water, box)
+    of_lines = given_crs(config.breaklines.crs, "breaklines.crs")
+    breaklines = breakline_file(config, directory, digests, crs, of_lines, box)
     corrections = reference_corrections(config, directory, digests, runner.store.where)
     digests.save()
     quantities = {s.path.name: quantities_of(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
-    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, water)
+    of_terrain = {"water": water, "breaklines": breaklines}
+    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **of_terrain)
 
 
 def opened_all(places: Sequence[Location], config: Config) -> list[Source]:

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.formats import geoparquet, vector
-from fwclass.formats.wkb import Shapes, shapes
+from fwclass.formats.wkb import Shapes, lines, shapes
 
 PARQUET = (".parquet", ".geoparquet")
 MOST_DEGREES = 361.0
@@ -124,6 +125,15 @@ def read_polygons(opened: PolygonLayer, field: str | None) -> tuple[list[Any], S
     else:
         values, geometries = vector.rows(opened.path, opened.layer, field)
     return values, shapes(geometries, opened.path)
+
+
+def read_lines(opened: PolygonLayer) -> tuple[Shapes, NDArray[np.float64]]:
+    """Lines with heights of a layer, and the heights of their points, as the file has them; `InputError` for others."""
+    if opened.column is not None:
+        geometries = geoparquet.rows(opened.path, opened.column, None)[1]
+    else:
+        geometries = vector.rows(opened.path, opened.layer, None, flat=False)[1]
+    return lines(geometries, opened.path)
 
 
 def values_of(opened: PolygonLayer, field: str) -> list[Any]:

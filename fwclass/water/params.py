@@ -1,4 +1,4 @@
-"""Parameters of standing water in the terrain."""
+"""Parameters of standing water in the terrain, and of breaklines."""
 
 from __future__ import annotations
 
@@ -32,3 +32,18 @@ class WaterParams(Params):
     least: int = Field(ge=1)
     stretch: float = Field(ge=1, le=100_000)
     most_spread: float = Field(ge=0)
+
+
+class BreaklineParams(Params):
+    """Lines with heights that the terrain passes through.
+
+    Attributes
+    ----------
+    file : lines (GeoParquet, GeoPackage, GeoJSON, Shapefile), relative to `survey.directory`; null for none.
+    layer : of the file, where it has several.
+    crs : system of the lines in plan, instead of the one that the file names; heights are the survey's.
+    """
+
+    file: str | None
+    layer: str | None
+    crs: str | None
