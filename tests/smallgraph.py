@@ -36,12 +36,12 @@ def rows(seed: int, inputs: PartInputs, directory: Path) -> dict[str, Any]:
 
 def grid(part: str, inputs: PartInputs, directory: Path) -> dict[str, Any]:
     table = inputs.table("rows", part)
-    write_arrays(directory / "grid.zarr", {"z": np.sort(table["z"])})
+    write_arrays(directory / "grid", {"z": np.sort(table["z"])})
     return {"highest": float(table["z"].max())}
 
 
 def tile(part: str, text: str, inputs: PartInputs, directory: Path) -> dict[str, Any]:
-    z = inputs.arrays("grid", part, "grid.zarr")[0]["z"]
+    z = inputs.arrays("grid", part, "grid")[0]["z"]
     for name, data in (
         (f"laz/tiles/{part}.laz", text.encode() + z.tobytes()),
         (f"parquet/{part}.parquet", z.tobytes()),
@@ -53,7 +53,7 @@ def tile(part: str, text: str, inputs: PartInputs, directory: Path) -> dict[str,
 
 def whole(parts: str, text: str, inputs: PartInputs, directory: Path) -> dict[str, Any]:
     (directory / "rasters").mkdir()
-    heights = [inputs.arrays("grid", p, "grid.zarr")[0]["z"].tobytes() for p in parts]
+    heights = [inputs.arrays("grid", p, "grid")[0]["z"].tobytes() for p in parts]
     (directory / "rasters" / "all.tif").write_bytes(text.encode() + b"".join(heights))
     return {}
 

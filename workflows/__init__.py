@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 class _Named(Mapping[str, "Workflow"]):
     """Workflows by name; each stands in the file of its name, which is imported when it is taken."""
 
-    names = ("classification", "fan2013", "li2018", "shi2019", "xiong2018", "backscatter", "ground")
+    names = ("classification", "fan2013", "li2018", "shi2019", "xiong2018", "backscatter", "ground", "quality")
 
     def __getitem__(self, name: str) -> Workflow:
         if name not in self.names:

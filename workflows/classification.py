@@ -29,6 +29,7 @@ from fwclass.graph.learn import (
     WEIGH_FEATURES,
 )
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
+from fwclass.graph.quality import DELIVER_QUALITY, MEASURE_QUALITY
 from fwclass.graph.radiometry import (
     CALIBRATE_STRIPS,
     CHECK_POINTING,
@@ -99,6 +100,7 @@ classification = Workflow(
         LABEL_BY_POLYGONS,
         LABEL_BY_ECHOES,
         CHECK_SEAMS,  # long, and one part: not at the end
+        MEASURE_QUALITY,
         # the model
         DRAW_SAMPLE,
         MERGE_SAMPLE,
@@ -130,6 +132,7 @@ classification = Workflow(
         DELIVER_RASTERS,
         CONTOUR_BLOCKS,
         DELIVER_CONTOURS,
+        DELIVER_QUALITY,
         DELIVER_OVERVIEW,
         DELIVER_CATALOGUE,
         DELIVER_POLYGONS,

@@ -8,6 +8,7 @@ from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.ground_classes import CLASSIFY_GROUND, without_classifier
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
+from fwclass.graph.quality import DELIVER_QUALITY, MEASURE_QUALITY
 from fwclass.graph.raster_outputs import DELIVER_RASTERS, MAP_CLASSES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
 from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
@@ -41,6 +42,7 @@ ground = Workflow(
         GATHER_HEIGHT,
         CHECK_SEAMS,
         CLASSIFY_GROUND,
+        MEASURE_QUALITY,
         DELIVER_TILE,
         DELIVER_STRIP,
         DELIVER_STACK,
@@ -48,6 +50,7 @@ ground = Workflow(
         DELIVER_RASTERS,
         CONTOUR_BLOCKS,
         DELIVER_CONTOURS,
+        DELIVER_QUALITY,
         DELIVER_OVERVIEW,
         DELIVER_CATALOGUE,
         DELIVER_POLYGONS,

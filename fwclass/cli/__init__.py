@@ -21,6 +21,7 @@ from fwclass.cli import (
     features,
     files,
     ground,
+    label,
     model,
     plan,
     schedule,
@@ -32,6 +33,7 @@ from fwclass.cli import (
     view,
 )
 from fwclass.cli.base import cli
+from fwclass.cli.output import watched_output
 from fwclass.errors import FAILED, INTERRUPTED, INTERRUPTS, FwclassError, system_error
 from fwclass.isolation import isolate
 from fwclass.redact import redacted
@@ -46,6 +48,7 @@ __all__ = [
     "features",
     "files",
     "ground",
+    "label",
     "main",
     "model",
     "plan",
@@ -85,7 +88,9 @@ def main() -> None:
     isolate()
     _heed_interrupts()
     try:
-        cli(standalone_mode=False)
+        with watched_output() as check:
+            cli(standalone_mode=False)
+            check()
     except click.exceptions.Exit as end:
         sys.exit(end.exit_code)
     except click.ClickException as fault:

@@ -97,6 +97,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.graph import plausibility
     from fwclass.graph.drift import judge_drift
     from fwclass.graph.report import REPORT, summary
+    from fwclass.quality.judge import judge_quality
     from workflows import workflow_of
 
     with open_runner(entry.location, how.workers or 0, how.scheduler, config.run, performance) as runner:
@@ -140,6 +141,8 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     if report.get("plausibility"):
         plausibility.judge(report["plausibility"]["strips"], config.plausibility)
     judge_drift(report.get("drift"), config.classify, config.survey.model or config.path)
+    if report.get("quality"):
+        judge_quality(report["quality"], config.quality)
     if report["accuracy"]:
         judge(report["accuracy"], config.assess)
 

@@ -6,21 +6,53 @@ from pathlib import Path
 
 import click
 
-from fwclass.cli.base import PATH, SET, cli
+from fwclass.cli.base import OVERWRITE, PATH, SET, cli
 
 
 @cli.command()
 @click.argument("run", type=PATH)
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Listen there (default: any free port).")
+@click.option("--port", type=click.IntRange(0, 65535), help="Listen there (default: any free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address only.")
 @click.option("--against", type=PATH, metavar="OTHER", help="Another run of the same survey, side by side.")
+@click.option("--worklist", type=PATH, metavar="FILE", help="Write the unsure places as a GeoPackage, and end.")
+@click.option("--export", type=PATH, metavar="DIR", help="Write the page to a new folder for any web server, and end.")
 @SET
-def view(run: Path, port: int, no_browser: bool, against: Path | None, settings: tuple[str, ...]) -> None:
+@OVERWRITE
+def view(
+    run: Path,
+    port: int | None,
+    no_browser: bool,
+    against: Path | None,
+    worklist: Path | None,
+    export: Path | None,
+    settings: tuple[str, ...],
+    overwrite: bool,
+) -> None:
     """Look at a run: its cloud, the waveform behind an echo, and why it has its class.
 
     The page is served on 127.0.0.1 alone, and answers who has the address that is printed. Ctrl-C ends it.
     """
     from fwclass import conf
+
+    params = conf.section("view", settings)
+    if worklist is not None and export is not None:
+        raise click.UsageError("--worklist and --export are two commands")
+    if worklist is not None:
+        if against is not None or port is not None or no_browser:
+            raise click.UsageError("--worklist serves nothing: it goes without --against, --port and --no-browser")
+        from fwclass.delivery.worklist import write_work_list
+
+        click.echo(write_work_list(run, params, worklist, overwrite), err=True)
+        return
+    if export is not None:
+        if port is not None or no_browser or overwrite:
+            raise click.UsageError("--export serves nothing: it goes without --port, --no-browser and --overwrite")
+        from fwclass.delivery.exported import export_view
+
+        click.echo(export_view(run, against, params, export, lambda text: click.echo(text, err=True)), err=True)
+        return
+    if overwrite:
+        raise click.UsageError("--overwrite belongs to --worklist")
     from fwclass.delivery.viewing import serve_view
 
-    serve_view(run, conf.section("view", settings), port, against, not no_browser, click.echo)
+    serve_view(run, params, port or 0, against, not no_browser, click.echo)

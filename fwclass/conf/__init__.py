@@ -181,6 +181,15 @@ def _check(config: Config) -> None:
             got=f"{config.publish.class_cell:g} m",
             do="make them larger, or the blocks smaller",
         )
+    for which, cell in (("cell", config.quality.cell), ("planes.cell", config.quality.planes.cell)):
+        if round(config.terrain.block * 1000) % max(1, round(cell * 1000)):
+            raise ConfigError(
+                "the cells of quality do not divide a block",
+                where=f"{where}: quality.{which}",
+                expected=f"a whole number of them in {config.terrain.block:g} m (terrain.block)",
+                got=f"{cell:g} m",
+                do="choose another edge, 2 or 4 m for example",
+            )
     for name in config.classify.refine.between:
         if name not in names:
             raise ConfigError(

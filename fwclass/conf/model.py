@@ -25,6 +25,7 @@ from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.tuning_params import GroundAutoParams, GroundSearchParams
 from fwclass.label.params import LabelParams
 from fwclass.publish.params import PublishParams
+from fwclass.quality.params import QualityParams
 from fwclass.radiometry.params import RadiometryParams
 from fwclass.read.params import ReadParams
 from fwclass.select.params import SelectParams
@@ -246,6 +247,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "street": StreetParams,
     "street_scene": StreetSceneParams,
     "classify": ClassifyParams,
+    "quality": QualityParams,
     "assess": AssessParams,
     "publish": PublishParams,
     "view": ViewParams,
@@ -296,6 +298,7 @@ class Config:
     street: StreetParams
     street_scene: StreetSceneParams
     classify: ClassifyParams
+    quality: QualityParams
     assess: AssessParams
     publish: PublishParams
     view: ViewParams

@@ -31,7 +31,7 @@ class ContourParams(Params):
     index: int = Field(ge=1, le=1000)
     smooth: float = Field(ge=0, le=50)
     most: float = Field(ge=0, le=1)
-    shortest: float = Field(ge=0)
+    shortest: float = Field(ge=0, le=1_000_000)
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

@@ -13,6 +13,7 @@ from fwclass.delivery.explain import Explanation, explained
 from fwclass.delivery.rasters import Raster, read_raster
 from fwclass.delivery.waves import Waveform, waveform_of
 from fwclass.errors import InputError
+from fwclass.formats.geoparquet import header as geoparquet_header
 from fwclass.store.atomic import read_json
 from fwclass.store.directory import CURRENT
 from fwclass.store.run_store import Store
@@ -107,6 +108,12 @@ class Delivery:
             }
             for item in made["features"]
         ]
+
+    @cached_property
+    def crs(self) -> Any:
+        """The survey's coordinate system (`pyproj.CRS`), None where it names none."""
+        tile = next(self._part("parquet").glob("*.parquet"), None)
+        return geoparquet_header(tile)["crs"] if tile is not None else None
 
     @cached_property
     def _store(self) -> Store:

@@ -26,7 +26,7 @@ from fwclass.view.cache import Cache
 from fwclass.view.params import ViewParams
 from fwclass.view.pyramid import Node, Pyramid, levels_of, placed
 from fwclass.view.scene import ECHOES
-from fwclass.view.worklist import unsure_places
+from fwclass.view.worklist import UnsureEchoes, WorkList
 
 THREADS = 2
 """That read tiles ahead; more take turns at the interpreter's lock."""
@@ -40,6 +40,9 @@ VERDICTS = (("no reference", "#b8bec3"), ("right", "#2f7d46"), ("wrong", "#c8102
 COMPARED = (("not in the other run", "#b8bec3"), ("same class", "#7fa7b5"), ("another class", "#c8102e"))
 STRIPS = ("#009ea3", "#c44e8c", "#f0c43c", "#566ebe", "#8c563c", "#5fa83c", "#e2782a", "#7a4fb0")
 """Colours of strips, in turn."""
+
+UNSURE = ("x", "y", "z", "confidence", "classification")
+"""Columns that the work list is made of."""
 
 REMEMBERED = 10_000
 """Echoes whose place in the tables is known from when they were looked at."""
@@ -69,7 +72,7 @@ class ViewedRun:
         self.size = float(delivery.report["config"]["tile"]["size"])
         places = np.array([key.split("_") for key in self.tiles], np.int64)
         self.echoes = sum(int(t["echoes"]) for t in self.tiles.values())
-        self.pyramid = Pyramid.over(places, self.echoes, self.size, params.block)
+        self.pyramid = Pyramid.over(places, self.echoes, self.size, params.block, params.together)
         low = np.min([t["bounds"][:3] for t in self.tiles.values()], axis=0)
         self.origin = (*self.pyramid.corner, math.floor(float(low[2])))
         self._blocks, self._open = Cache(params.cache << 20), Cache(params.cache << 20)
@@ -105,7 +108,7 @@ class ViewedRun:
             "south": pyramid.south,
             "joined": pyramid.joined,
             "halved": pyramid.halved,
-            "together": [k for k in pyramid.levels() if self.echoes * pyramid.share(k) <= self.params.together],
+            "together": list(pyramid.levels()[: pyramid.whole + 1]),
             "tiles": tiles,
             "classes": [{**c, "colour": css(shown[int(c["code"])])} for c in report["classes"]],
             "columns": [f for f in self._fields if f["name"] not in HIDDEN],
@@ -154,19 +157,20 @@ class ViewedRun:
         return self._behind.why(tile, row)
 
     def work(self) -> dict[str, Any]:
-        return dict(self._open.get("work", self._places, lambda _: 1 << 20))
+        places = [asdict(p) for p in self.work_list().places]
+        return {"unsure": self.params.unsure, "places": places}
 
-    def _places(self) -> dict[str, Any]:
-        names = ("x", "y", "z", "confidence")
-        limit = self.params.unsure
-        parts = []
+    def work_list(self) -> WorkList:
+        """The places of unsure echoes, as `work` tells them."""
+        return self._open.get("work", self._places, lambda work: 1 << 20)
+
+    def _places(self) -> WorkList:
+        unsure = UnsureEchoes(self.params.cluster)
         for key in self.tiles:
-            columns = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", names)
-            rows = np.flatnonzero(columns["confidence"] < limit)
-            parts.append([columns[n][rows] for n in names[:3]])
-        x, y, z = (np.concatenate([p[k] for p in parts]) for k in range(3))
-        places = unsure_places(x, y, z, self.params.cluster, self.params.places)
-        return {"unsure": limit, "echoes": len(x), "places": [asdict(p) for p in places]}
+            columns = self._columns(key, UNSURE)
+            rows = columns["confidence"] < self.params.unsure
+            unsure.add(*(columns[n][rows] for n in UNSURE))
+        return unsure.work_list(self.params.places)
 
     def _place_of(self, strip: int, pulse: int, echo_number: int) -> tuple[str, int]:
         for key in self.tiles:
@@ -226,15 +230,18 @@ class ViewedRun:
         """The echoes of the levels that squares of several tiles have."""
         with self._lock:
             if self._skimmed is None:
-                parts = list(self._pool.map(self._coarse, range(len(self.tiles)), self.tiles))
-                columns = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
-                self._skimmed = self._arranged(columns)
+                self._skimmed = self._arranged(self._coarsest())
             return self._skimmed
+
+    def _coarsest(self) -> dict[str, NDArray]:
+        """Columns of the coarse echoes, and the tile and row that each comes from."""
+        parts = list(self._pool.map(self._coarse, range(len(self.tiles)), self.tiles))
+        return {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
 
     def _coarse(self, number: int, key: str) -> dict[str, NDArray]:
         columns = self._read(key)
         rank = _rank(columns)
-        limit = self.pyramid.limit(self.pyramid.own - 1)
+        limit = self.pyramid.limit(self.pyramid.coarse) if self.pyramid.coarse >= 0 else 0
         rows = np.flatnonzero(rank < np.uint64(limit))
         return {**{n: v[rows] for n, v in columns.items()}, "tile": np.full(len(rows), number), "row": rows}
 

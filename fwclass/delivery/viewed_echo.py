@@ -28,6 +28,9 @@ TELLING = 10
 CHUNKS = 256 << 20
 """Bytes of opened chunks of waveforms that are kept."""
 
+FEATURES = 256 << 20
+"""Bytes of features of tiles that are kept."""
+
 
 class BehindEchoes:
     """Reads the run's store, which is not part of the delivery: parts that are gone are told."""
@@ -35,6 +38,7 @@ class BehindEchoes:
     def __init__(self, delivery: Delivery) -> None:
         self._delivery, self._store = delivery, Store(delivery.root, read_only=True)
         self._inputs, self._chunks, self._trained = PartInputs(self._store), Cache(CHUNKS), Cache(1 << 30)
+        self._features = Cache(FEATURES)
         self._firsts: dict[int, list[tuple[int, str]]] = {}
 
     def prepare(self) -> None:
@@ -123,7 +127,7 @@ class BehindEchoes:
             raise InputError("this delivery has no model to ask", where=self._delivery.path)
         forest = self._trained.get("model", lambda: load_model(model), lambda _: 1 << 20)
         names = forest.features
-        X = sample_matrix(tile_features(self._store, self._inputs, tile, names), names, tile)
+        X = self._features.get(tile, lambda: self._matrix(tile, names), lambda matrix: matrix.nbytes)
         mine = X[[row]]
         shares = {c.name: float(s[0]) for c, s in self._asked(mine, forest)}
         order = sorted(shares, key=lambda name: -shares[name])
@@ -148,6 +152,10 @@ class BehindEchoes:
         ]
         return {"shares": {n: shares[n] for n in order}, "given": given, "other": other, "of": of, "features": features}
 
+    def _matrix(self, tile: str, names: tuple[str, ...]) -> NDArray:
+        """The model's features of a tile, (rows, features)."""
+        return np.asarray(sample_matrix(tile_features(self._store, self._inputs, tile, names), names, tile))
+
     def _asked(self, X: NDArray, forest: Any) -> list[tuple[Any, NDArray]]:
         answers = classify(np.ascontiguousarray(X, np.float32), forest, True)
         return [(c, answers[f"probability_{c.code}"]) for c in forest.classes]
@@ -157,7 +165,12 @@ class BehindEchoes:
         try:
             return self._trained.get("medians", lambda: self._of_training(forest), lambda _: 1 << 20), " in training"
         except (FwclassError, OSError, KeyError):
-            return _quantiles(X, self._given(X, forest), forest), f" in tile {tile}"
+            return self._trained.get(("medians", tile), lambda: self._here(X, forest), lambda _: 1 << 20), (
+                f" in tile {tile}"
+            )
+
+    def _here(self, X: NDArray, forest: Any) -> Mapping[str, Mapping[float, NDArray]]:
+        return _quantiles(X, self._given(X, forest), forest)
 
     def _of_training(self, forest: Any) -> Mapping[str, Mapping[float, NDArray]]:
         sample = merged_sample(self._inputs, forest.features)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewed_large import viewed
 from fwclass.view.params import ViewParams
 from fwclass.view.server import Server
 
@@ -18,9 +19,9 @@ def scenes_of(run: Path, against: Path | None, params: ViewParams) -> list[Viewe
     """The scene of a run, and that of another with which it is compared."""
     first = open_run(run)
     if against is None:
-        return [ViewedRun(first, params)]
+        return [viewed(first, params)]
     second = open_run(against)
-    return [ViewedRun(first, params, second), ViewedRun(second, params, first)]
+    return [viewed(first, params, second), viewed(second, params, first)]
 
 
 def serve_view(

@@ -42,7 +42,7 @@ def waveform_of(store: Store, echoes: Echoes, strip: int, pulse: int) -> Wavefor
         rows = np.flatnonzero(pulses["pulse"] == pulse)
         if not len(rows):
             continue
-        arrays, _ = inputs.arrays("read", receipt.part, "waveforms.zarr", ("samples", "offsets"))
+        arrays, _ = inputs.arrays("read", receipt.part, "waveforms", ("samples", "offsets"))
         offsets = arrays["offsets"]
         pieces = [arrays["samples"][offsets[r] : offsets[r + 1]] for r in rows]
         times = [

@@ -236,15 +236,15 @@ def lines(geometries: Iterable[bytes | None], where: object) -> tuple[Shapes, ND
 def _lines(data: bytes, where: object, number: int) -> list[Ring]:
     try:
         cursor = _Cursor(data)
-        high = _has_heights(data)
-        order, kind, dimensions = _head(cursor)
-        if kind not in (LINE, MULTILINE):
-            raise WkbError(f"a geometry of kind {NAMES.get(kind, kind)}")
-        if not high:
-            raise WkbError("a line without heights")
-        if kind == LINE:
-            return [_line(cursor, order, kind, dimensions)]
-        return [_line(cursor, *_head(cursor)) for _ in range(cursor.count(order, 9, "lines"))]
+        order, kind, _ = _head(cursor)
+        if kind == MULTILINE:
+            made = [_line(cursor) for _ in range(cursor.count(order, 9, "lines"))]
+        else:
+            cursor.at = 0
+            made = [_line(cursor)]
+        if cursor.left:
+            raise WkbError(f"{cursor.left} bytes too many")
+        return made
     except WkbError as fault:
         raise InputError(
             "a feature of the breaklines is no line with heights",
@@ -255,18 +255,15 @@ def _lines(data: bytes, where: object, number: int) -> list[Ring]:
         ) from fault
 
 
-def _has_heights(data: bytes) -> bool:
-    """Whether the kind that the geometry names has a third coordinate that is a height, and no measure."""
-    if len(data) < 5:
-        return False
-    (code,) = struct.unpack_from("<I" if data[0] else ">I", data, 1)
-    return bool(code & _EWKB_Z) or (code & _EWKB_KIND) // 1000 in (1, 3)
-
-
-def _line(cursor: _Cursor, order: str, kind: int, dimensions: int) -> Ring:
+def _line(cursor: _Cursor) -> Ring:
     """x, y and height of a line's points."""
-    if kind != LINE or dimensions < 3:
-        raise WkbError(f"a {NAMES.get(kind, kind)} of {dimensions} dimensions inside a MultiLineString")
+    start = cursor.at
+    order, kind, dimensions = _head(cursor)
+    if kind != LINE:
+        raise WkbError(f"a geometry of kind {NAMES.get(kind, kind)}")
+    (code,) = struct.unpack_from(order + "I", cursor.data, start + 1)
+    if not (code & _EWKB_Z or (code & _EWKB_KIND) // 1000 in (1, 3)):  # a third coordinate may be a measure
+        raise WkbError("a line without heights")
     n = cursor.count(order, 8 * dimensions, "points")
     values = np.frombuffer(cursor.data, order + "f8", n * dimensions, cursor.at).reshape(n, dimensions)[:, :3]
     cursor.at += 8 * n * dimensions

@@ -32,7 +32,7 @@ from fwclass.model import ClassDef, class_index
 from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
 
-COUNTS = "counts.zarr"
+COUNTS = "counts"
 GROUND = 2
 """Class code."""
 

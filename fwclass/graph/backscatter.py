@@ -32,7 +32,7 @@ from fwclass.tile.stage import split
 from fwclass.voxels import profiles, voxels
 from fwclass.voxels.params import ProfileParams, VoxelParams
 
-ARRAYS = "arrays.zarr"
+ARRAYS = "arrays"
 LAYERS, EDGE = 32, 128
 """Voxels of a chunk of the delivered arrays: up, and to both sides; 2 MiB."""
 

@@ -13,7 +13,7 @@ from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
 
 BREAKLINES = "breaklines"
-FILE = "knots.zarr"
+FILE = "knots"
 
 
 def breaklines_read(here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float) -> Made:

@@ -28,7 +28,7 @@ from fwclass.publish.qgis_style import style_file
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
 
-PIECES = "pieces.zarr"
+PIECES = "pieces"
 
 NAMED = 3
 """Blocks that are named."""

@@ -32,7 +32,7 @@ from fwclass.stage import Chunk
 from fwclass.store.arrays import read_arrays, write_arrays
 from fwclass.waveforms import IMPLAUSIBLE
 
-POLYGONS = "polygons.zarr"
+POLYGONS = "polygons"
 _CLOUD = ("x", "y", "z", "gps_time", "source_class")
 _CLASSES = LABEL.writes
 _OF_ECHOES = frozenset({"max_move"})
@@ -82,7 +82,7 @@ _loaded: dict[tuple[str, ...], Polygons] = {}
 
 def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
     """Polygons of all files, kept in this process as long as their paths, named by their content, are the same."""
-    paths = [inputs.path("polygons", part, POLYGONS) for part in parts]
+    paths = [inputs.arrays_path("polygons", part, POLYGONS) for part in parts]
     key = tuple(map(str, paths))
     if key not in _loaded:
         _loaded.clear()

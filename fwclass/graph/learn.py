@@ -42,7 +42,7 @@ from fwclass.train.stage import (
     train,
 )
 
-SAMPLE, TREES, DROPS, MODEL = "sample.zarr", "trees.zarr", "drops.zarr", "model"
+SAMPLE, TREES, DROPS, MODEL = "sample", "trees", "drops", "model"
 
 TREES_PER_PART = 5
 """Trees that one task grows; a forest does not depend on it."""

@@ -37,7 +37,7 @@ from fwclass.store.remote_file import Location
 from fwclass.store.tables import write_table
 
 _POINTING = ("x", "y", "z", "gps_time", "beam_x", "beam_y", "beam_z")
-COUNTS, CALIBRATION = "counts.zarr", "calibration.json"
+COUNTS, CALIBRATION = "counts", "calibration.json"
 SPACING = 0.1
 """Fixes closer than this [s] are thinned: a platform that turns at 2 m/s2 is 3 mm off its chord."""
 FIXES = 8192

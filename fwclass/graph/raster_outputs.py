@@ -58,15 +58,7 @@ def delivered_rasters(
     box, grid = Box(*bounds), TileGrid(block)
     windows = Window.covering(box, cell), Window.covering(box, params.class_cell)
     for window in windows:
-        if math.prod(window.shape) > MAX_CELLS:
-            raise InputError(
-                "the survey's rasters would be too large",
-                where="rasters",
-                expected=f"at most {MAX_CELLS:,} cells",
-                got=f"{window.ncols:,} x {window.nrows:,} cells of {window.cell:g} m from {box.bounds}",
-                do="look for stray points with `fwclass info` and remove them, or choose larger terrain.cell and "
-                "publish.class_cell",
-            )
+        check_cells(window, box)
     system, blocks = crs_of(crs), tuple(grid.tile(key) for key in here.parts(TERRAIN.name))
     called = {int(code): name for code, name in names.items()}
     spreads: dict[str, Spread] = {}
@@ -79,6 +71,19 @@ def delivered_rasters(
         with whole(target / f"{name}.qml") as beside:
             beside.write_bytes(style_file(raster_style(name, ranges, called), "raster"))
     return {**told, "ranges": ranges}
+
+
+def check_cells(window: Window, box: Box) -> None:
+    """`InputError` for a raster of a `box` whose echoes are far too few for its cells."""
+    if math.prod(window.shape) > MAX_CELLS:
+        raise InputError(
+            "the survey's rasters would be too large",
+            where="rasters",
+            expected=f"at most {MAX_CELLS:,} cells",
+            got=f"{window.ncols:,} x {window.nrows:,} cells of {window.cell:g} m from {box.bounds}",
+            do="look for stray points with `fwclass info` and remove them, or choose larger terrain.cell and "
+            "publish.class_cell",
+        )
 
 
 _TERRAIN = {

@@ -13,7 +13,7 @@ from fwclass.grid import Tile, Window
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 
-RASTERS = "rasters.zarr"
+RASTERS = "rasters"
 
 
 def window_of(attributes: Mapping[str, Any]) -> Window:
@@ -38,6 +38,7 @@ class Mosaic:
     def __init__(
         self, inputs: PartInputs, stage: str, blocks: Sequence[Tile], cell: float, empty: Mapping[str, np.generic]
     ) -> None:
+        self.cell = cell
         self._inputs, self._stage, self._empty = inputs, stage, empty
         self._keys = [b.key for b in blocks]
         windows = [Window.covering(b.box, cell) for b in blocks]

@@ -76,7 +76,7 @@ def write_report(
         "counts": _counts(runner),
         "stages": [_stage(runner, name, tally) for name, tally in runner.tallies.items()],
         "graph": list(graph),
-        "classes": (classes := _classes(config, source, kept)),
+        "classes": (classes := _classes(config, source, kept) if (classified := "classify" in runner.tallies) else []),
         "accuracy": (accuracy := _accuracy(runner, config)),
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(runner, names),
@@ -115,11 +115,12 @@ def write_report(
                 for r in made_in_run(runner, s)
                 for t in r.meta["remarks"]
             ),
-            *class_remarks(source, known_codes(config.classes), kept),
+            *(class_remarks(source, known_codes(config.classes), kept) if classified else ()),
         ],
         "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
         "ground": _ground(runner, config),
         "water": [body for r in made_in_run(runner, "water-levels") for body in r.meta["bodies"]],
+        "quality": next((r.meta["quality"] for r in made_in_run(runner, "publish-quality")), None),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(runner),
         "lost_workers": [
@@ -368,6 +369,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "publish-tile",
         "publish-strip",
         "publish-rasters",
+        "publish-quality",
         "publish-overview",
         "publish-catalogue",
         "publish-polygons",
@@ -380,6 +382,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "parquet": "parquet/",
         "rasters": "rasters/",
         "model": "model/",
+        "quality": "quality.",
         "gis": ("survey.qgz", "tiles.gpkg"),
         "contours": "contours.gpkg",
     }
@@ -440,6 +443,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             rows += [f"{kind:<11} {root / name}" for name in names]
         elif kind == "gis":
             rows += [f"{'qgis':<11} {root / name}" for name in names if name.endswith(".qgz")]
+        elif kind == "quality":
+            rows += [f"{kind:<11} {root / name}" for name in names]
         elif names:
             rows.append(f"{kind:<11} {root / kind}  ({len(names)} files)")
     rows.append(f"report      {root / 'report.html'}")

@@ -42,6 +42,8 @@ def report_figures(config: Config, runner: Runner, layout: Layout, report: Mappi
     def cells(name: str, empty: np.generic) -> tuple[NDArray, Any]:
         return drawable(Mosaic(inputs, "class-block", blocks, window.cell, {name: empty}), window, config)
 
+    if not blocks:  # nothing was classified
+        return others
     surface = drawable(Mosaic(inputs, "terrain", surfaces, terrain.cell, {"dtm": np.float32(np.nan)}), terrain, config)
     percent, place = cells("confidence", np.uint8(NO_CONFIDENCE))
     sure = np.where(percent == NO_CONFIDENCE, np.nan, percent / 100).astype(np.float32)

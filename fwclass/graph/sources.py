@@ -39,7 +39,7 @@ RETURNS = "returns.parquet"
 
 PULSE_FILE = "pulse.json"
 PLACES_FILE = "places.json"
-ENVELOPE = "envelope.zarr"
+ENVELOPE = "envelope"
 
 _ARRAYS = ("samples", "offsets", "outgoing", "outgoing_offsets")
 """What of `Waveforms` is stored as arrays."""
@@ -117,7 +117,7 @@ def read(here: StageInputs, params: ReadParams, span: Span) -> Made:
     write_table(here.directory / RETURNS, waves.returns)
     if waves.pulses.rows:
         write_table(here.directory / "pulses.parquet", waves.pulses)
-        write_arrays(here.directory / "waveforms.zarr", {name: getattr(waves, name) for name in _ARRAYS})
+        write_arrays(here.directory / "waveforms", {name: getattr(waves, name) for name in _ARRAYS})
     return _facts(waves)
 
 
@@ -136,7 +136,7 @@ def waveforms_of(part: str, inputs: PartInputs, returns: bool = True) -> Wavefor
     points = inputs.table("read", part, name=RETURNS) if returns else Table.empty(RETURN_COLUMNS)
     if not inputs.meta("read", part)["waveforms"]:
         return Waveforms(Table.empty(PULSE_COLUMNS), points, np.empty(0, np.uint8), np.zeros(1, np.int64))
-    arrays, _ = inputs.arrays("read", part, "waveforms.zarr")
+    arrays, _ = inputs.arrays("read", part, "waveforms")
     pulses = inputs.table("read", part, name="pulses.parquet")
     return Waveforms(
         pulses,

@@ -37,6 +37,7 @@ from fwclass.graph.learn import (
     WEIGH_FEATURES,
 )
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
+from fwclass.graph.quality import DELIVER_QUALITY, MEASURE_QUALITY
 from fwclass.graph.radiometry import (
     CALIBRATE_STRIPS,
     CHECK_POINTING,
@@ -130,13 +131,25 @@ DELIVERY = (
     DELIVER_RASTERS,
     CONTOUR_BLOCKS,
     DELIVER_CONTOURS,
+    DELIVER_QUALITY,
     DELIVER_OVERVIEW,
     DELIVER_CATALOGUE,
     DELIVER_POLYGONS,
 )
 OF_WAVEFORMS = (SAMPLE_WAVES, FILL_VOXELS, FILL_PROFILES, DELIVER_SAMPLES, DELIVER_VOXELS, DELIVER_PROFILES)
 """For those who want the waveform, not echoes."""
-STAGES = (SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY, *OF_WAVEFORMS)
+STAGES = (
+    SIMULATE,
+    *TO_TILES,
+    *TO_LABELS,
+    CHECK_SEAMS,
+    MEASURE_QUALITY,
+    *LEARNING,
+    *CLASSIFYING,
+    *JUDGING,
+    *DELIVERY,
+    *OF_WAVEFORMS,
+)
 """Every stage that any run has; what a run takes is reckoned by this list."""
 
 

@@ -158,6 +158,14 @@ def until_report(
         if words:
             runner.display.say(words)
     if keys is not None:
+        if not any(stage.name == DELIVER_TILE.name for stage in stages):
+            raise ConfigError(
+                "this workflow delivers no tiles",
+                where="--tiles, --aoi",
+                expected="a workflow that does, as classification or ground",
+                got=f"{len(keys)} tiles asked for",
+                do="leave it out: all of the survey is measured",
+            )
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, keys)))
     elif COUNT_LABELS in stages:  # before anything is computed that the labels may not be worth
         first = [stage for stage in stages if stage.name in LABELLING]

@@ -21,7 +21,7 @@ from fwclass.water.params import WaterParams
 from fwclass.water.shore import Shoreline, nearest_shore, shoreline
 
 WATER, SHORE, LEVELS = "water", "shore", "water-levels"
-FILE = "water.zarr"
+FILE = "water"
 NAMED = 5
 """Bodies of water that are named."""
 

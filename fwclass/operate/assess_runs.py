@@ -83,7 +83,7 @@ def _blocks(run: Path) -> tuple[tuple[str, ...], BlockCounts]:
             expected="the directory of a run with test areas",
             do="give two run directories, or two files",
         )
-    arrays, _ = read_arrays(store.path("assess", "all", COUNTS))
+    arrays, _ = read_arrays(store.arrays_path("assess", "all", COUNTS))
     return tuple(receipt.meta["accuracy"]["classes"]), BlockCounts(arrays["place"], arrays["blocks"])
 
 

@@ -94,7 +94,7 @@ def _view(made: Mapping[str, Any], pictures: Mapping[str, bytes]) -> dict[str, A
     known = [r for r in rows if r["kappa_value"] is not None]
     best = max(known, key=lambda r: r["kappa_value"])["name"] if known else ""
     return {
-        "style": _style(),
+        "style": report_style(),
         "name": Path(made["input"]).name,
         "version": made["fwclass"],
         "facts": _facts(made, len(names)),
@@ -112,7 +112,7 @@ def _view(made: Mapping[str, Any], pictures: Mapping[str, bytes]) -> dict[str, A
     }
 
 
-def _style() -> str:
+def report_style() -> str:
     """The style of the run's report."""
     text = (Path(__file__).parent / REPORT).read_text(encoding="utf-8")
     found = re.search(r"<style>(.*?)</style>", text, re.S)

@@ -14,7 +14,7 @@ import pyproj
 from fwclass.publish.files import whole
 from fwclass.publish.qgis_style import VERSION, document, plain_text
 
-PROVIDERS = {"raster": "gdal", "vector": "ogr", "lines": "ogr", "pointcloud": "vpc"}
+PROVIDERS = {"raster": "gdal", "vector": "ogr", "lines": "ogr", "pointcloud": "vpc", "copc": "copc"}
 """What reads a layer of each kind; a vector layer is of polygons or of lines."""
 
 
@@ -109,7 +109,7 @@ def _tree(groups: Groups) -> Xml.Element:
 
 
 def _layer(layer: MapLayer, number: int, crs: pyproj.CRS | None) -> Xml.Element:
-    kind = {"pointcloud": "point-cloud", "lines": "vector"}.get(layer.kind, layer.kind)
+    kind = {"pointcloud": "point-cloud", "copc": "point-cloud", "lines": "vector"}.get(layer.kind, layer.kind)
     made = Xml.Element("maplayer", {"type": kind, "hasScaleBasedVisibilityFlag": "0"})
     if kind == "vector":
         made.set("geometry", "Line" if layer.kind == "lines" else "Polygon")

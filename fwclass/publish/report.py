@@ -26,6 +26,7 @@ from fwclass.publish.overview_section import (
     waves,
 )
 from fwclass.publish.plausibility_section import plausibility
+from fwclass.publish.quality_section import quality
 from fwclass.publish.sampling_section import sampling
 from fwclass.publish.sections import (
     accuracy,
@@ -87,6 +88,7 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
             "waveforms",
             "plausibility",
             "ground",
+            "quality",
             "stages",
             "outputs",
             "config",
@@ -136,6 +138,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "waveforms": waveforms(report.get("waveforms")),
         "plausibility": plausibility(report.get("plausibility")),
         "ground": ground(report.get("ground")),
+        "quality": quality(report.get("quality")),
         "pulse": data_uri(figures[PULSE]) if PULSE in figures else "",
         "sampling": sampling(report.get("sampling")),
         "sampling_map": data_uri(figures[SAMPLING]) if SAMPLING in figures else "",
@@ -217,6 +220,7 @@ def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
         "parquet": "GeoParquet",
         "rasters": "Rasters (GeoTIFF)",
         "model": "Trained model",
+        "quality": "Survey quality",
         "gis": "QGIS project and tile map",
         "contours": "Contour lines (GeoPackage)",
     }

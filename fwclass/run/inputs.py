@@ -86,7 +86,11 @@ class PartInputs:
         self, stage: str, part: str, name: str, only: tuple[str, ...] | None = None
     ) -> tuple[dict[str, NDArray], dict[str, Any]]:
         """Arrays of a part (`only` some of them) and their attributes."""
-        return read_arrays(self.path(stage, part, name), only)
+        return read_arrays(self.arrays_path(stage, part, name), only)
+
+    def arrays_path(self, stage: str, part: str, name: str) -> Path:
+        """The file or directory of a part's arrays."""
+        return self.path(stage, part, self._store.arrays_name(stage, part, name))
 
     def meta(self, stage: str, part: str) -> Mapping[str, Any]:
         """What the receipt of a part says besides its files; nothing of a part that is not done."""

@@ -8,10 +8,10 @@ import json
 import os
 import shutil
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from fwclass.errors import DamagedError, StoreError
 
@@ -34,15 +34,29 @@ def bytes_digest(data: bytes) -> str:
 def file_digest(path: Path) -> str:
     """Digest of a file's bytes, 32 hex digits of BLAKE2b."""
     state = hashlib.blake2b(digest_size=16)
-    with path.open("rb") as stream:
+    with path.open("rb", buffering=0) as stream:
         while block := stream.read(_BLOCK):
             state.update(block)
     return state.hexdigest()
 
 
+def names_below(directory: Path) -> list[str]:
+    """Every file below `directory`, as sorted relative paths with ``/``; links to directories are not followed."""
+    names, todo = [], [""]
+    while todo:
+        below = todo.pop()
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError), os.scandir(f"{directory}/{below}") as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    todo.append(f"{below}{entry.name}/")
+                elif entry.is_file():
+                    names.append(below + entry.name)
+    return sorted(names)
+
+
 def files_below(directory: Path) -> list[Path]:
     """Every file below `directory`, sorted by relative path."""
-    return sorted((p for p in directory.rglob("*") if p.is_file()), key=lambda p: p.relative_to(directory).as_posix())
+    return [directory / name for name in names_below(directory)]
 
 
 def sync(path: Path) -> None:
@@ -65,10 +79,9 @@ def write_text(path: Path, text: str, flush: bool = True) -> None:
 
 def write_bytes(path: Path, data: bytes, flush: bool = True) -> None:
     """As `write_text`."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
-        with beside.open("wb") as stream:
+        with _opened_to_write(beside) as stream:
             stream.write(data)
             if flush:
                 stream.flush()
@@ -79,6 +92,15 @@ def write_bytes(path: Path, data: bytes, flush: bool = True) -> None:
         raise
     if flush:
         sync(path.parent)
+
+
+def _opened_to_write(path: Path) -> BinaryIO:
+    """The file, opened; its directory is made where there is none, which is tried second, as it is seldom so."""
+    try:
+        return path.open("wb")
+    except FileNotFoundError:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("wb")
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -113,12 +135,31 @@ def read_json(path: Path) -> Any:
 def staged(parent: Path, *below: str) -> Iterator[Path]:
     """A fresh directory to write into, ``parent/<unique>/*below``; what is still there at the end is removed."""
     own = parent / uuid.uuid4().hex
-    directory = own.joinpath(*below)
-    directory.mkdir(parents=True)
     try:
-        yield directory
+        own.mkdir()
+    except FileNotFoundError:
+        own.mkdir(parents=True)
+    directories = [own.joinpath(*below[:k]) for k in range(len(below) + 1)]
+    for directory in directories[1:]:
+        directory.mkdir()
+    try:
+        yield directories[-1]
     finally:
-        shutil.rmtree(own, ignore_errors=True)
+        _remove_staged(directories)
+
+
+def _remove_staged(directories: Sequence[Path]) -> None:
+    """Remove directories, each in the one before it. Mostly the last was renamed and the others are empty by then, and
+    trying costs less than looking."""
+    try:
+        for directory in reversed(directories[:-1]):
+            directory.rmdir()
+    except OSError:
+        pass
+    else:
+        if len(directories) > 1:
+            return
+    shutil.rmtree(directories[0], ignore_errors=True)
 
 
 def move_into_place(source: Path, target: Path, flush: bool = True) -> None:
@@ -126,10 +167,16 @@ def move_into_place(source: Path, target: Path, flush: bool = True) -> None:
 
     Without `flush` it may be gone after a power cut.
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    if target.is_dir():
+    try:
+        source.replace(target)
+    except FileNotFoundError:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        source.replace(target)
+    except OSError:
+        if not target.is_dir():
+            raise
         shutil.rmtree(target)
-    source.replace(target)
+        source.replace(target)
     if flush:
         sync(target.parent)
 

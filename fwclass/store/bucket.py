@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 from fwclass.errors import StoreError
 from fwclass.store.atomic import digest_of, file_digest, files_below, staged, to_json
-from fwclass.store.digests import remember
+from fwclass.store.digests import Looks, remember
 from fwclass.store.directory import FACTS, GENERATIONS, MANIFEST, Directory, Facts, Sealing, failure_key
 from fwclass.store.objects import MOST_COPIED, Held, Mark, Objects, Wanted, objects_at
 from fwclass.store.params import StoreParams
@@ -111,10 +111,14 @@ class Bucket:
     def put(self, key: str, text: str) -> None:
         self.objects.put(key, text.encode())
 
-    def put_once(self, key: str, text: str) -> None:
+    def look(self, key: str) -> Looks | None:
+        """Nothing tells without a request."""
+        return None
+
+    def put_once(self, key: str, text: Callable[[], str]) -> None:
         """As in a directory; one that another process wrote is written again, which costs less than to ask."""
         if (self.where, key) not in _written:
-            self.put(key, text)
+            self.put(key, text())
             _written.add((self.where, key))
 
     def put_new(self, key: str, text: str) -> Mark:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import time
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -13,6 +14,7 @@ from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import name_fault
 from fwclass.store.atomic import digest_of
 from fwclass.store.bucket import Files
+from fwclass.store.digests import Looks
 from fwclass.store.objects import Held, Mark
 from fwclass.store.receipts import Receipt
 
@@ -22,6 +24,14 @@ AT_A_TIME = 256
 """Receipts that are fetched together."""
 IN_MEMORY = 1 << 26
 """Bytes of receipts that are kept in memory, some 20 000 of a tile of 100 m; the one kept longest goes first."""
+
+REMEMBERED = 4096
+"""Receipts in a directory that a process remembers: a worker asks for those of a tile's neighbours again and again."""
+SETTLED = 100_000_000
+"""ns since a receipt was written after which it is remembered: the clocks of file systems tick up to 20 ms apart, and
+what is written again within a tick looks the same."""
+
+_known: dict[str, tuple[Looks, tuple[Receipt | None, Mark]]] = {}
 
 
 class Lookup:
@@ -41,11 +51,27 @@ class Lookup:
     def receipt(self, name: Name) -> tuple[Receipt | None, Mark] | None:
         """The receipt of a part and its mark."""
         if not self._keeps:
-            return self._read(name, self._files.get(receipt_key(*name)))
+            return self._now(receipt_key(*name))
         if name not in self._receipts:
             self._look_up([name])
         kept = self._receipts[name]
         return kept[:2] if kept else None
+
+    def _now(self, key: str) -> tuple[Receipt | None, Mark] | None:
+        """The receipt under `key` as it lies there; it is not read where this process has and it looks as it did."""
+        looks = self._files.look(key)
+        if looks is None:
+            return None
+        path = f"{self._files.root}/{key}"
+        known = _known.get(path)
+        if known is not None and known[0] == looks:
+            return known[1]
+        receipt = self._read(key, self._files.get(key))
+        if receipt is not None and time.time_ns() - max(looks[1:]) > SETTLED:
+            while len(_known) >= REMEMBERED:
+                _known.pop(next(iter(_known)), None)
+            _known[path] = looks, receipt
+        return receipt
 
     def look_up(self, names: Iterable[Name]) -> None:
         """All these will be asked for: what is far away is fetched together."""
@@ -64,16 +90,15 @@ class Lookup:
             else:
                 self._keep(name, copy)
         for name, data in zip(wanted, self._files.many([receipt_key(*n) for n in wanted]), strict=True):
-            read = self._read(name, data)
+            read = self._read(receipt_key(*name), data)
             if read is None or data is None or read[0] is None:
                 self._keep(name, read and (*read, len(data[0]) if data else 0))
             else:
                 self.remember(name, read[0], read[1], data[0])
 
-    def _read(self, name: Name, data: tuple[bytes, Mark] | None) -> tuple[Receipt | None, Mark] | None:
+    def _read(self, key: str, data: tuple[bytes, Mark] | None) -> tuple[Receipt | None, Mark] | None:
         if data is None:
             return None
-        key = receipt_key(*name)
         try:
             return parsed(data[0], key, str(self._files.where / key)), data[1]
         except DamagedError:
@@ -183,12 +208,8 @@ def part_key(stage: str, part: str) -> str:
     return f"store/{stage}/{part}"
 
 
-@lru_cache(maxsize=4096)
 def parsed(data: bytes, key: str, where: str) -> Receipt:
-    """The receipt under `key`, which must be of the part that the key names (`StoreError`); `DamagedError` for none.
-
-    A worker asks for those of a tile's neighbours again and again.
-    """
+    """The receipt under `key`, which must be of the part that the key names (`StoreError`); `DamagedError` for none."""
     try:
         value = json.loads(data)
     except (ValueError, RecursionError) as fault:

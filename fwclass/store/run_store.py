@@ -20,7 +20,8 @@ import psutil
 
 from fwclass.cost import since, spent
 from fwclass.errors import DamagedError, StoreError
-from fwclass.store.atomic import clear_staged, digest_of, file_digest, files_below, from_json, to_json
+from fwclass.store.arrays import PARQUET, ZARR
+from fwclass.store.atomic import clear_staged, digest_of, file_digest, from_json, names_below, to_json
 from fwclass.store.bucket import Bucket, Remote, files_at
 from fwclass.store.failures import Failures
 from fwclass.store.generations import Generations
@@ -141,6 +142,16 @@ class Store:
         self._files.fetch(self._files.unit(receipt), {f"{name}{rest}": f for rest, f in receipt.files(name).items()})
         return self.base(receipt) / name
 
+    def arrays_name(self, stage: str, part: str, name: str) -> str:
+        """The file or directory of a part that holds the arrays `name`."""
+        receipt = self.receipt(stage, part)
+        small = f"{name}{PARQUET}"
+        return small if receipt is not None and small in receipt.outputs else f"{name}{ZARR}"
+
+    def arrays_path(self, stage: str, part: str, name: str) -> Path:
+        """As `path`, of the arrays `name`."""
+        return self.path(stage, part, self.arrays_name(stage, part, name))
+
     # making a part
 
     def commit(
@@ -176,9 +187,9 @@ class Store:
             meta = dict(work(directory))
             worked = time.perf_counter()
             outputs = {}
-            for path in files_below(directory):
+            for name in names_below(directory):
+                path = directory / name
                 self._files.finish(path, place == "deliver")
-                name = path.relative_to(directory).as_posix()
                 outputs[name] = {"bytes": path.stat().st_size, "digest": file_digest(path)}
             check()
             receipt = Receipt(
@@ -237,7 +248,7 @@ class Store:
     def _keep_once(self, kind: str, value: Any) -> str:
         """Keep what many receipts name, ``store/<kind>/<digest>.json``, once; its digest."""
         digest = digest_of(value)
-        self._files.put_once(f"store/{kind}/{digest}.json", to_json(value))
+        self._files.put_once(f"store/{kind}/{digest}.json", lambda: to_json(value))
         return digest
 
     def _kept(self, kind: str, digest: str) -> Any:

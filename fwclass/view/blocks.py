@@ -75,6 +75,16 @@ def column_block(node: Node, values: NDArray[np.uint8]) -> bytes:
     return _framed(node, len(values), np.zeros(3), 0.0, 0.0, values)
 
 
+def identity_block(
+    node: Node, strip: NDArray[np.uint16], pulse: NDArray[np.uint32], echo_number: NDArray[np.uint8]
+) -> bytes:
+    """Head and deflated planes of who the echoes are: two bytes of the strip, four of the pulse, the number; low ones
+    first."""
+    bytes_ = [v.astype(kind).view(np.uint8).reshape(len(v), -1) for v, kind in ((strip, "<u2"), (pulse, "<u4"))]
+    planes = np.concatenate([*bytes_, echo_number[:, None].astype(np.uint8)], axis=1).T
+    return _framed(node, len(strip), np.zeros(3), 0.0, 0.0, np.ascontiguousarray(planes).reshape(-1))
+
+
 def nothing(node: Node) -> bytes:
     """The block of a node without an echo."""
     return _framed(node, 0, np.zeros(3), 0.0, 0.0, np.empty(0, np.uint8))

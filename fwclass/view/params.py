@@ -14,6 +14,8 @@ class ViewParams(Params):
     ----------
     block : echoes of a block of an average tile at most.
     together : levels of at most so many echoes are sent whole.
+    whole : a survey of so many echoes, 20 000 for every tile added, is read whole for its coarse levels; a larger one
+        has them from the delivered overview.
     cache : memory for blocks, and as much again for tiles that are open [MiB].
     connections : open at a time.
     request : a request is heard for so long [s], and an answer may stand still for so long.
@@ -21,10 +23,12 @@ class ViewParams(Params):
     unsure : echoes with less confidence are places to look at.
     cluster : unsure echoes nearer than this, in squares of the global grid, are one place [m].
     places : of the work list.
+    export : unsure echoes of a place whose waveform, votes and columns a folder has.
     """
 
     block: int = Field(ge=1000, le=1_000_000)
     together: int = Field(ge=1000, le=10_000_000)
+    whole: int = Field(ge=0, le=1_000_000_000)
     cache: int = Field(ge=1, le=1_000_000)
     connections: int = Field(ge=2, le=1000)
     request: float = Field(ge=0.1, le=3600)
@@ -32,3 +36,4 @@ class ViewParams(Params):
     unsure: float = Field(ge=0, le=1)
     cluster: float = Field(ge=0.1, le=10_000)
     places: int = Field(ge=1, le=100_000)
+    export: int = Field(ge=0, le=10_000)

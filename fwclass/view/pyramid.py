@@ -6,7 +6,7 @@ the tiles of the run, halved for the finer levels and joined for the coarser one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,10 @@ class Pyramid:
     west, south : numbers of the tile at the root's south-west corner, in the run's grid.
     joined : the root has 2^joined tiles along its edge.
     halved : the finest squares have 2^-halved of a tile's edge.
+    whole : levels up to this one have few echoes, and are sent whole.
+
+    Echoes of levels above `whole` whose squares have several tiles are put into the first level of single tiles, `own`:
+    so what must be known of all tiles at a time is bounded, whatever the survey's size.
     """
 
     size: float
@@ -35,22 +39,26 @@ class Pyramid:
     south: int
     joined: int
     halved: int
+    whole: int = MAX_LEVEL
 
     @classmethod
-    def over(cls, tiles: NDArray[np.int64], echoes: int, size: float, block: int) -> Pyramid:
+    def over(cls, tiles: NDArray[np.int64], echoes: int, size: float, block: int, together: int) -> Pyramid:
         """The pyramid of tiles with `echoes` altogether.
 
         Parameters
         ----------
         tiles : shape (n, 2), column and row in the run's grid.
         block : a block of an average tile has at most so many echoes.
+        together : levels with at most so many are sent whole.
         """
         low, high = tiles.min(axis=0), tiles.max(axis=0)
         joined = int((high - low).max()).bit_length()
         halved, mean = 0, echoes / len(tiles) / 2
         while mean > block and 2 * (joined + halved) + 3 < MAX_LEVEL:
             mean, halved = mean / 4, halved + 1
-        return cls(size, int(low[0]), int(low[1]), joined, halved)
+        plain = cls(size, int(low[0]), int(low[1]), joined, halved)
+        whole = max((k for k in plain.levels() if echoes * plain.share(k) <= together), default=-1)
+        return replace(plain, whole=whole)
 
     @property
     def last(self) -> int:
@@ -70,6 +78,11 @@ class Pyramid:
     def edge(self, level: int) -> float:
         """Edge of the squares of a level [m]."""
         return float(self.size * 2.0 ** (self.joined - level // 2))
+
+    @property
+    def coarse(self) -> int:
+        """The last level whose squares have several tiles; -1 for none."""
+        return min(self.whole, self.own - 1)
 
     def limit(self, level: int) -> int:
         """Echoes with a hash below this are in levels up to `level`; at most 2^64."""
@@ -99,6 +112,7 @@ def levels_of(pyramid: Pyramid, rank: NDArray[np.uint64]) -> NDArray[np.int8]:
     """The level of every echo by its hash."""
     out = np.empty(len(rank), np.int8)
     _levels(rank, pyramid.last, out)
+    out[(out > pyramid.whole) & (out < pyramid.own)] = pyramid.own
     return out
 
 

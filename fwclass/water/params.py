@@ -29,9 +29,9 @@ class WaterParams(Params):
     crs: str | None
     shore: float = Field(gt=0, le=100)
     quantile: float = Field(ge=0, le=1)
-    least: int = Field(ge=1)
+    least: int = Field(ge=1, le=1_000_000)
     stretch: float = Field(ge=1, le=100_000)
-    most_spread: float = Field(ge=0)
+    most_spread: float = Field(ge=0, le=1000)
 
 
 class BreaklineParams(Params):

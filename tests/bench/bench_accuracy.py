@@ -84,7 +84,7 @@ def assessed(config: Config, runner: Runner) -> tuple[dict[str, Any], Any]:
     receipt = runner.store.receipt("assess", "all")
     if receipt is None:
         sys.exit("nothing was assessed")
-    counts, _ = read_arrays(runner.store.path("assess", "all", "counts.zarr"))
+    counts, _ = read_arrays(runner.store.arrays_path("assess", "all", "counts"))
     return dict(receipt.meta["accuracy"]), counts["blocks"]
 
 

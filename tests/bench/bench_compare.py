@@ -44,7 +44,7 @@ def synthetic(n, seed=1):
 def of_run(root):
     """The sample of a run, and its model's classes."""
     store = Store(root)
-    arrays, _ = read_arrays(store.path("training", "all", "sample.zarr"))
+    arrays, _ = read_arrays(store.arrays_path("training", "all", "sample"))
     model = load_model(store.path("train", "model", "model"))
     return Sample.from_arrays(model.features, arrays), model.classes
 

@@ -13,12 +13,15 @@ from pathlib import Path
 
 import laspy
 import pytest
+from manytiles import many_tiles
 from pagedriver import driven
+from smallsurvey import small_survey
 
 from fwclass import conf
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.process import process
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewing import scenes_of
 from fwclass.view.blocks import HEAD
 from fwclass.view.scene import ECHOES
 from fwclass.view.server import Server
@@ -106,3 +109,29 @@ def test_the_page(run: Path) -> None:
             page.until("fwclass.stats.wave && fwclass.stats.why")
             print(f"first waveform and votes {time.monotonic() - began:.2f} s after the last click")
             server.shutdown()
+
+
+def test_a_survey_of_many_tiles(tmp_path: Path) -> None:
+    """10 000 tiles, or FWCLASS_TILES squared; to make them takes minutes."""
+    edge = int(os.environ.get("FWCLASS_TILES", "100"))
+    small = process(small_survey(tmp_path), tmp_path / "small")
+    root = many_tiles(small, tmp_path / "many", edge, 1_000_000)
+    began = time.process_time()
+    params = conf.section("view", ())
+    scenes = scenes_of(root, None, params)
+    opened = time.process_time() - began
+    with Server(scenes, params) as server, driven() as page:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        page.open(server.address)
+        page.until("window.fwclass.stats.settled", 300)
+        first, settled, drawn, asked, size = page.run(
+            "[fwclass.stats.first, fwclass.stats.settled, fwclass.stats.drawn, fwclass.traffic.requests, "
+            "fwclass.traffic.bytes]"
+        )
+        server.shutdown()
+    print(
+        f"\n{edge * edge:,} tiles, {scenes[0].echoes:,} echoes: opened in {opened:.1f} CPU-s; "
+        f"{type(scenes[0]).__name__}: first points {first / 1000:.1f} s, {drawn:,} drawn after {settled / 1000:.1f} s, "
+        f"{asked} requests, {size / 1e6:.1f} MB; {time.process_time() - began:.1f} CPU-s of the server"
+    )
+    assert asked <= 40 or edge < 100

@@ -58,7 +58,7 @@ def flip(path: Path) -> None:
 
 def a_file_of(root: Path, stage: str) -> Path:
     """The largest file of one of the stage's parts, of those that are read for what is delivered."""
-    files = (root / "store" / stage).rglob("dtm/c/0/0" if stage == "terrain" else "table.parquet")
+    files = (root / "store" / stage).rglob("rasters.parquet" if stage == "terrain" else "table.parquet")
     return max(files, key=lambda p: (p.stat().st_size, str(p)))
 
 

@@ -20,7 +20,7 @@ from fwclass.store.run_store import Store
 def test_a_run_gains_nothing_over_itself_and_blocks_are_its_confusion(finished):
     root = finished[0]
     told = json.loads((root / "report.json").read_text())["accuracy"]
-    arrays, _ = read_arrays(Store(root).path("assess", "all", "counts.zarr"))
+    arrays, _ = read_arrays(Store(root).arrays_path("assess", "all", "counts"))
     assert (arrays["blocks"].sum(axis=0)[:, :-1] == np.array(told["confusion"])).all()
     if told["intervals"] is None:
         with pytest.raises(InputError, match="too few blocks"):

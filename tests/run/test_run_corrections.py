@@ -46,7 +46,7 @@ def echoes(root):
 
 
 def trained(root):
-    return PartInputs(Store(root, read_only=True)).arrays("training", "all", "sample.zarr", ("key", "y"))[0]
+    return PartInputs(Store(root, read_only=True)).arrays("training", "all", "sample", ("key", "y"))[0]
 
 
 def correct(root, rows, code, made=None, **moved):

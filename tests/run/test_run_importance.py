@@ -9,7 +9,7 @@ import yaml
 from fwclass.graph import learn
 from fwclass.graph.stage import StageInputs
 from fwclass.model import ClassDef
-from fwclass.store.arrays import read_arrays, write_arrays
+from fwclass.store.arrays import arrays_at, read_arrays, write_arrays
 from fwclass.store.models import load_model
 from fwclass.train.importance import importance
 from fwclass.train.sample import Sample
@@ -33,7 +33,7 @@ def test_importance_in_parts(tmp_path):
         return tmp_path / stage / part / name
 
     inputs = SimpleNamespace(
-        path=path, arrays=lambda stage, part, name, only=None: read_arrays(path(stage, part, name), only)
+        path=path, arrays=lambda stage, part, name, only=None: read_arrays(arrays_at(path(stage, part, name)), only)
     )
     write_arrays(path("training", "all") / learn.SAMPLE, sample.arrays())
     for first, count in ((0, 3), (3, 1)):

@@ -32,7 +32,7 @@ def echoes(tile, inputs, directory):
         }
     )
     write_table(directory / TABLE, table)
-    write_arrays(directory / "a.zarr", {"z": table["z"]})
+    write_arrays(directory / "a", {"z": table["z"]})
     ends = [float(f(table[c])) for f in (np.min, np.max) for c in "xyz"]
     return {"rows": n, "bounds": ends, CELLS: by_place(table, x, y)}
 
@@ -66,7 +66,7 @@ BOTH = (("tile", OWN.key), ("tile", NEXT.key))
     "read",
     [
         lambda i: i.table("other", OWN.key),
-        lambda i: i.arrays("other", OWN.key, "a.zarr"),
+        lambda i: i.arrays("other", OWN.key, "a"),
         lambda i: i.meta("other", OWN.key),
         lambda i: i.digest("other", OWN.key),
         lambda i: i.path("other", OWN.key, TABLE),
@@ -99,7 +99,7 @@ def test_the_refusal_names_column_and_stage(location):
         lambda i: i.rows(NEXT.key, {"z": "tile"}),
         lambda i: i.inside(OWN.box.grown(3.0), SIZE, {"z": "tile"}, (OWN.key, NEXT.key)),
         lambda i: i.table("tile", NEXT.key),
-        lambda i: i.arrays("tile", NEXT.key, "a.zarr"),
+        lambda i: i.arrays("tile", NEXT.key, "a"),
     ],
 )
 def test_rows_beyond_the_declared_halo_are_refused(location, read):

@@ -1,8 +1,11 @@
 """The store: whole parts or none, receipts, the lock."""
 
 import json
+import os
 import subprocess
 import sys
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -121,6 +124,23 @@ def test_a_damaged_receipt_says_nothing(tmp_path):
         assert store.receipt("stage", "p") is None, damaged
         assert store.done("stage", "p", "k") is None
     path.write_text(text.replace('"format": 1', '"format": 99'))
+    assert store.receipt("stage", "p") is None
+
+
+@pytest.mark.parametrize("settled", [0.0, 0.2])
+def test_a_receipt_that_another_writes_anew_is_noticed_at_once(tmp_path, settled):
+    """Also within a tick of the file system's clock, where size and times stay the same."""
+    store, other = Store(tmp_path), tmp_path / "receipt"
+    made = store.commit("stage", "p", "k", {}, "store", write("abc"))
+    path = tmp_path / "store" / "stage" / "p" / "receipt.json"
+    for k in range(20):
+        time.sleep(settled if k < 2 else 0)
+        assert store.receipt("stage", "p") == made == store.receipt("stage", "p")
+        made = replace(made, seconds=float(k % 10))
+        other.write_text(made.to_text())
+        os.utime(other, ns=(path.stat().st_atime_ns, path.stat().st_mtime_ns))
+        other.replace(path)
+    path.unlink()
     assert store.receipt("stage", "p") is None
 
 

@@ -13,7 +13,7 @@ from fwclass.grid import Box, quantised
 from fwclass.model import FORMAT, LEAF, Forest
 from fwclass.schema import Table
 from fwclass.store import tables
-from fwclass.store.arrays import read_arrays, write_arrays
+from fwclass.store.arrays import SMALL, arrays_at, read_arrays, write_arrays
 from fwclass.store.models import load_forest, save_model
 from fwclass.store.tables import open_parquet, read_table, row_groups, write_groups, write_table
 
@@ -50,9 +50,11 @@ def test_tables_round_trip_with_their_dtypes_and_nan(tmp_path, n):
 def test_the_same_rows_give_the_same_bytes(tmp_path):
     for name in "ab":
         write_table(tmp_path / name, table())
-        write_arrays(tmp_path / f"{name}.zarr", {"v": np.arange(10_000)})
+        write_arrays(tmp_path / name, {"v": np.arange(10_000)})
+        write_arrays(tmp_path / f"{name}-large", {"v": np.arange(100_000)})
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-    files = [[p.read_bytes() for p in sorted((tmp_path / f"{n}.zarr").rglob("*")) if p.is_file()] for n in "ab"]
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+    files = [[p.read_bytes() for p in sorted((tmp_path / f"{n}-large.zarr").rglob("*")) if p.is_file()] for n in "ab"]
     assert files[0] == files[1] and files[0]
 
 
@@ -83,13 +85,21 @@ def test_a_damaged_table_is_named(tmp_path):
         read_table(tmp_path / "u", ["z"])
 
 
-@pytest.mark.parametrize("shape", [(0,), (1,), (300_000,), (300, 700)])
+@pytest.mark.parametrize("shape", [(0,), (1,), (0, 3), (300_000,), (30, 70), (300, 700), ()])
 def test_arrays_round_trip(tmp_path, shape):
     r = np.random.default_rng(1)
-    arrays = {"a": r.integers(0, 255, shape).astype(np.uint8), "b": r.normal(size=shape).astype(np.float32)}
-    write_arrays(tmp_path / "z", arrays, {"cell": 1.5})
-    found, about = read_arrays(tmp_path / "z")
-    assert about["cell"] == 1.5
+    arrays = {
+        "b": np.asarray(r.normal(size=shape), np.float32),
+        "a": np.asarray(r.integers(0, 255, shape), np.uint8),
+        "yes": np.asarray(r.random(shape) < 0.5),
+        "wide": np.asarray(r.integers(-(1 << 62), 1 << 62, shape), np.int64),
+    }
+    write_arrays(tmp_path / "z", arrays, {"cell": 1.5, "crs": None})
+    path = arrays_at(tmp_path / "z")
+    assert path.suffix == (".zarr" if sum(a.nbytes for a in arrays.values()) > SMALL else ".parquet")
+    found, about = read_arrays(path)
+    assert about == {"cell": 1.5, "crs": None}
+    assert list(read_arrays(path, ["wide"])[0]) == ["wide"]
     for n in arrays:
         np.testing.assert_array_equal(found[n], arrays[n])
         assert found[n].dtype == arrays[n].dtype

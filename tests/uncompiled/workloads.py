@@ -445,7 +445,7 @@ def work_octree(_: Path) -> Any:
 def work_blocks_of_the_viewer(_: Path) -> Any:
     rng = np.random.default_rng(7)
     places = rng.uniform(0, 100, (3, 300))
-    pyramid = Pyramid.over(np.array([[0, 0], [1, 1]]), 300, 50.0, 40)
+    pyramid = Pyramid.over(np.array([[0, 0], [1, 1]]), 300, 50.0, 40, 300)
     order, nodes = placed(pyramid, levels_of(pyramid, rng.integers(0, 2**64, 300, np.uint64)), places[0], places[1])
     echoes = {
         **dict(zip("xyz", places, strict=True)),

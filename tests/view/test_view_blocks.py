@@ -11,7 +11,6 @@ import pytest
 from fwclass.view.blocks import BYTES, DRAWN, HEAD, STEP, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
 from fwclass.view.pyramid import Pyramid, levels_of, placed
-from fwclass.view.worklist import unsure_places
 
 SIZE = 50.0
 TILES = np.array([[10, 20], [11, 20], [10, 21], [12, 22]])
@@ -49,13 +48,15 @@ def decoded(data: bytes) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("echoes", [1, 7, 5000])
 @pytest.mark.parametrize("size", [200, 100_000])
-def test_every_echo_is_in_one_block_where_it_lies(echoes: int, size: int) -> None:
+@pytest.mark.parametrize("together", [0, 300, 10_000])
+def test_every_echo_is_in_one_block_where_it_lies(echoes: int, size: int, together: int) -> None:
     c = cloud(echoes)
-    pyramid = Pyramid.over(TILES, echoes, SIZE, size)
+    pyramid = Pyramid.over(TILES, echoes, SIZE, size, together)
     level = levels_of(pyramid, c["rank"])
     order, nodes = placed(pyramid, level, c["x"], c["y"])
     assert sorted(order) == list(range(echoes))
-    assert {n[0] for n in nodes} <= set(pyramid.levels())
+    assert {n[0] for n in nodes} <= {k for k in pyramid.levels() if k <= pyramid.coarse or k >= pyramid.own}
+    assert (level <= pyramid.coarse).sum() <= 2 * together + 200
     origin = (*pyramid.corner, 90.0)
     for node, (first, last) in nodes.items():
         rows = order[first:last]
@@ -70,7 +71,7 @@ def test_every_echo_is_in_one_block_where_it_lies(echoes: int, size: int) -> Non
         assert ((got["sure"] == 255) == np.isnan(sure)).all() and ((got["height"] == 0) == np.isnan(height)).all()
         known = np.isfinite(height)
         told = (got["height"][known] - 1) * 0.01 - 100
-        assert np.abs(told - np.clip(height[known], -100, 555.34)).max() <= 0.0051
+        assert np.abs(told - np.clip(height[known], -100, 555.34)).max(initial=0) <= 0.0051
         if node[0] >= pyramid.own:
             tile = pyramid.tile_of(node)
             assert (np.floor(c["x"][rows] / SIZE) == tile[0]).all() and (np.floor(c["y"][rows] / SIZE) == tile[1]).all()
@@ -78,7 +79,7 @@ def test_every_echo_is_in_one_block_where_it_lies(echoes: int, size: int) -> Non
 
 def test_levels_double_and_are_even() -> None:
     c = cloud(200_000)
-    pyramid = Pyramid.over(TILES, 200_000, SIZE, 5000)
+    pyramid = Pyramid.over(TILES, 200_000, SIZE, 5000, 200_000)
     level = levels_of(pyramid, c["rank"])
     west = c["x"] < 11 * SIZE
     for k in pyramid.levels():
@@ -92,7 +93,7 @@ def test_levels_double_and_are_even() -> None:
 def test_levels_follow_the_hash_alone() -> None:
     """Whatever is shown up to a level are the echoes with the lowest hashes."""
     c = cloud(50_000)
-    level = levels_of(Pyramid.over(TILES, 50_000, SIZE, 2000), c["rank"])
+    level = levels_of(Pyramid.over(TILES, 50_000, SIZE, 2000, 50_000), c["rank"])
     assert (np.diff(level[np.argsort(c["rank"])]) >= 0).all()
 
 
@@ -112,13 +113,3 @@ def test_the_cache_forgets_what_was_not_used() -> None:
     with pytest.raises(ZeroDivisionError):
         cache.get("d", lambda: 1 / 0)
     assert cache.get("d", lambda: b"1") == b"1"
-
-
-def test_places_join_squares_that_touch() -> None:
-    x = np.array([0.5, 1.5, 2.5, 9.5, 9.6, -7.0])
-    y = np.array([0.5, 1.5, 0.5, 0.5, 0.5, 3.0])
-    places = unsure_places(x, y, np.zeros(6), 1.0, 10)
-    assert [p.echoes for p in places] == [3, 2, 1]
-    shuffled = [5, 3, 1, 0, 2, 4]
-    assert unsure_places(x[shuffled], y[shuffled], np.zeros(6), 1.0, 10) == places
-    assert unsure_places(x[:0], y[:0], x[:0], 1.0, 5) == []

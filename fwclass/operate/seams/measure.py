@@ -25,7 +25,7 @@ from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Outcome, Task, single_thread
 from fwclass.run.progress import Display
 from fwclass.schema import IDENTITY, Table
-from fwclass.store.arrays import read_arrays
+from fwclass.store.arrays import arrays_at, read_arrays
 from fwclass.store.tables import read_table
 
 
@@ -104,7 +104,8 @@ def block_seams(
         with _scratch() as directory:
             task.work(inputs, directory)
             now = read_table(directory / TABLE)
-            cells = read_arrays(directory / RASTERS)[0] if (directory / RASTERS).exists() else {}
+            rasters = arrays_at(directory / RASTERS)
+            cells = read_arrays(rasters)[0] if rasters else {}
         stage = gathering(plan, now)
         stored = surroundings(inputs, block, 0.0, size, {**_PLACE, **dict.fromkeys(now, stage)}, keys).table
         _same_rows(stored, now, task)

@@ -23,7 +23,7 @@ from fwclass.street.recording_parquet import write_recording
 from fwclass.street.ring import feature_names
 from fwclass.street.simulate import simulated
 
-DRIVE, RECORDING, GRIDS = "street-drive", "drive.parquet", "grids.zarr"
+DRIVE, RECORDING, GRIDS = "street-drive", "drive.parquet", "grids"
 SHOWN = 400
 """Frames of the pictures, as many as the paper has."""
 

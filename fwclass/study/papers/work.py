@@ -33,7 +33,7 @@ from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
 from fwclass.train.stage import grow_trees, merge, train
 
-TEST, MODEL, DROPS, ANSWERS = "test.zarr", "model", "drops.zarr", "answers.zarr"
+TEST, MODEL, DROPS, ANSWERS = "test", "model", "drops", "answers"
 _TABLE = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
 WARM_ROWS = 2000
 """Rows that a timing begins with and does not count: compiled code is loaded then."""

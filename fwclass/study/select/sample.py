@@ -27,7 +27,7 @@ from fwclass.thin.sample import THIN
 from fwclass.train.sample import Sample
 from fwclass.train.stage import TRAIN_SAMPLE, TrainParams, candidates, merge
 
-SAMPLE, FOLDS = "sample.zarr", "folds.zarr"
+SAMPLE, FOLDS = "sample", "folds"
 PLACED, TRAINING = "select-sample", "select-training"
 """Stages: the rows of a tile with their places, and those of all tiles with their folds."""
 

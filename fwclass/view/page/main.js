@@ -4,12 +4,13 @@ import { Drawing, MODES, rampColours } from './draw.js';
 import { cut, pick, touches } from './pick.js';
 import { $, element, number, values, wave, why } from './panel.js';
 import { json, traffic, useToken } from './net.js';
+import { kept, LITTLE } from './folder.js';
 
 const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, hidden = new Set();
 const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
 const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, section: null, selected: null, motion: 600_000 };
 let scenes = [], drawing, works = null, at = -1, shown = [];
-useToken(given.get('token') || '');
+useToken(given.get('token') || ''); $('unserved').remove();
 const fault = (text) => { $('fault').hidden = !text; $('fault').textContent = text || ''; };
 const failed = (text, status) => fault(status === 401 ? 'The address lacks the token, or fwclass view was started again: open the address that it printed last.' : text);
 const canvas = $('view');
@@ -119,6 +120,7 @@ function marks(m, w, h) {
   if (state.section) line(state.section.A, state.section.B);
   for (const p of state.points) { const [x, y, d] = at2(p); if (d > 0) out.push(svg('circle', { cx: x, cy: y, r: 5 })); }
   if (state.measured) { const [a, b] = state.measured, [A, B] = line(a, b); out.push(svg('text', { x: (A[0] + B[0]) / 2 + 6, y: (A[1] + B[1]) / 2 - 6 }, `${Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]).toFixed(2)} m`)); }
+  for (const t of marked()) { t.at = at2(t.place); if (t.at[2] > 0) out.push(svg('circle', { cx: t.at[0], cy: t.at[1], r: 4 })); }
   if (state.selected) scenes.forEach((_, k) => { const [x, y, d] = at2(state.selected.place); if (d > 0) out.push(svg('circle', { cx: x + k * w, cy: y, r: 8 })); });
   $('marks').replaceChildren(...out);
 }
@@ -167,18 +169,21 @@ async function show(number_, hit) {
   state.selected = hit; redraw();
   const s = scenes[number_], mine = (show.turn = (show.turn || 0) + 1), late = () => mine !== show.turn;
   try {
-    const about = await json(`${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`), v = about.values; if (late()) return;
+    const about = s.folder ? await kept(s, hit) : await json(`${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`), v = about.values; if (late()) return;
     stats.echo = about;
     const called = s.classes.find((c) => c.code === v.classification)?.name ?? `code ${v.classification}`;
     $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}`;
     $('says').textContent = `${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number} of ${v.number_of_echoes ?? '?'}`;
-    values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = '';
+    values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? LITTLE : '';
+    if (about.little) return;
     json(`${number_}/pulse/${v.strip}-${v.pulse}.json`).then((p) => { if (late()) return; stats.wave = p; wave(p, v.echo_number - 1); $('wave-says').textContent = p.says; }, (e) => { if (!late()) $('wave-says').textContent = e.message; });
     json(`${number_}/why/${v.strip}-${v.pulse}-${v.echo_number}.json`).then((a) => { if (late()) return; stats.why = a; why(a, new Map(s.classes.map((c) => [c.name, c.colour]))); }, (e) => { if (!late()) why({ error: e.message }, new Map()); });
   } catch (e) { failed(e.message, e.status); }
 }
 function click(x, y) {
   const began = performance.now(), [w, h] = size(), k = Math.min(scenes.length - 1, Math.floor(x / w));
+  const told = state.tool ? null : marked().find((t) => Math.hypot(t.at[0] - x, t.at[1] - y) < 9);
+  if (told) { show(0, { ...told, node: { node: told.node } }); return told; }
   const hit = pick(shown[k]?.nodes || [], matrix(cam, w / h), x - k * w, y, w, h, hidden); stats.pick = performance.now() - began;
   if (state.tool) chosen(hit, x, y); else if (hit) show(k, hit);
   return hit;
@@ -192,7 +197,9 @@ async function go(step) {
   const p = works[at], o = scenes[0].origin;
   cam.target = [p.x - o[0], p.y - o[1], p.z - o[2]]; cam.far = Math.max(25, p.size * 4);
   $('place').textContent = `${at + 1} of ${works.length}: ${p.echoes.toLocaleString('en')} echoes`; moved();
+  const [told] = marked(); if (told) show(0, { ...told, node: { node: told.node } });
 }
+const marked = () => works?.[at]?.told || []; // echoes of which a folder has everything
 const step = (by) => go(by).catch((e) => failed(e.message, e.status));
 
 // ------------------------------------------------------------------ hands
@@ -232,7 +239,7 @@ async function begin() {
   }
   $('name').textContent = scenes.map((s) => s.name).join(' | '); document.title = `${first.name} – fwclass view`;
   const by = new Set(['classification', 'confidence', 'entropy', 'height', 'height_above_ground', 'intensity', ...first.columns.map((c) => c.name)]);
-  for (const n of by) if (n === 'height' || first.columns.some((c) => c.name === n)) $('by').add(new Option(n.replaceAll('_', ' '), n));
+  for (const n of by) if (n === 'height' || ((MODES[n] !== undefined || !first.folder || first.folder.columns.includes(n)) && first.columns.some((c) => c.name === n))) $('by').add(new Option(n.replaceAll('_', ' '), n));
   if (!first.crs) $('says').textContent = 'The survey names no coordinate system: places are in its own metres.';
   $('work').hidden = false; recall(); classes(); await colourBy(given.get('by') || 'classification'); frame();
 }

@@ -6,13 +6,13 @@ export const useToken = (text) => { token = text; };
 export async function json(path) {
   let answer;
   try { answer = await fetch(`data/${path}`, { headers: token ? { 'X-Fwclass-Token': token } : {} }); } catch {
-    throw new Error('The server does not answer: it was ended, or this machine slept. Start fwclass view again and open the address that it prints.');
+    throw new Error('The server does not answer: it was ended, or this machine slept. If it was fwclass view, start that again and open the address that it prints.');
   }
   const text = await answer.text();
   traffic.requests += 1; traffic.bytes += text.length;
   let value;
   try { value = JSON.parse(text); } catch { value = { error: `not here (${answer.status})` }; }
-  if (!answer.ok) throw Object.assign(new Error(value.error || `status ${answer.status}`), { status: answer.status });
+  if (!answer.ok || value.error) throw Object.assign(new Error(value.error || `status ${answer.status}`), { status: answer.status });
   return value;
 }
 
@@ -40,7 +40,7 @@ export class Loader {
       this.queue.forEach((job, i) => { if (job.rank > this.queue[best].rank) best = i; });
       const [job] = this.queue.splice(best, 1), worker = this.idle.pop();
       this.number += 1; this.jobs.set(this.number, job);
-      worker.postMessage({ id: this.number, path: new URL(`data/${job.path}`, document.baseURI).href, token, column: job.about.column });
+      worker.postMessage({ id: this.number, path: new URL(`data/${job.path}`, document.baseURI).href, token, column: job.about.column, stride: job.about.stride });
     }
   }
 

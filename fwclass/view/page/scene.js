@@ -10,7 +10,9 @@ export class Scene {
     Object.assign(this, index);
     this.number = number; this.changed = changed; this.nodes = new Map(); this.asked = new Set(); this.column = ''; this.failures = new Map(); this.early = new Map();
     this.last = 2 * (this.joined + this.halved) + 1; this.own = 2 * this.joined;
+    this.there = this.folder ? new Set(this.folder.nodes) : null; this.told = new Set(this.folder?.told);
     this.loader = new Loader((job, blocks) => this.arrived(job, blocks), (job, fault, status) => {
+      if (job.about.refused) { job.about.refused(Object.assign(new Error(fault), { status })); return; }
       this.failures.set(job.about.key, (this.failures.get(job.about.key) || 0) + 1);
       if (this.failures.get(job.about.key) < 3) this.asked.delete(job.about.key);
       failed(fault, status);
@@ -28,6 +30,7 @@ export class Scene {
   static async open(number, changed, failed) { return new Scene(number, await json(`${number}/index.json`), changed, failed); }
 
   arrived(job, blocks) {
+    if (job.about.done) { job.about.done(blocks[0]); return; }
     for (const block of blocks) {
       const key = block.node.join('-');
       if (job.about.column) {
@@ -56,9 +59,14 @@ export class Scene {
 
   want(key, path, rank, column) {
     const full = column ? `${column} ${key}` : key;
-    if (this.asked.has(full)) return;
+    if (this.asked.has(full) || (this.there && !key.startsWith('level-') && !this.there.has(key))) return; // a folder has no file for an empty block
     this.asked.add(full);
     this.loader.ask(`${this.number}/${path}.bin`, rank, { key: full, column });
+  }
+
+  // One block of another kind, asked for before all others.
+  block(path, stride) {
+    return new Promise((done, refused) => { this.loader.ask(`${this.number}/${path}.bin`, 1e7, { key: path, stride, done, refused }); });
   }
 
   // Blocks to draw now, the coarsest first; asks for those that lack.
@@ -84,7 +92,7 @@ export class Scene {
           const low = [tile.low[0] + a * edge, tile.low[1] + b * edge, tile.low[2]], high = [low[0] + edge, low[1] + edge, tile.high[2]];
           const cell = cells > 1 ? near(low, high) : pixels, inside = full && full(low, high);
           if (!cell && !inside) continue;
-          ranked.push({ rank: inside ? 1e5 - level : (spacing * cell) / (pixels || cell), count: (tile.echoes * this.share(level)) / 2 / cells ** 2, key: `${level}-${(tile.i << down) + a}-${(tile.j << down) + b}` });
+          ranked.push({ rank: inside ? 1e5 - level : (spacing * cell) / (pixels || cell), count: (tile.echoes * (this.share(level) - this.share(level === first ? this.together.at(-1) ?? -Infinity : level - 1))) / cells ** 2, key: `${level}-${(tile.i << down) + a}-${(tile.j << down) + b}` });
         }
       }
     }

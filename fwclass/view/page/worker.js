@@ -34,7 +34,7 @@ function unpacked(planes, n, rise) {
   return out;
 }
 
-onmessage = async ({ data: { id, path, token, column } }) => {
+onmessage = async ({ data: { id, path, token, column, stride } }) => {
   let bytes = 0, status = 0;
   try {
     const answer = await fetch(path, { headers: token ? { 'X-Fwclass-Token': token } : {} });
@@ -50,8 +50,8 @@ onmessage = async ({ data: { id, path, token, column } }) => {
       if (at + HEAD > all.length) throw new Error('a block is cut off');
       const block = head(view, at);
       if (block.count > MOST || at + HEAD + block.size > all.length) throw new Error('a block says that it is larger than it can be');
-      const planes = await inflated(all.subarray(at + HEAD, at + HEAD + block.size), block.count * (column ? 1 : STRIDE));
-      block.bytes = column ? planes : unpacked(planes, block.count, block.rise);
+      const planes = await inflated(all.subarray(at + HEAD, at + HEAD + block.size), block.count * (stride || (column ? 1 : STRIDE)));
+      block.bytes = column || stride ? planes : unpacked(planes, block.count, block.rise);
       postMessage({ id, blocks: [block] }, [block.bytes.buffer]);
       at += HEAD + block.size;
     }

@@ -1,0 +1,147 @@
+"""A run as the viewer shows it, written to a folder that any web server can serve."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.delivery.echoes import table_columns, table_fields
+from fwclass.delivery.opened import open_run
+from fwclass.delivery.viewed import UNSURE, ViewedRun
+from fwclass.publish.copc import streamed
+from fwclass.publish.files import whole_directory
+from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.view.blocks import DRAWN, identity_block
+from fwclass.view.folder import Told, write_folder
+from fwclass.view.params import ViewParams
+from fwclass.view.pyramid import Node
+
+
+class ExportedRun(ViewedRun):
+    """See `fwclass.view.folder.Kept`."""
+
+    def colours(self) -> Sequence[str]:
+        """The columns that the delivered COPC has, strips, and what is right and differs."""
+        delivered = [
+            f["name"] for f in table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
+        ]
+        left = {*delivered} - {*streamed(delivered), "strip"} | {*DRAWN}
+        return [f["name"] for f in self.index()["columns"] if f["name"] not in left]
+
+    def scale(self, part: str) -> dict[str, Any]:
+        """As that of the viewer, with names of files alone: where they lie on this host is nobody's business."""
+        about = super().scale(part)
+        if part == "strip":
+            about["classes"] = [{**c, "name": Path(c["name"]).name} for c in about["classes"]]
+        return about
+
+    def nodes(self) -> Iterator[Node]:
+        """See `Kept.nodes`; one tile is open at a time."""
+        yield from (n for n in self._skim().nodes if n[0] < self.pyramid.own)
+        for key in self.tiles:
+            yield from (n for n in self._tile(key).nodes if n[0] >= self.pyramid.own)
+
+    def identities(self, node: Node) -> bytes:
+        """See `Kept.identities`."""
+        opened = self._holder(node)
+        rows = opened.order[slice(*opened.nodes[node])]
+        return identity_block(node, *(opened.columns[n][rows] for n in IDENTITY))
+
+    def told(self) -> list[list[Told]]:
+        """The least sure echoes of every place, `view.export` each; equally sure ones by strip, pulse and echo."""
+        parts = [self._unsure(number, key) for number, key in enumerate(self.tiles)]
+        place, tile, row = (np.concatenate([p[k] for p in parts]) for k in ("place", "tile", "row"))
+        order = _first_of_each(place, np.concatenate([p["order"] for p in parts]), self.params.export)
+        out: list[dict[int, Told]] = [{} for _ in self.work_list().places]
+        for number, key in enumerate(self.tiles):
+            mine = np.flatnonzero(tile[order] == number)
+            for at, told in zip(mine.tolist(), self._told(key, row[order[mine]]), strict=True):
+                out[int(place[order[at]])][at] = told
+        return [[one for _, one in sorted(echoes.items())] for echoes in out]
+
+    def _unsure(self, number: int, key: str) -> dict[str, NDArray]:
+        """Place, tile and row of the least sure echoes of a tile, and by what they are ordered."""
+        columns = self._columns(key, (*UNSURE, *IDENTITY))
+        row = np.flatnonzero(columns["confidence"] < self.params.unsure)
+        place = self.work_list().of(columns["x"][row], columns["y"][row])
+        row, place = row[place >= 0], place[place >= 0]
+        who = canonical_key(Table({n: columns[n][row] for n in IDENTITY}))
+        sure = columns["confidence"][row].astype(np.float64)
+        order = np.array(list(zip(sure.tolist(), who.tolist(), strict=True)), [("sure", "f8"), ("who", "u8")])
+        best = _first_of_each(place, order, self.params.export)
+        return {"place": place[best], "tile": np.full(len(best), number), "row": row[best], "order": order[best]}
+
+    def _told(self, key: str, rows: NDArray[np.int64]) -> list[Told]:
+        if not len(rows):
+            return []
+        path = self.delivery.path / "parquet" / f"{key}.parquet"
+        columns = {n: v[rows] for n, v in table_columns(path, [f["name"] for f in self._fields]).items()}
+        out = []
+        for k, row in enumerate(rows.tolist()):
+            values = {n: _plain(v[k]) for n, v in columns.items()}
+            node, at = self._at(key, row)
+            x, y, z = (round(values[a] - o, 3) for a, o in zip("xyz", self.origin, strict=True))
+            about = {"tile": key, "row": row, "values": values}
+            strip, pulse, number = (int(values[n]) for n in IDENTITY)
+            self._asked[strip, pulse, number] = key, row
+            out.append(Told(node, at, strip, pulse, number, (x, y, z), about))
+        return out
+
+    def _at(self, key: str, row: int) -> tuple[Node, int]:
+        """The node that has an echo of a tile, and its row in the node's block."""
+        opened, at = self._tile(key), row
+        if self._node_of(opened, at)[0][0] < self.pyramid.own:
+            opened = self._skim()
+            columns, number = opened.columns, list(self.tiles).index(key)
+            at = int(np.flatnonzero((columns["tile"] == number) & (columns["row"] == row))[0])
+        return self._node_of(opened, at)
+
+    @staticmethod
+    def _node_of(opened: Any, row: int) -> tuple[Node, int]:
+        place = int(np.flatnonzero(opened.order == row)[0])
+        node, (first, _) = next((n, span) for n, span in opened.nodes.items() if span[0] <= place < span[1])
+        return node, place - first
+
+    def _tile_bytes(self, key: str, name: str) -> NDArray[np.uint8]:
+        return self._open.get(("bytes", key, name), lambda: super(ExportedRun, self)._tile_bytes(key, name))
+
+
+def _first_of_each(place: NDArray[np.int64], order: NDArray, most: int) -> NDArray[np.int64]:
+    """Rows by place, at most `most` of each, those that come first in `order`."""
+    rows = np.lexsort((order["who"], order["sure"], place))
+    sorted_ = place[rows]
+    rank = np.arange(len(rows)) - np.searchsorted(sorted_, sorted_)
+    return np.asarray(rows[rank < most])
+
+
+def _plain(value: Any) -> Any:
+    plain = value.item()
+    return None if isinstance(plain, float) and not math.isfinite(plain) else plain
+
+
+def export_view(
+    run: Path, against: Path | None, params: ViewParams, directory: Path, tell: Callable[[str], object]
+) -> str:
+    """Write the page of a run, or of two side by side, to a new directory; a sentence of what is there.
+
+    Raises
+    ------
+    InputError
+        `run` or `against` is no run that has delivered.
+    ConfigError
+        The directory is not empty.
+    """
+    first = open_run(run)
+    second = open_run(against) if against is not None else None
+    scenes = [ExportedRun(first, params, second)]
+    if second is not None:
+        scenes.append(ExportedRun(second, params, first))
+    with whole_directory(directory) as beside:
+        write_folder(scenes, beside, tell)
+        sizes = [p.stat().st_size for p in beside.rglob("*") if p.is_file()]
+    return f"{len(sizes):,} files, {sum(sizes) / 1e6:,.1f} MB: let a web server show {directory}"

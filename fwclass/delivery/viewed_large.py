@@ -1,0 +1,110 @@
+"""Runs so large that the viewer does not read all tiles: their coarse echoes come from the delivered overview."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.delivery.echoes import table_fields
+from fwclass.delivery.opened import Delivery
+from fwclass.delivery.viewed import ViewedRun
+from fwclass.errors import InputError
+from fwclass.formats.extra_bytes import published
+from fwclass.grid import TileGrid, quantised
+from fwclass.publish.copc import streamed
+from fwclass.publish.octree import drawn_by
+from fwclass.read.las import open_las
+from fwclass.read.points import PointReader, coordinates
+from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.view.blocks import NO_VALUE
+from fwclass.view.params import ViewParams
+from fwclass.view.pyramid import Node
+
+OVERVIEW = "laz/overview.copc.laz"
+LAST_RETURN = 15
+"""Point format 6 has four bits for the number of a return: who an echo with it is, the file does not tell."""
+
+TILE = 20_000
+"""Echoes that are read in the time in which a tile is opened."""
+
+
+def viewed(delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> ViewedRun:
+    """The run as the viewer shows it; a large one by its overview."""
+    cost = sum(TILE + int(t["echoes"]) for t in delivery.tiles)
+    large = cost > params.whole and (delivery.path / OVERVIEW).is_file()
+    return (LargeRun if large else ViewedRun)(delivery, params, other)
+
+
+class LargeRun(ViewedRun):
+    """A run whose levels of squares of several tiles are read from the overview, which was drawn by the same hash.
+
+    Its echoes are known by strip, pulse and number; rows of the tables are looked up for those that are asked for.
+    """
+
+    def _coarsest(self) -> dict[str, NDArray]:
+        echoes = self._overview()
+        limit = self.pyramid.limit(self.pyramid.coarse) if self.pyramid.coarse >= 0 else 0
+        rank = drawn_by(Table({n: echoes[n] for n in IDENTITY}))
+        if limit > int(rank.max(initial=np.uint64(0))):
+            return super()._coarsest()
+        return {n: v[rank < np.uint64(limit)] for n, v in echoes.items()}
+
+    def _overview(self) -> dict[str, NDArray]:
+        source = open_las(self.delivery.path / OVERVIEW)
+        with PointReader(source) as reader:
+            points = reader.read(0, source.n_points)
+            there = [f["name"] for f in table_fields(self._tile_path(next(iter(self.tiles))))]
+            more = {c.name: reader.extra_byte(points, c.las) for c in published(streamed(there)) if c.name != "pulse"}
+        x, y, z = map(quantised, coordinates(source, points))
+        echoes: dict[str, NDArray] = {
+            **more,
+            **{"x": x, "y": y, "z": z},
+            "classification": np.asarray(points["classification"], np.uint8),
+            "intensity": np.asarray(points["intensity"], np.uint16),
+            "strip": np.asarray(points["point_source_id"], np.uint16),
+            "pulse": np.asarray(points["pulse"], np.uint32),
+            "echo_number": np.asarray(points["return_number"], np.uint8),
+        }
+        known = np.flatnonzero(echoes["echo_number"] < LAST_RETURN)
+        return {n: v[known] for n, v in echoes.items()}
+
+    def _tile_path(self, key: str) -> Path:
+        return self.delivery.path / "parquet" / f"{key}.parquet"
+
+    def _row_of(self, node: Node, row: int) -> tuple[str, int]:
+        opened = self._skim()
+        span = opened.nodes.get(node, (0, 0))
+        if node[0] >= self.pyramid.own or "row" in opened.columns or not 0 <= row < span[1] - span[0]:
+            return super()._row_of(node, row)
+        at = opened.order[[span[0] + row]]
+        echo = {n: v[at] for n, v in opened.columns.items()}
+        i, j = TileGrid(self.size).indices(echo["x"], echo["y"])
+        key = f"{i[0]}_{j[0]}"
+        here = np.flatnonzero(_key(self._columns(key, IDENTITY)) == _key(echo)) if key in self.tiles else at[:0]
+        if not len(here):
+            raise InputError("the overview has an echo that its tile has not", where=self.delivery.path, got=key)
+        return key, int(here[0])
+
+    def _skim_column(self, name: str) -> NDArray[np.uint8]:
+        columns = self._skim().columns
+        if "row" in columns:
+            return super()._skim_column(name)
+        if name == "strip":
+            return np.asarray(columns[name] % NO_VALUE, np.uint8)
+        if name in columns:
+            return self._scale(name).bytes_of(columns[name])
+        wanted = _key(columns)
+        order = np.argsort(wanted)
+        out = np.empty(len(wanted), np.uint8)
+        for key in self.tiles:
+            who = _key(self._columns(key, IDENTITY))
+            _, here, there = np.intersect1d(who, wanted[order], assume_unique=True, return_indices=True)
+            out[order[there]] = self._tile_bytes(key, name)[here]
+        return out
+
+
+def _key(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
+    return canonical_key(Table({n: columns[n] for n in IDENTITY}))

@@ -1,0 +1,57 @@
+"""The work list of a run as a file: places of unsure echoes, as the viewer goes through them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.delivery.opened import open_run
+from fwclass.delivery.viewed import ViewedRun
+from fwclass.errors import ConfigError
+from fwclass.grid import Box
+from fwclass.publish.gpkg import Layer, write_gpkg
+from fwclass.view.params import ViewParams
+
+LAYER = "places"
+
+
+def check_free(path: Path, overwrite: bool) -> None:
+    """`ConfigError` where there is something that may not be replaced."""
+    if path.is_dir() or (path.exists() and not overwrite):
+        raise ConfigError(
+            "there is a directory of that name" if path.is_dir() else "there is such a file already",
+            where=path,
+            do="another name" if path.is_dir() else "--overwrite, or another name",
+        )
+
+
+def write_work_list(run: Path, params: ViewParams, path: Path, overwrite: bool) -> str:
+    """Write the places of a run as a GeoPackage, layer `LAYER`, rank 1 the largest; a sentence of what was written.
+
+    Raises
+    ------
+    InputError
+        `run` is no run that has delivered.
+    ConfigError
+        There is such a file already.
+    """
+    check_free(path, overwrite)
+    scene = ViewedRun(open_run(run), params)
+    places = scene.work_list().places
+    names = {int(c["code"]): str(c["name"]) for c in scene.delivery.report["classes"]}
+    texts = [", ".join(f"{names.get(code, f'code {code}')} {n}" for code, n in p.classes) for p in places]
+    fields: dict[str, NDArray[Any] | Sequence[str]] = {
+        "rank": np.arange(1, len(places) + 1, dtype=np.int32),
+        "echoes": np.array([p.echoes for p in places], np.int64),
+        "confidence": np.array([p.confidence for p in places], np.float64),
+        "classes": texts,
+        **{axis: np.array([getattr(p, axis) for p in places], np.float64) for axis in ("x", "y", "z", "size")},
+    }
+    write_gpkg([Layer(LAYER, [Box(*p.box) for p in places], fields)], path, scene.delivery.crs)
+    if not places:
+        return f"no echo has a confidence below {params.unsure:g}: the layer {LAYER} of {path} is empty"
+    return f"{len(places)} places of {sum(p.echoes for p in places):,} unsure echoes: layer {LAYER} of {path}"

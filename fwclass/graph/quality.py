@@ -1,0 +1,243 @@
+"""Stages of the survey's quality: blocks of the fixed grid, and what is delivered of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from fwclass import __version__
+from fwclass.graph.outputs import NO_BYTE, crs_of
+from fwclass.graph.raster_outputs import check_cells
+from fwclass.graph.rasters import Mosaic, stripes, write_rasters
+from fwclass.graph.sites import WHOLE, sites
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.grid import Box, Tile, TileGrid, Window
+from fwclass.publish.cog import STRIPE, cog
+from fwclass.publish.files import whole
+from fwclass.publish.gpkg import Layer, write_gpkg
+from fwclass.publish.params import PublishParams
+from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
+from fwclass.publish.raster_styles import Spread
+from fwclass.quality.block import READS, block_quality, pairs_from, pieces_from
+from fwclass.quality.density import Density
+from fwclass.quality.params import THRESHOLDS, QualityParams
+from fwclass.quality.pieces import Pieces, strips_of
+from fwclass.quality.strips import Comparison, largest_differences, numbers_of, strip_remarks, strips_by
+from fwclass.quality.voids import LISTED, EmptyCells, void_facts
+from fwclass.run.inputs import PartInputs
+from fwclass.store.arrays import write_arrays
+from fwclass.store.atomic import write_json
+
+if TYPE_CHECKING:
+    from fwclass.publish.quality_page import Picture
+
+COMPARED = "compared"
+FACTS, PAGE, POLYGONS = "quality.json", "quality.html", "quality.gpkg"
+PIECES = tuple(Pieces.__dataclass_fields__)
+
+
+def quality_of_block(here: StageInputs, params: QualityParams) -> Made:
+    """Counts by cell, pieces of strips and pairs of planes of one block."""
+    box = here.tile.box
+    made = block_quality(here.inputs.inside(box, here.tile_size, here.columns, here.present), box, params)
+    write_rasters(here.directory, {"echoes": made.echoes, "pulses": made.pulses}, Window.covering(box, params.cell))
+    write_arrays(here.directory / COMPARED, made.arrays())
+    files, lines = made.between()
+    return {
+        "echoes": int(made.echoes.sum()),
+        "noise": made.noise,
+        "pairs": len(made.pairs.dz),
+        "between_files": files,
+        "between_lines": lines,
+    }
+
+
+class _Differences(Mosaic):
+    """The largest difference of strips in every cell, made of the pairs of each block."""
+
+    def __init__(
+        self, inputs: PartInputs, blocks: Sequence[Tile], params: QualityParams, number: Mapping[str, NDArray[np.int64]]
+    ) -> None:
+        super().__init__(inputs, MEASURE_QUALITY.name, blocks, params.planes.cell, {"dz": np.float32(np.nan)})
+        self._params, self._number = params.planes, number
+        self._windows = {b.key: Window.covering(b.box, params.planes.cell) for b in blocks}
+
+    def _read(self, key: str) -> tuple[dict[str, NDArray], Window]:
+        arrays, _ = self._inputs.arrays(self._stage, key, COMPARED)
+        window = self._windows[key]
+        made = largest_differences(pairs_from(arrays), self._number[key], self._params.max_step, window.shape)
+        return {"dz": made}, window
+
+
+def delivered_quality(
+    here: StageInputs,
+    params: QualityParams,
+    publish: PublishParams,
+    survey: str,
+    crs: str | None,
+    files: Mapping[str, str],
+    block: float,
+    places: Mapping[str, tuple[float, float, float, float]],
+) -> Made:
+    """The survey's quality as JSON and rasters. `files`: names by number; `block`: edge of the blocks [m]; `places`:
+    bounds [m] of the sites."""
+    # matplotlib is slow to load, and only the page needs it
+    from fwclass.publish.quality_page import render_quality
+
+    grid = TileGrid(block)
+    blocks = tuple(grid.tile(key) for key in here.parts(MEASURE_QUALITY.name))
+    metas = [here.inputs.meta(MEASURE_QUALITY.name, b.key) for b in blocks]
+    strips, number = _strips(here.inputs, blocks, metas, params, {int(k): name for k, name in files.items()})
+    counted = Mosaic(
+        here.inputs, MEASURE_QUALITY.name, blocks, params.cell, {"echoes": np.uint32(0), "pulses": np.uint32(0)}
+    )
+    differences = _Differences(here.inputs, blocks, params, number)
+    density, system, empty = Density(params.cell), crs_of(crs), list[EmptyCells]()
+    for place, bounds in places.items():
+        target = here.directory / ("rasters" if place == WHOLE else f"rasters/{place}")
+        target.mkdir(parents=True)
+        empty.append(_density_raster(counted, Box(*bounds), density, target, system, publish))
+        _difference_raster(differences, Box(*bounds), target, system, publish)
+    told = density.facts()
+    least = (params.void_spacings * (told["spacing"] or 0.0)) ** 2
+    voids = sorted((v for one in empty for v in one.voids(least)), key=lambda v: (-v.area, v.box.bounds))
+    if voids:
+        areas = np.array([v.area for v in voids[:LISTED]])
+        layer = Layer("voids", [v.box for v in voids[:LISTED]], {"area_m2": areas})
+        write_gpkg([layer], here.directory / POLYGONS, system)
+    echoes, noise = (sum(int(m[name]) for m in metas) for name in ("echoes", "noise"))
+    facts = {
+        "survey": survey,
+        "echoes": echoes + noise,
+        "noise": noise,
+        "noise_share": noise / (echoes + noise) if echoes + noise else None,
+        "pulses": density.pulses,
+        "density": told,
+        "voids": void_facts(voids, least, told["area"]),
+        "strips": strips,
+        "remarks": [*(["all echoes are noise"] if not echoes else []), *strip_remarks(strips)],
+    }
+    write_json(here.directory / FACTS, facts)
+    largest = Box(*max(places.values(), key=lambda b: (Box(*b).area, b)))
+    render_quality(facts, _pictures(counted, differences, largest, publish), __version__, here.directory / PAGE)
+    return {"quality": facts}
+
+
+def _strips(
+    inputs: PartInputs,
+    blocks: Sequence[Tile],
+    metas: Sequence[Mapping[str, Any]],
+    params: QualityParams,
+    files: Mapping[int, str],
+) -> tuple[dict[str, Any], dict[str, NDArray[np.int64]]]:
+    """What the strips are like, and the strip of every block's pieces."""
+    stage = MEASURE_QUALITY.name
+    pieces = [pieces_from(inputs.arrays(stage, b.key, COMPARED, PIECES)[0]) for b in blocks]
+    by = strips_by(params.strips, *(sum(int(m[n]) for m in metas) for n in ("between_files", "between_lines")))
+    numbers = numbers_of(pieces, by)
+    strips = strips_of(pieces, [(b.box.xmin, b.box.ymin) for b in blocks], numbers, params.line_gap)
+    compared = Comparison(params.planes, sum(int(m["pairs"]) for m in metas))
+    for b, number in zip(blocks, numbers, strict=True):
+        window = Window.covering(b.box, params.planes.cell)
+        pairs = pairs_from(inputs.arrays(stage, b.key, COMPARED)[0])
+        compared.add(pairs, number, (window.col, window.row))
+    told = compared.facts(strips, files, by)
+    return told, {b.key: n for b, n in zip(blocks, numbers, strict=True)}
+
+
+def _density_raster(
+    counted: Mosaic, box: Box, density: Density, target: Path, crs: CRS | None, publish: PublishParams
+) -> EmptyCells:
+    """Write the raster, count into `density`, and return the cells without a pulse."""
+    window = Window.covering(box, density.cell)
+    check_cells(window, box)
+    spread, empty, tags = Spread(), EmptyCells(window), {"what": "pulses per square metre, noise left out"}
+    with cog(np.dtype(np.float32), window, target / "pulse_density.tif", crs, publish, np.nan, tags=tags) as put:
+        for stripe in stripes(window, STRIPE):
+            laid = counted.laid(stripe)
+            empty.add(stripe, laid["pulses"] == 0)
+            if counted.touches(stripe):
+                density.add(laid["echoes"], laid["pulses"])
+                values = np.where(laid["echoes"] > 0, laid["pulses"] / density.cell**2, np.nan).astype(np.float32)
+                put(stripe, values)
+                spread.add(values)
+    _style(target / "pulse_density.qml", spread, "pulses/m²")
+    return empty
+
+
+def _difference_raster(
+    differences: _Differences, box: Box, target: Path, crs: CRS | None, publish: PublishParams
+) -> None:
+    window = Window.covering(box, differences.cell)
+    spread, tags = Spread(), {"what": "largest difference in height of two strips' planes [m]"}
+    with cog(np.dtype(np.float32), window, target / "strip_dz.tif", crs, publish, np.nan, tags=tags) as put:
+        for stripe in stripes(window, STRIPE):
+            if differences.touches(stripe):
+                values = differences.laid(stripe)["dz"]
+                put(stripe, values)
+                spread.add(values)
+    _style(target / "strip_dz.qml", spread, "m")
+
+
+def _pictures(counted: Mosaic, differences: _Differences, box: Box, publish: PublishParams) -> list[Picture]:
+    """Maps of the place that covers `box`, of some cells of a large one."""
+    from fwclass.publish.drawing import View
+    from fwclass.publish.figures import step_of
+    from fwclass.publish.quality_page import density_picture, difference_picture
+
+    windows = [Window.covering(box, mosaic.cell) for mosaic in (counted, differences)]
+    steps = [step_of(window, publish.figure_pixels) for window in windows]
+    pulses, dz = (m.thinned(w, s) for m, w, s in zip((counted, differences), windows, steps, strict=True))
+    views = [View.of(window, step) for window, step in zip(windows, steps, strict=True)]
+    density = np.where(pulses["echoes"] > 0, pulses["pulses"] / counted.cell**2, np.nan).astype(np.float32)
+    made = density_picture(density, views[0], publish), difference_picture(dz["dz"], views[1], publish)
+    return [picture for picture in made if picture is not None]
+
+
+def _style(path: Path, spread: Spread, unit: str) -> None:
+    low, high = spread.shown()
+    with whole(path) as beside:
+        beside.write_bytes(style_file(ramp_raster_style(MANY, low, high, unit), "raster"))
+
+
+def _every_block(plan: Plan, part: object) -> list[tuple[str, str]]:
+    return [(MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)]
+
+
+MEASURE_QUALITY = Stage(
+    "quality-block",
+    1,
+    "block",
+    "echo",
+    quality_of_block,
+    edge=lambda plan: plan.config.terrain.block,
+    arguments=lambda plan: {"params": plan.config.quality},
+    silent=THRESHOLDS | {"strips"},
+    reads=READS,
+    halo=0.0,
+)
+DELIVER_QUALITY = Stage(
+    "publish-quality",
+    1,
+    "survey",
+    "cell",
+    delivered_quality,
+    arguments=lambda plan: {
+        "params": plan.config.quality,
+        "publish": plan.config.publish,
+        "survey": plan.config.survey.name,
+        "crs": plan.survey.crs,
+        "files": {str(s.number): s.path.stem for s in plan.survey.strips},
+        "block": plan.config.terrain.block,
+        "places": {site.name: site.box.bounds for site in sites(plan.layout)},
+    },
+    silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS,
+    after=(MEASURE_QUALITY.name,),
+    needs=_every_block,
+    where="deliver",
+)

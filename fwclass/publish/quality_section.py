@@ -1,0 +1,100 @@
+"""Words and tables about a survey's quality, for its own page and for a section of every report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fwclass.publish.sections import number, percent
+
+LISTED = 40
+"""Strips, and pairs of strips, that a page lists; quality.json has all of them."""
+
+NOTE = (
+    "Height, roll and pitch tell how far a strip lies too high in its middle, and how much more at its right edge and "
+    "at its far end along the line, with standard errors; taking that off brings the strips together best. Overlaps "
+    "cannot see a lift or a tilt that all strips share: it is taken as none, and only check points show it. Pitch is a "
+    "tilt along the line, whatever its cause. Errors take pairs for independent: where a strip is bent they are too "
+    "small."
+)
+
+
+def quality(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Rows (what, figure), remarks, and the tables of strips and of their pairs; None where it was not measured."""
+    if not made:
+        return None
+    density, strips = made["density"], made["strips"]
+    worst = sorted(strips["between"], key=lambda b: -b["rms"])
+    names = [s["name"] for s in strips["strips"]]
+    return {
+        "rows": _rows(made, density, strips),
+        "remarks": list(made["remarks"]),
+        "strips": [_strip(s) for s in strips["strips"][:LISTED]],
+        "more_strips": max(0, len(names) - LISTED),
+        "between": [
+            {
+                "names": f"{names[b['first']]} – {names[b['second']]}",
+                "cells": [number(b["pairs"]), _cm(b["mean"]), _cm(b["rms"], sign=False)],
+            }
+            for b in worst[:LISTED]
+        ],
+        "more_between": max(0, len(worst) - LISTED),
+        "compared": bool(strips["pairs"]),
+        "note": NOTE,
+    }
+
+
+def _rows(made: Mapping[str, Any], density: Mapping[str, Any], strips: Mapping[str, Any]) -> list[tuple[str, str]]:
+    share = made["noise_share"]
+    rows = [
+        ("echoes", f"{number(made['echoes'])}, of {number(made['pulses'])} pulses"),
+        ("noise", f"{number(made['noise'])} echoes" + (f", {_share(share)}" if share is not None else "")),
+        ("area with echoes", f"{density['area'] / 1e6:.3f} km², by cells of {density['cell']:g} m"),
+    ]
+    if density["pulses"] is not None:
+        p = density["percentiles"]
+        rows += [
+            ("echoes per m²", f"{density['echoes']:.2f}"),
+            (
+                "pulses per m²",
+                f"{density['pulses']:.2f}; in 90 % of the cells {p['p5']:.2f} to {p['p95']:.2f}, median {p['p50']:.2f}",
+            ),
+        ]
+    if density["spacing"] is not None:
+        rows.append(("pulse spacing", f"{density['spacing']:.2f} m"))
+    voids = made["voids"]
+    text = f"{number(voids['count'])} from {voids['least']:.3g} m² on"
+    if voids["count"]:
+        text += f", {number(voids['area'])} m² together ({_share(voids['share'])}), the largest "
+        text += f"{number(voids['largest'][0]['area'])} m²; quality.gpkg has the boxes around them"
+    rows.append(("voids inside the survey", text))
+    rows.append(("strips", f"{number(len(strips['strips']))}, told by {strips['by']}"))
+    if strips["pairs"]:
+        rows += [
+            (
+                "differences of strips",
+                f"{100 * strips['rms']:.1f} cm root mean square, in {number(strips['pairs'])} pairs of planes",
+            ),
+            ("without the strips' heights and tilts", f"{100 * strips['left']:.1f} cm root mean square"),
+        ]
+    if strips["apart"]:
+        rows.append(("further apart", f"{number(strips['apart'])} pairs, taken for two surfaces"))
+    return rows
+
+
+def _share(share: float) -> str:
+    return f"{percent(share)} %" if share >= 0.001 or not share else f"{100 * share:.2g} %"
+
+
+def _strip(strip: Mapping[str, Any]) -> dict[str, Any]:
+    figures = [
+        f"{_cm(strip[name])} ± {100 * strip[f'{name}_error']:.2f}" if strip[name] is not None else "–"
+        for name in ("height", "roll", "pitch")
+    ]
+    flight = f"{round(strip['azimuth']) % 360}°" + ("" if strip["timed"] else " or back")
+    size = f"{strip['width']:,.0f} × {strip['length']:,.0f}".replace(",", "\u202f")
+    return {"name": strip["name"], "cells": [number(strip["echoes"]), flight, size, number(strip["pairs"]), *figures]}
+
+
+def _cm(metres: float | None, sign: bool = True) -> str:
+    return "–" if metres is None else f"{100 * metres:{'+' if sign else ''}.1f}"

@@ -1,0 +1,1 @@
+"""How good a survey is: density, voids, differences of its strips, noise, and check points; without classes."""

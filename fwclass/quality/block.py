@@ -1,0 +1,77 @@
+"""What one block of the fixed grid says of a survey's quality: counts by cell, pieces of strips, pairs of planes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.grid import Box, Window, millimetres, whole_millimetres
+from fwclass.quality.params import QualityParams
+from fwclass.quality.pieces import Pieces, pieces_of
+from fwclass.quality.planes import PlanePairs, plane_pairs
+from fwclass.schema import Table
+
+READS = ("x", "y", "z", "strip", "gps_time", "echo_number", "number_of_echoes", "noise")
+"""Columns of echoes that quality is measured by."""
+
+
+@dataclass(frozen=True)
+class BlockQuality:
+    """What a block holds, noise left out.
+
+    Attributes
+    ----------
+    echoes, pulses : in every cell of `quality.cell`, uint32 (rows, columns), row 0 in the south; a pulse counts where
+        its first echo lies.
+    noise : echoes that are noise.
+    pieces, pairs : of its strips.
+    """
+
+    echoes: NDArray[np.uint32]
+    pulses: NDArray[np.uint32]
+    noise: int
+    pieces: Pieces
+    pairs: PlanePairs
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Pieces and pairs by name, as a store keeps them."""
+        return {**vars(self.pieces), **{f"pair_{name}": values for name, values in vars(self.pairs).items()}}
+
+    def between(self) -> tuple[int, int]:
+        """Pairs of different files, and pairs of one file flown apart: at least one span of time lies between."""
+        file, span, one, other = self.pieces.file, self.pieces.span, self.pairs.first, self.pairs.second
+        differs = file[one] != file[other]
+        apart = ~differs & (np.abs(span[one] - span[other]) > 1)
+        return int(differs.sum()), int(apart.sum())
+
+
+def pieces_from(arrays: Mapping[str, NDArray]) -> Pieces:
+    """The pieces of `BlockQuality.arrays`."""
+    return Pieces(**{name: arrays[name] for name in Pieces.__dataclass_fields__})
+
+
+def pairs_from(arrays: Mapping[str, NDArray]) -> PlanePairs:
+    """The pairs of `BlockQuality.arrays`."""
+    return PlanePairs(**{name: arrays[f"pair_{name}"] for name in PlanePairs.__dataclass_fields__})
+
+
+def block_quality(table: Table, box: Box, params: QualityParams) -> BlockQuality:
+    """The quality of the echoes (columns `READS`, places [m], times [s]) of the block that covers `box` [m]."""
+    sound = table.take(~table["noise"])
+    window = Window.covering(box, params.cell)
+    x, y = sound["x"], sound["y"]
+    mm = whole_millimetres(window.cell, "quality.cell")
+    cell = (millimetres(y) // mm - window.row) * window.ncols + (millimetres(x) // mm - window.col)
+    first = sound["echo_number"] == 1
+    size = window.ncols * window.nrows
+    echoes, pulses = (
+        np.bincount(some, minlength=size).astype(np.uint32).reshape(window.shape) for some in (cell, cell[first])
+    )
+    pieces, number = pieces_of(x, y, sound["gps_time"], sound["strip"], (box.xmin, box.ymin), params.line_gap)
+    alone = np.flatnonzero(sound["number_of_echoes"] == 1)
+    planes = Window.covering(box, params.planes.cell)
+    pairs = plane_pairs(x[alone], y[alone], sound["z"][alone], number[alone], planes, params.planes)
+    return BlockQuality(echoes, pulses, table.rows - sound.rows, pieces, pairs)

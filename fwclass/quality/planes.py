@@ -1,0 +1,95 @@
+"""Planes that strips see in the cells of one block, and how far those of two strips lie apart."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.grid import Window, millimetres, whole_millimetres
+from fwclass.quality.params import PlaneParams
+
+LEAST_SPREAD = 0.1
+"""Of a cell's edge, the standard deviation of a plane's echoes along both axes: those of one scan line give no
+slope."""
+
+
+@dataclass(frozen=True)
+class PlanePairs:
+    """Cells in which two pieces of strips both see a flat plane.
+
+    Attributes
+    ----------
+    row, col : of the cell in its window, int32 (pairs,).
+    first, second : numbers of the pieces, first < second, int32.
+    dz : height of the first less that of the second, midway between the centres of their echoes [m], float64.
+    weight : 2 / k in a cell that k pieces see, whose pairs are not independent; float64.
+    """
+
+    row: NDArray[np.int32]
+    col: NDArray[np.int32]
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    dz: NDArray[np.float64]
+    weight: NDArray[np.float64]
+
+
+def plane_pairs(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    z: NDArray[np.float64],
+    piece: NDArray[np.int64],
+    window: Window,
+    params: PlaneParams,
+) -> PlanePairs:
+    """Pairs of planes in the cells of `window`, of echoes (x, y, z) [m] of the pieces with these numbers (from 0).
+
+    Sums are those of whole millimetres, and exact: the order of the echoes does not count. A plane counts with
+    `least` echoes, spread over the cell, a residual of at most `max_residual` and a slope of at most `max_slope`.
+    """
+    if not len(x):
+        none, nothing = np.empty(0, np.int32), np.empty(0)
+        return PlanePairs(none, none, none, none, nothing, nothing)
+    mm = whole_millimetres(window.cell, "quality.planes.cell")
+    mx, my, mz = millimetres(x), millimetres(y), millimetres(z)
+    col, row = mx // mm - window.col, my // mm - window.row
+    cell = row * window.ncols + col
+    pieces = int(piece.max()) + 1
+    key, at = np.unique(cell * pieces + piece, return_inverse=True)
+    low = int(mz.min())
+    u, v, w = (a.astype(np.float64) for a in (mx % mm - mm // 2, my % mm - mm // 2, mz - low))
+    count = np.bincount(at).astype(np.float64)
+    enough = count >= params.least
+    mean = {n: np.bincount(at, a) / count for n, a in (("u", u), ("v", v), ("w", w))}
+    pairs = {"uu": u * u, "uv": u * v, "vv": v * v, "uw": u * w, "vw": v * w, "ww": w * w}
+    s = {n: np.bincount(at, a) / count - mean[n[0]] * mean[n[1]] for n, a in pairs.items()}
+    det = s["uu"] * s["vv"] - s["uv"] ** 2
+    trace = s["uu"] + s["vv"]
+    narrow = trace / 2 - np.sqrt(np.maximum(0.0, trace**2 / 4 - det))
+    spread = narrow >= (LEAST_SPREAD * mm) ** 2
+    safe = np.where(spread, det, 1.0)
+    a = (s["uw"] * s["vv"] - s["vw"] * s["uv"]) / safe
+    b = (s["vw"] * s["uu"] - s["uw"] * s["uv"]) / safe
+    square = np.maximum(0.0, s["ww"] - a * s["uw"] - b * s["vw"]) * count / np.maximum(count - 3, 1)
+    good = enough & spread & (square <= (1000 * params.max_residual) ** 2)
+    good &= np.hypot(a, b) <= math.tan(math.radians(params.max_slope))
+    chosen = np.flatnonzero(good)
+    cells, number = np.divmod(key[chosen], pieces)
+    shared = np.bincount(np.unique(cells, return_inverse=True)[1])
+    of = np.repeat(shared, shared)  # the keys are sorted by cell
+    first, second = [], []
+    for ahead in range(1, int(shared.max(initial=1))):
+        i = np.flatnonzero(cells[ahead:] == cells[:-ahead])
+        first.append(i)
+        second.append(i + ahead)
+    i, j = (np.concatenate([np.empty(0, np.int64), *some]) for some in (first, second))
+    order = np.lexsort((j, i))
+    i, j = i[order], j[order]
+    p, q = chosen[i], chosen[j]
+    du, dv = (mean[n][q] - mean[n][p] for n in "uv")
+    dz = mean["w"][p] - mean["w"][q] + (a[p] + a[q]) * du / 2 + (b[p] + b[q]) * dv / 2
+    r, c = np.divmod(cells[i], window.ncols)
+    row, col, one, other = (n.astype(np.int32) for n in (r, c, number[i], number[j]))
+    return PlanePairs(row, col, one, other, dz / 1000, 2.0 / of[i])

@@ -1,0 +1,165 @@
+"""Strips of a survey held against each other: which there are, how far they lie apart, and what would explain it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.quality.adjust import Adjusted, Pairs, adjusted
+from fwclass.quality.params import PlaneParams
+from fwclass.quality.pieces import Pieces, Strip, groups_of, lines
+from fwclass.quality.planes import PlanePairs
+
+By = Literal["files", "times"]
+
+
+def strips_by(wanted: str, between_files: int, between_lines: int) -> By:
+    """What strips are told by: as `wanted`, or where that is auto by files, unless pairs of planes between lines inside
+    one file outnumber those between files."""
+    if wanted == "auto":
+        return "times" if between_lines > between_files else "files"
+    return "times" if wanted == "times" else "files"
+
+
+def numbers_of(pieces: Sequence[Pieces], by: By) -> list[NDArray[np.int64]]:
+    """The number of the strip of every piece, for each of the blocks."""
+    file, span = (np.concatenate([np.empty(0, np.int64), *(getattr(p, n) for p in pieces)]) for n in ("file", "span"))
+    number = lines(file, span) if by == "times" else np.unique(file, return_inverse=True)[1].astype(np.int64)
+    return np.split(number, np.cumsum([len(p.file) for p in pieces])[:-1])
+
+
+def of_strips(
+    pairs: PlanePairs, number: NDArray[np.int64], max_step: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Strips of the first and second plane of every pair; whether it is of two strips and one surface, and whether it
+    is of two strips further apart than `max_step` [m]."""
+    first, second = number[pairs.first], number[pairs.second]
+    differs, near = first != second, np.abs(pairs.dz) <= max_step
+    return first, second, differs & near, differs & ~near
+
+
+def largest_differences(
+    pairs: PlanePairs, number: NDArray[np.int64], max_step: float, shape: tuple[int, int]
+) -> NDArray[np.float32]:
+    """The largest difference of two strips in every cell [m], float32 of `shape`; NaN where no two are compared."""
+    good = of_strips(pairs, number, max_step)[2]
+    out = np.full(shape, -np.inf, np.float32)
+    np.maximum.at(out, (pairs.row[good], pairs.col[good]), np.abs(pairs.dz[good]).astype(np.float32))
+    return np.where(np.isfinite(out), out, np.float32(np.nan))
+
+
+class Comparison:
+    """Pairs of planes of all strips, added up block by block, and a sample of them that is adjusted.
+
+    Parameters
+    ----------
+    total : pairs that there are, of which about `params.most` are adjusted.
+    """
+
+    def __init__(self, params: PlaneParams, total: int) -> None:
+        self.params, self.share = params, min(1.0, params.most / max(total, 1))
+        self.apart = 0
+        self._sums: dict[tuple[int, int], NDArray[np.float64]] = {}
+        self._sample: list[Pairs] = []
+
+    def add(self, pairs: PlanePairs, number: NDArray[np.int64], corner: tuple[int, int]) -> None:
+        """Take in a block: `number` the strip of each of its pieces, `corner` column and row of its first cell."""
+        first, second, good, apart = of_strips(pairs, number, self.params.max_step)
+        self.apart += int(apart.sum())
+        first, second, dz, weight = first[good], second[good], pairs.dz[good], pairs.weight[good]
+        swap = first > second
+        first, second, dz = np.where(swap, second, first), np.where(swap, first, second), np.where(swap, -dz, dz)
+        col, row = (pairs.col[good] + np.int64(corner[0])), (pairs.row[good] + np.int64(corner[1]))
+        both, at = np.unique(np.stack([first, second], axis=1), axis=0, return_inverse=True)
+        values = np.stack([np.bincount(at.reshape(-1), v, minlength=len(both)) for v in (np.ones(len(dz)), dz, dz**2)])
+        for (a, b), one in zip(both.tolist(), values.T, strict=True):
+            self._sums[a, b] = self._sums.get((a, b), np.zeros(3)) + one
+        kept = _drawn(col, row, self.share)
+        x, y = ((v[kept].astype(np.float64) + 0.5) * self.params.cell for v in (col, row))
+        self._sample.append(Pairs(first[kept], second[kept], x, y, dz[kept], weight[kept]))
+
+    def facts(self, strips: Sequence[Strip], files: Mapping[int, str], by: By) -> dict[str, Any]:
+        """What `report.json` tells of the strips (docs/quality.md); `files`: names of the source files by number."""
+        sample = Pairs(*(np.concatenate([getattr(s, n) for s in self._sample]) for n in Pairs.__dataclass_fields__))
+        made = adjusted(strips, sample, self.params.max_tilt_error)
+        n, _, square = np.sum(list(self._sums.values()), axis=0) if self._sums else np.zeros(3)
+        group = groups_of(len(strips), *(np.array([k[i] for k in self._sums], np.int64) for i in (0, 1)))
+        return {
+            "by": by,
+            "pairs": int(n),
+            "adjusted": len(sample.dz),
+            "apart": self.apart,
+            "rms": math.sqrt(square / n) if n else None,
+            "left": _known(made.left),
+            "sigma": _known(made.sigma),
+            "strips": [_strip(k, s, files, by, made, int(group[k])) for k, s in enumerate(strips)],
+            "between": [
+                {"first": a, "second": b, "pairs": int(c), "mean": float(m / c), "rms": math.sqrt(q / c)}
+                for (a, b), (c, m, q) in sorted(self._sums.items())
+            ],
+        }
+
+
+def _drawn(col: NDArray[np.int64], row: NDArray[np.int64], share: float) -> NDArray[np.bool_]:
+    """About `share` of the cells, by their place, the same whatever the blocks and their order."""
+    if share >= 1:
+        return np.ones(len(col), bool)
+    mixed = col.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + row.astype(np.uint64)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):  # splitmix64 (Steele 2014)
+        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+    return np.asarray((mixed >> np.uint64(11)) < np.uint64(share * 2**53))
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _strip(number: int, strip: Strip, files: Mapping[int, str], by: By, made: Adjusted, group: int) -> dict[str, Any]:
+    names = sorted(files.get(f, str(f)) for f in strip.files)
+    facts = {
+        "name": names[0] if by == "files" else f"line {number + 1}",
+        "files": names,
+        "echoes": strip.echoes,
+        "times": list(strip.times) if strip.times else None,
+        "azimuth": strip.azimuth,
+        "timed": strip.timed,
+        "centre": list(strip.centre),
+        "width": 2 * strip.half[0],
+        "length": 2 * strip.half[1],
+        "pairs": int(made.pairs[number]),
+        "group": group,
+    }
+    for k, name in enumerate(("height", "roll", "pitch")):
+        facts[name], facts[f"{name}_error"] = (_known(v[number, k]) for v in (made.values, made.errors))
+    return facts
+
+
+def strip_remarks(facts: Mapping[str, Any]) -> list[str]:
+    """What the differences of strips cannot tell, in words."""
+    strips = facts["strips"]
+    if len(strips) < 2:
+        how = (
+            "quality.strips=times tells lines inside one file apart by their GPS time"
+            if facts["by"] == "files"
+            else "a pause of less than quality.line_gap joins lines"
+        )
+        return [f"there is one strip: nothing tells how well strips agree ({how})"]
+    if not facts["pairs"]:
+        return [
+            f"no two of the {len(strips)} strips see one flat surface: nothing tells how well they agree "
+            "(quality.planes says what counts as one; a larger cell takes more echoes together)"
+        ]
+    out = []
+    if any(s["times"] is None for s in strips):
+        out.append("some echoes have no GPS time: of their strips roll and pitch have no sign that the flight gives")
+    alone = sum(1 for s in strips if not s["pairs"])
+    if alone:
+        out.append(f"{alone} of {len(strips)} strips have no flat surface in common with another, and no figures")
+    groups = len({s["group"] for s in strips if s["pairs"]})
+    if groups > 1:
+        out.append(f"the strips hang together in {groups} groups: heights tell nothing from one group to another")
+    return out

@@ -1,0 +1,91 @@
+"""Voids: areas inside a survey where no pulse came back, whatever the stripes that its raster comes in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from fwclass.grid import Box, Window
+
+LISTED = 1000
+"""Largest voids that are told one by one."""
+
+
+@dataclass(frozen=True)
+class Void:
+    """Cells that hang together by their sides: their area [m²], and the box around them."""
+
+    area: float
+    box: Box
+
+
+class EmptyCells:
+    """Cells of `window` without a pulse, taken in stripe by stripe from the north; memory grows with their groups."""
+
+    def __init__(self, window: Window) -> None:
+        self._window, self._groups = window, 0
+        self._north: NDArray[np.int64] | None = None
+        self._joins: list[NDArray[np.int64]] = []
+        self._facts: list[NDArray[np.int64]] = []
+
+    def add(self, stripe: Window, empty: NDArray[np.bool_]) -> None:
+        """Take in the next `stripe` to the south, as wide as the window; row 0 of `empty` is its south."""
+        labels, n = label(empty)
+        ids = np.where(labels > 0, labels.astype(np.int64) + (self._groups - 1), -1)
+        if self._north is not None:
+            both = (self._north >= 0) & (ids[-1] >= 0)
+            self._joins.append(np.unique(np.stack([self._north[both], ids[-1][both]], axis=1), axis=0))
+        rows, cols = np.nonzero(empty)
+        of = labels[rows, cols] - 1
+        facts = np.zeros((n, 6), np.int64)
+        facts[:, 0] = np.bincount(of, minlength=n)
+        facts[:, 1:3], facts[:, 3:5] = np.iinfo(np.int64).max, np.iinfo(np.int64).min
+        for k, values in ((1, rows + stripe.row), (2, cols + stripe.col)):
+            np.minimum.at(facts[:, k], of, values)
+            np.maximum.at(facts[:, k + 2], of, values)
+        edge = [labels[:, 0], labels[:, -1]]
+        edge += [labels[-1]] if stripe.row + stripe.nrows == self._window.row + self._window.nrows else []
+        edge += [labels[0]] if stripe.row == self._window.row else []
+        outer = np.unique(np.concatenate(edge))
+        facts[outer[outer > 0] - 1, 5] = 1
+        self._facts.append(facts)
+        self._north = ids[0]
+        self._groups += n
+
+    def voids(self, least: float) -> list[Void]:
+        """Groups of at least `least` [m²] that do not reach the window's edge, the largest first."""
+        facts = np.concatenate([np.empty((0, 6), np.int64), *self._facts])
+        joins = np.concatenate([np.empty((0, 2), np.int64), *self._joins])
+        n, cell = len(facts), self._window.cell
+        graph = coo_matrix((np.ones(len(joins), np.int8), (joins[:, 0], joins[:, 1])), shape=(n, n))
+        number, of = connected_components(graph, directed=False) if n else (0, np.empty(0, np.int64))
+        cells = np.bincount(of, facts[:, 0], minlength=number)
+        low = np.full((number, 2), np.iinfo(np.int64).max)
+        high = np.full((number, 2), np.iinfo(np.int64).min)
+        np.minimum.at(low, of, facts[:, 1:3])
+        np.maximum.at(high, of, facts[:, 3:5])
+        outside = np.bincount(of, facts[:, 5], minlength=number) > 0
+        chosen = np.flatnonzero(~outside & (cells * cell**2 >= least))
+        order = chosen[np.lexsort((low[chosen, 1], low[chosen, 0], -cells[chosen]))]
+        boxes = np.concatenate([low[:, ::-1], high[:, ::-1] + 1], axis=1) * cell
+        return [Void(float(cells[k]) * cell**2, Box(*boxes[k].tolist())) for k in order.tolist()]
+
+
+def void_facts(voids: Sequence[Void], least: float, area: float) -> dict[str, Any]:
+    """``least`` [m²] that counts, ``count``, ``area`` of all [m²], ``share`` of them and `area` that has echoes, and
+    the ``largest``: area and bounds [m] of up to `LISTED`."""
+    total = sum(v.area for v in voids)
+    return {
+        "least": least,
+        "count": len(voids),
+        "area": total,
+        "share": total / (area + total) if area + total else None,
+        "largest": [{"area": v.area, "bounds": list(v.box.bounds)} for v in voids[:LISTED]],
+    }

@@ -1,0 +1,141 @@
+"""The page and what it shows as files, for any web server: the same names that the viewer's own server answers."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from fwclass.errors import FwclassError
+from fwclass.view.guard import CONTENT
+from fwclass.view.pyramid import Node
+from fwclass.view.scene import ECHOES, Scene
+from fwclass.view.server import page_files
+
+IDENTITIES = "identity"
+"""Blocks that say who the echoes of a node are: `blocks.identity_block`."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """An unsure echo of which the folder has everything.
+
+    Attributes
+    ----------
+    node, row : its place in a block.
+    strip, pulse, echo_number : who it is.
+    place : x, y, z relative to the scene's origin [m].
+    about : what `Scene.echo` says of it.
+    """
+
+    node: Node
+    row: int
+    strip: int
+    pulse: int
+    echo_number: int
+    place: tuple[float, float, float]
+    about: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        return f"{self.strip}-{self.pulse}-{self.echo_number}"
+
+
+class Kept(Scene, Protocol):
+    """A scene that knows all of its blocks, so that it can be written out."""
+
+    def colours(self) -> Sequence[str]:
+        """Columns that are written, besides what a block has."""
+
+    def nodes(self) -> Iterator[Node]:
+        """Every node with an echo, tile after tile, in the order in which `level` gives them."""
+
+    def identities(self, node: Node) -> bytes:
+        """Who the echoes of a node are."""
+
+    def told(self) -> Sequence[Sequence[Told]]:
+        """Echoes of every place of `work`, the least sure first."""
+
+
+def write_folder(scenes: Sequence[Kept], directory: Path, tell: Callable[[str], object]) -> None:
+    """Write the page and its scenes to an empty directory; `tell` is told how far it is."""
+    for name, body in page_files().items():
+        (directory / name).write_bytes(_served_anywhere(body) if name == "index.html" else body)
+    for number, scene in enumerate(scenes):
+        here = directory / "data" / str(number)
+        here.mkdir(parents=True)
+        index, columns = scene.index(), list(scene.colours())
+        tell(f"blocks of {index['echoes']:,} echoes")
+        nodes = _write_blocks(scene, index["together"], columns, here)
+        told = scene.told()
+        tell(f"waveforms and votes of {sum(map(len, told)):,} unsure echoes")
+        work = scene.work()
+        for place, echoes in zip(work["places"], told, strict=True):
+            place["told"] = [{"node": t.node, "row": t.row, "echo": t.name, "place": t.place} for t in echoes]
+            for one in echoes:
+                _write_echo(scene, one, here)
+        _write_json(here / "work.json", work)
+        names = [t.name for echoes in told for t in echoes]
+        folder = {"nodes": nodes, "columns": columns, "told": names}
+        _write_json(here / "index.json", {**index, "relabels": False, "folder": folder})
+
+
+def _served_anywhere(page: bytes) -> bytes:
+    """The page with the policy that the viewer's own server sends as headers; only those know `frame-ancestors`."""
+    policy = "; ".join(p for p in CONTENT.split("; ") if not p.startswith("frame-ancestors"))
+    head = f'<meta http-equiv="Content-Security-Policy" content="{html.escape(policy)}">\n'
+    head += '<meta name="referrer" content="no-referrer">\n'
+    first = b'<meta charset="utf-8">\n'
+    return page.replace(first, first + head.encode(), 1)
+
+
+def _write_blocks(scene: Kept, together: Sequence[int], columns: Sequence[str], here: Path) -> list[str]:
+    """All blocks; names of the nodes that have files of their own."""
+    parts, own = (ECHOES, *columns), []
+    for part in (*parts, IDENTITIES):
+        (here / part).mkdir()
+    for part in parts:
+        for level in together:
+            (here / part / f"level-{level}.bin").touch()
+    for part in columns:
+        _write_json(here / part / "scale.json", scene.scale(part))
+    for node in scene.nodes():
+        name = "-".join(map(str, node))
+        (here / IDENTITIES / f"{name}.bin").write_bytes(scene.identities(node))
+        if node[0] not in together:
+            own.append(name)
+        for part in parts:
+            block = scene.node(part, node)
+            if node[0] in together:
+                with (here / part / f"level-{node[0]}.bin").open("ab") as file:
+                    file.write(block)
+            else:
+                (here / part / f"{name}.bin").write_bytes(block)
+    return own
+
+
+def _write_echo(scene: Kept, told: Told, here: Path) -> None:
+    at = here / "echo" / "-".join(map(str, told.node)) / f"{told.row}.json"
+    at.parent.mkdir(parents=True, exist_ok=True)
+    _write_json(at, told.about)
+    pulse, why = here / "pulse" / f"{told.strip}-{told.pulse}.json", here / "why" / f"{told.name}.json"
+    for path in (pulse, why):
+        path.parent.mkdir(exist_ok=True)
+    if not pulse.exists():
+        _write_json(pulse, _answer(lambda: scene.pulse(told.strip, told.pulse)))
+    _write_json(why, _answer(lambda: scene.why(told.strip, told.pulse, told.echo_number)))
+
+
+def _answer(ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What a scene answers, or why it does not, without a path of this host."""
+    try:
+        return ask()
+    except FwclassError as fault:
+        return {"error": fault.what}
+
+
+def _write_json(path: Path, value: Any) -> None:
+    path.write_bytes(json.dumps(value, allow_nan=False, separators=(",", ":")).encode())

@@ -1,0 +1,47 @@
+"""A threshold that is missed, or of which nothing is known, is told by its name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from fwclass.errors import QualityError
+from fwclass.quality.judge import judge_quality
+from fwclass.quality.params import QualityParams
+
+VOIDS = {"largest": [{"area": 40.0}, {"area": 20.0}]}
+MADE: dict[str, Any] = {
+    "voids": VOIDS,
+    "density": {"echoes": 5.0, "pulses": 4.0},
+    "strips": {"rms": 0.06},
+    "noise_share": 0.001,
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "met", "missed"),
+    [
+        ("min_density", 5.0, 5.1),
+        ("min_pulse_density", 4.0, 4.1),
+        ("max_dz", 0.06, 0.05),
+        ("max_void", 40.0, 39.0),
+        ("max_noise", 0.001, 0.0),
+    ],
+)
+def test_each_threshold_judges_its_own_figure(base: dict[str, Any], name: str, met: float, missed: float) -> None:
+    judge_quality(MADE, QualityParams(**base["quality"]))
+    judge_quality(MADE, QualityParams(**{**base["quality"], name: met}))
+    with pytest.raises(QualityError, match=f"quality.{name}"):
+        judge_quality(MADE, QualityParams(**{**base["quality"], name: missed}))
+
+
+def test_what_nobody_knows_meets_no_threshold(base: dict[str, Any]) -> None:
+    unknown = {
+        "voids": VOIDS,
+        "density": {"echoes": None, "pulses": None},
+        "strips": {"rms": None},
+        "noise_share": None,
+    }
+    with pytest.raises(QualityError, match="nothing tells the root mean square difference"):
+        judge_quality(unknown, QualityParams(**{**base["quality"], "max_dz": 0.1}))

@@ -1,0 +1,95 @@
+"""Planes of strips in cells: how far they lie apart, which ones count, and that order changes no bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fwclass.grid import Box, Window
+from fwclass.quality.params import PlaneParams
+from fwclass.quality.planes import PlanePairs, plane_pairs
+
+EAST, NORTH = 512_000.0, 5_403_008.0
+
+
+@pytest.fixture
+def params(base: dict[str, Any]) -> PlaneParams:
+    return PlaneParams(**base["quality"]["planes"])
+
+
+def echoes(rng: np.random.Generator, n: int, slope: float = 0.05, noise: float = 0.02, size: float = 64.0) -> Any:
+    x, y = (np.round(a, 3) for a in rng.uniform(0, size - 0.001, (2, n)))
+    z = np.round(100 + slope * x - 0.03 * y + rng.normal(0, noise, n), 3)
+    return EAST + x, NORTH + y, z
+
+
+def pairs(parts: list[Any], params: PlaneParams, size: float = 64.0) -> PlanePairs:
+    x, y, z = (np.concatenate(c) for c in zip(*parts, strict=True))
+    piece = np.repeat(np.arange(len(parts)), [len(p[0]) for p in parts])
+    window = Window.covering(Box(EAST, NORTH, EAST + size, NORTH + size), params.cell)
+    return plane_pairs(x, y, z, piece, window, params)
+
+
+def test_a_known_lift_comes_out_of_every_cell(params: PlaneParams) -> None:
+    rng = np.random.default_rng(0)
+    a, b = echoes(rng, 16_384), echoes(rng, 16_384)
+    made = pairs([a, (b[0], b[1], b[2] - 0.15)], params)
+    assert len(made.dz) == 256 and (made.first == 0).all() and (made.second == 1).all() and (made.weight == 1).all()
+    error = 0.02 * np.sqrt(2 / 64)
+    assert made.dz.mean() == pytest.approx(0.15, abs=4 * error / 16) and made.dz.std() < 2 * error
+    assert sorted(zip(made.row.tolist(), made.col.tolist(), strict=True)) == [
+        (r, c) for r in range(16) for c in range(16)
+    ]
+
+
+def test_a_slope_is_no_difference_though_the_echoes_lie_elsewhere(params: PlaneParams) -> None:
+    rng = np.random.default_rng(1)
+    a, b = echoes(rng, 30_000, slope=0.15, noise=0.0), echoes(rng, 30_000, slope=0.15, noise=0.0)
+    left, right = a[0] % 4 < 2.5, b[0] % 4 > 1.5
+    made = pairs([tuple(v[left] for v in a), tuple(v[right] for v in b)], params)
+    assert len(made.dz) == 256 and np.abs(made.dz).max() < 0.0015
+
+
+@pytest.mark.parametrize(
+    ("slope", "noise", "number"),
+    [(0.2, 0.02, 16_384), (0.05, 0.1, 16_384), (0.05, 0.02, 700)],
+    ids=["steep", "rough", "few"],
+)
+def test_what_is_no_plane_counts_for_nothing(params: PlaneParams, slope: float, noise: float, number: int) -> None:
+    rng = np.random.default_rng(2)
+    made = pairs([echoes(rng, number, slope, noise), echoes(rng, number, slope, noise)], params)
+    assert len(made.dz) <= 2
+
+
+def test_a_single_scan_line_gives_no_slope(params: PlaneParams) -> None:
+    rng = np.random.default_rng(3)
+    x = rng.uniform(0, 64, 2000)
+    line = EAST + x, np.full(2000, NORTH + 6.0) + rng.normal(0, 0.05, 2000), np.full(2000, 100.0)
+    assert not len(pairs([line, echoes(rng, 16_384)], params).dz)
+
+
+def test_pairs_of_a_cell_that_three_strips_see_weigh_two_together(params: PlaneParams) -> None:
+    rng = np.random.default_rng(4)
+    made = pairs([echoes(rng, 16_384) for _ in range(3)], params)
+    assert len(made.dz) == 3 * 256 and made.weight.sum() == pytest.approx(2 * 256)
+    assert set(zip(made.first.tolist(), made.second.tolist(), strict=True)) == {(0, 1), (0, 2), (1, 2)}
+
+
+def test_the_order_of_echoes_changes_no_bit(params: PlaneParams) -> None:
+    rng = np.random.default_rng(5)
+    x, y, z = (np.concatenate(c) for c in zip(echoes(rng, 9000), echoes(rng, 9000), strict=True))
+    piece = np.repeat([0, 1], 9000)
+    window = Window.covering(Box(EAST, NORTH, EAST + 64, NORTH + 64), params.cell)
+    first = plane_pairs(x, y, z, piece, window, params)
+    order = rng.permutation(18_000)
+    second = plane_pairs(x[order], y[order], z[order], piece[order], window, params)
+    for name in vars(first):
+        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+
+
+def test_no_echo_gives_no_pair(params: PlaneParams) -> None:
+    nothing = np.empty(0)
+    window = Window.covering(Box(EAST, NORTH, EAST + 64, NORTH + 64), params.cell)
+    assert not len(plane_pairs(nothing, nothing, nothing, np.empty(0, np.int64), window, params).dz)

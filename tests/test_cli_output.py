@@ -1,0 +1,63 @@
+"""What a command says where its own output cannot be written, or where it is ended before it has begun."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from lasmaker import write_las
+
+import fwclass
+
+FULL = Path("/dev/full")
+PRINTS = [("--help",), ("info", "a.las"), ("info", "a.las", "--json")]
+"""Words that print."""
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    write_las(tmp_path / "a.las", [[500_000.0, 5_400_000.0, 200.0]], point_format=6)
+    return tmp_path
+
+
+def ended(words: tuple[str, ...], place: Path, redirection: str) -> subprocess.CompletedProcess[str]:
+    line = ["sh", "-c", f'exec "$@" {redirection}', "sh", sys.executable, "-P", "-m", "fwclass", *words]
+    env = os.environ | {"PYTHONPATH": str(Path(fwclass.__file__).parents[1])}
+    return subprocess.run(line, cwd=place, env=env, capture_output=True, text=True, timeout=120)
+
+
+@pytest.mark.parametrize("words", PRINTS, ids=" ".join)
+@pytest.mark.parametrize(
+    ("redirection", "got"), [(">/dev/full", "No space left"), (">&-", "it is closed")], ids=["full", "closed"]
+)
+def test_what_cannot_be_printed_is_told(place: Path, words: tuple[str, ...], redirection: str, got: str) -> None:
+    if not FULL.exists():
+        pytest.skip(f"no {FULL} on this system")
+    answer = ended(words, place, redirection)
+    assert answer.returncode == 1, answer.stderr
+    assert "what is printed cannot be written" in answer.stderr and got in answer.stderr
+    assert "Traceback" not in answer.stderr and "Exception" not in answer.stderr
+
+
+def test_nobody_misses_what_was_not_printed(place: Path) -> None:
+    answer = ended(("ground", "a.las", "b.las"), place, ">&-")
+    assert answer.returncode == 0 and (place / "b.las").exists(), answer.stderr
+
+
+def test_a_command_that_is_interrupted_while_it_is_loaded_ends_quietly() -> None:
+    child = """
+import os, signal, sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "fwclass.cli":
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from fwclass.__main__ import main
+main()
+"""
+    answer = subprocess.run([sys.executable, "-c", child], capture_output=True, text=True, timeout=60)
+    assert (answer.returncode, answer.stdout, answer.stderr) == (130, "", "")

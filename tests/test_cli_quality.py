@@ -1,0 +1,180 @@
+"""`run --workflow quality`: density and strips of a survey, without labels, classes or a model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyogrio
+import pytest
+import rasterio
+from commandline import fwclass
+from smallsurvey import small_survey
+from stripmaker import ground, line, write_lines
+
+WORDS = ("--workflow", "quality", "--workers", "0")
+LIFTS = [(0.0, 0.0, 0.0), (0.09, 0.0, 0.0), (0.0, 0.0, 0.0)]
+"""m; a lift of one outer line is in part a tilt of all, which no overlap sees."""
+BLOCKS = ("--set", "terrain.block=128", "--set", "ground.block=128", "--set", "terrain.block_halo=40")
+
+
+def run(place: Path, out: Path, *settings: str, expect: int = 0) -> dict[str, Any]:
+    told = fwclass("run", place / "s.yaml", "--out", out, *WORDS, *BLOCKS, *settings)
+    assert told.returncode == expect, told.stdout + told.stderr
+    return json.loads((out / "quality.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("lines")
+    for k, lift in enumerate(LIFTS):
+        one = line(k, lift)
+        lake = (np.abs(one["x"] - 500_080) < 10) & (np.abs(one["y"] - 5_400_120) < 20)
+        write_lines(place / f"l{k}.las", [one], ~lake)
+    (place / "s.yaml").write_text("survey: {name: lines, sources: ['l*.las']}\n")
+    return place
+
+
+@pytest.fixture(scope="module")
+def made(survey: Path) -> tuple[Path, dict[str, Any]]:
+    out = survey / "run"
+    return out, run(survey, out, "--set", "tile.size=100")
+
+
+def test_lifts_of_lines_come_out(made: tuple[Path, dict[str, Any]]) -> None:
+    strips = made[1]["strips"]
+    assert strips["by"] == "files" and [s["name"] for s in strips["strips"]] == ["l0", "l1", "l2"]
+    heights = np.array([s["height"] for s in strips["strips"]])
+    errors = np.array([s["height_error"] for s in strips["strips"]])
+    off = heights - heights.mean() - (np.array(LIFTS)[:, 0] - np.mean(LIFTS, axis=0)[0])
+    assert (np.abs(off) < 3 * errors + 0.001).all() and (errors < 0.002).all()
+    assert max(abs(s[n]) for s in strips["strips"] for n in ("roll", "pitch") if s[n] is not None) < 0.003
+    between = {(b["first"], b["second"]): b for b in strips["between"]}
+    assert set(between) == {(0, 1), (1, 2)} and sum(b["pairs"] for b in between.values()) == strips["pairs"] > 500
+    assert between[0, 1]["mean"] == pytest.approx(-0.09, abs=0.003)
+    assert between[1, 2]["mean"] == pytest.approx(0.09, abs=0.003)
+    assert 0.08 < strips["rms"] < 0.1 and strips["left"] < 0.02
+    assert [round(s["azimuth"]) % 360 for s in strips["strips"]] == [0, 180, 0]
+
+
+def test_density_is_what_was_flown(made: tuple[Path, dict[str, Any]]) -> None:
+    facts = made[1]
+    assert facts["echoes"] == facts["pulses"] == pytest.approx(281_600, rel=0.01) and facts["noise"] == 0
+    assert facts["density"]["area"] == pytest.approx(220 * 240 - 800, rel=0.01)
+    assert facts["density"]["pulses"] == pytest.approx(281_600 / (220 * 240 - 800), rel=0.01)
+    with rasterio.open(made[0] / "rasters/pulse_density.tif") as raster:
+        values = raster.read(1)
+        left = values[10:110, 2:18]  # of one line alone
+        assert raster.res == (2.0, 2.0) and np.nanmean(left) == pytest.approx(4.0, rel=0.05)
+        assert np.nansum(values) * 4 == facts["pulses"]
+
+
+def test_a_lake_is_a_void(made: tuple[Path, dict[str, Any]]) -> None:
+    voids = made[1]["voids"]
+    assert voids["count"] == 1 and voids["largest"] == [
+        {"area": 800.0, "bounds": [500_070.0, 5_400_100.0, 500_090.0, 5_400_140.0]}
+    ]
+    info = pyogrio.read_info(made[0] / "quality.gpkg", layer="voids")
+    assert info["features"] == 1 and info["total_bounds"] == (500_070.0, 5_400_100.0, 500_090.0, 5_400_140.0)
+    assert "32633" in str(info["crs"])
+
+
+def test_the_map_of_differences_shows_the_lifts(made: tuple[Path, dict[str, Any]]) -> None:
+    with rasterio.open(made[0] / "rasters/strip_dz.tif") as raster:
+        values, rows, cols = raster.read(1), *raster.shape
+        x = raster.transform.c + 4 * (np.arange(cols) + 0.5) - 500_000
+    assert rows == 60 and np.isnan(values[:, (x < 58) | (x > 162)]).all()
+    assert np.nanmedian(values[:, (x > 60) & (x < 100)]) == pytest.approx(0.09, abs=0.004)
+    assert np.nanmedian(values[:, (x > 120) & (x < 160)]) == pytest.approx(0.09, abs=0.004)
+
+
+@pytest.mark.parametrize("setting", ["tile.size=64", "tile.size=1000"])
+def test_tiles_change_no_byte(survey: Path, made: tuple[Path, dict[str, Any]], setting: str, tmp_path: Path) -> None:
+    run(survey, tmp_path / "run", "--set", setting)
+    for name in ("quality.json", "quality.gpkg", "rasters/pulse_density.tif", "rasters/strip_dz.tif"):
+        assert (tmp_path / "run" / name).read_bytes() == (made[0] / name).read_bytes(), name
+
+
+@pytest.mark.slow
+def test_workers_change_no_byte(survey: Path, made: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    run(survey, tmp_path / "run", "--set", "tile.size=100", "--workers", "2")
+    for name in ("quality.json", "quality.gpkg", "rasters/pulse_density.tif", "rasters/strip_dz.tif"):
+        assert (tmp_path / "run" / name).read_bytes() == (made[0] / name).read_bytes(), name
+
+
+def test_lines_inside_files_are_told_apart_by_time(tmp_path: Path) -> None:
+    lines = [line(k, lift) for k, lift in enumerate(LIFTS)]
+    north = np.concatenate([one["y"] for one in lines]) > 5_400_120  # delivered as tiles, each with all lines
+    write_lines(tmp_path / "n.las", lines, north)
+    write_lines(tmp_path / "s.las", lines, ~north)
+    (tmp_path / "s.yaml").write_text("survey: {name: tiles, sources: ['*.las']}\n")
+    strips = run(tmp_path, tmp_path / "run", "--set", "quality.line_gap=1")["strips"]
+    assert strips["by"] == "times" and [s["files"] for s in strips["strips"]] == [["n", "s"]] * 3
+    heights = np.array([s["height"] for s in strips["strips"]])
+    assert heights[1] - heights[0] == pytest.approx(0.09, abs=0.005) and heights[2] - heights[0] == pytest.approx(
+        0.0, abs=0.005
+    )
+
+
+def test_what_cannot_be_told_is_said(tmp_path: Path) -> None:
+    small_survey(tmp_path)
+    (tmp_path / "s.yaml").write_text("survey: {name: one, sources: [a.las]}\n")
+    facts = run(tmp_path, tmp_path / "run")
+    assert any("there is one strip" in text for text in facts["remarks"]) and facts["strips"]["rms"] is None
+    report = json.loads((tmp_path / "run/report.json").read_text())
+    assert report["quality"] == facts and not any("classes" in text for text in report["remarks"])
+    told = fwclass("run", tmp_path / "s.yaml", "--out", tmp_path / "run", *WORDS, *BLOCKS, "--tiles", "5000_54000")
+    assert told.returncode == 2 and "delivers no tiles" in told.stderr and "Traceback" not in told.stderr
+
+
+def test_cells_divide_a_block(survey: Path, tmp_path: Path) -> None:
+    for setting in ("quality.cell=3", "quality.planes.cell=2.5"):
+        told = fwclass("run", survey / "s.yaml", "--out", tmp_path / "run", *WORDS, *BLOCKS, "--set", setting)
+        assert told.returncode == 2 and setting.split("=")[0] in told.stderr and not (tmp_path / "run").exists()
+
+
+def test_the_terrain_of_the_maker_is_smooth() -> None:
+    x, y = np.meshgrid(np.arange(500_000.0, 500_220), np.arange(5_400_000.0, 5_400_240))
+    assert np.abs(np.gradient(ground(x, y))).max() < np.tan(np.radians(9))
+
+
+def test_the_page_says_what_the_figures_say(made: tuple[Path, dict[str, Any]]) -> None:
+    out, facts = made
+    page = (out / "quality.html").read_text()
+    assert page.count("data:image/png;base64,") == 2 and "http" not in page.replace("http-equiv", "")
+    for words in (
+        f"{facts['density']['pulses']:.2f}",
+        "the largest 800 m²",
+        "l0 – l1",
+        "-9.0",
+        f"{100 * facts['strips']['rms']:.1f} cm",
+        "a tilt that all strips share",
+    ):
+        assert words in page, words
+    report = (out / "report.html").read_text()
+    assert 'id="quality"' in report and "./quality.html" in report and "l0 – l1" in report
+    assert "classified as" not in report
+
+
+@pytest.mark.parametrize(
+    "setting", ["min_density=6", "min_pulse_density=6", "max_dz=0.08", "max_void=700", "max_noise=0"]
+)
+def test_thresholds_end_with_exit_code_4(survey: Path, made: tuple[Path, dict[str, Any]], setting: str) -> None:
+    name = setting.split("=")[0]
+    told = fwclass(
+        "run",
+        survey / "s.yaml",
+        "--out",
+        made[0],
+        *WORDS,
+        *BLOCKS,
+        "--set",
+        "tile.size=100",
+        "--set",
+        f"quality.{setting}",
+    )
+    missed = name != "max_noise"
+    assert told.returncode == (4 if missed else 0) and (f"quality.{name}" in told.stderr) == missed
+    assert "computed" not in told.stderr and "Traceback" not in told.stderr  # they change no part

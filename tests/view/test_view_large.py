@@ -1,0 +1,93 @@
+"""A run that is not read whole: coarse levels from the delivered overview, rows looked up when they are asked for."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fwclass import conf
+from fwclass.delivery.opened import open_run
+from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewed_large import LargeRun, viewed
+from fwclass.schema import IDENTITY
+from fwclass.view.blocks import BYTES, HEAD
+from fwclass.view.scene import ECHOES
+
+SMALL = ("view.block=2000", "view.together=1000")
+
+
+@pytest.fixture(scope="module")
+def plain(run: Path) -> ViewedRun:
+    scene = viewed(open_run(run), conf.section("view", SMALL))
+    assert type(scene) is ViewedRun
+    return scene
+
+
+@pytest.fixture(scope="module")
+def large(run: Path) -> ViewedRun:
+    scene = viewed(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
+    assert type(scene) is LargeRun and "row" not in scene._skim().columns
+    return scene
+
+
+def blocks(level: bytes, stride: int) -> dict[tuple[int, ...], np.ndarray]:
+    out, at = {}, 0
+    while at < len(level):
+        size, *node, count = struct.unpack_from("<5I", level, at)
+        planes = zlib.decompress(level[at + HEAD.size : at + HEAD.size + size])
+        out[tuple(node)] = np.frombuffer(planes, np.uint8).reshape(stride, count)
+        at += HEAD.size + size
+    return out
+
+
+def test_every_echo_is_drawn_once_and_what_is_coarse_is_bounded(large: ViewedRun) -> None:
+    pyramid = large.pyramid
+    assert 0 <= pyramid.coarse < pyramid.own - 1 and large.index()["together"] == list(range(pyramid.coarse + 1))
+    levels = [blocks(large.level(ECHOES, k), BYTES) for k in pyramid.levels()]
+    assert sum(b.shape[1] for level in levels for b in level.values()) == large.echoes
+    assert all(not levels[k] for k in range(pyramid.coarse + 1, pyramid.own))
+    assert large._skim().order.size <= 2 * 1000 * 1.2
+
+
+def test_the_overview_has_the_echoes_that_the_tiles_have(large: ViewedRun, plain: ViewedRun) -> None:
+    """Node by node the same classes and strips; the places agree to the last bit, what is stored in steps to a step."""
+    for level in large.index()["together"]:
+        for part, stride in ((ECHOES, BYTES), ("strip", 1), ("right_or_wrong", 1), ("echo_ratio_r100", 1)):
+            a, b = blocks(large.level(part, level), stride), blocks(plain.level(part, level), stride)
+            assert a.keys() == b.keys()
+            for node in a:
+                rows = slice(10, 11) if part == ECHOES else slice(0, 1)
+                assert sorted(a[node][rows].ravel()) == sorted(b[node][rows].ravel()), (part, node)
+    for name in ("x", "y", "z", "classification", "intensity", *IDENTITY, "confidence", "height_above_ground"):
+        a, b = (s._skim().columns for s in (large, plain))
+        i, j = (np.lexsort([c[n] for n in IDENTITY]) for c in (a, b))
+        rounded = name in ("confidence", "height_above_ground")  # in Parquet to 2^-11, in COPC to 0.01
+        assert a[name].dtype == b[name].dtype
+        np.testing.assert_allclose(a[name][i], b[name][j], rtol=rounded * 2**-11, atol=rounded * 0.0051)
+
+
+def test_a_coarse_echo_is_the_one_of_its_tile(large: ViewedRun) -> None:
+    opened = large._skim()
+    for node, (first, last) in list(opened.nodes.items())[::3]:
+        for row in {0, last - first - 1}:
+            told = large.echo(node, row)
+            values, at = told["values"], opened.order[first + row]
+            assert [values[n] for n in IDENTITY] == [opened.columns[n][at] for n in IDENTITY]
+            assert [values[a] for a in "xyz"] == [opened.columns[a][at] for a in "xyz"]
+            assert large.why(*(values[n] for n in IDENTITY))["shares"]
+
+
+def test_the_first_picture_opens_no_tile(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = viewed(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
+
+    def refuse(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(scene, "_columns", refuse)
+    monkeypatch.setattr(scene, "_read", refuse)
+    assert sum(len(scene.level(ECHOES, k)) for k in scene.index()["together"]) > 5_000
+    assert scene.level("strip", 0)
