@@ -54,6 +54,7 @@ from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULS
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
+from fwclass.graph.vectors import CHOOSE_CELL, COUNT_PULSES, DELIVER_VECTORS, FIND_BUILDINGS, FIND_TREES
 from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.graph.workflow import Workflow
 
@@ -136,6 +137,12 @@ classification = Workflow(
         DELIVER_OVERVIEW,
         DELIVER_CATALOGUE,
         DELIVER_POLYGONS,
+        # footprints of buildings, trees
+        COUNT_PULSES,
+        CHOOSE_CELL,
+        FIND_BUILDINGS,
+        FIND_TREES,
+        DELIVER_VECTORS,
         # for those who want the waveform, not echoes
         SAMPLE_WAVES,
         FILL_VOXELS,

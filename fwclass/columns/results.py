@@ -138,4 +138,18 @@ RESULTS = (
         las_dtype="u1",
         las_scale=0.005,
     ),
+    # vectors
+    Column("component", "u4", "", "number of what cells, or corners, belong to"),
+    Column("cell_row", "i4", "", "row of the cell in the global raster, from its origin to the north"),
+    Column("cell_column", "i4", "", "column of the cell in the global raster, from its origin to the east"),
+    Column("cell_echoes", "u4", "", "echoes of the class in the cell"),
+    Column("cell_rated", "u4", "", "those of them that have a confidence"),
+    Column("cell_percent", "u4", "%", "sum of these confidences"),
+    Column("cell_top", "f4", "m", "greatest height above ground of these echoes", null=NAN),
+    Column("ring", "u4", "", "number of the corner's ring: 0 the outline, others holes"),
+    Column("object_height", "f4", "m", "height above ground", null=NAN),
+    Column("median_height", "f4", "m", "median height above ground", null=NAN),
+    Column("object_area", "f4", "m2", "area in plan"),
+    Column("object_echoes", "u4", "", "echoes that it is made of"),
+    Column("outline", "u1", "", "1 right-angled, 2 simplified, 3 the outline of the cells"),
 )

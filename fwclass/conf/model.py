@@ -36,6 +36,7 @@ from fwclass.thin.params import ThinParams
 from fwclass.tile.params import TileParams
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.params import TrainParams
+from fwclass.vectors.params import VectorParams
 from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
 from fwclass.water.params import BreaklineParams, WaterParams
@@ -250,6 +251,7 @@ PARAMS: dict[str, type[BaseModel]] = {
     "quality": QualityParams,
     "assess": AssessParams,
     "publish": PublishParams,
+    "vectors": VectorParams,
     "view": ViewParams,
 }
 
@@ -301,6 +303,7 @@ class Config:
     quality: QualityParams
     assess: AssessParams
     publish: PublishParams
+    vectors: VectorParams
     view: ViewParams
 
     @property

@@ -13,7 +13,7 @@ from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.errors import ConfigError
 from fwclass.grid import Box
-from fwclass.publish.gpkg import Layer, write_gpkg
+from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.view.params import ViewParams
 
 LAYER = "places"
@@ -51,7 +51,7 @@ def write_work_list(run: Path, params: ViewParams, path: Path, overwrite: bool) 
         "classes": texts,
         **{axis: np.array([getattr(p, axis) for p in places], np.float64) for axis in ("x", "y", "z", "size")},
     }
-    write_gpkg([Layer(LAYER, [Box(*p.box) for p in places], fields)], path, scene.delivery.crs)
+    write_gpkg([Layer(LAYER, box_wkb([Box(*p.box) for p in places]), fields)], path, scene.delivery.crs)
     if not places:
         return f"no echo has a confidence below {params.unsure:g}: the layer {LAYER} of {path} is empty"
     return f"{len(places)} places of {sum(p.echoes for p in places):,} unsure echoes: layer {LAYER} of {path}"

@@ -88,10 +88,10 @@ def write_shapes(
     geometry: Sequence[bytes],
     fields: Mapping[str, Any],
     crs: str | None,
-    kind: Literal["Polygon", "LineString"] = "Polygon",
+    kind: Literal["Polygon", "LineString", "Point"] = "Polygon",
 ) -> None:
-    """Add polygons or lines (WKB) to a layer of a GeoPackage; both are made where they are not there. The same ones
-    give the same bytes.
+    """Add polygons, lines or points (WKB) to a layer of a GeoPackage; both are made where they are not there. The same
+    ones give the same bytes.
 
     Parameters
     ----------

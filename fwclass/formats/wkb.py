@@ -270,3 +270,18 @@ def _line(cursor: _Cursor) -> Ring:
     if n < 2 or not np.isfinite(values).all():
         raise WkbError("a line of fewer than two points, or with a coordinate that is no number")
     return values.astype(np.float64)
+
+
+def polygon_wkb(polygon: Iterable[Ring]) -> bytes:
+    """A polygon of rings (corners, 2), the outline first, as little-endian well-known binary; rings that are open are
+    closed."""
+    rings = [r if len(r) and (r[0] == r[-1]).all() else np.concatenate([r, r[:1]]) for r in polygon]
+    parts = [struct.pack("<BII", 1, POLYGON, len(rings))]
+    for ring in rings:
+        parts += [struct.pack("<I", len(ring)), ring.astype("<f8").tobytes()]
+    return b"".join(parts)
+
+
+def point_wkb(x: NDArray[np.float64], y: NDArray[np.float64]) -> list[bytes]:
+    """Points as little-endian well-known binary."""
+    return [struct.pack("<BIdd", 1, 1, a, b) for a, b in zip(x.tolist(), y.tolist(), strict=True)]

@@ -13,11 +13,11 @@ from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, joined
 from fwclass.decompose.params import DecomposeParams, SampleParams
 from fwclass.graph.ground import around_block, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of
-from fwclass.graph.rasters import Mosaic
+from fwclass.graph.rasters import Mosaic, owned
 from fwclass.graph.sources import MEASURE_PULSE, READ_SPAN, placement_of, pulse_of, strip_of, waveforms_of
 from fwclass.graph.stacking import chunks_near
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
-from fwclass.grid import Box, Tile, TileGrid, Window, whole_millimetres
+from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.geoparquet import write_geoparquet
@@ -60,14 +60,6 @@ def samples_in(here: StageInputs, box: Box, block: float) -> Table:
         parts += [here.inputs.fragment(SAMPLES.name, chunk, key) for key in keys if key in there]
     table = joined(parts)
     return table.take(box.contains(table["x"], table["y"]))
-
-
-def owned(block: Tile, cell: float) -> Window:
-    """The cells of the global grid whose south-west corner lies in a block."""
-    mm = whole_millimetres(cell, "cell")
-    low_x, low_y, high_x, high_y = (round(v * 1000) for v in block.box.bounds)
-    col, row = -(-low_x // mm), -(-low_y // mm)
-    return Window(cell, col, row, -(-high_x // mm) - col, -(-high_y // mm) - row)
 
 
 def voxel_block(here: StageInputs, params: VoxelParams, block: float) -> Made:

@@ -13,10 +13,11 @@ from fwclass.graph.outputs import DELIVER_TILE, NO_BYTE, TILE_ENDING, TILES, cla
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.vectors import layers_made
 from fwclass.grid import Box, TileGrid
 from fwclass.publish.copc import streamed, write_tile_copc
 from fwclass.publish.files import whole
-from fwclass.publish.gpkg import Layer, write_gpkg
+from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.publish.laz import NEEDED, without_reflectance
 from fwclass.publish.octree import drawn_by
 from fwclass.publish.params import PublishParams
@@ -74,7 +75,8 @@ def delivered_catalogue(
     names: Mapping[str, str],
     title: str,
     polygons: Names,
-    contours: bool,
+    vectors: Names = (),
+    contours: bool = False,
 ) -> Made:
     """The list of tiles for QGIS and PDAL, and a project that shows all of the delivery."""
     tiles = _facts(here)
@@ -94,7 +96,7 @@ def delivered_catalogue(
     ranges = {site: here.inputs.meta(DELIVER_RASTERS.name, site)["ranges"] for site in here.parts(DELIVER_RASTERS.name)}
     _write_style(here, present)
     bounds = facts["bounds"]
-    groups = groups_of(present, columns, ranges, polygons, WHOLE, contours)
+    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors, contours)
     write_project(title, groups, (bounds[0], bounds[1], bounds[3], bounds[4]), here.directory / "survey.qgz", system)
     return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
 
@@ -139,7 +141,7 @@ def _tile_layer(
     }
     return Layer(
         "tiles",
-        [grid.tile(k).box for k in keys],
+        box_wkb([grid.tile(k).box for k in keys]),
         {
             "tile": keys,
             "file": [f"{TILES}/{k}{TILE_ENDING}" for k in keys],
@@ -164,7 +166,7 @@ def _area_layers(areas: Mapping[str, list[list[float]]]) -> list[Layer]:
     rows = [(kind, Box(*box)) for kind, boxes in areas.items() for box in boxes]
     if not rows:
         return []
-    return [Layer("areas", [box for _, box in rows], {"kind": [kind for kind, _ in rows]})]
+    return [Layer("areas", box_wkb([box for _, box in rows]), {"kind": [kind for kind, _ in rows]})]
 
 
 def _overview_columns(plan: Plan) -> Names:
@@ -223,6 +225,7 @@ DELIVER_CATALOGUE = Stage(
         "columns": _streamed(plan),
         "title": plan.config.survey.name,
         "polygons": ("tiles", "areas") if any(_areas(plan).values()) else ("tiles",),
+        **({"vectors": layers_made(plan)} if layers_made(plan) else {}),
         "contours": plan.config.contours.enabled,
     },
     after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),

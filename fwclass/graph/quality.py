@@ -19,7 +19,7 @@ from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole
-from fwclass.publish.gpkg import Layer, write_gpkg
+from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
 from fwclass.publish.raster_styles import Spread
@@ -108,7 +108,7 @@ def delivered_quality(
     voids = sorted((v for one in empty for v in one.voids(least)), key=lambda v: (-v.area, v.box.bounds))
     if voids:
         areas = np.array([v.area for v in voids[:LISTED]])
-        layer = Layer("voids", [v.box for v in voids[:LISTED]], {"area_m2": areas})
+        layer = Layer("voids", box_wkb([v.box for v in voids[:LISTED]]), {"area_m2": areas})
         write_gpkg([layer], here.directory / POLYGONS, system)
     echoes, noise = (sum(int(m[name]) for m in metas) for name in ("echoes", "noise"))
     facts = {

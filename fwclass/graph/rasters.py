@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.grid import Tile, Window
+from fwclass.grid import Tile, Window, whole_millimetres
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 
@@ -100,3 +100,11 @@ def stripes(window: Window, rows: int) -> Iterator[Window]:
     for north in range(0, window.nrows, rows):
         height = min(rows, window.nrows - north)
         yield Window(window.cell, window.col, top - north - height, window.ncols, height)
+
+
+def owned(block: Tile, cell: float) -> Window:
+    """The cells of the global grid whose south-west corner lies in a block."""
+    mm = whole_millimetres(cell, "cell")
+    low_x, low_y, high_x, high_y = (round(v * 1000) for v in block.box.bounds)
+    col, row = -(-low_x // mm), -(-low_y // mm)
+    return Window(cell, col, row, -(-high_x // mm) - col, -(-high_y // mm) - row)

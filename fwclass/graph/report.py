@@ -26,6 +26,7 @@ from fwclass.graph.report_figures import report_figures
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
 from fwclass.graph.tiling import source_codes
+from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
 from fwclass.model.ranges import RANGES
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import reported
@@ -115,6 +116,7 @@ def write_report(
                 for r in made_in_run(runner, s)
                 for t in r.meta["remarks"]
             ),
+            *(words for r in made_in_run(runner, DELIVER_VECTORS.name) for words in vector_remarks(r.meta)),
             *(class_remarks(source, known_codes(config.classes), kept) if classified else ()),
         ],
         "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
@@ -374,6 +376,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "publish-catalogue",
         "publish-polygons",
         "publish-contours",
+        DELIVER_VECTORS.name,
         "train",
     )
     names = [n for stage in stages for r in made_in_run(runner, stage) for n in r.outputs]
@@ -385,6 +388,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "quality": "quality.",
         "gis": ("survey.qgz", "tiles.gpkg"),
         "contours": "contours.gpkg",
+        "vectors": ("vectors.gpkg", "vectors/"),
     }
     return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
 

@@ -63,6 +63,7 @@ from fwclass.graph.stage import Plan, Stage, named
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
+from fwclass.graph.vectors import CHOOSE_CELL, COUNT_PULSES, DELIVER_VECTORS, FIND_BUILDINGS, FIND_TREES
 from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.radiometry.stage import RADIOMETRY
 
@@ -138,17 +139,10 @@ DELIVERY = (
 )
 OF_WAVEFORMS = (SAMPLE_WAVES, FILL_VOXELS, FILL_PROFILES, DELIVER_SAMPLES, DELIVER_VOXELS, DELIVER_PROFILES)
 """For those who want the waveform, not echoes."""
+OF_VECTORS = (COUNT_PULSES, CHOOSE_CELL, FIND_BUILDINGS, FIND_TREES, DELIVER_VECTORS)
 STAGES = (
-    SIMULATE,
-    *TO_TILES,
-    *TO_LABELS,
-    CHECK_SEAMS,
-    MEASURE_QUALITY,
-    *LEARNING,
-    *CLASSIFYING,
-    *JUDGING,
-    *DELIVERY,
-    *OF_WAVEFORMS,
+    *(SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, MEASURE_QUALITY, *LEARNING, *CLASSIFYING, *JUDGING, *DELIVERY),
+    *(*OF_VECTORS, *OF_WAVEFORMS),
 )
 """Every stage that any run has; what a run takes is reckoned by this list."""
 

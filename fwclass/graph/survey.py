@@ -60,6 +60,11 @@ def simulated(here: StageInputs, params: SimulateParams, prefix: str) -> Made:
 
     directory = here.directory / prefix
     directory.mkdir(parents=True, exist_ok=True)
+    if here.part == TRUTH:
+        from fwclass.simulate.truth import write_truth
+
+        write_truth(params, directory)
+        return {}
     if here.part == TRAJECTORY:
         write_trajectory(params, directory)
         return {}
@@ -68,8 +73,8 @@ def simulated(here: StageInputs, params: SimulateParams, prefix: str) -> Made:
     return facts
 
 
-TRAJECTORY = "trajectory"
-"""The part of the simulation that is no strip."""
+TRAJECTORY, TRUTH = "trajectory", "truth"
+"""The parts of the simulation that are no strips."""
 
 
 def simulation(prefix: str) -> Stage:
@@ -78,7 +83,7 @@ def simulation(prefix: str) -> Stage:
     def parts(plan: Plan) -> list[str]:
         from fwclass.simulate.flight import plan_strips
 
-        return [*(s.name for s in plan_strips(plan.config.simulate)), TRAJECTORY]  # type: ignore[arg-type]
+        return [*(s.name for s in plan_strips(plan.config.simulate)), TRAJECTORY, TRUTH]  # type: ignore[arg-type]
 
     return Stage(
         "simulate",

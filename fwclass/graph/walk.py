@@ -27,6 +27,7 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.graph.stages import OF_STRIPS, STAGES, TO_LABELS, TO_TILES, check_features, graph_of, providers
 from fwclass.graph.survey import SIMULATE, check_widths, gather
 from fwclass.graph.tiling import SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE, tiles_of_strips
+from fwclass.graph.vectors import lacking
 from fwclass.label.stage import LABEL
 from fwclass.model import TwoLayer
 from fwclass.run.runner import Runner, ancestors, require_all, stop_if_nothing
@@ -154,7 +155,11 @@ def until_report(
     stages = tuple(stages)
     graph = graph_of(plan, (SIMULATE, *TO_TILES, *stages))
     tasks = tasks_of(plan, stages)
-    for words in (describe_sites(sites(layout), plan.survey.strips, tiles_of_strips(plan)), small_tiles(layout)):
+    for words in (
+        describe_sites(sites(layout), plan.survey.strips, tiles_of_strips(plan)),
+        small_tiles(layout),
+        lacking(plan),
+    ):
         if words:
             runner.display.say(words)
     if keys is not None:

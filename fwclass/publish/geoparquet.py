@@ -1,12 +1,13 @@
-"""Echoes as GeoParquet 1.1: WKB points with a covering box per row."""
+"""Echoes and vectors as GeoParquet 1.1: WKB with a covering box per row."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pyproj
@@ -104,6 +105,49 @@ def write_geoparquet_parts(
     return {"path": str(path), "rows": rows, "row_groups": groups, "bytes": size}
 
 
+@counted("writing")
+def write_shape_parquet(
+    fields: Mapping[str, NDArray[Any] | Sequence[str]],
+    geometry: Sequence[bytes],
+    boxes: NDArray[np.float64],
+    path: Path,
+    crs: pyproj.CRS | None,
+    params: PublishParams,
+    kind: Literal["Polygon", "Point"] = "Polygon",
+    units: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """Write shapes with their `fields` (texts as lists, numbers as arrays); the same ones give the same bytes.
+
+    Parameters
+    ----------
+    geometry : well-known binary, one a row.
+    boxes : (rows, 4), xmin, ymin, xmax, ymax of each.
+    units : of fields that have one.
+
+    Returns
+    -------
+    dict with ``path, rows, bytes``.
+    """
+    arrays = {n: pa.array(v, None if isinstance(v, np.ndarray) else pa.string()) for n, v in fields.items()}
+    arrays["geometry"] = pa.array(list(geometry), pa.binary())
+    low, high = boxes[:, :2], boxes[:, 2:]
+    sides = [*(_outwards(v, -np.inf) for v in low.T), *(_outwards(v, np.inf) for v in high.T)]
+    arrays["bbox"] = pa.StructArray.from_arrays([arrow_array(side) for side in sides], fields=list(_box_type()))
+    about = [pa.field(n, a.type, metadata={"unit": units[n]} if n in units else None) for n, a in arrays.items()]
+    ends = (tuple(low.min(axis=0).tolist()), tuple(high.max(axis=0).tolist())) if len(boxes) else None
+    schema = pa.schema(about, metadata={b"geo": _geo(ends, crs, kind)})
+    with whole(path) as beside:
+        pq.write_table(
+            pa.Table.from_arrays(list(arrays.values()), schema=schema),
+            beside,
+            row_group_size=params.row_group,
+            compression="zstd",
+            compression_level=params.zstd_level,
+        )
+        size = beside.stat().st_size
+    return {"path": str(path), "rows": len(geometry), "bytes": size}
+
+
 def bounds_of(table: Table) -> Bounds:
     """Least and greatest x, y, z of a table with rows."""
     axes = [table[a] for a in ("x", "y", "z")]
@@ -166,11 +210,13 @@ def _field(col: Column) -> pa.Field:
     return pa.field(col.name, kind, nullable=False, metadata={k: v for k, v in about.items() if v})
 
 
-def _geo(bounds: Bounds | None, crs: pyproj.CRS | None) -> bytes:
+def _geo(
+    bounds: tuple[Sequence[float], Sequence[float]] | None, crs: pyproj.CRS | None, kind: str = "Point Z"
+) -> bytes:
     """The `geo` entry of the file's metadata."""
     about: dict[str, Any] = {
         "encoding": "WKB",
-        "geometry_types": ["Point Z"] if bounds else [],
+        "geometry_types": [kind] if bounds else [],
         "crs": crs.to_json_dict() if crs is not None else None,
         "covering": {"bbox": {side: ["bbox", side] for side in SIDES}},
     }

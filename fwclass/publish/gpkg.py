@@ -1,11 +1,11 @@
-"""Boxes with attributes as GeoPackage layers: tiles, training and test areas."""
+"""Shapes with attributes as GeoPackage layers: tiles, training and test areas, vectors."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyproj
@@ -24,21 +24,22 @@ POLYGON = 3
 
 @dataclass(frozen=True)
 class Layer:
-    """Boxes of one kind.
+    """Shapes of one kind.
 
     Attributes
     ----------
-    boxes : one a row, at least one.
+    geometry : well-known binary, one a row; of boxes by `box_wkb`.
     fields : equal-length columns by name; texts as lists of str, numbers as arrays.
     """
 
     name: str
-    boxes: Sequence[Box]
+    geometry: Sequence[bytes]
     fields: Mapping[str, NDArray[Any] | Sequence[str]]
+    kind: Literal["Polygon", "Point"] = "Polygon"
 
 
 def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> dict[str, Any]:
-    """Write layers into one GeoPackage; the same boxes and fields give the same bytes.
+    """Write layers into one GeoPackage; the same shapes and fields give the same bytes.
 
     Returns
     -------
@@ -48,7 +49,8 @@ def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> d
         beside.unlink(missing_ok=True)
         for layer in layers:
             fields = {name: np.asarray(v, object if _texts(v) else None) for name, v in layer.fields.items()}
-            write_shapes(beside, layer.name, _wkb(layer.boxes), fields, wkt(crs) if crs is not None else None)
+            system = wkt(crs) if crs is not None else None
+            write_shapes(beside, layer.name, layer.geometry, fields, system, layer.kind)
         size = beside.stat().st_size
     return {"path": str(path), "layers": [layer.name for layer in layers], "bytes": size}
 
@@ -57,7 +59,8 @@ def _texts(values: NDArray[Any] | Sequence[str]) -> bool:
     return not isinstance(values, np.ndarray)
 
 
-def _wkb(boxes: Sequence[Box]) -> list[bytes]:
+def box_wkb(boxes: Sequence[Box]) -> list[bytes]:
+    """Boxes as polygons."""
     out = np.zeros(len(boxes), RING)
     out["order"], out["kind"], out["rings"], out["points"] = 1, POLYGON, 1, 5
     for k, b in enumerate(boxes):

@@ -14,8 +14,7 @@ import pyproj
 from fwclass.publish.files import whole
 from fwclass.publish.qgis_style import VERSION, document, plain_text
 
-PROVIDERS = {"raster": "gdal", "vector": "ogr", "lines": "ogr", "pointcloud": "vpc", "copc": "copc"}
-"""What reads a layer of each kind; a vector layer is of polygons or of lines."""
+PROVIDERS = {"raster": "gdal", "vector": "ogr", "pointcloud": "vpc", "copc": "copc"}
 
 
 @dataclass(frozen=True)
@@ -26,6 +25,7 @@ class MapLayer:
     ----------
     kind : a key of `PROVIDERS`.
     source : path below the project, with ``|layername=…|subset=…`` of a vector layer.
+    geometry : of a vector layer, ``Polygon``, ``Line`` or ``Point``.
     shown : drawn when the project opens.
     """
 
@@ -34,6 +34,7 @@ class MapLayer:
     source: str
     style: Sequence[Xml.Element]
     shown: bool = False
+    geometry: str = "Polygon"
 
 
 Groups = Mapping[str, Sequence[MapLayer]]
@@ -109,17 +110,17 @@ def _tree(groups: Groups) -> Xml.Element:
 
 
 def _layer(layer: MapLayer, number: int, crs: pyproj.CRS | None) -> Xml.Element:
-    kind = {"pointcloud": "point-cloud", "copc": "point-cloud", "lines": "vector"}.get(layer.kind, layer.kind)
+    kind = {"pointcloud": "point-cloud", "copc": "point-cloud"}.get(layer.kind, layer.kind)
     made = Xml.Element("maplayer", {"type": kind, "hasScaleBasedVisibilityFlag": "0"})
-    if kind == "vector":
-        made.set("geometry", "Line" if layer.kind == "lines" else "Polygon")
+    if layer.kind == "vector":
+        made.set("geometry", layer.geometry)
         made.set("labelsEnabled", str(int(any(part.tag == "labeling" for part in layer.style))))
     _text(made, "id", _key(number))
     _text(made, "datasource", f"./{layer.source}")
     _text(made, "layername", layer.name)
     made.append(_system("srs", crs))
     provider = _text(made, "provider", PROVIDERS[layer.kind])
-    if kind == "vector":
+    if layer.kind == "vector":
         provider.set("encoding", "UTF-8")
     made.extend(layer.style)
     return made

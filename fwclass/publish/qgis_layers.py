@@ -14,6 +14,7 @@ from fwclass.publish.qgis_style import (
     class_cloud_style,
     graduated_style,
     outline_style,
+    point_style,
     ramp_cloud_style,
 )
 from fwclass.publish.raster_styles import raster_style
@@ -43,6 +44,12 @@ _RASTERS = {
     "dtm_distance": ("distance of the nearest ground echo [m]", "Terrain"),
 }
 
+_VECTORS = {
+    "buildings": outline_style((150, 40, 10), 0.5),
+    "trees": point_style((20, 90, 30), 1.6),
+    "crowns": outline_style((40, 130, 60), 0.2),
+}
+
 
 def cloud_styles(names: Mapping[int, str]) -> dict[str, list[Xml.Element]]:
     """Styles of the echoes: by class, confidence and height above ground."""
@@ -59,7 +66,8 @@ def groups_of(
     ranges: Mapping[str, Mapping[str, Sequence[float]]],
     polygons: Sequence[str],
     whole: str,
-    contours: bool,
+    vectors: Sequence[str] = (),
+    contours: bool = False,
 ) -> dict[str, list[MapLayer]]:
     """Groups of layers, the first on top.
 
@@ -69,6 +77,7 @@ def groups_of(
     columns : of the tiles.
     ranges : of the rasters of every site; those of the site `whole` lie at the top.
     polygons : layers of ``tiles.gpkg``.
+    vectors : layers of ``vectors.gpkg``.
     contours : there are contour lines.
     """
     titles = {"classes": "by class", "confidence": "by confidence", "height_above_ground": "by height above ground"}
@@ -77,10 +86,16 @@ def groups_of(
         for name, style in cloud_styles(names).items()
         if name == "classes" or name in columns
     ]
-    groups: dict[str, list[MapLayer]] = {"Echoes": echoes, "Tiles": _polygons(polygons), "Maps": [], "Terrain": []}
+    kinds = {name: "Point" if name == "trees" else "Polygon" for name in vectors}
+    shapes = [
+        MapLayer(name, "vector", f"vectors.gpkg|layername={name}", _VECTORS[name], name != "crowns", kind)
+        for name, kind in kinds.items()
+    ]
+    groups = {"Echoes": echoes, **({"Vectors": shapes} if shapes else {}), "Tiles": _polygons(polygons)}
+    groups |= {"Maps": [], "Terrain": []}
     if contours:
         source = f"{CONTOURS}|layername={LAYER}"
-        groups["Terrain"].append(MapLayer("contours", "lines", source, contour_style()))
+        groups["Terrain"].append(MapLayer("contours", "vector", source, contour_style(), True, "Line"))
     for site, made in ranges.items():
         where, more = ("rasters", "") if site == whole else (f"rasters/{site}", f", {site}")
         for name, (title, group) in _RASTERS.items():

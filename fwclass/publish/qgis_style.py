@@ -153,6 +153,18 @@ def outline_style(colour: RGB, width: float = 0.4) -> list[Xml.Element]:
     return [renderer]
 
 
+def point_style(colour: RGB, size: float) -> list[Xml.Element]:
+    """Points as discs of `size` [mm]."""
+    renderer = Xml.Element("renderer-v2", {"type": "singleSymbol"})
+    symbol = add(add(renderer, "symbols"), "symbol", type="marker", name="0", alpha=1, clip_to_extent=1, force_rhr=0)
+    layer = add(symbol, "layer", **{"class": "SimpleMarker", "enabled": 1, "locked": 0, "pass": 0})
+    options = add(layer, "Option", type="Map")
+    settings = {"name": "circle", "color": rgba(colour), "outline_style": "no", "size": size, "size_unit": "MM"}
+    for key, value in settings.items():
+        add(options, "Option", name=key, value=value, type="QString")
+    return [renderer]
+
+
 def graduated_style(attribute: str, ramp: Ramp, edges: Sequence[float]) -> list[Xml.Element]:
     """Polygons filled by the range that an attribute lies in."""
     renderer = Xml.Element(

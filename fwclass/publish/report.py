@@ -223,6 +223,7 @@ def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
         "quality": "Survey quality",
         "gis": "QGIS project and tile map",
         "contours": "Contour lines (GeoPackage)",
+        "vectors": "Vectors (GeoPackage, GeoParquet)",
     }
     out = []
     for kind, items in outputs.items():

@@ -243,6 +243,8 @@ class Directory:
             "quality.gpkg",
             "quality.html",
             "quality.json",
+            "vectors",
+            "vectors.gpkg",
             "report.html",
             "report.json",
         ):

@@ -17,7 +17,7 @@ import pytest
 
 from fwclass.grid import Box, Window
 from fwclass.publish.cog import write_cog
-from fwclass.publish.gpkg import Layer, write_gpkg
+from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.publish.palette import colours, css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis import MapLayer, write_project
@@ -40,7 +40,9 @@ FACTS = {
 
 
 def test_hostile_names_are_only_text(tmp_path: Path) -> None:
-    groups = groups_of(NAMES, ("confidence",), {"all": dict.fromkeys(STYLED, (0.0, 1.0))}, ("tiles",), "all", True)
+    groups = groups_of(
+        NAMES, ("confidence",), {"all": dict.fromkeys(STYLED, (0.0, 1.0))}, ("tiles",), "all", contours=True
+    )
     write_project(EVIL, groups, (0, 0, 1, 1), tmp_path / "p.qgz", None)
     with zipfile.ZipFile(tmp_path / "p.qgz") as archive:
         root = Xml.fromstring(archive.read("p.qgs"))  # noqa: S314 - our own
@@ -60,8 +62,8 @@ def test_the_same_layers_give_the_same_bytes(tmp_path: Path) -> None:
     for name in "ab":
         directory = tmp_path / name
         directory.mkdir()
-        layer = Layer("tiles", [Box(0, 0, 1, 1)], {"tile": ["x"], "confidence": np.array([np.nan])})
-        write_gpkg([layer, layer.__class__("areas", layer.boxes, {"kind": ["train"]})], directory / "t.gpkg", None)
+        layer = Layer("tiles", box_wkb([Box(0, 0, 1, 1)]), {"tile": ["x"], "confidence": np.array([np.nan])})
+        write_gpkg([layer, layer.__class__("areas", layer.geometry, {"kind": ["train"]})], directory / "t.gpkg", None)
         write_project("t", {"g": [MapLayer("n", "vector", "t.gpkg", [])]}, (0, 0, 1, 1), directory / "s.qgz", None)
         write_vpc({"tiles/1_1.copc.laz": FACTS}, directory / "s.vpc", pyproj.CRS(25832), point_schema(()))
     for file in ("t.gpkg", "s.qgz", "s.vpc"):
@@ -136,8 +138,8 @@ def test_qgis_opens_the_project_and_draws_the_classes(params: PublishParams, tmp
         (target / f"{name}.qml").write_bytes(style_file(raster_style(name, ranges, names), "raster"))
     box = Box(512_000, 5_403_000, 512_008, 5_403_006)
     fields = {"tile": ["5120_54030"], "confidence": np.array([0.8]), "rank": np.array([1], np.int32)}
-    write_gpkg([Layer("tiles", [box], fields)], tmp_path / "tiles.gpkg", crs)
-    groups = groups_of(names, ("confidence",), {"all": ranges}, ("tiles",), "all", True)
+    write_gpkg([Layer("tiles", box_wkb([box]), fields)], tmp_path / "tiles.gpkg", crs)
+    groups = groups_of(names, ("confidence",), {"all": ranges}, ("tiles",), "all", contours=True)
     write_project("t", groups, box.bounds, tmp_path / "survey.qgz", crs)
     before = sorted(p.name for p in tmp_path.rglob("*"))
     (tmp_path / "home").mkdir()
@@ -175,7 +177,7 @@ ONLY_WKT2 = pyproj.CRS.from_wkt(
 @pytest.mark.parametrize("crs", [None, COMPOUND, LOCAL, ONLY_WKT2], ids=["none", "compound", "local", "bound"])
 def test_any_system_or_none_makes_files(crs: pyproj.CRS | None, tmp_path: Path) -> None:
     box = Box(512_000, 5_403_000, 512_100, 5_403_100)
-    write_gpkg([Layer("tiles", [box], {"tile": ["1_1"]})], tmp_path / "t.gpkg", crs)
+    write_gpkg([Layer("tiles", box_wkb([box]), {"tile": ["1_1"]})], tmp_path / "t.gpkg", crs)
     write_project("t", {"g": [MapLayer("n", "vector", "t.gpkg", [])]}, box.bounds, tmp_path / "s.qgz", crs)
     write_vpc({"tiles/1_1.copc.laz": FACTS}, tmp_path / "s.vpc", crs, point_schema(()))
     item = json.loads((tmp_path / "s.vpc").read_text())["features"][0]

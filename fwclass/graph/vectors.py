@@ -1,0 +1,298 @@
+"""Stages of vectors: building footprints and trees by blocks of the fixed grid, joined across them, and delivered."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.formats.wkb import point_wkb, polygon_wkb
+from fwclass.graph.outputs import NO_BYTE, class_names, crs_of
+from fwclass.graph.rasters import owned
+from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.grid import Box, Tile, Window
+from fwclass.ground.stage import last_of
+from fwclass.publish.geoparquet import write_shape_parquet
+from fwclass.publish.gpkg import Layer, write_gpkg
+from fwclass.publish.params import PublishParams
+from fwclass.run.part import Name
+from fwclass.schema import Table
+from fwclass.store.tables import write_table
+from fwclass.vectors.buildings import COLUMNS as BUILDING_COLUMNS
+from fwclass.vectors.buildings import OUTLINES, footprints
+from fwclass.vectors.cells import CELL_COLUMNS, MARGIN, Counts, by_piece, counted, joined, pieces, roofs
+from fwclass.vectors.density import cell_of, median_density, pulses_by_square
+from fwclass.vectors.params import VectorParams
+from fwclass.vectors.shapes import CORNERS, Shapes
+from fwclass.vectors.trees import COLUMNS as TREE_COLUMNS
+from fwclass.vectors.trees import trees
+
+CELL = "vector-cell"
+ROWS, RINGS, BEYOND = "objects.parquet", "corners.parquet", "beyond.parquet"
+"""Of a block: what lies in it, the corners of these, and cells of buildings that reach its edge."""
+
+VECTORS = "vectors.gpkg"
+UNITS = {"height": "m", "height_median": "m", "area": "m2", "crown_area": "m2"}
+
+
+def counted_pulses(here: StageInputs, square: float) -> Made:
+    """How many squares of a block hold how many pulses."""
+    window = owned(here.tile, square)
+    table = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
+    table = table.take(last_of(table))
+    return {"squares": {str(n): k for n, k in pulses_by_square(table["x"], table["y"], window).items()}}
+
+
+def chosen_cell(here: StageInputs, params: VectorParams) -> Made:
+    """The density of the survey's pulses, and the cell that vectors are made in."""
+    squares: Counter[int] = Counter()
+    for block in here.parts(COUNT_PULSES.name):
+        squares.update({int(n): k for n, k in here.inputs.meta(COUNT_PULSES.name, block)["squares"].items()})
+    density = median_density(squares, params.square)
+    return {"density": density, "cell": cell_of(density, params), "sparse": density < params.sparse}
+
+
+def building_block(here: StageInputs, params: VectorParams) -> Made:
+    """The buildings that lie in one block, and the cells of those that may go on beyond its edge."""
+    cell = here.inputs.meta(CELL, "all")["cell"]
+    core = owned(here.tile, cell)
+    counts = _counted(here, core.grown(MARGIN), params.buildings.codes, params.buildings.low)
+    inner = core.within(core.grown(MARGIN))
+    whole, beyond = pieces(roofs(counts)[inner], counts.within(inner), core)
+    made = footprints(by_piece(whole), cell, params.buildings)
+    _write(here, made)
+    write_table(here.directory / BEYOND, beyond)
+    return {"buildings": made.rows.rows, "beyond": beyond.rows}
+
+
+def tree_block(here: StageInputs, params: VectorParams) -> Made:
+    """The trees whose tops lie in one block."""
+    cell = max(here.inputs.meta(CELL, "all")["cell"], params.trees.cell)
+    core = owned(here.tile, cell)
+    window = core.grown(math.ceil(params.trees.halo(cell) / cell))
+    made = trees(_counted(here, window, params.trees.codes, 0.0), window, core, params.trees)
+    _write(here, made)
+    return {"trees": made.rows.rows}
+
+
+def _counted(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
+    return counted(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
+
+
+def _write(here: StageInputs, made: Shapes) -> None:
+    for name, rows in ((ROWS, made.rows), (RINGS, made.corners)):
+        write_table(here.directory / name, rows)
+
+
+def _read(here: StageInputs, stage: Stage, columns: Names) -> list[Shapes]:
+    """The objects of all declared blocks."""
+    tables = here.inputs.table
+    blocks = here.parts(stage.name)
+    return [Shapes(tables(stage.name, b, columns, ROWS), tables(stage.name, b, CORNERS, RINGS)) for b in blocks]
+
+
+def delivered_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Made:
+    """All buildings and trees as GeoParquet and GeoPackage; buildings that cross blocks are put together first."""
+    facts, layers = dict(here.inputs.meta(CELL, "all")), []
+    if here.parts(FIND_BUILDINGS.name):
+        cells = (
+            here.inputs.table(FIND_BUILDINGS.name, b, CELL_COLUMNS, BEYOND) for b in here.parts(FIND_BUILDINGS.name)
+        )
+        across = footprints(by_piece(joined(Table.concat(cells))), facts["cell"], params.buildings)
+        made = Shapes.together([*_read(here, FIND_BUILDINGS, BUILDING_COLUMNS), across])
+        made = made.ordered(np.lexsort((made.rows["cell_column"], made.rows["cell_row"])))
+        layers.append((made, Layer("buildings", _wkb(made), building_fields(made.rows))))
+        outlines = {OUTLINES[k]: int((made.rows["outline"] == k).sum()) for k in OUTLINES}
+        facts |= {"buildings": made.rows.rows, "across_blocks": across.rows.rows, "outlines": outlines}
+    if here.parts(FIND_TREES.name):
+        made = Shapes.together(_read(here, FIND_TREES, TREE_COLUMNS))
+        made = made.ordered(np.lexsort((made.rows["x"], made.rows["y"])))
+        x, y, fields = made.rows["x"], made.rows["y"], tree_fields(made.rows)
+        places = Shapes.of(made.rows, [[np.array([place])] for place in np.stack([x, y], axis=1)])
+        layers.append((made, Layer("crowns", _wkb(made), fields)))
+        layers.append((places, Layer("trees", point_wkb(x, y), fields, "Point")))
+        facts |= {"trees": made.rows.rows}
+    for shapes, layer in layers:
+        path = here.directory / "vectors" / f"{layer.name}.parquet"
+        boxes = _bounds(shapes)
+        write_shape_parquet(layer.fields, layer.geometry, boxes, path, crs_of(crs), publish, layer.kind, UNITS)
+    write_gpkg([layer for _, layer in layers], here.directory / VECTORS, crs_of(crs))
+    return facts
+
+
+def _wkb(shapes: Shapes) -> list[bytes]:
+    return [polygon_wkb(polygon) for polygon in shapes.polygons()]
+
+
+def building_fields(rows: Table) -> dict[str, Any]:
+    """The delivered fields of buildings; `id` follows from the place of the first cell."""
+    places = zip(rows["cell_column"].tolist(), rows["cell_row"].tolist(), strict=True)
+    return {
+        "id": [f"{column}_{row}" for column, row in places],
+        "height": _round(rows["object_height"]),
+        "height_median": _round(rows["median_height"]),
+        "area": _round(rows["object_area"]),
+        "confidence": _round(rows["confidence"], 4),
+        "echoes": rows["object_echoes"].astype(np.int64),
+        "outline": [OUTLINES[k] for k in rows["outline"].tolist()],
+    }
+
+
+def tree_fields(rows: Table) -> dict[str, Any]:
+    """The delivered fields of trees; `id` follows from the place of the top, in centimetres."""
+    places = np.rint(100.0 * np.stack([rows["x"], rows["y"]], axis=1)).astype(np.int64)
+    return {
+        "id": [f"{x}_{y}" for x, y in places.tolist()],
+        "height": _round(rows["object_height"]),
+        "crown_area": _round(rows["object_area"]),
+        "confidence": _round(rows["confidence"], 4),
+        "echoes": rows["object_echoes"].astype(np.int64),
+    }
+
+
+def _round(values: NDArray[np.float32], digits: int = 2) -> NDArray[np.float64]:
+    return np.asarray(np.round(values.astype(np.float64), digits), np.float64)
+
+
+def _bounds(shapes: Shapes) -> NDArray[np.float64]:
+    """xmin, ymin, xmax, ymax of every object [m]."""
+    out = np.empty((shapes.rows.rows, 4))
+    for k, polygon in enumerate(shapes.polygons()):
+        out[k, :2], out[k, 2:] = polygon[0].min(axis=0), polygon[0].max(axis=0)
+    return out
+
+
+def layers_made(plan: Plan) -> Names:
+    """The layers of ``vectors.gpkg`` that a run makes: of what is asked for, where there is a class of it."""
+    wanted, there = plan.config.vectors, class_names(plan)
+    if not wanted.write:
+        return ()
+    buildings = any(str(code) in there for code in wanted.buildings.codes)
+    trees = any(str(code) in there for code in wanted.trees.codes)
+    return (*(("buildings",) if buildings else ()), *(("trees", "crowns") if trees else ()))
+
+
+def lacking(plan: Plan) -> str:
+    """What a user should know of vectors that a survey's classes do not give; nothing of others."""
+    wanted, made = plan.config.vectors, layers_made(plan)
+    codes = {"buildings": wanted.buildings.codes, "trees": wanted.trees.codes}
+    return "\n".join(
+        f"note: vectors have no {name}: no class has code {', '.join(map(str, some))} (vectors.{name}.codes)"
+        for name, some in codes.items()
+        if wanted.write and name not in made
+    )
+
+
+def vector_remarks(made: Mapping[str, Any]) -> list[str]:
+    """What a user should know of delivered vectors, by the facts of their part."""
+    if not made["sparse"]:
+        return []
+    return [
+        f"{made['density']:.2g} pulses per m² are few for footprints: their outlines, of cells of {made['cell']:g} m, "
+        "are rough, and small buildings are missing"
+    ]
+
+
+def _blocks(plan: Plan) -> tuple[Tile, ...]:
+    return plan.layout.blocks(plan.config.terrain.block)
+
+
+def _of_blocks(stage: str) -> Any:
+    def needs(plan: Plan, part: object) -> Iterator[Name]:
+        return ((stage, block.key) for block in _blocks(plan))
+
+    return needs
+
+
+def _largest_cells(plan: Plan, block: Tile) -> Box:
+    """What a block owns, in cells of any size."""
+    return owned(block, _largest(plan)).box.grown(_largest(plan))
+
+
+def _largest(plan: Plan) -> float:
+    """Edge of the largest cells that there may be [m]."""
+    return max(plan.config.vectors.cells[-1], plan.config.vectors.trees.cell)
+
+
+def _given(plan: Plan) -> Mapping[str, Any]:
+    return {"params": plan.config.vectors}
+
+
+COUNT_PULSES = Stage(
+    "pulse-density",
+    1,
+    "block",
+    "echo",
+    counted_pulses,
+    when=lambda plan: bool(layers_made(plan)),
+    parts=_blocks,
+    edge=lambda plan: plan.config.terrain.block,
+    arguments=lambda plan: {"square": plan.config.vectors.square},
+    reads=("echo_number", "number_of_echoes"),
+    halo=0.0,
+    area=lambda plan, block: owned(block, plan.config.vectors.square).box,
+)
+CHOOSE_CELL = Stage(
+    CELL,
+    1,
+    "survey",
+    "part",
+    chosen_cell,
+    when=lambda plan: bool(layers_made(plan)),
+    arguments=_given,
+    after=(COUNT_PULSES.name,),
+    needs=_of_blocks(COUNT_PULSES.name),
+)
+_READ = ("classification", "confidence", "height_above_ground")
+FIND_BUILDINGS = Stage(
+    "buildings",
+    1,
+    "block",
+    "echo",
+    building_block,
+    when=lambda plan: "buildings" in layers_made(plan),
+    parts=_blocks,
+    edge=lambda plan: plan.config.terrain.block,
+    arguments=_given,
+    reads=_READ,
+    halo=lambda plan: MARGIN * plan.config.vectors.cells[-1],
+    area=_largest_cells,
+    after=(CELL,),
+    needs=lambda plan, part: [(CELL, "all")],
+)
+FIND_TREES = Stage(
+    "tree-tops",
+    1,
+    "block",
+    "echo",
+    tree_block,
+    when=lambda plan: "trees" in layers_made(plan),
+    parts=_blocks,
+    edge=lambda plan: plan.config.terrain.block,
+    arguments=_given,
+    reads=_READ,
+    halo=lambda plan: plan.config.vectors.trees.halo(_largest(plan)) + _largest(plan),
+    area=_largest_cells,
+    after=(CELL,),
+    needs=lambda plan, part: [(CELL, "all")],
+)
+DELIVER_VECTORS = Stage(
+    "publish-vectors",
+    1,
+    "survey",
+    "part",
+    delivered_vectors,
+    when=lambda plan: bool(layers_made(plan)),
+    arguments=lambda plan: {"params": plan.config.vectors, "publish": plan.config.publish, "crs": plan.survey.crs},
+    silent=NO_BYTE,
+    after=(CELL, FIND_BUILDINGS.name, FIND_TREES.name),
+    needs=lambda plan, part: [
+        (CELL, "all"),
+        *((s.name, b.key) for s in (FIND_BUILDINGS, FIND_TREES) if s.when(plan) for b in _blocks(plan)),
+    ],
+    where="deliver",
+)

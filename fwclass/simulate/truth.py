@@ -1,0 +1,106 @@
+"""What stands in the simulated town: the outlines of its buildings' parts, and its trees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy  # its parts are loaded when they are used
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from fwclass.formats.gdal import write_shapes
+from fwclass.formats.wkb import point_wkb, polygon_wkb
+from fwclass.simulate.city import build_scene
+from fwclass.simulate.params import SimulateParams
+from fwclass.simulate.scene import BUILDING, CONE, HIGH, Scene, terrain
+
+TRUTH = "truth.gpkg"
+
+
+def parts_of_buildings(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Plans of all solids that buildings are made of (roofs with their overhang, walls, chimneys): corners
+    (parts, 4, 2) [m], counterclockwise; the building of each, parts that overlap being one; tops [m]."""
+    solids = np.flatnonzero(scene.solid_class == BUILDING)
+    sides = scene.planes[scene.plane_start[solids][:, None] + np.arange(4)][:, (0, 2, 1, 3)]  # around, not in pairs
+    ahead = np.roll(sides, -1, axis=1)
+    across = sides[..., 0] * ahead[..., 1] - sides[..., 1] * ahead[..., 0]
+    x = (sides[..., 3] * ahead[..., 1] - ahead[..., 3] * sides[..., 1]) / across
+    y = (sides[..., 0] * ahead[..., 3] - ahead[..., 0] * sides[..., 3]) / across
+    corners = np.stack([x, y], axis=-1)
+    box = scene.box[solids]
+    near = np.ones((len(solids), len(solids)), bool)
+    for low, high in ((0, 3), (1, 4)):
+        near &= (box[:, None, low] <= box[None, :, high]) & (box[None, :, low] <= box[:, None, high])
+    pairs = [(a, b) for a, b in np.argwhere(np.triu(near, 1)).tolist() if _overlap(corners[a], corners[b])]
+    one, other = np.array(pairs, np.int64).reshape(-1, 2).T
+    links = scipy.sparse.coo_array((np.ones(len(one), bool), (one, other)), (len(solids), len(solids)))
+    _, building = scipy.sparse.csgraph.connected_components(links, directed=False)
+    return corners, building.astype(np.int64), box[:, 5]
+
+
+def _overlap(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Whether two convex polygons share area: no side of either separates them."""
+    for polygon in (one, other):
+        along = np.roll(polygon, -1, axis=0) - polygon
+        normals = np.stack([along[:, 1], -along[:, 0]], axis=1)
+        mine, theirs = normals @ one.T, normals @ other.T
+        if ((mine.max(axis=1) <= theirs.min(axis=1)) | (theirs.max(axis=1) <= mine.min(axis=1))).any():
+            return False
+    return True
+
+
+def trees_of(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Every tree, (trees, 5): x, y of the stem, height of its top, its height above the terrain, diameter of the crown
+    [m]; and whether another crown rises over its top."""
+    stems = scene.box[: len(scene.solid_class)][scene.solid_class == HIGH]
+    place = 0.5 * (stems[:, :2] + stems[:, 3:5])
+    at = scipy.spatial.cKDTree(scene.crown[:, 1:3]).query_ball_point(place, 1e-6)
+    crown = scene.crown[[min(rows) for rows in at]] if len(place) else scene.crown[:0]
+    ground = [terrain(scene.height, scene.margin, scene.step, x, y) for x, y in place]
+    trees = np.column_stack([place, crown[:, 4], crown[:, 4] - np.array(ground), 2.0 * crown[:, 5]])
+    return trees, np.array([_overtopped(one, crown) for one in crown], bool)
+
+
+def _overtopped(one: NDArray[np.float64], crowns: NDArray[np.float64]) -> bool:
+    """Whether one of `crowns` (rows of `Scene.crown`) is higher above the top of `one` than that."""
+    shape, x, y, bottom, top, reach = crowns.T[:6]
+    share = np.hypot(x - one[1], y - one[2]) / reach
+    ellipsoid = 0.5 * (bottom + top) + 0.5 * (top - bottom) * np.sqrt(np.clip(1.0 - share**2, 0.0, None))
+    height = np.where(shape == CONE, top - share * (top - bottom), ellipsoid)
+    return bool(((share < 1.0) & (height > one[4] + 1e-9)).any())
+
+
+def write_truth(params: SimulateParams, out: Path) -> Path:
+    """Write ``truth.gpkg``; returns its path.
+
+    Layer `buildings`: the plan of every part (`building`: the number of what it belongs to, `top` [m], `whole`: no part
+    of that building lies outside the survey area or in its gap). Layer `trees`: stems (`height` above the terrain,
+    `crown` diameter [m], `whole`, `overtopped`: another crown rises over its top).
+    """
+    scene = build_scene(params)
+    move, path = np.array([params.origin_x, params.origin_y]), out / TRUTH
+    corners, building, top = parts_of_buildings(scene)
+    out.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.stem}.part.gpkg")
+    beside.unlink(missing_ok=True)
+    crs = CRS.from_user_input(params.crs).to_wkt("WKT1_GDAL")
+    seen = np.array([_seen(scene, part) for part in corners], bool)
+    whole = np.bincount(building, ~seen)[building] == 0 if len(seen) else seen
+    fields: dict[str, Any] = {"building": building, "top": top + params.base_height, "whole": whole}
+    write_shapes(beside, "buildings", [polygon_wkb([part + move]) for part in corners], fields, crs)
+    trees, overtopped = trees_of(scene)
+    seen = np.array([_seen(scene, one[None, :2]) for one in trees], bool)
+    fields = {"top": trees[:, 2] + params.base_height, "height": trees[:, 3], "crown": trees[:, 4], "whole": seen}
+    fields["overtopped"] = overtopped
+    write_shapes(beside, "trees", point_wkb(trees[:, 0] + move[0], trees[:, 1] + move[1]), fields, crs, "Point")
+    return beside.replace(path)
+
+
+def _seen(scene: Scene, points: NDArray[np.float64]) -> bool:
+    """Whether all points (n, 2) [m] lie in the survey area and none in its gap."""
+    x, y, cos, sin, half_length, half_width = scene.gap
+    dx, dy = (points - (x, y)).T
+    gap = (np.abs(dx * cos + dy * sin) < half_length) & (np.abs(dy * cos - dx * sin) < half_width)
+    return bool(((points > 0.0) & (points < scene.size)).all() and not gap.any())

@@ -1,0 +1,106 @@
+"""Outlines of cells: rings that are valid whatever the cells, and right angles where the walls have them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+
+from fwclass.vectors.outline import area, corners, covered, filled, mask_of, rings, simplified, sound
+from fwclass.vectors.regular import direction, middles, right_angled
+
+
+def one_piece(seed: int, size: int = 24, share: float = 0.6) -> np.ndarray:
+    """The largest piece of a random mask, by sides and corners, with its margin."""
+    from scipy import ndimage
+
+    rng = np.random.default_rng(seed)
+    labels, _ = ndimage.label(rng.random((size, size)) < share, np.ones((3, 3)))
+    rows, cols = np.nonzero(labels == np.argmax(np.bincount(labels.ravel())[1:]) + 1)
+    return mask_of(rows, cols)[0]
+
+
+def polygon(parts) -> shapely.Polygon:
+    return shapely.Polygon(parts[0], parts[1:])
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_rings_of_any_piece_are_a_valid_polygon_of_its_cells(seed):
+    mask = filled(one_piece(seed, share=0.45 + 0.01 * seed), 1)
+    made = polygon([corners(ring).astype(float) for ring in rings(mask)])
+    assert made.is_valid
+    assert made.area == mask.sum()
+    assert (covered([r.astype(float) for r in rings(mask)], mask.shape) == mask).all()
+
+
+def test_small_holes_are_filled_and_large_ones_are_rings():
+    mask = np.zeros((14, 14), bool)
+    mask[1:13, 1:13] = True
+    mask[3, 3] = mask[6:9, 6:9] = False
+    outline, hole = rings(filled(mask, 4))
+    assert area(outline) == 144 and area(hole) == -9
+    assert corners(hole).shape == (4, 2)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_whether_a_polygon_is_sound_is_what_another_program_says(seed):
+    rng = np.random.default_rng(seed)
+    ring = rng.integers(0, 6, (rng.integers(3, 8), 2)).astype(float)
+    ring = ring[(ring != np.roll(ring, 1, axis=0)).any(axis=1)]  # a corner twice is no corner
+    ring = ring if area(ring) > 0 else ring[::-1]
+    assert sound([ring]) == (shapely.Polygon(ring).is_valid and area(ring) > 0)
+
+
+def test_holes_lie_inside_and_apart():
+    outline = np.array([[0, 0], [9, 0], [9, 9], [0, 9]], float)
+    hole = np.array([[2, 2], [2, 4], [4, 4], [4, 2]], float)
+
+    def moved(by):
+        return hole + np.array([by, by])
+
+    assert sound([outline, hole]) and sound([outline, hole, moved(3)])
+    assert not sound([outline, moved(20)]) and not sound([outline, moved(6)])
+    assert not sound([outline, hole, moved(1)]) and not sound([outline[::-1], hole])
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_corner_lies_further_from_the_simplified_ring_than_the_tolerance(seed):
+    ring = middles(rings(filled(one_piece(seed), 1))[0])
+    stays = simplified(ring, 1.5)
+    line = shapely.LinearRing(ring[stays])
+    assert max(shapely.Point(p).distance(line) for p in ring) <= 1.5 + 1e-9
+    assert 3 <= len(stays) < len(ring)
+
+
+def rastered(shape: shapely.Polygon) -> np.ndarray:
+    """Cells of a metre whose middles lie in a shape, with a margin."""
+    rows, cols = np.mgrid[0:120, 0:120]
+    return shapely.contains_xy(shape, cols + 0.5, rows + 0.5)
+
+
+L = shapely.Polygon([(20, 20), (90, 20), (90, 60), (55, 60), (55, 95), (20, 95)])
+
+
+@pytest.mark.parametrize("degrees", [0, 7, 14, 31, 45, 60, 83])
+def test_the_walls_of_a_turned_building_come_back_right_angled(degrees):
+    shape = shapely.affinity.rotate(L, degrees, (60, 60))
+    points = middles(rings(rastered(shape))[0])
+    plain = points[simplified(points, 1.5)]
+    angle = direction([plain])
+    assert abs((math.degrees(angle) - degrees + 45) % 90 - 45) < 1.0
+    ring = right_angled(points, angle, 1.5, 3.0)
+    assert ring is not None and len(ring) == 6
+    made = shapely.Polygon(ring)
+    assert made.intersection(shape).area / made.union(shape).area > 0.97
+    along = np.roll(ring, -1, axis=0) - ring
+    turned = np.sum(along * np.roll(along, -1, axis=0), axis=1)
+    assert np.abs(turned / np.prod(np.hypot(*along.T).mean())).max() < 1e-9
+
+
+def test_a_round_thing_has_no_right_angles():
+    points = middles(rings(rastered(shapely.Point(60, 60).buffer(40)))[0])
+    ring = right_angled(points, 0.3, 1.5, 3.0)
+    assert ring is not None  # steps; that it does not agree is who asks for it to tell
+    assert right_angled(points[:2], 0.0, 1.5, 3.0) is None
