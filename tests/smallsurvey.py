@@ -6,6 +6,9 @@ from pathlib import Path
 
 import lasmaker
 import numpy as np
+from click.testing import CliRunner
+
+from fwclass.cli import cli
 
 CONFIG = """survey:
   name: small
@@ -32,3 +35,12 @@ def small_survey(place: Path) -> Path:
     path = place / "s.yaml"
     path.write_text(CONFIG)
     return path
+
+
+def deliver(place: Path, *settings: str) -> None:
+    """Run the survey of a directory into ``run`` beside it."""
+    words = [w for s in settings for w in ("--set", s)]
+    made = CliRunner().invoke(
+        cli, ["run", str(place / "s.yaml"), "--out", str(place / "run"), "--workers", "0", *words]
+    )
+    assert made.exit_code == 0, made.output

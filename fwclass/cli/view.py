@@ -14,6 +14,7 @@ from fwclass.cli.base import OVERWRITE, PATH, SET, cli
 @click.option("--port", type=click.IntRange(0, 65535), help="Listen there (default: any free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address only.")
 @click.option("--against", type=PATH, metavar="OTHER", help="Another run of the same survey, side by side.")
+@click.option("--allow-run", is_flag=True, help="Let the page start the run's last command once more.")
 @click.option("--worklist", type=PATH, metavar="FILE", help="Write the unsure places as a GeoPackage, and end.")
 @click.option("--export", type=PATH, metavar="DIR", help="Write the page to a new folder for any web server, and end.")
 @SET
@@ -23,12 +24,13 @@ def view(
     port: int | None,
     no_browser: bool,
     against: Path | None,
+    allow_run: bool,
     worklist: Path | None,
     export: Path | None,
     settings: tuple[str, ...],
     overwrite: bool,
 ) -> None:
-    """Look at a run: its cloud, the waveform behind an echo, and why it has its class.
+    """Look at a run: its cloud, the waveform behind an echo, and why it has its class; correct classes.
 
     The page is served on 127.0.0.1 alone, and answers who has the address that is printed. Ctrl-C ends it.
     """
@@ -38,8 +40,10 @@ def view(
     if worklist is not None and export is not None:
         raise click.UsageError("--worklist and --export are two commands")
     if worklist is not None:
-        if against is not None or port is not None or no_browser:
-            raise click.UsageError("--worklist serves nothing: it goes without --against, --port and --no-browser")
+        if against is not None or port is not None or no_browser or allow_run:
+            raise click.UsageError(
+                "--worklist serves nothing: it goes without --against, --port, --no-browser and --allow-run"
+            )
         from fwclass.delivery.worklist import write_work_list
 
         click.echo(write_work_list(run, params, worklist, overwrite), err=True)
@@ -55,4 +59,4 @@ def view(
         raise click.UsageError("--overwrite belongs to --worklist")
     from fwclass.delivery.viewing import serve_view
 
-    serve_view(run, params, port or 0, against, not no_browser, click.echo)
+    serve_view(run, params, port or 0, against, not no_browser, click.echo, allow_run)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import UNSURE, ViewedRun
+from fwclass.delivery.viewed_colours import CORRECTED
 from fwclass.publish.copc import streamed
 from fwclass.publish.files import whole_directory
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -84,31 +85,16 @@ class ExportedRun(ViewedRun):
         out = []
         for k, row in enumerate(rows.tolist()):
             values = {n: _plain(v[k]) for n, v in columns.items()}
-            node, at = self._at(key, row)
+            node, at, _ = self._in_blocks(key, np.array([row]))[0]
             x, y, z = (round(values[a] - o, 3) for a, o in zip("xyz", self.origin, strict=True))
-            about = {"tile": key, "row": row, "values": values}
             strip, pulse, number = (int(values[n]) for n in IDENTITY)
             self._asked[strip, pulse, number] = key, row
-            out.append(Told(node, at, strip, pulse, number, (x, y, z), about))
+            out.append(Told(node, int(at[0]), strip, pulse, number, (x, y, z), self._about(key, row, values)))
         return out
 
-    def _at(self, key: str, row: int) -> tuple[Node, int]:
-        """The node that has an echo of a tile, and its row in the node's block."""
-        opened, at = self._tile(key), row
-        if self._node_of(opened, at)[0][0] < self.pyramid.own:
-            opened = self._skim()
-            columns, number = opened.columns, list(self.tiles).index(key)
-            at = int(np.flatnonzero((columns["tile"] == number) & (columns["row"] == row))[0])
-        return self._node_of(opened, at)
-
-    @staticmethod
-    def _node_of(opened: Any, row: int) -> tuple[Node, int]:
-        place = int(np.flatnonzero(opened.order == row)[0])
-        node, (first, _) = next((n, span) for n, span in opened.nodes.items() if span[0] <= place < span[1])
-        return node, place - first
-
     def _tile_bytes(self, key: str, name: str) -> NDArray[np.uint8]:
-        return self._open.get(("bytes", key, name), lambda: super(ExportedRun, self)._tile_bytes(key, name))
+        version = self._version(key) if name == CORRECTED else 0
+        return self._open.get(("bytes", key, name, version), lambda: super(ExportedRun, self)._tile_bytes(key, name))
 
 
 def _first_of_each(place: NDArray[np.int64], order: NDArray, most: int) -> NDArray[np.int64]:

@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cached_property
+from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -15,12 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
-from fwclass.delivery.opened import Delivery
+from fwclass.delivery.opened import Delivery, open_run
+from fwclass.delivery.viewed_colours import CORRECTED, DIFFERS, MEANING, RIGHT, accepted, compared, kinds, verdicts
+from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
+from fwclass.delivery.viewed_relabel import Relabelling
+from fwclass.delivery.viewed_tile import OpenTile, by_node, positions
 from fwclass.errors import FwclassError, InputError
 from fwclass.publish.octree import drawn_by
 from fwclass.publish.palette import colours, css
-from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.schema import IDENTITY, Table
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
 from fwclass.view.params import ViewParams
@@ -31,34 +36,14 @@ from fwclass.view.worklist import UnsureEchoes, WorkList
 THREADS = 2
 """That read tiles ahead; more take turns at the interpreter's lock."""
 
-
-RIGHT, DIFFERS = "right_or_wrong", "differs"
 HIDDEN = ("x", "y", "z", "pulse", "echo_number")
 """Columns that are no colours."""
-
-VERDICTS = (("no reference", "#b8bec3"), ("right", "#2f7d46"), ("wrong", "#c8102e"))
-COMPARED = (("not in the other run", "#b8bec3"), ("same class", "#7fa7b5"), ("another class", "#c8102e"))
-STRIPS = ("#009ea3", "#c44e8c", "#f0c43c", "#566ebe", "#8c563c", "#5fa83c", "#e2782a", "#7a4fb0")
-"""Colours of strips, in turn."""
 
 UNSURE = ("x", "y", "z", "confidence", "classification")
 """Columns that the work list is made of."""
 
 REMEMBERED = 10_000
 """Echoes whose place in the tables is known from when they were looked at."""
-
-
-@dataclass(frozen=True)
-class OpenTile:
-    """A tile's columns, the order of its echoes in blocks, and the span of every node in that order."""
-
-    columns: Mapping[str, NDArray]
-    order: NDArray[np.int64]
-    nodes: Mapping[Node, tuple[int, int]]
-
-    @property
-    def size(self) -> int:
-        return int(sum(v.nbytes for v in self.columns.values()) + self.order.nbytes)
 
 
 class ViewedRun:
@@ -79,8 +64,19 @@ class ViewedRun:
         self._pool, self._lock = ThreadPoolExecutor(THREADS), Lock()
         self._skimmed: OpenTile | None = None
         self._behind = BehindEchoes(delivery)
+        self.relabel = Relabelling(delivery, params, self._in_blocks)
         self._other = other.path / "parquet" if other is not None else None
         self._asked: dict[tuple[int, ...], tuple[str, int]] = {}
+
+    @property
+    def name(self) -> str:
+        return self.delivery.path.name
+
+    def reopened(self) -> ViewedRun:
+        from fwclass.delivery.viewed_large import viewed  # which is made of this
+
+        current = open_run(self.delivery.root)
+        return self if current.path == self.delivery.path else viewed(current, self.params)
 
     def prepare(self) -> None:
         """Make ahead what the page asks for first; what fails will be said when it is asked for."""
@@ -99,9 +95,11 @@ class ViewedRun:
         return {
             "name": report["survey"],
             "crs": report["place"].get("crs"),
-            "delivery": self.delivery.path.name,
+            "delivery": self.name,
+            "rows": self.relabel.corrections.rows().all.rows,
             "echoes": self.echoes,
             "against": self._other is not None,
+            "relabels": self._other is None,
             "origin": self.origin,
             "size": pyramid.size,
             "west": pyramid.west,
@@ -116,36 +114,35 @@ class ViewedRun:
 
     def scale(self, part: str) -> dict[str, Any]:
         field = self._field(part)
-        if part == "strip":
-            names = {int(f["strip"]): str(f["path"]) for f in self.delivery.report["input"]["files"]}
-            kinds = [(n % NO_VALUE, name) for n, name in sorted(names.items())][:NO_VALUE]
-            return {**field, "classes": [_kind(code, name, STRIPS[code % len(STRIPS)]) for code, name in kinds]}
-        if part == DIFFERS:
-            return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(COMPARED)]}
-        if part == RIGHT:
-            return {**field, "classes": [_kind(code, *kind) for code, kind in enumerate(VERDICTS)]}
+        if (named := kinds(part, self.delivery.report["input"]["files"])) is not None:
+            return {**field, "classes": named}
         scale = self._scale(part)
         return {**field, "low": scale.low, "high": scale.high}
 
     def level(self, part: str, level: int) -> bytes:
         if level not in self.pyramid.levels():
             raise InputError("no such level", where=self.delivery.path, got=level)
-        return bytes(self._blocks.get((part, level), lambda: self._whole_level(part, level)))
+        version = self.relabel.corrections.rows().all.rows if part in (ECHOES, CORRECTED) else 0
+        return bytes(self._blocks.get((part, level, version), lambda: self._whole_level(part, level)))
 
     def node(self, part: str, node: Node) -> bytes:
         if not self.pyramid.has(node):
             raise InputError("no such block", where=self.delivery.path, got=node)
-        return bytes(self._blocks.get((part, node), lambda: self._block(part, node)))
+        version = self._version(self._key_of(node)) if part in (ECHOES, CORRECTED) else 0
+        return bytes(self._blocks.get((part, node, version), lambda: self._block(part, node)))
 
     def echo(self, node: Node, row: int) -> dict[str, Any]:
         tile, at = self._row_of(node, row)
-        path = self.delivery.path / "parquet" / f"{tile}.parquet"
-        names = [f["name"] for f in self._fields if f["name"] not in (RIGHT, DIFFERS)]
-        values = {n: _plain(v[at]) for n, v in table_columns(path, names).items()}
+        names = [f["name"] for f in self._fields if f["name"] not in MEANING]
+        values = {n: _plain(v[at]) for n, v in self._columns(tile, names).items()}
         if len(self._asked) >= REMEMBERED:
             self._asked.clear()
         self._asked[tuple(int(values[n]) for n in IDENTITY)] = tile, at
-        return {"tile": tile, "row": at, "values": values}
+        return self._about(tile, at, values)
+
+    def _about(self, tile: str, row: int, values: dict[str, Any]) -> dict[str, Any]:
+        classes, rows = self._classes(self._tile(tile), tile)
+        return {"tile": tile, "row": row, "values": values, "corrected": int(classes[row]) if row in rows else None}
 
     def pulse(self, strip: int, pulse: int) -> dict[str, Any]:
         return self._behind.pulse(strip, pulse)
@@ -174,7 +171,7 @@ class ViewedRun:
 
     def _place_of(self, strip: int, pulse: int, echo_number: int) -> tuple[str, int]:
         for key in self.tiles:
-            who = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", IDENTITY)
+            who = self._columns(key, IDENTITY)
             here = (who["strip"] == strip) & (who["pulse"] == pulse) & (who["echo_number"] == echo_number)
             if here.any():
                 return key, int(np.flatnonzero(here)[0])
@@ -200,14 +197,49 @@ class ViewedRun:
         first, last = opened.nodes[node]
         rows = opened.order[first:last]
         if part == ECHOES:
-            return block(self.pyramid, node, opened.columns, rows, self.origin)
+            shown = {**opened.columns, "classification": self._classes(opened, self._key_of(node))[0]}
+            return block(self.pyramid, node, shown, rows, self.origin)
         return column_block(node, self._bytes(part, node, rows))
 
     def _holder(self, node: Node) -> OpenTile:
-        if node[0] < self.pyramid.own:
+        key = self._key_of(node)
+        if not key:
             return self._skim()
-        key = "{}_{}".format(*self.pyramid.tile_of(node))
         return self._tile(key) if key in self.tiles else OpenTile({}, np.empty(0, np.int64), {})
+
+    def _key_of(self, node: Node) -> str:
+        """The tile that a node lies in, "" for one over several."""
+        return "" if node[0] < self.pyramid.own else "{}_{}".format(*self.pyramid.tile_of(node))
+
+    def _version(self, key: str) -> int:
+        """What changes with corrections in a tile, with any for ""."""
+        rows = self.relabel.corrections.rows()
+        return rows.version(key) if key else rows.all.rows
+
+    def _classes(self, opened: OpenTile, key: str) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """Classes of a tile's echoes, or of the coarse ones for "", corrections in place; rows of corrected ones."""
+        rows = self.relabel.corrections.rows()
+        labels = rows.of(key) if key else rows.labels
+        if not labels.rows:
+            return in_place(opened.columns, labels, 0.0)
+        name = "classes", key, self._version(key)
+        reach = self.relabel.corrections.reach
+        return self._open.get(name, lambda: in_place(opened.columns, labels, reach), lambda v: len(v[0]))
+
+    def _in_blocks(self, key: str, rows: NDArray[np.int64]) -> list[tuple[Node, NDArray, NDArray]]:
+        """Nodes that have echoes `rows` of a tile, their rows in the node's block, and indices into `rows`."""
+        out = [part for part in by_node(self._tile(key), rows) if part[0][0] >= self.pyramid.own]
+        if self.pyramid.own:
+            at, index = self._coarse_rows(key, rows)
+            out += [(node, r, index[i]) for node, r, i in by_node(self._skim(), at)]
+        return out
+
+    def _coarse_rows(self, key: str, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where echoes `rows` of a tile stand among the coarse ones, for those that do, and indices into `rows`."""
+        columns, number = self._skim().columns, list(self.tiles).index(key)
+        first, last = np.searchsorted(columns["tile"], [number, number + 1])
+        at, index = positions(columns["row"][first:last], rows)
+        return first + at, index
 
     def _tile(self, key: str) -> OpenTile:
         return self._open.get(key, lambda: self._opened(key), lambda tile: tile.size)
@@ -220,7 +252,7 @@ class ViewedRun:
         return OpenTile(columns, *placed(self.pyramid, level, columns["x"], columns["y"]))
 
     def _read(self, key: str) -> dict[str, NDArray]:
-        columns = table_columns(self.delivery.path / "parquet" / f"{key}.parquet", (*DRAWN, *IDENTITY))
+        columns = self._columns(key, (*DRAWN, *IDENTITY))
         lacking = [n for n in (*DRAWN, *IDENTITY) if n not in columns]
         if lacking:
             raise InputError("a delivered tile lacks columns", where=key, got=", ".join(lacking), do="run again")
@@ -260,16 +292,13 @@ class ViewedRun:
 
     @cached_property
     def _fields(self) -> list[dict[str, str]]:
-        fields = table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
+        fields = table_fields(self._file(next(iter(self.tiles))))
+        more = [CORRECTED]
         if self.delivery.report["accuracy"] and self._behind.has_reference:
-            fields.append(
-                {"name": RIGHT, "unit": "", "meaning": "the class beside the reference's, training areas too"}
-            )
+            more.append(RIGHT)
         if self._other is not None:
-            fields.append(
-                {"name": DIFFERS, "unit": "", "meaning": "the class beside that of the same echo in the other run"}
-            )
-        return fields
+            more.append(DIFFERS)
+        return fields + [{"name": name, "unit": "", "meaning": MEANING[name]} for name in more]
 
     def _field(self, name: str) -> dict[str, str]:
         known = {f["name"]: f for f in self._fields}
@@ -293,10 +322,15 @@ class ViewedRun:
         return self._columns(key, (name,))[name]
 
     def _columns(self, key: str, names: Sequence[str]) -> dict[str, NDArray]:
-        return table_columns(self.delivery.path / "parquet" / f"{key}.parquet", names)
+        return table_columns(self._file(key), names)
+
+    def _file(self, key: str) -> Path:
+        return self.delivery.path / "parquet" / f"{key}.parquet"
 
     def _bytes(self, name: str, node: Node, rows: NDArray[np.int64]) -> NDArray[np.uint8]:
         if node[0] < self.pyramid.own:
+            if name == CORRECTED:
+                return self._accepted(self._skim(), "")[rows]
             return self._skimmed_column(name)[rows]
         key = "{}_{}".format(*self.pyramid.tile_of(node))
         return self._tile_bytes(key, name)[rows]
@@ -305,35 +339,23 @@ class ViewedRun:
         """A byte an echo of a tile, in the table's order."""
         if name == RIGHT:
             return self._verdicts(key)
-        if name == DIFFERS:
-            return self._compared(key)
+        if name == CORRECTED:
+            return self._accepted(self._tile(key), key)
+        if name == DIFFERS and self._other is not None:
+            return compared(self._file(key), self._other / f"{key}.parquet")
         values = self._column(key, name)
         return (values % NO_VALUE).astype(np.uint8) if name == "strip" else self._scale(name).bytes_of(values)
 
-    def _compared(self, key: str) -> NDArray[np.uint8]:
-        """0 for an echo that the other run has not in this tile, 1 where the classes are the same, 2 where not."""
-        path = self._other / f"{key}.parquet" if self._other is not None else None
-        mine = self._columns(key, (*IDENTITY, "classification"))
-        out = np.zeros(len(mine["strip"]), np.uint8)
-        if path is None or not path.is_file():
-            return out
-        other = table_columns(path, (*IDENTITY, "classification"))
-        _, here, there = np.intersect1d(_key(mine), _key(other), assume_unique=True, return_indices=True)
-        out[here] = np.where(mine["classification"][here] == other["classification"][there], 1, 2)
-        return out
+    def _accepted(self, opened: OpenTile, key: str) -> NDArray[np.uint8]:
+        return accepted(opened.columns["classification"], *self._classes(opened, key))
 
     def _verdicts(self, key: str) -> NDArray[np.uint8]:
-        """0 without a reference, 1 right, 2 wrong; of a code that no class counts there is no verdict."""
         given = self._column(key, "classification")
         try:
             reference = self._behind.reference(key)
         except (FwclassError, OSError):
             return np.zeros(len(given), np.uint8)
-        counted = np.zeros(256, np.int64)
-        for one in self.delivery.report["config"]["survey"]["classes"]:
-            counted[list(one["codes"])] = one["code"]
-        known = counted[reference]
-        return np.where(known == 0, 0, np.where(known == given, 1, 2)).astype(np.uint8)
+        return verdicts(given, reference, self.delivery.report["config"]["survey"]["classes"])
 
     def _skimmed_column(self, name: str) -> NDArray[np.uint8]:
         return self._open.get(("skimmed", name), lambda: self._skim_column(name), lambda v: v.nbytes)
@@ -351,14 +373,6 @@ class ViewedRun:
 
 def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
     return drawn_by(Table({n: columns[n] for n in IDENTITY}))
-
-
-def _key(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
-    return canonical_key(Table({n: columns[n] for n in IDENTITY}))
-
-
-def _kind(code: int, name: str, colour: str) -> dict[str, Any]:
-    return {"code": code, "name": name, "colour": colour}
 
 
 def _plain(value: Any) -> Any:

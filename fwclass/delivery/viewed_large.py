@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from fwclass.delivery.echoes import table_fields
 from fwclass.delivery.opened import Delivery
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewed_tile import positions
 from fwclass.errors import InputError
 from fwclass.formats.extra_bytes import published
 from fwclass.grid import TileGrid, quantised
@@ -88,6 +90,20 @@ class LargeRun(ViewedRun):
             raise InputError("the overview has an echo that its tile has not", where=self.delivery.path, got=key)
         return key, int(here[0])
 
+    def _coarse_rows(self, key: str, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        if "row" in self._skim().columns:
+            return super()._coarse_rows(key, rows)
+        order, ascending = self._by_key
+        at, index = positions(ascending, _key(self._tile(key).columns)[rows])
+        return order[at], index
+
+    @cached_property
+    def _by_key(self) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
+        """The order of the coarse echoes by who they are, and who they are in that order."""
+        who = _key(self._skim().columns)
+        order = np.argsort(who)
+        return order, who[order]
+
     def _skim_column(self, name: str) -> NDArray[np.uint8]:
         columns = self._skim().columns
         if "row" in columns:
@@ -96,13 +112,11 @@ class LargeRun(ViewedRun):
             return np.asarray(columns[name] % NO_VALUE, np.uint8)
         if name in columns:
             return self._scale(name).bytes_of(columns[name])
-        wanted = _key(columns)
-        order = np.argsort(wanted)
-        out = np.empty(len(wanted), np.uint8)
+        order, ascending = self._by_key
+        out = np.empty(len(order), np.uint8)
         for key in self.tiles:
-            who = _key(self._columns(key, IDENTITY))
-            _, here, there = np.intersect1d(who, wanted[order], assume_unique=True, return_indices=True)
-            out[order[there]] = self._tile_bytes(key, name)[here]
+            at, here = positions(ascending, _key(self._columns(key, IDENTITY)))
+            out[order[at]] = self._tile_bytes(key, name)[here]
         return out
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 import webbrowser
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
+from fwclass.delivery.viewed_command import LastCommand
 from fwclass.delivery.viewed_large import viewed
 from fwclass.view.params import ViewParams
 from fwclass.view.server import Server
@@ -25,9 +26,16 @@ def scenes_of(run: Path, against: Path | None, params: ViewParams) -> list[Viewe
 
 
 def serve_view(
-    run: Path, params: ViewParams, port: int, against: Path | None, browser: bool, tell: Callable[[str], object]
+    run: Path,
+    params: ViewParams,
+    port: int,
+    against: Path | None,
+    browser: bool,
+    tell: Callable[[str], object],
+    allow_run: bool = False,
 ) -> None:
-    """Serve a run until the command is interrupted; `tell` is told the address.
+    """Serve a run until the command is interrupted; `tell` is told the address. With `allow_run` the page may start the
+    run's last command.
 
     Raises
     ------
@@ -37,9 +45,12 @@ def serve_view(
         The port is taken.
     """
     scenes = scenes_of(run, against, params)
-    with Server(scenes, params, port) as server:
+    again = LastCommand(scenes[0].delivery.root, allow_run)
+    with Server(scenes, params, port, again) as server, closing(again):
         for scene in scenes:
             threading.Thread(target=scene.prepare, daemon=True).start()
+        if allow_run:
+            tell(f"the page may start: {again.state()['command'] or again.state()['why']}")
         tell(server.address)
         if browser and not _opened(server.address):
             tell("no browser could be started: open the address above")

@@ -20,6 +20,10 @@ HEAD = struct.Struct("<5I4x5d")
 BYTES = 12
 """Of an echo: three of 16 bits for its place, class, confidence, height above ground, intensity."""
 
+MARKS = struct.Struct("<4I")
+"""Level, column, row of a node; echoes that follow: their rows in its block (uint32), then a byte each, filled up to
+whole words."""
+
 STEP = 0.005
 """Finest step of a place [m]: a fifth of what a receiver's clock tells, and a byte an echo less than a millimetre."""
 
@@ -73,6 +77,11 @@ def block(
 def column_block(node: Node, values: NDArray[np.uint8]) -> bytes:
     """Head and deflated bytes of one column, a byte an echo, in the order of the node's block."""
     return _framed(node, len(values), np.zeros(3), 0.0, 0.0, values)
+
+
+def marks(node: Node, rows: NDArray[np.int64], values: NDArray[np.uint8]) -> bytes:
+    """Some echoes of a node's block, with a byte each."""
+    return MARKS.pack(*node, len(rows)) + rows.astype("<u4").tobytes() + values.tobytes() + bytes(-len(rows) % 4)
 
 
 def identity_block(

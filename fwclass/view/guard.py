@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from email.message import Message
 
 TOKEN = "X-Fwclass-Token"  # noqa: S105 - a header's name
+DELIVERY = "X-Fwclass-Delivery"
+"""The name of the delivery that the page began with; left out before it knows."""
 CONTENT = (
     "default-src 'none'; script-src 'self'; worker-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -33,8 +35,10 @@ class Guard:
         self.token = secrets.token_urlsafe(24)
         self.hosts = frozenset({f"127.0.0.1:{port}", f"localhost:{port}"})
 
-    def refusal(self, headers: Message[str, str], private: bool) -> tuple[int, str]:
-        """Status and words, or (0, "") for a request that may be answered.
+    def refusal(self, headers: Message[str, str], private: bool, body: int = 0) -> tuple[int, str]:
+        """Status and words, or (0, "") for a request that may be answered; it may bring `body` bytes.
+
+        What has a body changes something: it must name the page's own origin, which a browser always does.
 
         A page elsewhere reaches this address too, by a name that it lets point here: its `Host` is another.
         """
@@ -42,15 +46,24 @@ class Guard:
         if names.count("host") != 1 or headers.get("Host", "") not in self.hosts:
             return 403, "this address is reached as 127.0.0.1 only"
         origin = headers.get("Origin")
-        if origin is not None and origin not in {f"http://{h}" for h in self.hosts}:
+        if (origin is not None or body) and origin not in {f"http://{h}" for h in self.hosts}:
             return 403, "a page of another origin"
         if headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
             return 403, "a page of another site"
-        if headers.get("Transfer-Encoding") is not None or headers.get("Content-Length", "0").strip() != "0":
-            return 413, "requests have no body here"
+        if headers.get("Transfer-Encoding") is not None or not 0 <= body_bytes(headers) <= body:
+            return 413, f"requests have at most {body} bytes here" if body else "requests have no body here"
+        if body and headers.get("Content-Type", "").partition(";")[0].strip().lower() != "application/json":
+            return 415, "requests bring JSON"
         if private and not secrets.compare_digest(headers.get(TOKEN, "").encode(), self.token.encode()):
             return 401, "the address lacks the token that `fwclass view` printed: open that one"
         return 0, ""
+
+
+def body_bytes(headers: Message[str, str]) -> int:
+    """Bytes that a request says it brings; -1 for what is no number, or several."""
+    lengths = headers.get_all("Content-Length") or ["0"]
+    text = lengths[0].strip()
+    return int(text) if len(lengths) == 1 and text.isascii() and text.isdigit() and len(text) < 16 else -1
 
 
 class BoundedReader(io.RawIOBase):
@@ -63,6 +76,10 @@ class BoundedReader(io.RawIOBase):
     def begin(self) -> None:
         """A new request may come."""
         self._left, self._until = self._most, time.monotonic() + self._seconds
+
+    def allow(self, count: int) -> None:
+        """So many bytes more, in the same time."""
+        self._left += count
 
     def readable(self) -> bool:
         return True

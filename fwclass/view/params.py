@@ -24,6 +24,9 @@ class ViewParams(Params):
     cluster : unsure echoes nearer than this, in squares of the global grid, are one place [m].
     places : of the work list.
     export : unsure echoes of a place whose waveform, votes and columns a folder has.
+    body : of a request that changes something [bytes].
+    searched : echoes of the tiles that a selection may touch.
+    selected : echoes of one selection.
     """
 
     block: int = Field(ge=1000, le=1_000_000)
@@ -37,3 +40,6 @@ class ViewParams(Params):
     cluster: float = Field(ge=0.1, le=10_000)
     places: int = Field(ge=1, le=100_000)
     export: int = Field(ge=0, le=10_000)
+    body: int = Field(ge=1024, le=1_000_000)
+    searched: int = Field(ge=1000, le=1_000_000_000)
+    selected: int = Field(ge=1, le=10_000_000)

@@ -1,13 +1,15 @@
-"""A small finished run with waveforms and a reference, and its viewer's server."""
+"""A small finished run with waveforms and a reference, its viewer's server, and smaller runs that tests may change."""
 
 from __future__ import annotations
 
+import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from runmaker import SETTINGS, walk
+from smallsurvey import deliver, small_survey
 
 from fwclass import conf
 from fwclass.delivery.opened import open_run
@@ -48,3 +50,19 @@ def server(scene: ViewedRun) -> Iterator[Server]:
         yield server
         server.shutdown()
         thread.join()
+
+
+@pytest.fixture(scope="session")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a survey of 6000 discrete returns and its finished run."""
+    place = tmp_path_factory.mktemp("small")
+    small_survey(place)
+    deliver(place)
+    return place
+
+
+@pytest.fixture
+def small_run(pristine: Path, tmp_path: Path) -> Path:
+    """That run, for one test."""
+    shutil.copytree(pristine, tmp_path / "survey", symlinks=True)
+    return tmp_path / "survey" / "run"

@@ -3,19 +3,21 @@ import { matrix } from './camera.js';
 
 const POINTS = `#version 300 es
 uniform mat4 m; uniform vec3 low; uniform vec2 step_; uniform float size; uniform int mode; uniform vec2 range; uniform sampler2D palette, ramp;
-layout(location=0) in uvec4 p; layout(location=1) in uvec4 q; layout(location=2) in uint e;
+layout(location=0) in uvec4 p; layout(location=1) in uvec4 q; layout(location=2) in uint e; layout(location=3) in uint k;
 out vec3 colour;
+vec3 ramped(vec3 place) {
+  bool none = mode == 1 ? q.w == 255u : mode == 3 ? p.w == 0u : mode == 5 ? e == 255u : false;
+  float v = mode == 1 ? float(q.w) / 200.0 : mode == 2 ? place.z : mode == 3 ? float(p.w) * 0.01 - 100.01 : mode == 4 ? float(q.x | (q.y << 8u)) : float(e) / 254.0;
+  return none ? vec3(0.75) : texture(ramp, vec2(clamp((v - range.x) / max(range.y - range.x, 1e-6), 0.002, 0.998), 0.5)).rgb;
+}
 void main() {
   vec3 place = low + vec3((float(p.x) + 0.5) * step_.x, (float(p.y) + 0.5) * step_.x, float(p.z) * step_.y);
   gl_Position = m * vec4(place, 1.0);
   gl_PointSize = clamp(size / gl_Position.w, 1.6, 9.0);
   vec4 mine = texelFetch(palette, ivec2(int(q.z), 0), 0);
   if (mine.a < 0.5) { gl_Position = vec4(2.0, 2.0, 2.0, 1.0); return; }
-  if (mode == 0) { colour = mine.rgb; return; }
-  if (mode == 6) { colour = texelFetch(palette, ivec2(int(e), 1), 0).rgb; return; }
-  bool none = mode == 1 ? q.w == 255u : mode == 3 ? p.w == 0u : mode == 5 ? e == 255u : false;
-  float v = mode == 1 ? float(q.w) / 200.0 : mode == 2 ? place.z : mode == 3 ? float(p.w) * 0.01 - 100.01 : mode == 4 ? float(q.x | (q.y << 8u)) : float(e) / 254.0;
-  colour = none ? vec3(0.75) : texture(ramp, vec2(clamp((v - range.x) / max(range.y - range.x, 1e-6), 0.002, 0.998), 0.5)).rgb;
+  if (mode == 0) colour = mine.rgb; else if (mode == 6) colour = texelFetch(palette, ivec2(int(e), 1), 0).rgb; else colour = ramped(place);
+  if (k == 1u) { colour = mix(colour, vec3(0.91, 0.0, 0.69), 0.7); gl_PointSize = max(gl_PointSize, 2.5); }
 }`;
 const COLOUR = `#version 300 es
 precision mediump float; in vec3 colour; out vec4 o; void main() { o = vec4(colour, 1.0); }`;
@@ -93,13 +95,18 @@ export class Drawing {
   upload(node) {
     const gl = this.gl;
     if (!node.vao || node.context !== this.points) {
-      node.context = this.points; node.vao = gl.createVertexArray(); node.buffer = gl.createBuffer(); node.more = gl.createBuffer();
-      node.free = () => { gl.deleteBuffer(node.buffer); gl.deleteBuffer(node.more); gl.deleteVertexArray(node.vao); };
-      gl.bindVertexArray(node.vao); gl.bindBuffer(gl.ARRAY_BUFFER, node.buffer); gl.bufferData(gl.ARRAY_BUFFER, node.bytes, gl.STATIC_DRAW);
+      node.context = this.points; node.vao = gl.createVertexArray(); node.buffer = gl.createBuffer(); node.more = gl.createBuffer(); node.third = gl.createBuffer(); node.changed = true;
+      node.free = () => { gl.deleteBuffer(node.buffer); gl.deleteBuffer(node.more); gl.deleteBuffer(node.third); gl.deleteVertexArray(node.vao); };
+      gl.bindVertexArray(node.vao); gl.bindBuffer(gl.ARRAY_BUFFER, node.buffer);
       gl.enableVertexAttribArray(0); gl.vertexAttribIPointer(0, 4, gl.UNSIGNED_SHORT, 12, 0);
       gl.enableVertexAttribArray(1); gl.vertexAttribIPointer(1, 4, gl.UNSIGNED_BYTE, 12, 8);
     }
     gl.bindVertexArray(node.vao);
+    if (node.changed) { gl.bindBuffer(gl.ARRAY_BUFFER, node.buffer); gl.bufferData(gl.ARRAY_BUFFER, node.bytes, gl.STATIC_DRAW); node.changed = false; }
+    if (node.marks) {
+      gl.bindBuffer(gl.ARRAY_BUFFER, node.third); gl.bufferData(gl.ARRAY_BUFFER, node.marks, gl.STATIC_DRAW);
+      gl.enableVertexAttribArray(3); gl.vertexAttribIPointer(3, 1, gl.UNSIGNED_BYTE, 0, 0);
+    }
     if (node.extra) {
       gl.bindBuffer(gl.ARRAY_BUFFER, node.more); gl.bufferData(gl.ARRAY_BUFFER, node.extra, gl.STATIC_DRAW);
       gl.enableVertexAttribArray(2); gl.vertexAttribIPointer(2, 1, gl.UNSIGNED_BYTE, 0, 0);
@@ -129,6 +136,7 @@ export class Drawing {
       for (const n of nodes) {
         if (n.stale || n.context !== this.points) this.upload(n);
         gl.bindVertexArray(n.vao);
+        if (!n.marks) { gl.disableVertexAttribArray(3); gl.vertexAttribI4ui(3, 0, 0, 0, 0); }
         if (!n.extra) { gl.disableVertexAttribArray(2); gl.vertexAttribI4ui(2, 255, 0, 0, 0); }
         gl.uniform3f(at('low'), n.low[0] - about[0], n.low[1] - about[1], n.low[2] - about[2]); gl.uniform2f(at('step_'), n.step, n.rise);
         gl.uniform1f(at('size'), (h / 0.845) * look.metres); gl.drawArrays(gl.POINTS, 0, n.count); drawn += n.count;

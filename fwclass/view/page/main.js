@@ -3,16 +3,20 @@ import { BUDGET, Scene } from './scene.js';
 import { Drawing, MODES, rampColours } from './draw.js';
 import { cut, pick, touches } from './pick.js';
 import { $, element, number, values, wave, why } from './panel.js';
-import { json, traffic, useToken } from './net.js';
+import { json, traffic, useDelivery, useToken } from './net.js';
 import { kept, LITTLE } from './folder.js';
+import { Again } from './again.js';
+import { Relabel } from './relabel.js';
 
 const given = new URLSearchParams(location.hash.slice(1)), cam = { ...start }, hidden = new Set();
 const stats = { first: 0, settled: 0, drawn: 0, frames: [], pick: 0, begun: performance.now() };
 const state = { by: 'classification', look: { mode: 0, low: 0, high: 1, metres: 0.35 }, tool: '', points: [], moving: 0, dirty: true, section: null, selected: null, motion: 600_000 };
-let scenes = [], drawing, works = null, at = -1, shown = [];
+let scenes = [], drawing, works = null, at = -1, shown = [], relabel = null, again = null;
 useToken(given.get('token') || ''); $('unserved').remove();
 const fault = (text) => { $('fault').hidden = !text; $('fault').textContent = text || ''; };
-const failed = (text, status) => fault(status === 401 ? 'The address lacks the token, or fwclass view was started again: open the address that it printed last.' : text);
+const failed = (text, status) => { $('take').hidden = status !== 409; fault(status === 401 ? 'The address lacks the token, or fwclass view was started again: open the address that it printed last.' : text); };
+async function take() { try { await json('0/reopen.json', {}); location.reload(); } catch (e) { failed(e.message, e.status); } }
+$('take').onclick = take;
 const canvas = $('view');
 
 // ------------------------------------------------------------------ frames
@@ -41,7 +45,7 @@ function frame() {
   stats.settled = busy || moving ? 0 : stats.settled || now;
   $('facts').textContent = `${stats.drawn.toLocaleString('en')} of ${scenes.reduce((n, s) => n + s.echoes, 0).toLocaleString('en')} echoes${busy ? ', more are coming' : ''}`;
   marks(m, w, h);
-  if (line && !busy && line.stale) profile();
+  if (line && !busy && line.stale) profile(); else if (line?.picture) sketch(line);
 }
 const redraw = () => { state.dirty = true; stats.settled = 0; if (state.section) state.section.stale = true; };
 function moved() { state.moving = performance.now(); state.dirty = true; stats.settled = 0; clearTimeout(moved.timer); moved.timer = setTimeout(() => { state.dirty = true; remember(); }, 300); }
@@ -53,6 +57,7 @@ function remember() {
   p.set('at', [cam.target[0] + o[0], cam.target[1] + o[1], cam.target[2] + o[2], cam.far].map((v) => v.toFixed(2)).concat(cam.azimuth.toFixed(4), cam.tilt.toFixed(4)).join(','));
   p.set('by', state.by);
   if (hidden.size) p.set('without', [...hidden].join(','));
+  if (relabel?.open) p.set('relabel', '1');
   history.replaceState(null, '', `#${p.toString().replaceAll('%2C', ',')}`);
 }
 function whole() {
@@ -101,7 +106,7 @@ function classes() {
   const box = $('classes'); box.replaceChildren();
   for (const c of known.values()) {
     const l = element('label'), tick = element('input'), dot = element('i'); tick.type = 'checkbox'; tick.checked = !hidden.has(c.code); dot.style.background = c.colour;
-    tick.onchange = () => { if (tick.checked) hidden.delete(c.code); else hidden.add(c.code); drawing.palette[4 * c.code + 3] = tick.checked ? 255 : 0; drawing.setPalette(); redraw(); remember(); };
+    tick.onchange = () => { if (tick.checked) hidden.delete(c.code); else hidden.add(c.code); drawing.palette[4 * c.code + 3] = tick.checked ? 255 : 0; drawing.setPalette(); redraw(); remember(); relabel?.select(); };
     l.append(tick, dot, element('span', c.name || `code ${c.code}`), element('small', c.code)); box.append(l);
   }
 }
@@ -122,6 +127,7 @@ function marks(m, w, h) {
   if (state.measured) { const [a, b] = state.measured, [A, B] = line(a, b); out.push(svg('text', { x: (A[0] + B[0]) / 2 + 6, y: (A[1] + B[1]) / 2 - 6 }, `${Math.hypot(b[0] - a[0], b[1] - a[1], b[2] - a[2]).toFixed(2)} m`)); }
   for (const t of marked()) { t.at = at2(t.place); if (t.at[2] > 0) out.push(svg('circle', { cx: t.at[0], cy: t.at[1], r: 4 })); }
   if (state.selected) scenes.forEach((_, k) => { const [x, y, d] = at2(state.selected.place); if (d > 0) out.push(svg('circle', { cx: x + k * w, cy: y, r: 8 })); });
+  const shape = relabel?.shape(); if (shape) out.push(svg('path', shape));
   $('marks').replaceChildren(...out);
 }
 function chosen(hit, x, y) {
@@ -143,26 +149,33 @@ function chosen(hit, x, y) {
 function profile() {
   const c = $('cut'), g = c.getContext('2d'), line = state.section; c.width = c.clientWidth; c.height = c.clientHeight; line.stale = false;
   const nodes = shown[0].nodes, { echoes, length } = cut(nodes, line.A, line.B, line.half, hidden);
-  if (!echoes.length) { $('cut-says').textContent = 'no echo lies here'; line.echoes = []; return; }
+  if (!echoes.length) { $('cut-says').textContent = 'no echo lies here'; line.echoes = []; line.picture = line.view = null; return; }
   let low = Infinity, high = -Infinity; for (const e of echoes) { low = Math.min(low, e.z); high = Math.max(high, e.z); }
   const over = Number($('exaggeration').value) || 1, k = Math.min((c.width - 20) / length, (c.height - 16) / Math.max((high - low) * over, 1)), left = (c.width - k * length) / 2;
   const picture = g.createImageData(c.width, c.height), px = new Uint32Array(picture.data.buffer), pal = drawing.palette;
   for (const e of echoes) {
     e.x = left + e.s * k; e.y = c.height - 8 - (e.z - low) * k * over;
-    const code = e.node.bytes[12 * e.row + 10], v = (255 << 24) | (pal[4 * code + 2] << 16) | (pal[4 * code + 1] << 8) | pal[4 * code], X = Math.round(e.x), Y = Math.round(e.y);
+    const code = e.node.bytes[12 * e.row + 10], v = e.node.marks?.[e.row] ? 0xffb000e8 : (255 << 24) | (pal[4 * code + 2] << 16) | (pal[4 * code + 1] << 8) | pal[4 * code], X = Math.round(e.x), Y = Math.round(e.y);
     for (let a = 0; a < 2; a += 1) for (let b = 0; b < 2; b += 1) if (X + a >= 0 && X + a < c.width && Y + b >= 0 && Y + b < c.height) px[(Y + b) * c.width + X + a] = v;
   }
-  g.putImageData(picture, 0, 0); line.echoes = echoes;
+  line.echoes = echoes; line.picture = picture; line.view = { left, k, low, over, bottom: c.height - 8 }; sketch(line);
   $('cut-says').textContent = `${echoes.length.toLocaleString('en')} echoes, ${length.toFixed(1)} m long, ${(high - low).toFixed(1)} m high`;
 }
+// The section's picture, and over it what is being drawn.
+function sketch(line) { const g = $('cut').getContext('2d'); g.putImageData(line.picture, 0, 0); relabel?.inSection(g); }
+$('cut').onpointerdown = (e) => { if (e.button === 0 && state.section?.view && relabel?.draws('section')) { $('cut').setPointerCapture(e.pointerId); relabel.down('section', e.offsetX, e.offsetY); } };
+$('cut').onpointermove = (e) => { if (relabel?.stroke.length && relabel.where === 'section') relabel.move(e.offsetX, e.offsetY); };
+$('cut').onpointerup = () => { if (relabel?.stroke.length && relabel.where === 'section') relabel.up(); };
+$('cut').onpointercancel = () => relabel?.cancel();
 $('cut').onclick = (e) => {
+  if (relabel?.draws('section')) return;
   const x = e.offsetX, y = e.offsetY; let best = null;
   for (const one of state.section?.echoes || []) { const d = (one.x - x) ** 2 + (one.y - y) ** 2; if (d < 100 && (!best || d < best.d)) best = { d, one }; }
   if (best) { const { node, row, s, z } = best.one, { A, B } = state.section, L = Math.hypot(B[0] - A[0], B[1] - A[1]); show(0, { node, row, place: [A[0] + (B[0] - A[0]) * s / L, A[1] + (B[1] - A[1]) * s / L, z] }); }
 };
 $('width').onchange = () => { if (state.section) { state.section.half = Number($('width').value) / 2 || 1; redraw(); } };
 $('exaggeration').onchange = redraw;
-$('close-profile').onclick = () => { $('profile').hidden = true; state.section = null; redraw(); };
+$('close-profile').onclick = () => { $('profile').hidden = true; state.section = null; if (relabel?.along) relabel.use(''); redraw(); };
 
 // ------------------------------------------------------------------ one echo
 async function show(number_, hit) {
@@ -172,7 +185,7 @@ async function show(number_, hit) {
     const about = s.folder ? await kept(s, hit) : await json(`${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`), v = about.values; if (late()) return;
     stats.echo = about;
     const called = s.classes.find((c) => c.code === v.classification)?.name ?? `code ${v.classification}`;
-    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}`;
+    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}`;
     $('says').textContent = `${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number} of ${v.number_of_echoes ?? '?'}`;
     values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? LITTLE : '';
     if (about.little) return;
@@ -207,26 +220,44 @@ const fingers = new Map(); let travelled = 0;
 function shift(dx, dy) { const { right, up } = axes(cam), k = (cam.far * 2 * Math.tan(FIELD / 2)) / size()[1]; cam.target = cam.target.map((t, i) => t - right[i] * dx * k + up[i] * dy * k); moved(); }
 function turn(dx, dy) { cam.azimuth -= dx * 0.006; cam.tilt = Math.min(1.5707, Math.max(0.02, cam.tilt + dy * 0.006)); moved(); }
 function nearer(by) { cam.far = Math.min(1e6, Math.max(1, cam.far * by)); moved(); }
-canvas.onpointerdown = (e) => { canvas.setPointerCapture(e.pointerId); fingers.set(e.pointerId, [e.clientX, e.clientY]); if (fingers.size === 1) travelled = 0; };
+canvas.onpointerdown = (e) => { canvas.setPointerCapture(e.pointerId); fingers.set(e.pointerId, [e.clientX, e.clientY]); if (fingers.size === 1) travelled = 0;
+  if (fingers.size === 1 && e.button === 0 && !e.shiftKey && !state.tool && relabel?.draws('cloud')) relabel.down('cloud', e.offsetX, e.offsetY); else relabel?.cancel(); };
 canvas.onpointermove = (e) => {
   const was = fingers.get(e.pointerId); if (!was) return;
   const dx = e.clientX - was[0], dy = e.clientY - was[1], other = [...fingers].find(([id]) => id !== e.pointerId)?.[1];
   travelled += Math.abs(dx) + Math.abs(dy); fingers.set(e.pointerId, [e.clientX, e.clientY]);
+  if (relabel?.stroke.length) { relabel.move(e.offsetX, e.offsetY); return; }
   if (travelled < 4) return;
   if (other) { const far = (p) => Math.hypot(p[0] - other[0], p[1] - other[1]) || 1; nearer(far(was) / far([e.clientX, e.clientY])); shift(dx / 2, dy / 2); } else if (e.shiftKey || e.buttons & 6) shift(dx, dy); else turn(dx, dy);
 };
-canvas.onpointerup = (e) => { const only = fingers.size === 1; fingers.delete(e.pointerId); const r = canvas.getBoundingClientRect(); if (only && travelled < 4 && e.button === 0) click(e.clientX - r.left, e.clientY - r.top); };
-canvas.onpointercancel = (e) => fingers.delete(e.pointerId);
+canvas.onpointerup = (e) => { const only = fingers.size === 1; fingers.delete(e.pointerId); if (relabel?.stroke.length) { if (travelled < 4 && relabel.mode !== 'brush') relabel.cancel(); else { relabel.up(); return; } } const r = canvas.getBoundingClientRect(); if (only && travelled < 4 && e.button === 0) click(e.clientX - r.left, e.clientY - r.top); };
+canvas.onpointercancel = (e) => { fingers.delete(e.pointerId); relabel?.cancel(); };
 canvas.oncontextmenu = (e) => e.preventDefault();
 canvas.addEventListener('wheel', (e) => { e.preventDefault(); nearer(Math.exp(Math.max(-200, Math.min(200, e.deltaY)) * 0.0015)); }, { passive: false });
 const fromAbove = () => { cam.tilt = 1.5707; cam.azimuth = 0; moved(); };
-const keys = { ArrowLeft: () => shift(40, 0), ArrowRight: () => shift(-40, 0), ArrowUp: () => shift(0, 40), ArrowDown: () => shift(0, -40), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), n: () => step(1), p: () => step(-1), Escape: () => { tool(''); state.measured = state.selected = null; redraw(); } };
-addEventListener('keydown', (e) => { if (e.ctrlKey || e.metaKey || e.altKey || /INPUT|SELECT/.test(e.target.tagName)) return; const act = keys[e.key]; if (act) { e.preventDefault(); act(); } });
+const sized = (by) => { $('brush-size').value = Number($('brush-size').value) + by; redraw(); };
+const relabelling = { l: () => relabel.use('lasso'), b: () => relabel.use('brush'), a: () => relabel.use('above'), u: () => relabel.use('below'), Enter: () => relabel.apply(), z: () => relabel.undo(), y: () => relabel.redo(), '[': () => sized(-4), ']': () => sized(4) };
+const keys = { r: () => edit(), ArrowLeft: () => shift(40, 0), ArrowRight: () => shift(-40, 0), ArrowUp: () => shift(0, 40), ArrowDown: () => shift(0, -40), '+': () => nearer(0.8), '-': () => nearer(1.25), q: () => turn(-30, 0), e: () => turn(30, 0), 0: whole, t: fromAbove, s: () => tool('section'), m: () => tool('measure'), n: () => step(1), p: () => step(-1), Escape: () => { if (relabel?.last || relabel?.mode) { if (relabel.last) relabel.drop(); else relabel.use(''); return; } tool(''); state.measured = state.selected = null; redraw(); } };
+addEventListener('keydown', (e) => { if (e.ctrlKey || e.metaKey || e.altKey || /INPUT|SELECT/.test(e.target.tagName) || (e.key === 'Enter' && /BUTTON|SUMMARY/.test(e.target.tagName))) return; const act = keys[e.key] || (relabel?.open && relabelling[e.key]); if (act) { e.preventDefault(); act(); } });
 $('whole').onclick = whole; $('top').onclick = fromAbove; $('section').onclick = () => tool('section'); $('measure').onclick = () => tool('measure');
 $('next').onclick = () => step(1); $('previous').onclick = () => step(-1); $('by').onchange = () => colourBy($('by').value);
 addEventListener('resize', () => moved());
 canvas.addEventListener('webglcontextlost', (e) => { e.preventDefault(); fault('The graphics card dropped this page; it is asked again.'); });
 canvas.addEventListener('webglcontextrestored', () => { drawing.start(); fault(''); redraw(); });
+
+// ------------------------------------------------------------------ corrections
+function noClass(s) { if (!s.classes.some((c) => c.code === 0)) { s.classes.push({ code: 0, name: 'no class', colour: '#9aa0a6' }); classes(); } }
+async function edit() { if (!relabel) return; noClass(scenes[0]); const opened = relabel.toggle(); remember(); if (relabel.open) again.look(); await opened; }
+function relabels(first) {
+  if (!first.relabels) return;
+  useDelivery(first.delivery);
+  if (first.rows) noClass(first);
+  const section = () => state.section, wantSection = () => { if (state.tool !== 'section') tool('section'); };
+  relabel = new Relabel({ scene: first, cam, size, hidden, section, wantSection, redraw, failed, pressed: () => canvas.classList.toggle('drawing', Boolean(relabel?.mode && !relabel.along)) });
+  again = new Again({ take });
+  $('relabel').hidden = false; $('relabel').onclick = edit;
+  if (given.get('relabel')) edit();
+}
 
 // ------------------------------------------------------------------ begin
 async function begin() {
@@ -241,7 +272,7 @@ async function begin() {
   const by = new Set(['classification', 'confidence', 'entropy', 'height', 'height_above_ground', 'intensity', ...first.columns.map((c) => c.name)]);
   for (const n of by) if (n === 'height' || ((MODES[n] !== undefined || !first.folder || first.folder.columns.includes(n)) && first.columns.some((c) => c.name === n))) $('by').add(new Option(n.replaceAll('_', ' '), n));
   if (!first.crs) $('says').textContent = 'The survey names no coordinate system: places are in its own metres.';
-  $('work').hidden = false; recall(); classes(); await colourBy(given.get('by') || 'classification'); frame();
+  $('work').hidden = false; recall(); relabels(first); classes(); await colourBy(given.get('by') || 'classification'); frame();
 }
-window.fwclass = { cam, stats, traffic, state, click, show, moved, redraw, colourBy, tool, scenes: () => scenes, shown: () => shown, step };
+window.fwclass = { cam, stats, traffic, state, click, show, moved, redraw, colourBy, tool, scenes: () => scenes, relabel: () => relabel, again: () => again, edit, shown: () => shown, step };
 begin().catch((e) => failed(e.message, e.status));

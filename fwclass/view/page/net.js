@@ -1,19 +1,39 @@
-// Requests of the scene's data; the token goes as a header.
-let token = '';
+// Requests of the scene's data; token and delivery go as headers.
+const headers = {};
 export const traffic = { requests: 0, bytes: 0 };
-export const useToken = (text) => { token = text; };
+export const useToken = (text) => { if (text) headers['X-Fwclass-Token'] = text; };
+export const useDelivery = (name) => { headers['X-Fwclass-Delivery'] = name; };
 
-export async function json(path) {
-  let answer;
-  try { answer = await fetch(`data/${path}`, { headers: token ? { 'X-Fwclass-Token': token } : {} }); } catch {
+async function asked(path, body) {
+  const way = body === undefined ? { headers } : { method: 'POST', headers: { ...headers, 'Content-Type': 'application/json' }, body: JSON.stringify(body) };
+  let answer, bytes;
+  try { answer = await fetch(`data/${path}`, way); bytes = await answer.arrayBuffer(); } catch {
     throw new Error('The server does not answer: it was ended, or this machine slept. If it was fwclass view, start that again and open the address that it prints.');
   }
-  const text = await answer.text();
-  traffic.requests += 1; traffic.bytes += text.length;
-  let value;
-  try { value = JSON.parse(text); } catch { value = { error: `not here (${answer.status})` }; }
-  if (!answer.ok || value.error) throw Object.assign(new Error(value.error || `status ${answer.status}`), { status: answer.status });
+  traffic.requests += 1; traffic.bytes += bytes.byteLength;
+  if (!answer.ok) throw Object.assign(new Error(parsed(bytes)?.error || `not here (${answer.status})`), { status: answer.status });
+  return bytes;
+}
+
+const parsed = (bytes) => { try { return JSON.parse(new TextDecoder().decode(bytes)); } catch { return null; } };
+
+// A folder has files that say why something is not there.
+export async function json(path, body) {
+  const value = parsed(await asked(path, body)) || { error: `not here (${path} is no JSON)` };
+  if (value.error) throw Object.assign(new Error(value.error), { status: 200 });
   return value;
+}
+
+// Rows of blocks, with a byte each: from byte `at` on of an answer.
+export async function marked(path, at = 0) {
+  const data = await asked(path), view = new DataView(data), head = Array.from({ length: at / 4 }, (_, k) => view.getUint32(4 * k, true)), blocks = [];
+  while (at < data.byteLength) {
+    const u = (k) => view.getUint32(at + 4 * k, true), n = u(3);
+    if (at + 16 + 5 * n > data.byteLength) throw new Error('marks are cut off');
+    blocks.push({ key: `${u(0)}-${u(1)}-${u(2)}`, rows: new Uint32Array(data, at + 16, n), values: new Uint8Array(data, at + 16 + 4 * n, n) });
+    at += 16 + 4 * n + ((n + 3) & ~3);
+  }
+  return { head, blocks };
 }
 
 // Blocks are fetched and inflated by workers, the most wanted first.
@@ -40,7 +60,7 @@ export class Loader {
       this.queue.forEach((job, i) => { if (job.rank > this.queue[best].rank) best = i; });
       const [job] = this.queue.splice(best, 1), worker = this.idle.pop();
       this.number += 1; this.jobs.set(this.number, job);
-      worker.postMessage({ id: this.number, path: new URL(`data/${job.path}`, document.baseURI).href, token, column: job.about.column, stride: job.about.stride });
+      worker.postMessage({ id: this.number, path: new URL(`data/${job.path}`, document.baseURI).href, headers, column: job.about.column, stride: job.about.stride });
     }
   }
 
@@ -52,5 +72,6 @@ export class Loader {
     this.jobs.delete(data.id); this.idle.push(worker);
     if (data.fault) this.failed(job, data.fault, data.status);
     this.next();
+    if (!this.busy) this.arrived(job, []); // a frame may have come between the last block and its end
   }
 }

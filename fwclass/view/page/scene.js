@@ -9,6 +9,7 @@ export class Scene {
   constructor(number, index, changed, failed) {
     Object.assign(this, index);
     this.number = number; this.changed = changed; this.nodes = new Map(); this.asked = new Set(); this.column = ''; this.failures = new Map(); this.early = new Map();
+    this.selected = new Map(); this.changes = new Map(); this.epoch = 0;
     this.last = 2 * (this.joined + this.halved) + 1; this.own = 2 * this.joined;
     this.there = this.folder ? new Set(this.folder.nodes) : null; this.told = new Set(this.folder?.told);
     this.loader = new Loader((job, blocks) => this.arrived(job, blocks), (job, fault, status) => {
@@ -31,7 +32,7 @@ export class Scene {
 
   arrived(job, blocks) {
     if (job.about.done) { job.about.done(blocks[0]); return; }
-    for (const block of blocks) {
+    for (const block of job.about.epoch === this.epoch ? blocks : []) {
       const key = block.node.join('-');
       if (job.about.column) {
         if (job.about.column !== this.column) continue;
@@ -42,6 +43,8 @@ export class Scene {
         if (this.by_) block.low = block.low.map((v, a) => v + this.by_[a]);
         this.nodes.set(key, { ...block, key, edge, level: block.node[0], extra: this.early.get(key) || null, extraOf: this.early.has(key) ? this.column : '', stale: true });
         this.early.delete(key);
+        for (const part of this.changes.get(key) || []) this.change(this.nodes.get(key), part);
+        for (const part of this.selected.get(key) || []) this.mark(this.nodes.get(key), part);
       }
     }
     this.changed();
@@ -61,7 +64,7 @@ export class Scene {
     const full = column ? `${column} ${key}` : key;
     if (this.asked.has(full) || (this.there && !key.startsWith('level-') && !this.there.has(key))) return; // a folder has no file for an empty block
     this.asked.add(full);
-    this.loader.ask(`${this.number}/${path}.bin`, rank, { key: full, column });
+    this.loader.ask(`${this.number}/${path}.bin`, rank, { key: full, column, epoch: this.epoch });
   }
 
   // One block of another kind, asked for before all others.
@@ -125,6 +128,42 @@ export class Scene {
       if (wanted.has(key) || this.together.includes(n.level)) continue;
       held -= n.count; n.free?.(); this.nodes.delete(key); this.asked.delete(key); this.asked.delete(`${this.column} ${key}`);
     }
+  }
+
+  // Rows of blocks that are selected; those of blocks that are not here wait for them.
+  choose(blocks) {
+    for (const key of this.selected.keys()) { const node = this.nodes.get(key); if (node) Object.assign(node, { marks: null, stale: true }); }
+    this.selected.clear();
+    for (const b of blocks) this.keep(this.selected, b, (node) => this.mark(node, b));
+    this.changed();
+  }
+
+  mark(node, { rows }) { node.marks ??= new Uint8Array(node.count); for (const k of rows) node.marks[k] = 1; node.stale = true; }
+
+  // Classes that rows of blocks have by now.
+  correct(blocks) {
+    for (const b of blocks) this.keep(this.changes, b, (node) => this.change(node, b));
+    if (this.column === 'corrected') for (const level of this.together) this.asked.delete(`corrected level-${level}`);
+    this.changed();
+  }
+
+  change(node, { key, rows, values }) {
+    rows.forEach((row, k) => { if (row < node.count) node.bytes[12 * row + 10] = values[k]; });
+    node.stale = node.changed = true;
+    if (this.column === 'corrected') { node.extraOf = ''; this.asked.delete(`corrected ${key}`); }
+  }
+
+  keep(kept, block, use) {
+    if (kept.has(block.key)) kept.get(block.key).push(block); else kept.set(block.key, [block]);
+    const node = this.nodes.get(block.key);
+    if (node) use(node);
+  }
+
+  // All blocks once more.
+  anew() {
+    for (const n of this.nodes.values()) n.free?.();
+    for (const held of [this.nodes, this.asked, this.early, this.changes]) held.clear();
+    this.epoch += 1; this.loader.keep(() => false); this.changed();
   }
 
   by(column) {

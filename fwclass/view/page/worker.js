@@ -34,10 +34,10 @@ function unpacked(planes, n, rise) {
   return out;
 }
 
-onmessage = async ({ data: { id, path, token, column, stride } }) => {
+onmessage = async ({ data: { id, path, headers, column, stride } }) => {
   let bytes = 0, status = 0;
   try {
-    const answer = await fetch(path, { headers: token ? { 'X-Fwclass-Token': token } : {} });
+    const answer = await fetch(path, { headers });
     status = answer.status;
     if (!answer.ok) {
       let words = '';

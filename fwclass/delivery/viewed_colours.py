@@ -1,0 +1,85 @@
+"""Colours that stand for kinds of echoes: their names, and the kind of every echo of a tile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.delivery.echoes import table_columns
+from fwclass.schema import IDENTITY, Table, canonical_key
+from fwclass.view.blocks import NO_VALUE
+
+RIGHT, DIFFERS, CORRECTED = "right_or_wrong", "differs", "corrected"
+
+MEANING: Mapping[str, str] = {
+    RIGHT: "the delivered class beside the reference's, training areas too",
+    DIFFERS: "the class beside that of the same echo in the other run",
+    CORRECTED: "echoes that were corrected, and whether this delivery gives them that class by itself",
+}
+
+_KINDS: Mapping[str, Sequence[tuple[str, str]]] = {
+    RIGHT: (("no reference", "#b8bec3"), ("right", "#2f7d46"), ("wrong", "#c8102e")),
+    DIFFERS: (("not in the other run", "#b8bec3"), ("same class", "#7fa7b5"), ("another class", "#c8102e")),
+    CORRECTED: (
+        ("not corrected", "#b8bec3"),
+        ("corrected, delivered as such", "#2f7d46"),
+        ("corrected, delivered as another", "#c8102e"),
+    ),
+}
+_STRIPS = ("#009ea3", "#c44e8c", "#f0c43c", "#566ebe", "#8c563c", "#5fa83c", "#e2782a", "#7a4fb0")
+"""In turn."""
+
+
+def kinds(part: str, files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]] | None:
+    """Code, name and colour of the kinds that a column has; None for a column of numbers.
+
+    `files`: strip and path of every file of the survey.
+    """
+    if part == "strip":
+        names = {int(f["strip"]): str(f["path"]) for f in files}
+        return [_kind(n % NO_VALUE, name, _STRIPS[n % len(_STRIPS)]) for n, name in sorted(names.items())][:NO_VALUE]
+    if part not in _KINDS:
+        return None
+    return [_kind(code, *kind) for code, kind in enumerate(_KINDS[part])]
+
+
+def compared(tile: Path, other: Path) -> NDArray[np.uint8]:
+    """0 for an echo that the other run has not in this tile, 1 where the classes are the same, 2 where not."""
+    mine = table_columns(tile, (*IDENTITY, "classification"))
+    out = np.zeros(len(mine["strip"]), np.uint8)
+    if not other.is_file():
+        return out
+    theirs = table_columns(other, (*IDENTITY, "classification"))
+    _, here, there = np.intersect1d(_key(mine), _key(theirs), assume_unique=True, return_indices=True)
+    out[here] = np.where(mine["classification"][here] == theirs["classification"][there], 1, 2)
+    return out
+
+
+def verdicts(
+    given: NDArray[np.uint8], reference: NDArray[Any], classes: Sequence[Mapping[str, Any]]
+) -> NDArray[np.uint8]:
+    """0 without a reference, 1 right, 2 wrong; of a code that no class counts there is no verdict."""
+    counted = np.zeros(256, np.int64)
+    for one in classes:
+        counted[list(one["codes"])] = one["code"]
+    known = counted[reference]
+    return np.where(known == 0, 0, np.where(known == given, 1, 2)).astype(np.uint8)
+
+
+def accepted(given: NDArray[np.uint8], shown: NDArray[np.uint8], rows: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """0 for echoes that were not corrected; of `rows`, which were, 1 where that is the delivered class, 2 where not."""
+    out = np.zeros(len(given), np.uint8)
+    out[rows] = np.where(given[rows] == shown[rows], 1, 2)
+    return out
+
+
+def _key(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
+    return canonical_key(Table({n: columns[n] for n in IDENTITY}))
+
+
+def _kind(code: int, name: str, colour: str) -> dict[str, Any]:
+    return {"code": code, "name": name, "colour": colour}
