@@ -99,15 +99,13 @@ class Server:
         size = sum(map(len, files.values())) + sum(map(len, case.fixed.values()))
         allowed = MEMORY_FIXED + MEMORY_EACH * size + self._own[command, name]
         seconds = CPU_FIXED + CPU_EACH * size
-        reading, writing = os.pipe()
+        measured = self._folder.parent / "figures"  # a pipe would hold 64 KiB, and the child wait for its reader
+        measured.unlink(missing_ok=True)
         pid = os.fork()
         if pid == 0:
-            os.close(reading)
-            self._child(case.words, writing, allowed, seconds)
-        os.close(writing)
-        with os.fdopen(reading) as told:
-            status, used = _waited(pid)
-            figures = json.loads(told.read() or "{}")
+            self._child(case.words, measured, allowed, seconds)
+        status, used = _waited(pid)
+        figures = json.loads(measured.read_text()) if measured.exists() else {}
         grown = int(figures.get("grown", 0))
         cpu = used.ru_utime + used.ru_stime
         out, err = (_text(self._folder.parent / n) for n in ("out", "err"))
@@ -131,7 +129,7 @@ class Server:
             "err": err[-400:],
         }
 
-    def _child(self, words: tuple[str, ...], told: int, allowed: int, seconds: float) -> None:
+    def _child(self, words: tuple[str, ...], measured: Path, allowed: int, seconds: float) -> None:
         before = _status("VmSize")
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_STACK, (1 << 20, resource.RLIM_INFINITY))  # of threads: they count
@@ -145,8 +143,10 @@ class Server:
         sys.settrace(None)
         signal.setitimer(signal.ITIMER_PROF, 0)
         resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-        with os.fdopen(told, "w") as pipe:
-            json.dump({"grown": _status("VmPeak") - before, "lines": list(lines)}, pipe)
+        written = json.dumps({"grown": _status("VmPeak") - before, "lines": list(lines)})
+        beside = measured.with_suffix(".part")
+        beside.write_text(written)
+        beside.rename(measured)
         os._exit(code)
 
     def _main(self, words: tuple[str, ...], beside: Path) -> int:
