@@ -66,6 +66,8 @@ def delivered(root: Path) -> dict[str, str]:
         for path in sorted((base / kind).rglob("*")):
             if path.is_file():
                 found[path.relative_to(base).as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
+    for path in root.glob("*.gpkg"):
+        found[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
 
 

@@ -402,7 +402,7 @@ def test_waveforms_that_are_not_whole_are_told(tmp_path, fwclass):
 def test_rasters_of_the_terrain(tmp_path, fwclass):
     xyz, _ = scene()
     source = las(tmp_path / "a.las", xyz)
-    names = {n: tmp_path / f"{n}.tif" for n in ("dtm", "dsm", "ndsm", "hillshade")}
+    names = {n: tmp_path / f"{n}.tif" for n in ("dtm", "dsm", "ndsm", "hillshade", "slope", "roughness")}
     words = [w for n, p in names.items() for w in (f"--{n}", p)]
     assert fwclass("ground", source, tmp_path / "b.laz", *words)[0] == 0
     with rasterio.open(names["dtm"]) as file:
@@ -418,6 +418,10 @@ def test_rasters_of_the_terrain(tmp_path, fwclass):
         np.testing.assert_allclose(file.read(1), top.read(1) - dtm, atol=1e-5)
     with rasterio.open(names["hillshade"]) as file:
         assert file.nodata == 0 and file.read(1).min() > 0
+    with rasterio.open(names["slope"]) as file:
+        assert np.median(file.read(1)[inner]) == pytest.approx(np.degrees(np.arctan(0.05)), abs=0.3)
+    with rasterio.open(names["roughness"]) as file:
+        assert 0 <= np.nanmedian(file.read(1)) < 0.1
     fine = tmp_path / "fine.tif"
     assert fwclass("ground", source, tmp_path / "b.laz", "--overwrite", "--dtm", fine, "--cell", "0.5")[0] == 0
     with rasterio.open(fine) as file:

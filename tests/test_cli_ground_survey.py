@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import zipfile
 from pathlib import Path
 
 import laspy
 import numpy as np
 import pyarrow.parquet as pq
+import pyogrio
 import pytest
+import shapely
 from commandline import fwclass
 from smallsurvey import small_survey
 
@@ -65,7 +68,7 @@ def test_what_is_delivered_has_no_classifier_in_it(run: Path) -> None:
     assert report["accuracy"] is None and report["training"] is None and not report["outputs"]["model"]
     assert [c["code"] for c in report["classes"]] == [1, 2, 7, 18]
     names = {Path(n).name for n in report["outputs"]["rasters"]}
-    assert {"dtm.tif", "dsm.tif", "ndsm.tif", "hillshade.tif", "classes.tif"} <= names
+    assert {"dtm.tif", "dsm.tif", "ndsm.tif", "hillshade.tif", "slope.tif", "roughness.tif", "classes.tif"} <= names
     page = (run / "report.html").read_text()
     assert "least sure" not in page and "training areas" not in page and 'id="layer-confidence"' not in page
 
@@ -75,7 +78,31 @@ def test_tiles_change_no_byte_of_a_strip(bare: Path, run: Path, setting: str, tm
     told = fwclass("run", bare, "--out", tmp_path / "run", *WORDS, "--set", setting)
     assert told.returncode == 0, told.stderr
     assert digests(tmp_path / "run", "laz/strips") == digests(run, "laz/strips")
-    assert (tmp_path / "run/rasters/dtm.tif").read_bytes() == (run / "rasters/dtm.tif").read_bytes()
+    for name in ("rasters/dtm.tif", "rasters/slope.tif", "rasters/roughness.tif", "contours.gpkg"):
+        assert (tmp_path / "run" / name).read_bytes() == (run / name).read_bytes(), name
+
+
+def test_contours_are_lines_of_the_terrain(bare: Path, run: Path) -> None:
+    meta, _, shapes, fields = pyogrio.raw.read(run / "contours.gpkg", layer="contours")
+    elevation, index, _ = fields
+    assert (
+        list(meta["fields"]) == ["elevation", "index_contour", "depression"] and meta["geometry_type"] == "LineString"
+    )
+    assert (
+        set(elevation) == {201.0, 202.0, 203.0} and not index.any()
+    )  # a slope from 200 to 204 m, and no multiple of 5
+    for line, height in zip(shapely.from_wkb(shapes), elevation, strict=True):
+        x, y = shapely.get_coordinates(line).T
+        assert np.abs(200 + 0.05 * (x - 500_000) - height).max() < 0.25 + 0.1  # a share of the interval, and bushes
+        assert y.min() >= 5_400_000 and y.max() <= 5_400_041  # whole cells
+    with zipfile.ZipFile(run / "survey.qgz") as project:
+        assert "contours.gpkg|layername=contours" in project.read("survey.qgs").decode()
+    told = fwclass("run", bare, "--out", bare.parent / "none", *WORDS, "--set", "contours.enabled=false")
+    assert told.returncode == 0 and not (bare.parent / "none" / "contours.gpkg").exists()
+    with zipfile.ZipFile(bare.parent / "none" / "survey.qgz") as project:
+        assert "contours" not in project.read("survey.qgs").decode()
+    told = fwclass("run", bare, "--out", bare.parent / "bad", *WORDS, "--set", "contours.interval=0")
+    assert told.returncode == 2 and "contours.interval" in told.stderr and not (bare.parent / "bad").exists()
 
 
 def test_commands_know_the_run(bare: Path, run: Path) -> None:

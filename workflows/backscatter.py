@@ -10,11 +10,13 @@ from fwclass.graph.backscatter import (
     FILL_VOXELS,
     SAMPLE_WAVES,
 )
+from fwclass.graph.breaklines import READ_BREAKLINES
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
 from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import SPLIT_ECHOES, TILE_ECHOES
+from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.graph.workflow import Workflow
 
 backscatter = Workflow(
@@ -34,6 +36,10 @@ backscatter = Workflow(
         GATHER_GROUND,
         MAKE_FIRST_TERRAIN,
         STACK_PULSES,
+        READ_BREAKLINES,
+        READ_WATER,
+        MEASURE_SHORE,
+        LEVEL_WATER,
         MAKE_TERRAIN,
         GATHER_HEIGHT,
         DELIVER_STACK,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from fwclass.graph.breaklines import READ_BREAKLINES
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
+from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
 from fwclass.graph.ground_classes import CLASSIFY_GROUND, without_classifier
 from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
@@ -12,6 +14,7 @@ from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEA
 from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import SPLIT_ECHOES, TILE_ECHOES
+from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.graph.workflow import Workflow
 
 ground = Workflow(
@@ -31,6 +34,10 @@ ground = Workflow(
         GATHER_GROUND,
         MAKE_FIRST_TERRAIN,
         STACK_PULSES,
+        READ_BREAKLINES,
+        READ_WATER,
+        MEASURE_SHORE,
+        LEVEL_WATER,
         MAKE_TERRAIN,
         GATHER_HEIGHT,
         CHECK_SEAMS,
@@ -41,6 +48,8 @@ ground = Workflow(
         DELIVER_STACK,
         MAP_CLASSES,
         DELIVER_RASTERS,
+        CONTOUR_BLOCKS,
+        DELIVER_CONTOURS,
         DELIVER_QUALITY,
         DELIVER_OVERVIEW,
         DELIVER_CATALOGUE,

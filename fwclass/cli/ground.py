@@ -16,7 +16,7 @@ PARAM = click.option("--param", "assignments", multiple=True, metavar="NAME=VALU
 METHOD = click.option("--method", type=click.Choice(get_args(Method)), help="Filter (default: ground.method).")
 PRESET = click.option("--preset", metavar="NAME", help=KINDS)
 CRS = click.option("--crs", metavar="EPSG:CODE", help="Coordinate system, instead of the one that the file names.")
-RASTERS = ("dtm", "dsm", "ndsm", "hillshade")
+RASTERS = ("dtm", "dsm", "ndsm", "hillshade", "slope", "roughness")
 FLAGGED = click.option("--use-flagged", is_flag=True, help="Show withheld and synthetic points to the filter too.")
 
 
@@ -37,6 +37,8 @@ FLAGGED = click.option("--use-flagged", is_flag=True, help="Show withheld and sy
 @click.option("--dsm", type=PATH, help="Highest echoes as GeoTIFF.")
 @click.option("--ndsm", type=PATH, help="Height of the highest echoes above the terrain as GeoTIFF.")
 @click.option("--hillshade", type=PATH, help="Shaded relief of the terrain as GeoTIFF.")
+@click.option("--slope", type=PATH, help="Slope of the terrain as GeoTIFF [deg].")
+@click.option("--roughness", type=PATH, help="Spread of the ground points about their plane as GeoTIFF.")
 @click.option("--cell", type=float, metavar="METRES", help="Edge of the rasters' cells (as --set terrain.cell=0.5).")
 @click.option("--optimize", is_flag=True, help="Search the filter's parameters on labelled points; no OUT.")
 @click.option("--compare", metavar="NAME,NAME,…|all", help="Several filters side by side on one page; no OUT.")

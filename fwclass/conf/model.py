@@ -15,6 +15,7 @@ from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
 from fwclass.conf.schedule import ScheduleSection
 from fwclass.conf.sets import feature_set, listed_once
+from fwclass.contours.params import ContourParams
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams, SampleParams, StackParams
 from fwclass.errors import visible
 from fwclass.features.params import FeaturesParams
@@ -38,6 +39,7 @@ from fwclass.train.params import TrainParams
 from fwclass.vectors.params import VectorParams
 from fwclass.view.params import ViewParams
 from fwclass.voxels.params import ProfileParams, VoxelParams
+from fwclass.water.params import BreaklineParams, WaterParams
 
 
 class Section(BaseModel):
@@ -233,6 +235,9 @@ PARAMS: dict[str, type[BaseModel]] = {
     "ground_auto": GroundAutoParams,
     "ground_search": GroundSearchParams,
     "terrain": TerrainParams,
+    "contours": ContourParams,
+    "water": WaterParams,
+    "breaklines": BreaklineParams,
     "features": FeaturesParams,
     "radiometry": RadiometryParams,
     "train": TrainParams,
@@ -282,6 +287,9 @@ class Config:
     ground_auto: GroundAutoParams
     ground_search: GroundSearchParams
     terrain: TerrainParams
+    contours: ContourParams
+    water: WaterParams
+    breaklines: BreaklineParams
     features: FeaturesParams
     radiometry: RadiometryParams
     train: TrainParams

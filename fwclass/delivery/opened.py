@@ -49,8 +49,8 @@ class Delivery:
         return Echoes(sorted(self._part("parquet").glob("*.parquet")), box, columns, where)
 
     def raster(self, name: str) -> Raster:
-        """``classes, confidence, density, dtm, dsm, ndsm`` or ``hillshade``; of a survey of several places
-        ``PLACE/dtm`` and so on.
+        """``classes, confidence, density, dtm, dsm, ndsm, hillshade, slope, roughness, dtm_mask`` or
+        ``dtm_distance``; of a survey of several places ``PLACE/dtm`` and so on.
 
         Raises
         ------

@@ -88,10 +88,10 @@ def write_shapes(
     geometry: Sequence[bytes],
     fields: Mapping[str, Any],
     crs: str | None,
-    kind: Literal["Polygon", "Point"] = "Polygon",
+    kind: Literal["Polygon", "LineString", "Point"] = "Polygon",
 ) -> None:
-    """Add a layer of polygons or points (WKB) to a GeoPackage, which is made where it is not there; the same ones give
-    the same bytes.
+    """Add polygons, lines or points (WKB) to a layer of a GeoPackage; both are made where they are not there. The same
+    ones give the same bytes.
 
     Parameters
     ----------

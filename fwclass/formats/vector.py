@@ -39,8 +39,8 @@ def _asked(path: Path, question: Callable[[Any, Path], Any]) -> Any:
             raise _unreadable(path, fault) from fault
 
 
-def header(path: Path, layer: str | None) -> Header:
-    """What a layer holds; `layer` None takes the only one.
+def header(path: Path, layer: str | None, setting: str = "survey.reference.layer") -> Header:
+    """What a layer holds; `layer`, which `setting` names, None takes the only one.
 
     Raises
     ------
@@ -56,9 +56,9 @@ def header(path: Path, layer: str | None) -> Header:
         raise ConfigError(
             "the file has several layers",
             where=path,
-            expected="one, or survey.reference.layer",
+            expected=f"one, or {setting}",
             got=", ".join(known),
-            do=f"--set survey.reference.layer={known[0]}",
+            do=f"--set {setting}={known[0]}",
         )
     if layer is not None and layer not in known:
         raise ConfigError(
@@ -76,10 +76,11 @@ def header(path: Path, layer: str | None) -> Header:
     }
 
 
-def rows(path: Path, layer: str, field: str | None) -> tuple[list[Any], list[bytes | None]]:
-    """Values of a field and geometries as well-known binary, in the file's order; no values without a field."""
+def rows(path: Path, layer: str, field: str | None, flat: bool = True) -> tuple[list[Any], list[bytes | None]]:
+    """Values of a field and geometries as well-known binary, in the file's order; no values without a field, and no
+    heights where they are to be `flat`."""
     columns = [field] if field else []
-    found = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=columns, force_2d=True))
+    found = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=columns, force_2d=flat))
     geometries, fields = found[2], found[3]
     values = fields[0].tolist() if field else []
     return values, list(geometries)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 
+LINE, MULTILINE = 2, 5
 POLYGON, MULTIPOLYGON = 3, 6
 NAMES = {
     1: "Point",
@@ -209,6 +210,66 @@ def _polygons(data: bytes | None, where: object, number: int) -> list[list[Ring]
             got=str(fault),
             do="remove the feature, or convert it to polygons (for example QGIS: Convert geometry type)",
         ) from fault
+
+
+def lines(geometries: Iterable[bytes | None], where: object) -> tuple[Shapes, NDArray[np.float64]]:
+    """Lines of all features, in their order, each a ring that is not closed, and the heights of their points.
+
+    Raises
+    ------
+    InputError
+        A geometry that is no line, has no heights, or a point that is no number; the message names the feature.
+    """
+    parts: list[Ring] = []
+    feature, empty = [], 0
+    for number, data in enumerate(geometries):
+        some = [] if data is None else _lines(bytes(data), where, number + 1)
+        empty += not some
+        parts += some
+        feature += [number] * len(some)
+    points = np.concatenate(parts) if parts else np.zeros((0, 3))
+    start = np.concatenate([np.zeros(1, np.int64), np.cumsum([len(p) for p in parts], dtype=np.int64)])
+    x, y, z = (np.ascontiguousarray(v) for v in points.T)
+    return Shapes(x, y, start, np.arange(len(parts) + 1), np.array(feature, np.int64), empty, 0), z
+
+
+def _lines(data: bytes, where: object, number: int) -> list[Ring]:
+    try:
+        cursor = _Cursor(data)
+        order, kind, _ = _head(cursor)
+        if kind == MULTILINE:
+            made = [_line(cursor) for _ in range(cursor.count(order, 9, "lines"))]
+        else:
+            cursor.at = 0
+            made = [_line(cursor)]
+        if cursor.left:
+            raise WkbError(f"{cursor.left} bytes too many")
+        return made
+    except WkbError as fault:
+        raise InputError(
+            "a feature of the breaklines is no line with heights",
+            where=f"{where}: feature {number}",
+            expected="LineString Z or MultiLineString Z, in metres of the survey's heights",
+            got=str(fault),
+            do="give lines their heights (for example QGIS: Drape, from a raster), or leave the feature out",
+        ) from fault
+
+
+def _line(cursor: _Cursor) -> Ring:
+    """x, y and height of a line's points."""
+    start = cursor.at
+    order, kind, dimensions = _head(cursor)
+    if kind != LINE:
+        raise WkbError(f"a geometry of kind {NAMES.get(kind, kind)}")
+    (code,) = struct.unpack_from(order + "I", cursor.data, start + 1)
+    if not (code & _EWKB_Z or (code & _EWKB_KIND) // 1000 in (1, 3)):  # a third coordinate may be a measure
+        raise WkbError("a line without heights")
+    n = cursor.count(order, 8 * dimensions, "points")
+    values = np.frombuffer(cursor.data, order + "f8", n * dimensions, cursor.at).reshape(n, dimensions)[:, :3]
+    cursor.at += 8 * n * dimensions
+    if n < 2 or not np.isfinite(values).all():
+        raise WkbError("a line of fewer than two points, or with a coordinate that is no number")
+    return values.astype(np.float64)
 
 
 def polygon_wkb(polygon: Iterable[Ring]) -> bytes:

@@ -76,6 +76,7 @@ def delivered_catalogue(
     title: str,
     polygons: Names,
     vectors: Names = (),
+    contours: bool = False,
 ) -> Made:
     """The list of tiles for QGIS and PDAL, and a project that shows all of the delivery."""
     tiles = _facts(here)
@@ -95,7 +96,7 @@ def delivered_catalogue(
     ranges = {site: here.inputs.meta(DELIVER_RASTERS.name, site)["ranges"] for site in here.parts(DELIVER_RASTERS.name)}
     _write_style(here, present)
     bounds = facts["bounds"]
-    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors)
+    groups = groups_of(present, columns, ranges, polygons, WHOLE, vectors, contours)
     write_project(title, groups, (bounds[0], bounds[1], bounds[3], bounds[4]), here.directory / "survey.qgz", system)
     return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
 
@@ -225,6 +226,7 @@ DELIVER_CATALOGUE = Stage(
         "title": plan.config.survey.name,
         "polygons": ("tiles", "areas") if any(_areas(plan).values()) else ("tiles",),
         **({"vectors": layers_made(plan)} if layers_made(plan) else {}),
+        "contours": plan.config.contours.enabled,
     },
     after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
     needs=_published,

@@ -12,15 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import StoreError
+from fwclass.graph.breaklines import BREAKLINES, breaklines_in, breaklines_needed
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
 from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filtered
 from fwclass.ground.terrain.params import TerrainParams
-from fwclass.ground.terrain.terrain import Points, terrain
+from fwclass.ground.terrain.terrain import FLATTENED, Points, terrain
 from fwclass.memory import give_back
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
@@ -28,7 +30,7 @@ from fwclass.schema import Table, column
 from fwclass.store.cells import CELLS, by_name
 from fwclass.waveforms import IMPLAUSIBLE
 
-STORED = ("dtm", "dsm", "mask", "distance")
+STORED = ("dtm", "dsm", "mask", "distance", "roughness")
 """Rasters of a block of the terrain."""
 
 WITHIN = 0.01
@@ -113,9 +115,21 @@ def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
     for table in more:
         no, yes = np.zeros(table.rows, bool), np.ones(table.rows, bool)
         t, own = Table.concat([t, table.with_columns({"ground": yes, "noise": no})]), np.concatenate([own, no])
-    rasters = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], own, core, params)
-    write_rasters(here.directory, {name: getattr(rasters, name) for name in STORED}, core)
-    heights = Table({"height_above_ground": rasters.height[: len(around.own)]})
+    water = water_of(here)
+    ground = t["ground"]
+    if water is not None:
+        level = water.levels(t["x"], t["y"])
+        ground = ground & np.isnan(level)
+    knots = _knots(here, water, here.tile.box.grown(here.halo))
+    rasters = terrain(t["x"], t["y"], t["z"], ground, t["noise"], own, core, params, knots)
+    stored, height = {name: getattr(rasters, name) for name in STORED}, rasters.height
+    if water is not None:
+        height = np.where(np.isnan(level[own]), height, t["z"][own] - level[own]).astype(np.float32)
+        flat = water.of_cells(core)
+        stored["dtm"] = np.where(np.isnan(flat), stored["dtm"], flat).astype(np.float32)
+        stored["mask"] = np.where(np.isnan(flat), stored["mask"], np.uint8(FLATTENED))
+    write_rasters(here.directory, stored, core)
+    heights = Table({"height_above_ground": height[: len(around.own)]})
     return heights, {
         **around.facts(heights),
         "measured": int((rasters.support == 0).sum()),
@@ -123,6 +137,15 @@ def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
         "without_terrain": int(np.isnan(heights["height_above_ground"]).sum()),
         **({"stacked": sum(table.rows for table in more)} if more else {}),
     }
+
+
+def _knots(here: StageInputs, water: Water | None, box: Box) -> Points | None:
+    """Places in `box` that the terrain passes through: of shores and of breaklines; None without any."""
+    some = [*([water.knots_in(box)] if water is not None else []), *breaklines_in(here, box)]
+    if not some:
+        return None
+    x, y, z = (np.concatenate(v) for v in zip(*some, strict=True))
+    return x, y, z
 
 
 def gathered_columns(here: StageInputs, source: str, columns: tuple[str, ...], block: float) -> Made:
@@ -161,7 +184,7 @@ def measured_seams(
     blocks = [cut.tile(key) for key in here.parts(TERRAIN.name)]
     mosaic = Mosaic(here.inputs, TERRAIN.name, blocks, terrain.cell, {"dtm": np.float32(np.nan)})
     parts = groups(Tile(*place, ground.block) for place in owned)
-    seen, left_out = _Seams(), 0
+    seen, left_out, water = _Seams(), 0, water_of(here)
     for k, part in enumerate(parts, 1):
         inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
         window = Window.covering(inside or box, terrain.cell)
@@ -172,7 +195,8 @@ def measured_seams(
         points = seen.add_flags(echoes, ground)
         echoes = echoes.select(())  # what is not needed any more makes room for the triangles of all
         table = table if k < len(parts) else echoes
-        seen.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain)
+        knots = _knots(here, water, window.box.grown(terrain.block_halo))
+        seen.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water, knots)
     return {**seen.facts(), "left_out": left_out}
 
 
@@ -219,11 +243,24 @@ class _Seams:
         rows = np.flatnonzero(whole.ground & ~whole.noise)
         return table["x"][rows], table["y"][rows], table["z"][rows]
 
-    def add_terrain(self, points: Points, dtm: NDArray[np.float32], window: Window, params: TerrainParams) -> None:
+    def add_terrain(
+        self,
+        points: Points,
+        dtm: NDArray[np.float32],
+        window: Window,
+        params: TerrainParams,
+        water: Water | None,
+        knots: Points | None,
+    ) -> None:
         """Hold the terrain of all ground `points` of one place against the `dtm` of its blocks."""
         give_back(None)
         yes, no = np.ones(len(points[0]), bool), np.zeros(len(points[0]), bool)
-        surface = terrain(*points, yes, no, no, window, params).dtm
+        if water is not None:
+            yes = np.isnan(water.levels(*points[:2]))
+        surface = terrain(*points, yes, no, no, window, params, knots).dtm
+        if water is not None:
+            flat = water.of_cells(window)
+            surface = np.where(np.isnan(flat), surface, flat).astype(np.float32)
         both = np.isfinite(dtm) & np.isfinite(surface)
         off = np.abs(dtm - surface)[both]
         self.off.append(off)
@@ -309,8 +346,8 @@ MAKE_TERRAIN = Stage(
     writes=TERRAIN.writes,
     halo=lambda plan: TERRAIN.halo(plan.config.terrain),
     area=lambda plan, block: Window.covering(block.box, plan.config.terrain.cell).box,
-    after=(STACK,),
-    needs=_stacked_around,
+    after=(STACK, LEVELS, BREAKLINES),
+    needs=lambda plan, block: [*_stacked_around(plan, block), *levels_needed(plan), *breaklines_needed(plan)],
 )
 GATHER_HEIGHT = _gathers("height", MAKE_TERRAIN, TERRAIN.writes, lambda plan: plan.config.terrain.block)
 CHECK_SEAMS = Stage(
@@ -327,7 +364,11 @@ CHECK_SEAMS = Stage(
         "bounds": plan.layout.box.bounds,
     },
     reads=tuple(dict.fromkeys((*GROUND_FILTER.reads, *GROUND_FILTER.writes))),
-    after=("terrain",),
-    needs=lambda plan, part: [(TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)],
+    after=("terrain", LEVELS, BREAKLINES),
+    needs=lambda plan, part: [
+        *((TERRAIN.name, b.key) for b in terrain_blocks(plan.layout)),
+        *levels_needed(plan),
+        *breaklines_needed(plan),
+    ],
     check=True,
 )

@@ -40,7 +40,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class PolygonFile:
-    """A file of reference polygons: its layer, and the system that its coordinates are in (WKT; None: the survey's)."""
+    """Polygons or breaklines; `crs`: of the file's coordinates (WKT; None: the survey's)."""
 
     path: Location
     digests: FileDigests
@@ -55,7 +55,8 @@ class Survey:
     `strips` by name; `reference` is (file, digests, points); `crs` is WKT or None;
     `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests); `polygons` are the
     reference's files of polygons; `quantities`: what amplitudes and widths are, by name of the file; `echo_labels`:
-    the reference's labels by echo; `corrections`: what corrects labels of any kind, None for nothing.
+    the reference's labels by echo; `corrections`: what corrects labels of any kind, `water`: what is
+    flattened, `breaklines`: what the terrain passes through, all None for nothing.
     """
 
     strips: tuple[Strip, ...]
@@ -67,6 +68,8 @@ class Survey:
     quantities: Mapping[str, Quantities] = field(default_factory=dict)
     echo_labels: tuple[tuple[Location, FileDigests], ...] = ()
     corrections: tuple[Location, FileDigests] | None = None
+    water: PolygonFile | None = None
+    breaklines: PolygonFile | None = None
 
 
 @dataclass(frozen=True)

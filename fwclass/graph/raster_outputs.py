@@ -26,7 +26,7 @@ from fwclass.publish.palette import colours
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import style_file
 from fwclass.publish.raster_styles import MASK, STYLED, Spread, raster_style
-from fwclass.publish.shade import hillshade
+from fwclass.publish.shade import hillshade, slope
 from fwclass.run.inputs import PartInputs
 
 
@@ -48,7 +48,8 @@ def delivered_rasters(
     block: float,
     bounds: tuple[float, float, float, float],
 ) -> Made:
-    """Terrain and what it comes from, surface, their difference, relief, class, confidence and density of a box as COG.
+    """Terrain and what it comes from, its slope and roughness, surface, their difference, relief, class, confidence and
+    density of a box as COG.
 
     They are made in stripes from north to south: memory grows with the box's width alone. `names` of classes by code.
     """
@@ -90,6 +91,8 @@ _TERRAIN = {
     "dsm": "height of the highest echo [m]",
     "ndsm": "highest echo above the terrain [m]",
     "dtm_distance": "distance of the nearest cell with a ground echo [m]",
+    "slope": "angle of the terrain against the level, Horn 1981 [deg]",
+    "roughness": "standard deviation of ground echoes about their plane in 3 x 3 cells [m]",
 }
 
 
@@ -102,9 +105,10 @@ def _terrain_rasters(
     target: Path,
     spreads: dict[str, Spread],
 ) -> int:
-    """Write heights, what they come from, and shaded relief; cells with terrain."""
+    """Write heights, what they come from, slope, roughness and shaded relief; cells with terrain."""
     nothing = np.float32(np.nan)
-    empty: dict[str, np.generic] = {"dtm": nothing, "dsm": nothing, "distance": nothing, "mask": np.uint8(NO_TERRAIN)}
+    empty: dict[str, np.generic] = dict.fromkeys(("dtm", "dsm", "distance", "roughness"), nothing)
+    empty["mask"] = np.uint8(NO_TERRAIN)
     mosaic = Mosaic(inputs, "terrain", blocks, window.cell, empty)
     cells = 0
     spreads |= {name: Spread() for name in _TERRAIN}
@@ -125,23 +129,27 @@ def _terrain_rasters(
         for stripe in stripes(window, STRIPE):
             if not mosaic.touches(stripe):
                 continue
-            around = stripe.grown(1).common(window) or stripe  # light asks for the cells beside
-            heights, inner = mosaic.laid(around), stripe.within(around)
+            around = stripe.grown(1)  # light and slope ask for the cells beside
+            laid, inner = mosaic.laid(around), stripe.within(around)
+            wide = laid["dtm"]
+            heights = {name: raster[inner] for name, raster in laid.items()}
             dtm = heights["dtm"]
             there = np.isfinite(dtm)
-            tone = np.where(there, 1 + 254 * hillshade(dtm, window.cell, params), 0).astype(np.uint8)
+            tone = np.where(there, 1 + 254 * hillshade(wide, window.cell, params)[inner], 0).astype(np.uint8)
             made = {
                 "dtm": dtm,
                 "dsm": heights["dsm"],
                 "ndsm": heights["dsm"] - dtm,
                 "dtm_distance": heights["distance"],
+                "slope": slope(wide, window.cell),
+                "roughness": heights["roughness"],
             }
             for name, raster in made.items():
-                put[name](stripe, raster[inner])
-                spreads[name].add(raster[inner])
-            shade(stripe, tone[inner])
-            mask(stripe, heights["mask"][inner])
-            cells += int(there[inner].sum())
+                put[name](stripe, raster)
+                spreads[name].add(raster)
+            shade(stripe, tone)
+            mask(stripe, heights["mask"])
+            cells += int(there.sum())
     return cells
 
 
@@ -210,7 +218,7 @@ MAP_CLASSES = Stage(
 )
 DELIVER_RASTERS = Stage(
     "publish-rasters",
-    5,
+    6,
     "survey",
     "cell",
     delivered_rasters,

@@ -90,8 +90,8 @@ class Mosaic:
         return self._held[key]
 
     def _read(self, key: str) -> tuple[dict[str, NDArray], Window]:
-        arrays, attributes = self._inputs.arrays(self._stage, key, RASTERS)
-        return {n: arrays[n] for n in self._empty}, window_of(attributes)
+        arrays, attributes = self._inputs.arrays(self._stage, key, RASTERS, tuple(self._empty))
+        return arrays, window_of(attributes)
 
 
 def stripes(window: Window, rows: int) -> Iterator[Window]:

@@ -4,24 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
 
+import numpy as np
 from pyproj import CRS
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
 from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
+from fwclass.graph.area_of_interest import edges, shares_area
 from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, found_files, joint_bounds
 from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.grid import Box
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
-from fwclass.read.polygons import check_field, open_polygons, source_crs, values_of
+from fwclass.read.polygons import (
+    check_field,
+    open_polygons,
+    read_lines,
+    read_polygons,
+    reprojected,
+    source_crs,
+    values_of,
+)
 from fwclass.read.source import open_source
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_file import Location, found_outside, local
 from fwclass.store.url import Url
+from fwclass.water.params import BreaklineParams, WaterParams
 
 
 def reference_clouds(
@@ -66,6 +78,60 @@ def reference_polygons(
             )
         )
     return tuple(files)
+
+
+def water_polygons(
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, given: CRS | None, box: Box
+) -> PolygonFile | None:
+    """The file of the water that is flattened; `InputError` where none of it lies in the survey's `box` [m]."""
+    return _file_of_terrain("water", config.water, config, directory, digests, crs, given, box)
+
+
+def breakline_file(
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, given: CRS | None, box: Box
+) -> PolygonFile | None:
+    """The file of the breaklines; `InputError` for lines without heights, and where none lies in the survey's `box`
+    [m]."""
+    return _file_of_terrain("breaklines", config.breaklines, config, directory, digests, crs, given, box)
+
+
+def _file_of_terrain(
+    section: Literal["water", "breaklines"],
+    asked: WaterParams | BreaklineParams,
+    config: Config,
+    directory: Path | Url,
+    digests: Digests,
+    crs: str | None,
+    given: CRS | None,
+    box: Box,
+) -> PolygonFile | None:
+    if asked.file is None:
+        return None
+    survey = CRS.from_wkt(crs) if crs is not None else None
+    places = found_files([asked.file], directory, f"{section}.file", config.path, config.store)
+    if len(places) > 1:
+        raise InputError(
+            f"{section}.file is one file", where=config.path, got=f"{len(places)} files match", do="name one"
+        )
+    path = local(places[0])
+    opened = open_polygons(path, asked.layer, f"{section}.layer")
+    system = source_crs(opened, given, survey, f"--set {section}.crs=EPSG:<code>")
+    shapes = read_polygons(opened, None)[1] if section == "water" else read_lines(opened)[0]
+    if system is not None and survey is not None:
+        shapes, _ = reprojected(shapes, system, survey, path)
+    a, b = edges(shapes.x, shapes.y, shapes.ring_start)
+    low, high = np.array(box.bounds[:2]), np.array(box.bounds[2:])
+    near = ((np.maximum(a, b) >= low) & (np.minimum(a, b) <= high)).all(axis=1).any()
+    if not (shares_area(box, a, b) if section == "water" and len(a) else near):
+        raise InputError(
+            f"no {'water lies' if section == 'water' else 'breakline lies'} in the survey",
+            where=path,
+            expected=f"shapes that meet {box_text(box)}",
+            got=f"{shapes.parts} shapes",
+            do=f"check the file, and its coordinate system ({section}.crs)",
+        )
+    wkt = system.to_wkt() if system is not None else None
+    return PolygonFile(places[0], digests.of(opened.files, places[0]), opened.layer, wkt)
 
 
 def reference_echo_labels(

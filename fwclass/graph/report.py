@@ -110,11 +110,18 @@ def write_report(
             *(drifted or {}).get("remarks", ()),
             *_crowded(runner, config),
             *_empty(files),
+            *(
+                t
+                for s in ("water-levels", "publish-contours")
+                for r in made_in_run(runner, s)
+                for t in r.meta["remarks"]
+            ),
             *(words for r in made_in_run(runner, DELIVER_VECTORS.name) for words in vector_remarks(r.meta)),
             *(class_remarks(source, known_codes(config.classes), kept) if classified else ()),
         ],
         "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
         "ground": _ground(runner, config),
+        "water": [body for r in made_in_run(runner, "water-levels") for body in r.meta["bodies"]],
         "quality": next((r.meta["quality"] for r in made_in_run(runner, "publish-quality")), None),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(runner),
@@ -368,6 +375,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "publish-overview",
         "publish-catalogue",
         "publish-polygons",
+        "publish-contours",
         DELIVER_VECTORS.name,
         "train",
     )
@@ -379,6 +387,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         "model": "model/",
         "quality": "quality.",
         "gis": ("survey.qgz", "tiles.gpkg"),
+        "contours": "contours.gpkg",
         "vectors": ("vectors.gpkg", "vectors/"),
     }
     return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}
@@ -428,8 +437,15 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
     rows += [f"remark      {text}" for text in report.get("remarks", ())]
     rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
+    if report["water"]:
+        flat = sum(body["level_enough"] for body in report["water"])
+        rows.append(
+            f"water       {flat} of {len(report['water'])} polygons flattened, each with its level in report.json"
+        )
     for kind, names in report["outputs"].items():
-        if kind == "gis":
+        if kind == "contours":
+            rows += [f"{kind:<11} {root / name}" for name in names]
+        elif kind == "gis":
             rows += [f"{'qgis':<11} {root / name}" for name in names if name.endswith(".qgz")]
         elif kind == "quality":
             rows += [f"{kind:<11} {root / name}" for name in names]

@@ -18,8 +18,10 @@ from fwclass.graph.backscatter import (
     FILL_VOXELS,
     SAMPLE_WAVES,
 )
+from fwclass.graph.breaklines import READ_BREAKLINES
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
+from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS
 from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground import CHECK_SEAMS, FILTER_GROUND, GATHER_GROUND, GATHER_HEIGHT, MAKE_TERRAIN
@@ -62,6 +64,7 @@ from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
 from fwclass.graph.vectors import CHOOSE_CELL, COUNT_PULSES, DELIVER_VECTORS, FIND_BUILDINGS, FIND_TREES
+from fwclass.graph.water import LEVEL_WATER, MEASURE_SHORE, READ_WATER
 from fwclass.radiometry.stage import RADIOMETRY
 
 OF_STRIPS = (READ_SPAN, MEASURE_PULSE, MEASURE_PLACES, DECOMPOSE_WAVES, DECOMPOSE_RETURNS, SPLIT_ECHOES)
@@ -83,6 +86,10 @@ TO_LABELS = (
     GATHER_GROUND,
     MAKE_FIRST_TERRAIN,
     STACK_PULSES,
+    READ_BREAKLINES,
+    READ_WATER,
+    MEASURE_SHORE,
+    LEVEL_WATER,
     MAKE_TERRAIN,
     GATHER_HEIGHT,
     THIN_ECHOES,
@@ -123,6 +130,8 @@ DELIVERY = (
     DELIVER_STACK,
     MAP_CLASSES,
     DELIVER_RASTERS,
+    CONTOUR_BLOCKS,
+    DELIVER_CONTOURS,
     DELIVER_QUALITY,
     DELIVER_OVERVIEW,
     DELIVER_CATALOGUE,

@@ -19,7 +19,14 @@ from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, found_files, joint_bounds
 from fwclass.graph.layout import Strip, Survey
 from fwclass.graph.numbering import numbers
-from fwclass.graph.reference import reference_clouds, reference_corrections, reference_echo_labels, reference_polygons
+from fwclass.graph.reference import (
+    breakline_file,
+    reference_clouds,
+    reference_corrections,
+    reference_echo_labels,
+    reference_polygons,
+    water_polygons,
+)
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.graph.tiling import CLOUD_ROWS, max_of, min_of
 from fwclass.grid import Box
@@ -154,10 +161,15 @@ def gather(config: Config, runner: Runner) -> Survey:
     polygons = reference_polygons(config, directory, digests, crs, of_labels)
     clouds = reference_clouds(config, directory, digests, box)
     by_echo = reference_echo_labels(config, directory, digests)
+    of_water = given_crs(config.water.crs, "water.crs")
+    water = water_polygons(config, directory, digests, crs, of_water, box)
+    of_lines = given_crs(config.breaklines.crs, "breaklines.crs")
+    breaklines = breakline_file(config, directory, digests, crs, of_lines, box)
     corrections = reference_corrections(config, directory, digests, runner.store.where)
     digests.save()
     quantities = {s.path.name: quantities_of(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
-    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections)
+    of_terrain = {"water": water, "breaklines": breaklines}
+    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **of_terrain)
 
 
 def opened_all(places: Sequence[Location], config: Config) -> list[Source]:

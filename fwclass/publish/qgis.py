@@ -25,7 +25,7 @@ class MapLayer:
     ----------
     kind : a key of `PROVIDERS`.
     source : path below the project, with ``|layername=…|subset=…`` of a vector layer.
-    geometry : of a vector layer, ``Polygon`` or ``Point``.
+    geometry : of a vector layer, ``Polygon``, ``Line`` or ``Point``.
     shown : drawn when the project opens.
     """
 
@@ -114,6 +114,7 @@ def _layer(layer: MapLayer, number: int, crs: pyproj.CRS | None) -> Xml.Element:
     made = Xml.Element("maplayer", {"type": kind, "hasScaleBasedVisibilityFlag": "0"})
     if layer.kind == "vector":
         made.set("geometry", layer.geometry)
+        made.set("labelsEnabled", str(int(any(part.tag == "labeling" for part in layer.style))))
     _text(made, "id", _key(number))
     _text(made, "datasource", f"./{layer.source}")
     _text(made, "layername", layer.name)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree as Xml
 
+from fwclass.publish.contour_file import LAYER
+from fwclass.publish.contour_style import contour_style
 from fwclass.publish.qgis import MapLayer
 from fwclass.publish.qgis_style import (
     HEIGHTS,
@@ -26,11 +28,15 @@ HEIGHT_SHOWN = 25.0
 LEAST_SURE = (0.0, 0.7, 0.8, 0.9, 0.95, 1.0)
 """Edges of the tiles' colours, mean confidence."""
 
+CONTOURS = "contours.gpkg"
+
 _RASTERS = {
     "classes": ("classes", "Maps"),
     "confidence": ("confidence of the classes [%]", "Maps"),
     "density": ("echoes per m²", "Maps"),
     "hillshade": ("shaded relief", "Terrain"),
+    "slope": ("slope [°]", "Terrain"),
+    "roughness": ("roughness of the ground [m]", "Terrain"),
     "ndsm": ("height of objects [m]", "Terrain"),
     "dsm": ("surface [m]", "Terrain"),
     "dtm": ("terrain [m]", "Terrain"),
@@ -61,6 +67,7 @@ def groups_of(
     polygons: Sequence[str],
     whole: str,
     vectors: Sequence[str] = (),
+    contours: bool = False,
 ) -> dict[str, list[MapLayer]]:
     """Groups of layers, the first on top.
 
@@ -71,6 +78,7 @@ def groups_of(
     ranges : of the rasters of every site; those of the site `whole` lie at the top.
     polygons : layers of ``tiles.gpkg``.
     vectors : layers of ``vectors.gpkg``.
+    contours : there are contour lines.
     """
     titles = {"classes": "by class", "confidence": "by confidence", "height_above_ground": "by height above ground"}
     echoes = [
@@ -85,6 +93,9 @@ def groups_of(
     ]
     groups = {"Echoes": echoes, **({"Vectors": shapes} if shapes else {}), "Tiles": _polygons(polygons)}
     groups |= {"Maps": [], "Terrain": []}
+    if contours:
+        source = f"{CONTOURS}|layername={LAYER}"
+        groups["Terrain"].append(MapLayer("contours", "vector", source, contour_style(), True, "Line"))
     for site, made in ranges.items():
         where, more = ("rasters", "") if site == whole else (f"rasters/{site}", f", {site}")
         for name, (title, group) in _RASTERS.items():

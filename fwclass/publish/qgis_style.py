@@ -34,28 +34,30 @@ def plain_text(text: str) -> str:
     return _CONTROL.sub("", text)
 
 
-def _add(parent: Xml.Element, tag: str, **attributes: Any) -> Xml.Element:
+def add(parent: Xml.Element, tag: str, **attributes: Any) -> Xml.Element:
+    """A new element below `parent`, its attributes as text."""
     return Xml.SubElement(parent, tag, {k: plain_text(str(v)) for k, v in attributes.items()})
 
 
-def _rgba(colour: RGB) -> str:
+def rgba(colour: RGB) -> str:
+    """A colour as QGIS writes it, opaque."""
     return "{},{},{},255".format(*colour)
 
 
 def class_raster_style(names: Mapping[int, str], multiply: bool = False) -> list[Xml.Element]:
     """One colour a class, of the classes that there are."""
     pipe = Xml.Element("pipe")
-    renderer = _add(pipe, "rasterrenderer", type="paletted", band=1, opacity=1, alphaBand=-1, nodataColor="")
-    palette = _add(renderer, "colorPalette")
+    renderer = add(pipe, "rasterrenderer", type="paletted", band=1, opacity=1, alphaBand=-1, nodataColor="")
+    palette = add(renderer, "colorPalette")
     for code, colour in _coloured(names).items():
-        _add(palette, "paletteEntry", value=code, color=css(colour), label=_label(code, names), alpha=255)
+        add(palette, "paletteEntry", value=code, color=css(colour), label=_label(code, names), alpha=255)
     return [pipe, _blend(multiply)]
 
 
 def ramp_raster_style(ramp: Ramp, low: float, high: float, unit: str = "", multiply: bool = False) -> list[Xml.Element]:
     """Colours between two values, the ends' beyond them."""
     pipe = Xml.Element("pipe")
-    renderer = _add(
+    renderer = add(
         pipe,
         "rasterrenderer",
         type="singlebandpseudocolor",
@@ -66,14 +68,14 @@ def ramp_raster_style(ramp: Ramp, low: float, high: float, unit: str = "", multi
         classificationMin=low,
         classificationMax=high,
     )
-    _shader(_add(renderer, "rastershader"), ramp, low, high, unit)
+    _shader(add(renderer, "rastershader"), ramp, low, high, unit)
     return [pipe, _blend(multiply)]
 
 
 def grey_raster_style(low: float, high: float) -> list[Xml.Element]:
     """Black to white between two values."""
     pipe = Xml.Element("pipe")
-    renderer = _add(
+    renderer = add(
         pipe,
         "rasterrenderer",
         type="singlebandgray",
@@ -83,9 +85,9 @@ def grey_raster_style(low: float, high: float) -> list[Xml.Element]:
         nodataColor="",
         gradient="BlackToWhite",
     )
-    stretch = _add(renderer, "contrastEnhancement")
+    stretch = add(renderer, "contrastEnhancement")
     for tag, value in (("minValue", low), ("maxValue", high), ("algorithm", "StretchToMinimumMaximum")):
-        _add(stretch, tag).text = str(value)
+        add(stretch, tag).text = str(value)
     return [pipe, _blend(False)]
 
 
@@ -96,7 +98,7 @@ def _blend(multiply: bool) -> Xml.Element:
 
 
 def _shader(parent: Xml.Element, ramp: Ramp, low: float, high: float, unit: str) -> None:
-    shader = _add(
+    shader = add(
         parent,
         "colorrampshader",
         colorRampType="INTERPOLATED",
@@ -108,15 +110,15 @@ def _shader(parent: Xml.Element, ramp: Ramp, low: float, high: float, unit: str)
     for share, colour in ramp:
         value = low + share * (high - low)
         label = f"{value:.3g} {unit}".strip()
-        _add(shader, "item", value=value, label=label, color=css(colour), alpha=255)
+        add(shader, "item", value=value, label=label, color=css(colour), alpha=255)
 
 
 def class_cloud_style(names: Mapping[int, str]) -> list[Xml.Element]:
     """Echoes by class; one that is not named is not drawn, and none is left unnamed."""
     renderer = _cloud("classified", "Classification")
-    categories = _add(renderer, "categories")
+    categories = add(renderer, "categories")
     for code, colour in _coloured(names).items():
-        _add(categories, "category", value=code, color=_rgba(colour), label=_label(code, names), render=1)
+        add(categories, "category", value=code, color=rgba(colour), label=_label(code, names), render=1)
     return [renderer]
 
 
@@ -147,19 +149,19 @@ def _cloud(kind: str, attribute: str) -> Xml.Element:
 def outline_style(colour: RGB, width: float = 0.4) -> list[Xml.Element]:
     """Empty polygons with an outline."""
     renderer = Xml.Element("renderer-v2", {"type": "singleSymbol"})
-    _symbol(_add(renderer, "symbols"), "0", None, colour, width)
+    _symbol(add(renderer, "symbols"), "0", None, colour, width)
     return [renderer]
 
 
 def point_style(colour: RGB, size: float) -> list[Xml.Element]:
     """Points as discs of `size` [mm]."""
     renderer = Xml.Element("renderer-v2", {"type": "singleSymbol"})
-    symbol = _add(_add(renderer, "symbols"), "symbol", type="marker", name="0", alpha=1, clip_to_extent=1, force_rhr=0)
-    layer = _add(symbol, "layer", **{"class": "SimpleMarker", "enabled": 1, "locked": 0, "pass": 0})
-    options = _add(layer, "Option", type="Map")
-    settings = {"name": "circle", "color": _rgba(colour), "outline_style": "no", "size": size, "size_unit": "MM"}
+    symbol = add(add(renderer, "symbols"), "symbol", type="marker", name="0", alpha=1, clip_to_extent=1, force_rhr=0)
+    layer = add(symbol, "layer", **{"class": "SimpleMarker", "enabled": 1, "locked": 0, "pass": 0})
+    options = add(layer, "Option", type="Map")
+    settings = {"name": "circle", "color": rgba(colour), "outline_style": "no", "size": size, "size_unit": "MM"}
     for key, value in settings.items():
-        _add(options, "Option", name=key, value=value, type="QString")
+        add(options, "Option", name=key, value=value, type="QString")
     return [renderer]
 
 
@@ -168,11 +170,11 @@ def graduated_style(attribute: str, ramp: Ramp, edges: Sequence[float]) -> list[
     renderer = Xml.Element(
         "renderer-v2", {"type": "graduatedSymbol", "attr": attribute, "graduatedMethod": "GraduatedColor"}
     )
-    ranges, symbols = _add(renderer, "ranges"), Xml.Element("symbols")
+    ranges, symbols = add(renderer, "ranges"), Xml.Element("symbols")
     pairs = list(zip(edges[:-1], edges[1:], strict=True))
     for k, (low, high) in enumerate(pairs):
         label = f"{low:.2f} to {high:.2f}"
-        _add(ranges, "range", lower=low, upper=high, symbol=k, label=label, render="true")
+        add(ranges, "range", lower=low, upper=high, symbol=k, label=label, render="true")
         _symbol(symbols, str(k), _between(ramp, k / max(1, len(pairs) - 1)), (90, 90, 90), 0.2)
     renderer.append(symbols)
     return [renderer]
@@ -188,20 +190,20 @@ def _between(ramp: Ramp, share: float) -> RGB:
 
 
 def _symbol(parent: Xml.Element, name: str, fill: RGB | None, line: RGB, width: float) -> None:
-    symbol = _add(parent, "symbol", type="fill", name=name, alpha=1, clip_to_extent=1, force_rhr=0)
-    layer = _add(symbol, "layer", **{"class": "SimpleFill", "enabled": 1, "locked": 0, "pass": 0})
-    options = _add(layer, "Option", type="Map")
+    symbol = add(parent, "symbol", type="fill", name=name, alpha=1, clip_to_extent=1, force_rhr=0)
+    layer = add(symbol, "layer", **{"class": "SimpleFill", "enabled": 1, "locked": 0, "pass": 0})
+    options = add(layer, "Option", type="Map")
     settings = {
-        "color": _rgba(fill or line),
+        "color": rgba(fill or line),
         "style": "solid" if fill else "no",
-        "outline_color": _rgba(line),
+        "outline_color": rgba(line),
         "outline_style": "solid",
         "outline_width": width,
         "outline_width_unit": "MM",
         "joinstyle": "bevel",
     }
     for key, value in settings.items():
-        _add(options, "Option", name=key, value=value, type="QString")
+        add(options, "Option", name=key, value=value, type="QString")
 
 
 def _coloured(names: Mapping[int, str]) -> dict[int, RGB]:
@@ -217,7 +219,7 @@ def style_file(style: Sequence[Xml.Element], kind: str) -> bytes:
     """A ``.qml`` of a "raster", "vector" or "pointcloud" layer."""
     root = Xml.Element("qgis", {"version": VERSION, "styleCategories": "AllStyleCategories"})
     if kind == "vector":
-        root.set("labelsEnabled", "0")
+        root.set("labelsEnabled", str(int(any(part.tag == "labeling" for part in style))))
     root.extend(style)
     return document(root)
 

@@ -11,10 +11,25 @@ from numpy.typing import NDArray
 
 from fwclass.publish.qgis_style import HEIGHTS, MANY, SURE, class_raster_style, grey_raster_style, ramp_raster_style
 
-STYLED = ("classes", "confidence", "density", "dtm", "dsm", "ndsm", "hillshade", "dtm_mask", "dtm_distance")
+STYLED = (
+    "classes",
+    "confidence",
+    "density",
+    "dtm",
+    "dsm",
+    "ndsm",
+    "hillshade",
+    "slope",
+    "roughness",
+    "dtm_mask",
+    "dtm_distance",
+)
 
-MASK = {1: "measured", 2: "interpolated", 3: "extrapolated"}
+MASK = {1: "measured", 2: "interpolated", 3: "extrapolated", 4: "water, flattened"}
 """Values of `dtm_mask`."""
+
+STEEP = 60.0
+"""Slope that the colours reach [deg]; steeper land is rock."""
 
 DEVIATIONS = 2.0
 """Standard deviations around the mean that colours are spread over: a crane or a pit takes none away."""
@@ -68,4 +83,6 @@ def raster_style(
     low, high = ranges[name]
     if name == "density":
         return ramp_raster_style(MANY, low, high, "echoes/m²", multiply)
-    return ramp_raster_style(HEIGHTS, low, high, "m", multiply)
+    if name == "slope":
+        return ramp_raster_style(MANY, 0, STEEP, "°", multiply)
+    return ramp_raster_style(MANY if name == "roughness" else HEIGHTS, low, high, "m", multiply)

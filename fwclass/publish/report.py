@@ -222,6 +222,7 @@ def _outputs(outputs: Mapping[str, Any]) -> list[dict[str, Any]]:
         "model": "Trained model",
         "quality": "Survey quality",
         "gis": "QGIS project and tile map",
+        "contours": "Contour lines (GeoPackage)",
         "vectors": "Vectors (GeoPackage, GeoParquet)",
     }
     out = []

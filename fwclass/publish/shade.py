@@ -1,4 +1,4 @@
-"""Light on a terrain model."""
+"""Light on a terrain model, and its slope."""
 
 from __future__ import annotations
 
@@ -27,6 +27,24 @@ def hillshade(dtm: NDArray[np.float32], cell: float, params: PublishParams) -> N
     sun = (math.sin(azimuth) * math.cos(altitude), math.cos(azimuth) * math.cos(altitude), math.sin(altitude))
     light = (-east * sun[0] - north * sun[1] + sun[2]) / np.sqrt(1 + east**2 + north**2)
     return np.where(np.isfinite(dtm), np.clip(light, 0, 1), flat_light(params)).astype(np.float32)
+
+
+def slope(dtm: NDArray[np.float32], cell: float) -> NDArray[np.float32]:
+    """Angle of the terrain against the level [deg] (Horn 1981: the eight neighbours, those along the axes doubly).
+
+    Parameters
+    ----------
+    dtm : (n + 2, m + 2) heights [m] of the raster and one cell around.
+
+    Returns
+    -------
+    (n, m); NaN where one of the nine heights is missing, as `gdaldem slope` has it.
+    """
+    z = dtm.astype(np.float64)
+    across, along = z[:-2] + 2.0 * z[1:-1] + z[2:], z[:, :-2] + 2.0 * z[:, 1:-1] + z[:, 2:]
+    east, north = across[:, 2:] - across[:, :-2], along[2:] - along[:-2]
+    known = np.isfinite(z[1:-1, 1:-1])  # which its own slope does not ask for
+    return np.where(known, np.degrees(np.arctan(np.hypot(east, north) / (8.0 * cell))), np.nan).astype(np.float32)
 
 
 def slope_along(heights: NDArray[np.float64], axis: int) -> NDArray[np.float64]:

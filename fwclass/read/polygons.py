@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.formats import geoparquet, vector
-from fwclass.formats.wkb import Shapes, shapes
+from fwclass.formats.wkb import Shapes, lines, shapes
 
 PARQUET = (".parquet", ".geoparquet")
 MOST_DEGREES = 361.0
@@ -53,8 +54,8 @@ def layers(path: Path) -> list[str]:
     return [path.stem] if path.suffix.lower() in PARQUET else vector.layers(path)
 
 
-def open_polygons(path: Path, layer: str | None = None) -> PolygonLayer:
-    """Look at a layer without reading its rows.
+def open_polygons(path: Path, layer: str | None = None, setting: str = "survey.reference.layer") -> PolygonLayer:
+    """Look at a layer without reading its rows; `setting` names it.
 
     Raises
     ------
@@ -73,7 +74,7 @@ def open_polygons(path: Path, layer: str | None = None) -> PolygonLayer:
         )
     if path.suffix.lower() in PARQUET:
         return PolygonLayer(path, **geoparquet.header(path))
-    return PolygonLayer(path, **vector.header(path, layer))
+    return PolygonLayer(path, **vector.header(path, layer, setting))
 
 
 def check_field(opened: PolygonLayer, field: str) -> None:
@@ -124,6 +125,15 @@ def read_polygons(opened: PolygonLayer, field: str | None) -> tuple[list[Any], S
     else:
         values, geometries = vector.rows(opened.path, opened.layer, field)
     return values, shapes(geometries, opened.path)
+
+
+def read_lines(opened: PolygonLayer) -> tuple[Shapes, NDArray[np.float64]]:
+    """Lines with heights of a layer, and the heights of their points, as the file has them; `InputError` for others."""
+    if opened.column is not None:
+        geometries = geoparquet.rows(opened.path, opened.column, None)[1]
+    else:
+        geometries = vector.rows(opened.path, opened.layer, None, flat=False)[1]
+    return lines(geometries, opened.path)
 
 
 def values_of(opened: PolygonLayer, field: str) -> list[Any]:

@@ -238,6 +238,8 @@ class Directory:
             "model",
             "survey.qgz",
             "tiles.gpkg",
+            "contours.gpkg",
+            "contours.qml",
             "quality.gpkg",
             "quality.html",
             "quality.json",

@@ -40,7 +40,9 @@ FACTS = {
 
 
 def test_hostile_names_are_only_text(tmp_path: Path) -> None:
-    groups = groups_of(NAMES, ("confidence",), {"all": dict.fromkeys(STYLED, (0.0, 1.0))}, ("tiles",), "all")
+    groups = groups_of(
+        NAMES, ("confidence",), {"all": dict.fromkeys(STYLED, (0.0, 1.0))}, ("tiles",), "all", contours=True
+    )
     write_project(EVIL, groups, (0, 0, 1, 1), tmp_path / "p.qgz", None)
     with zipfile.ZipFile(tmp_path / "p.qgz") as archive:
         root = Xml.fromstring(archive.read("p.qgs"))  # noqa: S314 - our own
@@ -137,7 +139,7 @@ def test_qgis_opens_the_project_and_draws_the_classes(params: PublishParams, tmp
     box = Box(512_000, 5_403_000, 512_008, 5_403_006)
     fields = {"tile": ["5120_54030"], "confidence": np.array([0.8]), "rank": np.array([1], np.int32)}
     write_gpkg([Layer("tiles", box_wkb([box]), fields)], tmp_path / "tiles.gpkg", crs)
-    groups = groups_of(names, ("confidence",), {"all": ranges}, ("tiles",), "all")
+    groups = groups_of(names, ("confidence",), {"all": ranges}, ("tiles",), "all", contours=True)
     write_project("t", groups, box.bounds, tmp_path / "survey.qgz", crs)
     before = sorted(p.name for p in tmp_path.rglob("*"))
     (tmp_path / "home").mkdir()

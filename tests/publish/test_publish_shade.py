@@ -7,7 +7,7 @@ import pytest
 from tolerances import FLOAT32_UNIT
 
 from fwclass.publish.params import PublishParams
-from fwclass.publish.shade import flat_light, hillshade, slope_along
+from fwclass.publish.shade import flat_light, hillshade, slope, slope_along
 
 
 def test_the_border_of_a_slope_is_lit_as_the_slope(params: PublishParams) -> None:
@@ -21,6 +21,26 @@ def test_the_border_of_a_slope_is_lit_as_the_slope(params: PublishParams) -> Non
     assert light[known] == pytest.approx(whole[known], abs=FLOAT32_UNIT)
     assert light[~known] == pytest.approx(flat_light(params))
     assert abs(whole[3, 3] - flat_light(params)) > 0.05
+
+
+@pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (1.0, 0.0), (0.3, -0.4), (-9.0, 2.0)])
+def test_the_slope_of_a_plane_is_its_angle(east: float, north: float) -> None:
+    cell = 0.5
+    plane = 800 + cell * np.add.outer(north * np.arange(9), east * np.arange(12))
+    angle = np.degrees(np.arctan(np.hypot(east, north)))
+    np.testing.assert_allclose(slope(plane.astype(np.float32), cell), np.full((7, 10), angle), atol=0.01)
+
+
+def test_slope_is_horns_of_nine_heights_or_none() -> None:
+    z = np.random.default_rng(2).normal(100, 3, (8, 9)).astype(np.float32)
+    z[3, 4] = np.nan
+    out = slope(z, 2.0)
+    for row in range(1, 7):
+        for col in range(1, 8):
+            (g, h, i), (d, e, f), (a, b, c) = z[row - 1 : row + 2, col - 1 : col + 2].astype(float).tolist()
+            east, north = ((c + 2 * f + i) - (a + 2 * d + g)) / 16, ((a + 2 * b + c) - (g + 2 * h + i)) / 16
+            wanted = np.degrees(np.arctan(np.hypot(east, north))) if np.isfinite(e) else np.nan
+            assert out[row - 1, col - 1] == pytest.approx(wanted, rel=1e-6, nan_ok=True)
 
 
 def test_a_cell_alone_is_level() -> None:

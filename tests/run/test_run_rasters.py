@@ -17,7 +17,7 @@ from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.figures import class_map
-from fwclass.publish.shade import hillshade
+from fwclass.publish.shade import hillshade, slope
 from fwclass.run.inputs import PartInputs
 from fwclass.store.run_store import Store
 
@@ -29,9 +29,9 @@ NAMES = {2: "ground", 6: "building"}
 class Counted(PartInputs):
     """Inputs that count how often each part is read."""
 
-    def arrays(self, stage: str, part: str, name: str):
+    def arrays(self, stage: str, part: str, name: str, only=None):
         self.read[stage, part] = self.read.get((stage, part), 0) + 1
-        return super().arrays(stage, part, name)
+        return super().arrays(stage, part, name, only)
 
     @property
     def read(self) -> dict:
@@ -48,7 +48,8 @@ def block_rasters(block: Tile, cell: float) -> tuple[dict[str, np.ndarray], Wind
     echoes = np.where(classes > 0, rng.integers(1, 9, window.shape), 0).astype(np.uint32)
     distance = np.where(np.isnan(dtm), np.nan, rng.random(window.shape)).astype(np.float32)
     mask = np.where(np.isnan(dtm), 0, rng.integers(1, 4, window.shape)).astype(np.uint8)
-    terrain = {"dtm": dtm, "dsm": dsm, "distance": distance, "mask": mask}
+    roughness = np.where(np.isnan(dtm), np.nan, rng.random(window.shape)).astype(np.float32)
+    terrain = {"dtm": dtm, "dsm": dsm, "distance": distance, "mask": mask, "roughness": roughness}
     return {**terrain, "classes": classes, "confidence": confidence, "echoes": echoes}, window
 
 
@@ -64,7 +65,7 @@ def laid(request, tmp_path: Path):
     blocks = tuple(b for b in TileGrid(SIZE).touching(BOX) if b.iy % 5 not in (2, 3))
     for block in blocks:
         arrays, window = block_rasters(block, cell)
-        terrain = ("dtm", "dsm", "distance", "mask")
+        terrain = ("dtm", "dsm", "distance", "mask", "roughness")
         for stage, names in (("terrain", terrain), ("class-block", ("classes", "confidence", "echoes"))):
             work = partial(written, {n: arrays[n] for n in names}, window)
             store.commit(stage, block.key, "k", {}, "store", work)
@@ -73,7 +74,7 @@ def laid(request, tmp_path: Path):
 
 def expected(blocks: tuple[Tile, ...], cell: float, window: Window) -> dict[str, np.ndarray]:
     """Cell by cell: what the last block that has it says."""
-    out = {n: np.full(window.shape, np.nan, np.float32) for n in ("dtm", "dsm", "distance")}
+    out = {n: np.full(window.shape, np.nan, np.float32) for n in ("dtm", "dsm", "distance", "roughness")}
     out["mask"] = np.zeros(window.shape, np.uint8)
     out["classes"] = np.zeros(window.shape, np.uint8)
     out["confidence"] = np.full(window.shape, 255, np.uint8)
@@ -133,7 +134,7 @@ def test_a_map_of_a_large_survey_is_drawn_from_the_cells_that_it_shows(laid, mon
 
 
 def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> None:
-    """Light on a stripe's edge asks for the rows beyond it; a stripe without any block has no data."""
+    """Light and slope on an edge ask for the cells beyond it; a stripe without any block has no data."""
     inputs, blocks, cell = laid
     params = conf.load("demo", ()).publish.model_copy(update={"class_cell": cell})
     window = Window.covering(BOX, cell)
@@ -150,8 +151,10 @@ def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> N
     many = whole.pop("echoes")
     whole["density"] = np.where(many > 0, many / cell**2, np.nan).astype(np.float32)
     whole["dtm_distance"], whole["dtm_mask"] = whole.pop("distance"), whole.pop("mask")
-    tone = np.where(there, 1 + 254 * hillshade(whole["dtm"], cell, params), 0).astype(np.uint8)
-    wanted = {**whole, "ndsm": whole["dsm"] - whole["dtm"], "hillshade": tone}
+    beyond = expected(blocks, cell, window.grown(1))["dtm"]
+    light = hillshade(beyond, cell, params)[1:-1, 1:-1]
+    tone = np.where(there, 1 + 254 * light, 0).astype(np.uint8)
+    wanted = {**whole, "ndsm": whole["dsm"] - whole["dtm"], "hillshade": tone, "slope": slope(beyond, cell)}
     assert sorted(p.name for p in (tmp_path / "rasters").iterdir()) == sorted(
         ["classes.tif.aux.xml", "dtm_mask.tif.aux.xml", *(f"{n}.tif" for n in wanted), *(f"{n}.qml" for n in wanted)]
     )

@@ -48,6 +48,7 @@ def terrain_by_blocks(
         np.full(window.shape, BEYOND, np.uint8),
         np.full(window.shape, np.nan, np.float32),
         np.zeros(window.shape, bool),
+        np.full(window.shape, np.nan, np.float32),
         np.full(len(x), np.nan, np.float32),
     )
     mx, my = millimetres(x), millimetres(y)
@@ -88,5 +89,5 @@ def _put(part: Terrain, core: Window, whole: Terrain, window: Window) -> None:
     common = window.common(core)
     if common is not None:
         here, there = common.within(window), common.within(core)
-        for name in ("dtm", "dsm", "support", "distance", "continued"):
+        for name in ("dtm", "dsm", "support", "distance", "continued", "roughness"):
             getattr(whole, name)[here] = getattr(part, name)[there]

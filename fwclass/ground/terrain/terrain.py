@@ -17,14 +17,15 @@ from fwclass.ground.terrain.dsm import highest, without_pepper
 from fwclass.ground.terrain.facets import facet_heights, facet_raster, facets_of
 from fwclass.ground.terrain.nearest import nearest_height
 from fwclass.ground.terrain.params import TerrainParams
+from fwclass.ground.terrain.roughness import roughness
 from fwclass.ground.terrain.thinning import thinned
 from fwclass.ground.tin.tin import tin_of
 
 MEASURED, INTERPOLATED, BEYOND = 0, 1, 2
 """Values of the raster `support`."""
 
-NO_TERRAIN, ON_ECHOES, BETWEEN, CONTINUED = 0, 1, 2, 3
-"""Values of the raster `mask`."""
+NO_TERRAIN, ON_ECHOES, BETWEEN, CONTINUED, FLATTENED = 0, 1, 2, 3, 4
+"""Values of the raster `mask`; the last one is given by who flattens water."""
 
 PYRAMID = 64
 """Cells of the coarse global grid that the membrane's pyramid hangs on."""
@@ -45,6 +46,7 @@ class Terrain:
     support : uint8, 0 a cell with a ground echo, 1 interpolated, 2 further than max_gap from any such cell.
     distance : float32, from the cell's middle to that of the nearest cell with a ground echo [m], NaN beyond support.
     continued : bool, cells without a triangle or a ground echo, where a membrane goes on.
+    roughness : float32, spread of the ground echoes about their plane [m], see `roughness`; NaN where they are few.
     height : float32 (n,), height above ground [m] of the points asked for, NaN where their cell is beyond support.
     """
 
@@ -53,6 +55,7 @@ class Terrain:
     support: NDArray[np.uint8]
     distance: NDArray[np.float32]
     continued: NDArray[np.bool_]
+    roughness: NDArray[np.float32]
     height: NDArray[np.float32]
 
     @property
@@ -76,6 +79,7 @@ def terrain(
     inside: NDArray[np.bool_],
     core: Window,
     params: TerrainParams,
+    knots: Points | None = None,
 ) -> Terrain:
     """Terrain of one block from the points of the block and its halo.
 
@@ -86,6 +90,8 @@ def terrain(
     noise : (n,) points that are no surface: they count for neither raster, but get a height.
     inside : (n,) points whose height is asked for; they lie in `core`, others get NaN.
     core : the block's cells; its cell is `params.cell`.
+    knots : places that the terrain passes through whatever echoes around say, of water's edges and of breaklines; they
+        are no echoes, and make no terrain where none are near.
 
     Between ground points the terrain is linear on the triangles of a TIN of thinned points. Where no triangle of
     `params.largest_circle` is, a membrane continues it. Without any ground point all is NaN and beyond support.
@@ -107,6 +113,8 @@ def terrain(
     asked = _rows_of(x, y, z, rows[has])
     work, circle = _needed(distance, core, outer, params)
     echoes = _rows_of(x, y, z, np.flatnonzero(used & work.box.contains(x, y)))
+    if knots is not None:
+        echoes = _with_knots(echoes, knots, Window.covering(work.box, params.thin))
     floor, dtm, continued = _surface(echoes, asked, core, work, circle, params)
     dtm[support[work.within(outer)] == BEYOND] = np.nan
     above = asked[2] - floor
@@ -124,8 +132,21 @@ def terrain(
         support=support[core.within(outer)],
         distance=np.where(support == BEYOND, np.nan, distance)[core.within(outer)].astype(np.float32),
         continued=continued[core.within(work)],
+        roughness=roughness(*_rows_of(x, y, z, np.flatnonzero(used)), core),
         height=height,
     )
+
+
+def _with_knots(echoes: Points, knots: Points, window: Window) -> Points:
+    """Echoes and knots in `window`, without the echoes in cells of a knot: thinning takes the mean of a cell."""
+    cells, near = cells_of(*knots[:2], window)
+    taken = np.zeros(math.prod(window.shape), bool)
+    taken[cells] = True
+    own, _ = cells_of(*echoes[:2], window)
+    left = ~taken[own]
+    rows = np.flatnonzero(near)
+    x, y, z = (np.concatenate([e[left], k[rows]]) for e, k in zip(echoes, knots, strict=True))
+    return x, y, z
 
 
 def _grown(window: Window, by: int) -> Window:

@@ -49,7 +49,8 @@ class GroundJob:
     crs : coordinate system instead of the file's own, as text.
     keep_classes : points that are no ground keep the class they came with.
     use_flagged : withheld and synthetic points are shown to the filter too.
-    rasters : GeoTIFFs to write, by name: ``dtm``, ``dsm``, ``ndsm``, ``hillshade``.
+    rasters : GeoTIFFs to write, by name: ``dtm``, ``dsm``, ``ndsm``, ``hillshade``, ``slope``,
+        ``roughness``.
     overwrite : outputs may replace files.
     adapt : changes the parameters once the points are there.
     """

@@ -18,7 +18,7 @@ from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.ground.terrain.terrain import Terrain
 from fwclass.publish.cog import write_cog
 from fwclass.publish.params import PublishParams
-from fwclass.publish.shade import hillshade
+from fwclass.publish.shade import hillshade, slope
 from fwclass.read.cloud import PointCloud
 from fwclass.single_file.ground.stray import stray_points, told
 
@@ -74,9 +74,9 @@ def terrain_of(
 def write_rasters(
     cloud: PointCloud, found: tuple[Terrain, Window], targets: dict[str, Path], publish: PublishParams
 ) -> dict[str, Any]:
-    """Write the GeoTIFFs of `targets` (``dtm, dsm, ndsm, hillshade``), in the file's units; what was written.
+    """Write the GeoTIFFs of `targets` (``dtm, dsm, ndsm, hillshade, slope, roughness``), in the file's units.
 
-    Terrain, surface and their difference are NaN where there is none.
+    Terrain, surface, their difference, slope and roughness are NaN where there is none.
     """
     made, window = found
     out = {}
@@ -88,6 +88,8 @@ def write_rasters(
 
 def _raster(name: str, made: Terrain, window: Window, unit: float, publish: PublishParams) -> tuple[NDArray, float]:
     """One raster and its value for no data."""
+    if name == "slope":
+        return slope(np.pad(made.dtm, 1, constant_values=np.nan), window.cell), float("nan")
     if name != "hillshade":
         values = made.dsm - made.dtm if name == "ndsm" else getattr(made, name)
         return (values / np.float32(unit)).astype(np.float32), float("nan")

@@ -1,0 +1,188 @@
+"""Stages of the contour lines: pieces by blocks of the terrain, and the lines that they join to."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fwclass.contours.join import Joined, Pieces, joined
+from fwclass.contours.lines import lines
+from fwclass.contours.params import ContourParams
+from fwclass.contours.smooth import margin, smoothed
+from fwclass.graph.ground import terrain_blocks
+from fwclass.graph.outputs import crs_of
+from fwclass.graph.rasters import Mosaic
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.grid import Box, Tile, TileGrid, Window
+from fwclass.ground.stage import TERRAIN
+from fwclass.publish.contour_file import Contours, write_contours
+from fwclass.publish.contour_style import contour_style
+from fwclass.publish.files import whole
+from fwclass.publish.qgis_layers import CONTOURS
+from fwclass.publish.qgis_style import style_file
+from fwclass.run.part import Name
+from fwclass.store.arrays import write_arrays
+
+PIECES = "pieces"
+
+NAMED = 3
+"""Blocks that are named."""
+
+BATCH = 1 << 20
+"""Vertices of lines that are written at once."""
+
+
+def contour_block(here: StageInputs, params: ContourParams, cell: float, bounds: tuple[float, ...]) -> Made:
+    """Pieces of the contour lines of one block, whose squares have their south-western corner in it, and all corners
+    among the cells of the box `bounds` [m]."""
+    nodes = _nodes(here.tile, cell, bounds)
+    grid = TileGrid(here.tile.size)
+    mosaic = Mosaic(
+        here.inputs, TERRAIN.name, [grid.tile(k) for k in here.parts(TERRAIN.name)], cell, {"dtm": np.float32(np.nan)}
+    )
+    dtm = mosaic.laid(nodes.grown(margin(params, cell)))["dtm"]
+    made = lines(smoothed(dtm, cell, params), nodes, params.steps, params.index)
+    pieces = Pieces.of(made)
+    arrays = {"ends": pieces.ends, "measures": pieces.measures, "vertices": made.vertices}
+    write_arrays(here.directory / PIECES, arrays)
+    return {"pieces": len(pieces.ends), "vertices": len(made.vertices), "every": made.every}
+
+
+def _nodes(block: Tile, cell: float, bounds: tuple[float, ...]) -> Window:
+    """The middles of cells that are corners of a block's squares; it has at least one cell of the box."""
+    own = Window.covering(block.box, cell)
+    own = Window(cell, own.col, own.row, own.ncols + 1, own.nrows + 1)
+    return own.common(Window.covering(Box(*bounds), cell)) or Window(cell, own.col, own.row, 1, 1)
+
+
+def delivered_contours(here: StageInputs, params: ContourParams, crs: str | None) -> Made:
+    """All contour lines as a GeoPackage, with a style beside it. Only where pieces begin and end is held of all of
+    them; vertices are laid into a file that has no name, block by block, and written line by line."""
+    blocks = here.parts(CONTOUR_BLOCKS.name)
+    tables = [here.inputs.arrays(CONTOUR_BLOCKS.name, key, PIECES, ("ends", "measures"))[0] for key in blocks]
+    pieces = Pieces(*(np.concatenate([t[name] for t in tables]) for name in ("ends", "measures")))
+    sizes, made = [len(t["ends"]) for t in tables], joined(pieces)
+    del tables
+    kept = made.length >= params.shortest
+    taken, places = _places(pieces, made, kept)
+    counts = np.add.reduceat(taken[made.order], made.first[:-1])[kept] if len(kept) else np.zeros(0, np.int64)
+    with tempfile.TemporaryFile(dir=here.directory) as file:
+        file.truncate(max(1, 16 * int(counts.sum())))
+        laid = np.memmap(file, np.float64, "r+", shape=(int(counts.sum()), 2)) if counts.sum() else np.empty((0, 2))
+        row = 0
+        for key, size in zip(blocks, sizes, strict=True):
+            mine = slice(row, row + size)
+            row += size
+            vertices = here.inputs.arrays(CONTOUR_BLOCKS.name, key, PIECES, ("vertices",))[0]["vertices"]
+            last = np.cumsum(pieces.ends[mine, 7])  # of a piece that goes on another one the first vertex is left out
+            laid[_runs(places[mine], taken[mine])] = vertices[_runs(last - taken[mine], taken[mine])]
+        write_contours(
+            here.directory / CONTOURS, _batches(laid, counts, made.level[kept], made.depression[kept], params),
+            crs_of(crs),
+        )  # fmt: skip
+    with whole(here.directory / Path(CONTOURS).with_suffix(".qml")) as beside:
+        beside.write_bytes(style_file(contour_style(), "vector"))
+    coarse = [k for k in blocks if here.inputs.meta(CONTOUR_BLOCKS.name, k)["every"] > 1]
+    return {"lines": int(kept.sum()), "vertices": int(counts.sum()), "remarks": _of_coarse(coarse, params)}
+
+
+def _of_coarse(blocks: Sequence[str], params: ContourParams) -> list[str]:
+    """What a user should know of blocks with too many lines."""
+    if not blocks:
+        return []
+    some = ", ".join(blocks[:NAMED]) + (f" and {len(blocks) - NAMED} more" if len(blocks) > NAMED else "")
+    return [
+        f"contours every {params.interval:g} m are too many in {len(blocks)} terrain blocks ({some}), as on broken "
+        "land: index contours alone are drawn there, and other lines end at their edges. Choose a larger "
+        "contours.interval or contours.smooth"
+    ]
+
+
+def _places(pieces: Pieces, made: Joined, kept: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """For every piece the vertices that are written of it, and which row the first of them gets."""
+    begins = np.zeros(len(made.order), bool)
+    begins[made.first[:-1]] = True
+    there = np.repeat(kept, np.diff(made.first))
+    number = np.where(there, pieces.ends[made.order, 7] - ~begins, 0)
+    taken, places = np.empty_like(number), np.empty_like(number)
+    taken[made.order], places[made.order] = number, np.cumsum(number) - number
+    return taken, places
+
+
+def _runs(first: NDArray[np.int64], count: NDArray[np.int64]) -> NDArray[np.int64]:
+    """``first, first + 1, …`` for `count` of each."""
+    return np.repeat(first - (np.cumsum(count) - count), count) + np.arange(int(count.sum()))
+
+
+def _batches(
+    vertices: NDArray[np.float64],
+    count: NDArray[np.int64],
+    level: NDArray[np.int64],
+    depression: NDArray[np.bool_],
+    params: ContourParams,
+) -> Iterator[Contours]:
+    first = np.append(0, np.cumsum(count))
+    cuts = [0]
+    while cuts[-1] < len(count) or len(cuts) == 1:
+        low = cuts[-1]
+        high = max(low + 1, int(np.searchsorted(first, first[low] + BATCH, "right")) - 1)
+        cuts.append(min(high, len(count)))
+        some = slice(low, cuts[-1])
+        yield Contours(
+            np.array(vertices[first[low] : first[cuts[-1]]]),
+            count[some],
+            level[some].astype(np.float64) * params.interval,
+            level[some] % params.index == 0,
+            depression[some],
+        )
+        if cuts[-1] == len(count):
+            break
+
+
+def _around(plan: Plan, block: Tile) -> list[Name]:
+    edge, cell = plan.config.terrain.block, plan.config.terrain.cell
+    box, owned = block.box.grown((margin(plan.config.contours, cell) + 1) * cell), plan.layout.occupied[edge]
+    return [
+        (TERRAIN.name, b.key)
+        for b in TileGrid(edge).touching(box)
+        if any(near.key in owned for near in TileGrid(edge).touching(b.box.grown(edge)))
+    ]
+
+
+def _of_box(plan: Plan, block: Tile) -> Mapping[str, Any]:
+    grown = block.box.grown(2.0 * plan.config.terrain.cell)
+    return {"bounds": (plan.layout.box.common(grown) or block.box).bounds}
+
+
+CONTOUR_BLOCKS = Stage(
+    "contours",
+    1,
+    "block",
+    "cell",
+    contour_block,
+    when=lambda plan: plan.config.contours.enabled,
+    parts=lambda plan: terrain_blocks(plan.layout),
+    edge=lambda plan: plan.config.terrain.block,
+    arguments=lambda plan: {"params": plan.config.contours, "cell": plan.config.terrain.cell},
+    each=_of_box,
+    silent=frozenset({"shortest"}),
+    after=(TERRAIN.name,),
+    needs=_around,
+)
+DELIVER_CONTOURS = Stage(
+    "publish-contours",
+    1,
+    "survey",
+    "cell",
+    delivered_contours,
+    when=lambda plan: plan.config.contours.enabled,
+    arguments=lambda plan: {"params": plan.config.contours, "crs": plan.survey.crs},
+    after=(CONTOUR_BLOCKS.name,),
+    needs=lambda plan, part: [(CONTOUR_BLOCKS.name, b.key) for b in terrain_blocks(plan.layout)],
+    where="deliver",
+)

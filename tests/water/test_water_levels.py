@@ -1,0 +1,81 @@
+"""Shores and levels of water: places along rings, which body an echo tells of, and what counts as level."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fwclass.water.level import level_of
+from fwclass.water.params import WaterParams
+from fwclass.water.shore import nearest_shore, shoreline
+
+PARAMS = WaterParams(file=None, layer=None, crs=None, shore=2.0, quantile=0.1, least=20, stretch=50.0, most_spread=0.3)
+SQUARE = [(0, 0), (100, 0), (100, 100), (0, 100), (0, 0)]
+BESIDE = [(100, 0), (200, 0), (200, 100), (100, 100), (100, 0)]
+
+
+def rings(*several, per_body=1):
+    """Bodies [m] as rings of whole millimetres."""
+    points = np.concatenate([np.array(r, np.int64) for r in several]) * 1000
+    starts = np.cumsum([0, *(len(r) for r in several)])
+    return points[:, 0], points[:, 1], starts, np.arange(0, len(several) + 1, per_body)
+
+
+def test_places_lie_along_the_shore_and_are_cut_into_pieces():
+    line = shoreline(*rings(SQUARE), 0.5, 50.0)
+    assert len(line.x) == 800 and (np.bincount(line.stretch) == 100).all() and len(set(line.stretch)) == 8
+    on = (np.isin(line.x, (0, 100)) & (line.y >= 0) & (line.y <= 100)) | (np.isin(line.y, (0, 100)))
+    assert on.all()
+
+
+def test_where_two_bodies_touch_there_is_no_shore():
+    line = shoreline(*rings(SQUARE, BESIDE), 0.3, 50.0)
+    shared = (line.x == 100) & (line.y > 0.3) & (line.y < 99.7)
+    assert not shared.any() and set(line.body) == {0, 1}
+    hole = [(40, 40), (40, 60), (60, 60), (60, 40), (40, 40)]
+    island = shoreline(*rings(SQUARE, hole, per_body=2), 0.5, 50.0)
+    assert ((island.x > 30) & (island.x < 70) & (island.y > 30) & (island.y < 70)).sum() == 160
+    assert set(island.body) == {0}
+
+
+def test_the_nearest_shore_does_not_depend_on_how_echoes_are_cut():
+    line = shoreline(*rings(SQUARE, BESIDE), 0.5, 50.0)
+    x, y = np.random.default_rng(0).uniform(-20, 220, (2, 4000)).round(3)
+    rows, place = nearest_shore(line, x, y, 2.0)
+    off = np.hypot(x[:, None] - line.x, y[:, None] - line.y)
+    np.testing.assert_array_equal(rows, np.flatnonzero(off.min(axis=1) <= 2.0))
+    np.testing.assert_allclose(off[rows, place], off[rows].min(axis=1))
+    some = np.flatnonzero(x < 90)
+    part, near = nearest_shore(line, x[some], y[some], 2.0)
+    np.testing.assert_array_equal(line.body[near], line.body[place[np.isin(rows, some)]])
+    assert (some[part] == rows[np.isin(rows, some)]).all()
+    assert len(nearest_shore(line, x[:0], y[:0], 2.0)[0]) == len(nearest_shore(line, x[:3] + 1e5, y[:3], 2.0)[0]) == 0
+
+
+def banks(n, rise=0.0, seed=0):
+    """Piece of shore and height of echoes at a lake of 200 m, half of them on banks up to a metre high."""
+    rng = np.random.default_rng(seed)
+    stretch = rng.integers(0, 20, n)
+    bank = np.where(rng.random(n) < 0.5, rng.uniform(0, 1, n), 0.0)
+    return stretch, 200.0 + rise * stretch / 20 + bank + rng.normal(0, 0.02, n)
+
+
+def test_a_lake_has_the_level_of_its_lowest_shore():
+    stretch, z = banks(4000)
+    made = level_of(stretch, z, PARAMS)
+    assert made.level_enough and made.level == pytest.approx(200.0, abs=0.03) and made.highest - made.lowest < 0.1
+    z[stretch == 3] += 2.0  # a mole
+    assert level_of(stretch, z, PARAMS).level_enough
+    order = np.random.default_rng(1).permutation(len(z))
+    assert level_of(stretch[order], z[order], PARAMS) == level_of(stretch, z, PARAMS)
+
+
+def test_a_river_is_no_lake():
+    made = level_of(*banks(4000, rise=1.0), PARAMS)
+    assert not made.level_enough and made.highest - made.lowest == pytest.approx(0.8, abs=0.1)
+
+
+def test_few_echoes_tell_no_level():
+    made = level_of(*banks(19), PARAMS)
+    assert made.level is None and not made.level_enough and made.echoes == 19
+    assert not level_of(np.zeros(0, np.int64), np.zeros(0), PARAMS).level_enough
