@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from pagedriver import Driven, driven
 from scipy.spatial import cKDTree
+from smallsurvey import deliver
 
 from fwclass import conf
 from fwclass.delivery.viewed import ViewedRun
@@ -177,6 +179,22 @@ def test_a_lost_context_comes_back_and_no_token_is_told(page: Driven, server: Se
     page.open(server.address.split("#")[0])
     page.until("/token/.test(document.getElementById('fault').textContent)")
     assert not page.run("document.getElementById('fault').hidden") and page.run("fwclass.stats.drawn") == 0
+
+
+def test_two_runs_with_deliveries_of_other_names_side_by_side(browser_page: Driven, small_run: Path) -> None:
+    other = shutil.copytree(small_run, small_run.parent / "other", symlinks=True)
+    deliver(small_run.parent, "publish.figure_pixels=201")
+    params = conf.section("view", ())
+    scenes = scenes_of(small_run, other, params)
+    assert scenes[0].name != scenes[1].name
+    with Server(scenes, params) as server:
+        threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True).start()
+        browser_page.faults.clear()
+        browser_page.open(server.address)
+        browser_page.until("window.fwclass.stats.settled")
+        assert browser_page.run("fwclass.stats.drawn") == 2 * scenes[0].echoes
+        assert browser_page.faults == []
+        server.shutdown()
 
 
 def test_two_runs_side_by_side(browser_page: Driven, run: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from drawn import box, drawn
+from drawn import box, drawn, drawn_classes, marked
 from smallsurvey import deliver
 
 from fwclass import conf
@@ -24,9 +24,8 @@ from fwclass.delivery.viewed_corrections import Rows
 from fwclass.errors import InputError, StoreError
 from fwclass.formats.echo_labels import TAKEN_BACK
 from fwclass.store.corrections import CORRECTIONS, read_corrections
-from fwclass.view.blocks import HEAD, MARKS
 from fwclass.view.guard import DELIVERY, TOKEN
-from fwclass.view.scene import ECHOES, Replaced
+from fwclass.view.scene import Replaced
 from fwclass.view.selection import Selection
 from fwclass.view.server import Server
 
@@ -49,33 +48,6 @@ def delivered(scene: ViewedRun) -> dict[str, np.ndarray]:
     """Every echo, in the order of the tiles."""
     parts = [scene._columns(key, COLUMNS) for key in scene.tiles]
     return {n: np.concatenate([p[n] for p in parts]) for n in COLUMNS}
-
-
-def marked(data: bytes) -> dict[tuple[int, int, int], dict[int, int]]:
-    """By node: row in its block, and the byte."""
-    at, out = 0, {}
-    while at < len(data):
-        *node, count = MARKS.unpack_from(data, at)
-        rows = np.frombuffer(data, "<u4", count, at + 16)
-        values = np.frombuffer(data, np.uint8, count, at + 16 + 4 * count)
-        out.setdefault(tuple(node), {}).update(zip(rows.tolist(), values.tolist(), strict=True))
-        at += 16 + 4 * count + -(-count // 4) * 4
-    assert at == len(data)
-    return out
-
-
-def drawn_classes(scene: ViewedRun) -> dict[tuple[int, int, int], list[int]]:
-    """Classes in every block, as the page gets them."""
-    import zlib
-
-    out = {}
-    for level in scene.pyramid.levels():
-        data, at = scene.level(ECHOES, level), 0
-        while at < len(data):
-            size, a, b, c, n, *_ = HEAD.unpack_from(data, at)
-            planes = zlib.decompress(data[at + HEAD.size : at + HEAD.size + size])
-            out[a, b, c], at = list(planes[10 * n : 11 * n]), at + HEAD.size + size
-    return out
 
 
 def test_what_is_counted_is_marked_and_written(scene: ViewedRun, small_run: Path) -> None:
