@@ -185,7 +185,7 @@ async function show(number_, hit) {
     const about = s.folder ? await kept(s, hit) : await json(`${number_}/echo/${hit.node.node.join('-')}/${hit.row}.json`), v = about.values; if (late()) return;
     stats.echo = about;
     const called = s.classes.find((c) => c.code === v.classification)?.name ?? `code ${v.classification}`;
-    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}`;
+    $('picked').hidden = false; $('what').textContent = `${called}, ${v.confidence === null ? 'confidence unknown' : `${Math.round(100 * v.confidence)} % sure`}${about.corrected == null ? '' : `; corrected: ${relabel ? relabel.called(about.corrected) : `code ${about.corrected}`}`}${about.little && s.rows ? ' (corrections in place)' : ''}`;
     $('says').textContent = `${v.x.toFixed(2)}, ${v.y.toFixed(2)}, ${v.z.toFixed(2)} m; strip ${v.strip}, pulse ${v.pulse}, echo ${v.echo_number} of ${v.number_of_echoes ?? '?'}`;
     values(v, s.columns); $('why').replaceChildren(); $('wave').hidden = true; $('wave-says').textContent = about.little ? LITTLE : '';
     if (about.little) return;
