@@ -29,6 +29,20 @@ Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """x, y, z [m]."""
 
 
+def bodies_at(polygons: Polygons, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Number of the one polygon that each point [m] lies in; -1 in none, and where two overlap."""
+    out = np.full(len(x), -1)
+    if not len(x):
+        return out
+    mx, my = millimetres(x), millimetres(y)
+    low_x, low_y, high_x, high_y = polygons.bounds
+    near = (low_x <= mx.max()) & (high_x >= mx.min()) & (low_y <= my.max()) & (high_y >= my.min())
+    chosen = np.flatnonzero(near)
+    _, body = owners(mx, my, replace(polygons.take(chosen), group=np.arange(len(chosen)).astype(np.int16)))
+    out[body >= 0] = chosen[body[body >= 0]]
+    return out
+
+
 @dataclass(frozen=True)
 class Water:
     """Bodies of water that are flattened: their polygons, the level of each [m], and places along their shores."""
@@ -39,16 +53,8 @@ class Water:
 
     def levels(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Level [m] of the water that each point [m] lies in; NaN in none, and where two overlap."""
-        out = np.full(len(x), np.nan)
-        if not len(x):
-            return out
-        mx, my = millimetres(x), millimetres(y)
-        low_x, low_y, high_x, high_y = self.polygons.bounds
-        near = (low_x <= mx.max()) & (high_x >= mx.min()) & (low_y <= my.max()) & (high_y >= my.min())
-        chosen = np.flatnonzero(near)
-        some = self.polygons.take(chosen)
-        _, body = owners(mx, my, replace(some, group=np.arange(len(chosen)).astype(np.int16)))
-        out[body >= 0] = self.level[chosen[body[body >= 0]]]
+        out, body = np.full(len(x), np.nan), bodies_at(self.polygons, x, y)
+        out[body >= 0] = self.level[body[body >= 0]]
         return out
 
     def of_cells(self, window: Window) -> NDArray[np.float64]:
@@ -95,26 +101,34 @@ def _line(arrays: Mapping[str, NDArray]) -> Shoreline:
 
 
 def shore_measured(here: StageInputs, reach: float) -> Made:
-    """Ground echoes of a tile within `reach` [m] of a shore: which place of it is nearest, and their heights."""
-    line = _line(here.inputs.arrays(WATER, "all", FILE, ("shore_x", "shore_y", "body", "stretch"))[0])
+    """Ground echoes of a tile within `reach` [m] of a shore: which place of it is nearest, and their heights; and how
+    many of those further inside lie at which height, by body."""
+    arrays = here.inputs.arrays(WATER, "all", FILE)[0]
     table = here.own_rows()
-    ground = np.flatnonzero(table["ground"] & ~table["noise"])
-    rows, place = nearest_shore(line, table["x"][ground], table["y"][ground], reach)
-    write_arrays(here.directory / FILE, {"place": place, "z": table["z"][ground[rows]]})
-    return {"echoes": len(rows)}
+    table = table.take(np.flatnonzero(table["ground"] & ~table["noise"]))
+    rows, place = nearest_shore(_line(arrays), table["x"], table["y"], reach)
+    body = bodies_at(Polygons.from_arrays(arrays), table["x"], table["y"])
+    body[rows] = -1
+    inside = np.flatnonzero(body >= 0)
+    cells, counts = np.unique(np.stack([body[inside], millimetres(table["z"][inside])]), axis=1, return_counts=True)
+    made = {"inside_body": cells[0], "inside_height": cells[1], "inside_count": counts}
+    write_arrays(here.directory / FILE, {"place": place, "z": table["z"][rows], **made})
+    return {"echoes": len(rows), "inside": len(inside)}
 
 
 def water_levelled(here: StageInputs, params: WaterParams) -> Made:
     """The level of every body of water, those that are level with their shores, and what a user should know."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
     tiles = [here.inputs.arrays(SHORE, key, FILE)[0] for key in here.parts(SHORE)]
-    place, z = (np.concatenate([t[n] for t in tiles]) for n in ("place", "z"))
+    place, z, own, heights, counts = (
+        np.concatenate([t[n] for t in tiles]) for n in ("place", "z", "inside_body", "inside_height", "inside_count")
+    )
     line, polygons = _line(arrays), Polygons.from_arrays(arrays)
-    body = line.body[place]
-    order = np.argsort(body, kind="stable")
-    first = np.searchsorted(body[order], np.arange(polygons.parts + 1))
-    rows = [order[a:b] for a, b in zip(first[:-1], first[1:], strict=True)]
-    bodies = [level_of(line.stretch[place[r]], z[r], params) for r in rows]
+    at_shore, inside = (_rows_of(body, polygons.parts) for body in (line.body[place], own))
+    bodies = [
+        level_of(line.stretch[place[r]], z[r], heights[k], counts[k], params)
+        for r, k in zip(at_shore, inside, strict=True)
+    ]
     flat = np.array([b.level_enough for b in bodies], bool)
     level = np.array([np.nan if b.level is None else b.level for b in bodies])
     shore = flat[line.body]
@@ -130,26 +144,53 @@ def water_levelled(here: StageInputs, params: WaterParams) -> Made:
     return {"bodies": told, "remarks": _remarks(told, bodies, params)}
 
 
+def _rows_of(body: NDArray[np.int64], bodies: int) -> list[NDArray[np.int64]]:
+    """The rows of each body."""
+    order = np.argsort(body, kind="stable")
+    first = np.searchsorted(body[order], np.arange(bodies + 1))
+    return [order[a:b] for a, b in zip(first[:-1], first[1:], strict=True)]
+
+
 def _remarks(told: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params: WaterParams) -> list[str]:
     """Bodies that are not flattened, and why."""
-    lines = []
-    sloping = [t for t, b in zip(told, bodies, strict=True) if b.level is not None and not b.level_enough]
+    lines, all_of = [], f"of {len(told)} polygons of water"
+    pairs = list(zip(told, bodies, strict=True))
+    sloping = [t for t, b in pairs if b.lowest is not None and t["highest"] - t["lowest"] > params.most_spread]
     if sloping:
-        some = "; ".join(f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping[:NAMED])
-        more = f" and {len(sloping) - NAMED} more" if len(sloping) > NAMED else ""
+        some = _named([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
         lines.append(
-            f"{len(sloping)} of {len(told)} polygons of water are not flattened: the level along their shores differs "
-            f"by more than water.most_spread ({params.most_spread:g} m), as of a river: {some}{more}. Cut them into "
-            "reaches, or allow more"
+            f"{len(sloping)} {all_of} are not flattened: the level along their shores differs by more than "
+            f"water.most_spread ({params.most_spread:g} m), as of a river: {some}. Cut them into reaches, or allow more"
         )
-    few = [str(t["feature"]) for t, b in zip(told, bodies, strict=True) if b.level is None]
+    apart = [
+        t
+        for t, b in pairs
+        if b.shore_level is not None
+        and b.inside_level is not None
+        and t not in sloping
+        and abs(b.inside_level - b.shore_level) > params.most_spread
+    ]
+    for kept, does in ((True, "the level is that of the echoes in them"), (False, "they are not flattened")):
+        some_of = [t for t in apart if t["level_enough"] == kept]
+        if some_of:
+            words = [f"feature {t['feature']} {t['inside_level']:.2f}, shore {t['shore_level']:.2f} m" for t in some_of]
+            lines.append(
+                f"{len(some_of)} {all_of}: ground echoes in them lie {'below' if kept else 'above'} the shore by more "
+                f"than water.most_spread ({params.most_spread:g} m), {does}: {_named(words, '; ')}. Are the polygons "
+                "in their place?"
+            )
+    few = [str(t["feature"]) for t, b in pairs if b.level is None]
     if few:
-        some = ", ".join(few[:NAMED]) + (f" and {len(few) - NAMED} more" if len(few) > NAMED else "")
         lines.append(
-            f"{len(few)} of {len(told)} polygons of water are not flattened: fewer than {params.least} ground echoes "
-            f"lie within {params.shore:g} m of their shores (features {some})"
+            f"{len(few)} {all_of} are not flattened: fewer than {params.least} ground echoes lie in them or within "
+            f"{params.shore:g} m of their shores (features {_named(few, ', ')})"
         )
     return lines
+
+
+def _named(words: Sequence[str], between: str) -> str:
+    more = f" and {len(words) - NAMED} more" if len(words) > NAMED else ""
+    return between.join(words[:NAMED]) + more
 
 
 def _wanted(plan: Plan) -> bool:

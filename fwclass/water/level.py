@@ -1,4 +1,4 @@
-"""The level of a body of water by the ground along its shore, and whether it has one."""
+"""The level of a body of water by its own echoes or by the ground along its shore, and whether it has one."""
 
 from __future__ import annotations
 
@@ -16,18 +16,23 @@ BETWEEN = (0.1, 0.9)
 
 @dataclass(frozen=True)
 class Body:
-    """What the shore of a body of water tells.
+    """What the shore and the echoes of a body of water tell.
 
     Attributes
     ----------
     echoes : ground echoes at its shore.
-    level : [m]; None where they are too few.
+    inside : ground echoes in it, further from its shore.
+    level : [m]; of its own echoes where they are enough, else of the shore; None where neither are.
+    shore_level, inside_level : by either [m]; None where the echoes are too few.
     lowest, highest : levels of its pieces of shore, a tenth and nine tenths of them [m].
     level_enough : it is flattened.
     """
 
     echoes: int
+    inside: int
     level: float | None
+    shore_level: float | None
+    inside_level: float | None
     lowest: float | None
     highest: float | None
     level_enough: bool
@@ -37,17 +42,31 @@ class Body:
         return asdict(self)
 
 
-def level_of(stretch: NDArray[np.int64], z: NDArray[np.float64], params: WaterParams) -> Body:
-    """The level of one body from the pieces of shore and the heights [m] of its echoes, in any order.
+def level_of(
+    stretch: NDArray[np.int64],
+    z: NDArray[np.float64],
+    heights: NDArray[np.int64],
+    counts: NDArray[np.int64],
+    params: WaterParams,
+) -> Body:
+    """The level of one body, from the pieces of shore and the heights `z` [m] of the echoes there, and how many echoes
+    in it (`counts`) lie at which `heights` [mm]; all in any order.
 
-    It is the lower quantile of all heights: banks rise behind the shoreline and nothing lies beneath it. A piece of
-    shore with fewer than `params.least` echoes tells nothing of itself.
+    Its own echoes tell by their median. A shore tells by the lower quantile of its heights: banks rise behind the
+    shoreline. A piece of shore with fewer than `params.least` echoes tells nothing of itself. What is higher inside
+    than at its shore, by more than `params.most_spread`, is no water.
     """
+    inside, own_level = int(counts.sum()), None
+    if inside >= params.least:
+        order = np.argsort(heights, kind="stable")
+        middle = np.searchsorted(np.cumsum(counts[order]), (inside + 1) // 2)
+        own_level = float(heights[order[middle]]) / 1000
     if len(z) < params.least:
-        return Body(len(z), None, None, None, False)
+        return Body(len(z), inside, own_level, None, own_level, None, None, own_level is not None)
     order = np.lexsort((z, stretch))
     pieces = np.split(z[order], np.flatnonzero(np.diff(stretch[order])) + 1)
     own = [float(np.quantile(piece, params.quantile)) for piece in pieces if len(piece) >= params.least]
-    level = float(np.quantile(np.sort(z), params.quantile))
-    low, high = (float(v) for v in np.quantile(own or [level], BETWEEN))
-    return Body(len(z), level, low, high, high - low <= params.most_spread)
+    shore = float(np.quantile(np.sort(z), params.quantile))
+    low, high = (float(v) for v in np.quantile(own or [shore], BETWEEN))
+    flat = high - low <= params.most_spread and (own_level is None or own_level - shore <= params.most_spread)
+    return Body(len(z), inside, shore if own_level is None else own_level, shore, own_level, low, high, flat)

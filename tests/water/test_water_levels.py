@@ -60,22 +60,48 @@ def banks(n, rise=0.0, seed=0):
     return stretch, 200.0 + rise * stretch / 20 + bank + rng.normal(0, 0.02, n)
 
 
+NONE = np.zeros(0, np.int64)
+
+
+def level(stretch, z, heights=NONE, counts=NONE):
+    return level_of(stretch, z, heights, counts, PARAMS)
+
+
 def test_a_lake_has_the_level_of_its_lowest_shore():
     stretch, z = banks(4000)
-    made = level_of(stretch, z, PARAMS)
+    made = level(stretch, z)
     assert made.level_enough and made.level == pytest.approx(200.0, abs=0.03) and made.highest - made.lowest < 0.1
     z[stretch == 3] += 2.0  # a mole
-    assert level_of(stretch, z, PARAMS).level_enough
+    assert level(stretch, z).level_enough
     order = np.random.default_rng(1).permutation(len(z))
-    assert level_of(stretch[order], z[order], PARAMS) == level_of(stretch, z, PARAMS)
+    assert level(stretch[order], z[order]) == level(stretch, z)
 
 
 def test_a_river_is_no_lake():
-    made = level_of(*banks(4000, rise=1.0), PARAMS)
+    made = level(*banks(4000, rise=1.0))
     assert not made.level_enough and made.highest - made.lowest == pytest.approx(0.8, abs=0.1)
 
 
 def test_few_echoes_tell_no_level():
-    made = level_of(*banks(19), PARAMS)
+    made = level(*banks(19))
     assert made.level is None and not made.level_enough and made.echoes == 19
-    assert not level_of(np.zeros(0, np.int64), np.zeros(0), PARAMS).level_enough
+    assert not level(NONE, np.zeros(0)).level_enough
+
+
+def test_water_that_sends_echoes_tells_its_own_level():
+    """A canal between quays: the shore's lowest tenth is the quay, the water lies half a metre below."""
+    stretch, z = banks(4000)
+    heights = np.rint(1000 * np.random.default_rng(2).normal(199.5, 0.05, 501)).astype(np.int64)
+    at, counts = np.unique(heights, return_counts=True)
+    made = level(stretch, z, at, counts)
+    assert made.level_enough and made.inside == 501 and made.level == np.median(heights) / 1000
+    assert made.shore_level == level(stretch, z).level
+    few = level(stretch, z, at[:5], counts[:5])
+    assert few.inside_level is None and few.level == made.shore_level
+    alone = level(NONE, np.zeros(0), at, counts)
+    assert alone.level_enough and alone.level == made.level and alone.shore_level is None
+
+
+def test_what_is_higher_than_its_shore_is_no_water():
+    made = level(*banks(4000), np.array([200_250, 201_000]), np.array([10, 90]))
+    assert made.inside_level == 201.0 and not made.level_enough
