@@ -118,7 +118,10 @@ def test_what_is_drawn_around_is_counted_marked_written_and_undone(browser_page:
         assert abs(inside(page, circle(page)) - told["echoes"]) <= 5  # the page's places are rounded
         assert not (small_run / CORRECTIONS).exists()
 
-        page.run("document.getElementById('give').value = '5'")
+        key(page, "Enter")  # no class is chosen yet
+        assert page.run("document.getElementById('apply').disabled") and not (small_run / CORRECTIONS).exists()
+        page.run("document.getElementById('give').value = '5'; document.getElementById('give').onchange()")
+        assert not page.run("document.getElementById('apply').disabled")
         key(page, "Enter")
         page.until(f"/Written/.test({COUNT})")
         rows = read_corrections(small_run)
@@ -303,7 +306,7 @@ def test_a_new_delivery_under_an_open_page_is_told_and_taken(browser_page: Drive
         assert "--allow-run" in page.run("document.getElementById('run-says').textContent")
         hand(page, circle(page))
         page.until(SELECTED)
-        page.run("fwclass.relabel().apply()")
+        page.run("document.getElementById('give').value = '2'; fwclass.relabel().apply()")
         page.until(f"/Written/.test({COUNT})")
         deliver(small_run.parent)
         page.until("/delivered anew/.test(document.getElementById('fault').textContent)", 15)

@@ -16,7 +16,7 @@ export class Relabel {
     this.done = this.kept('done'); this.undone = this.kept('undone');
     for (const mode of MODES) $(mode).onclick = () => this.use(mode);
     $('apply').onclick = () => this.apply(); $('undo').onclick = () => this.undo(); $('redo').onclick = () => this.redo();
-    $('brush-size').oninput = this.redraw;
+    $('brush-size').oninput = this.redraw; $('give').onchange = () => this.steps();
     for (const id of ['least-sure', 'most-sure', 'lowest', 'highest']) $(id).onchange = () => this.select();
     this.classes();
     setInterval(() => { if (!document.hidden && !this.gone) this.follow().catch((e) => this.told(e)); }, EVERY);
@@ -50,7 +50,7 @@ export class Relabel {
 
   classes() {
     const before = $('give').value;
-    $('give').replaceChildren(...this.scene.classes.filter((c) => c.code).map((c) => new Option(`${c.name} (${c.code})`, c.code)), new Option('no class (0)', '0'), new Option('as delivered', ''));
+    $('give').replaceChildren(new Option('choose one', '?'), ...this.scene.classes.filter((c) => c.code).map((c) => new Option(`${c.name} (${c.code})`, c.code)), new Option('no class (0)', '0'), new Option('as delivered', ''));
     if (before) $('give').value = before;
   }
 
@@ -155,7 +155,7 @@ export class Relabel {
   }
 
   apply() {
-    if (!this.selection) return;
+    if (!this.selection || $('give').value === '?') return;
     const give = $('give').value, code = give === '' ? null : Number(give), words = code === null ? 'as delivered' : this.called(code);
     this.write('0/correct.json', { selection: this.selection.selection, code }, (told) => {
       this.drop();
@@ -176,7 +176,7 @@ export class Relabel {
   redo() { this.back(this.undone, this.done, 'Done again'); }
 
   steps() {
-    $('apply').disabled = !this.may || this.busy || !this.selection; $('undo').disabled = !this.may || this.busy || !this.done.length; $('redo').disabled = !this.may || this.busy || !this.undone.length;
+    $('apply').disabled = !this.may || this.busy || !this.selection || $('give').value === '?'; $('undo').disabled = !this.may || this.busy || !this.done.length; $('redo').disabled = !this.may || this.busy || !this.undone.length;
     try { for (const name of ['done', 'undone']) sessionStorage.setItem(name, JSON.stringify(this[name])); } catch { /* undo ends with the page */ }
   }
 
