@@ -46,6 +46,24 @@ def test_earlier_deliveries_go_then_the_store_and_a_run_makes_the_same(place):
     assert {n: d for n, d in files.items() if n not in told} == {n: d for n, d in before.items() if n not in told}
 
 
+def test_a_run_that_keeps_no_parts_keeps_its_deliveries(place):
+    words = ("run", "s.yaml", "--out", "bare", "--workers", 0)
+    assert fwclass(*words, "--set", "train.trees=3", cwd=place).returncode == 0
+    missed = fwclass(*words, "--set", "run.keep_intermediate=false", "--set", "assess.min_kappa=1.0", cwd=place)
+    assert missed.returncode == 4 and "parts removed" not in missed.stderr
+    held = used(place / "bare")
+    ended = fwclass(*words, "--set", "run.keep_intermediate=false", cwd=place)
+    assert ended.returncode == 0 and "parts removed (run.keep_intermediate)" in ended.stderr
+    assert used(place / "bare") < held and not any((place / "bare" / "store").rglob("table.parquet"))
+    assert len([p for p in (place / "bare" / "generations").iterdir() if p.is_dir()]) >= 2
+    assert "have the bytes that were written" in fwclass("status", "bare", "--verify", cwd=place).stdout
+    again = fwclass(*words, cwd=place)
+    assert again.returncode == 0, again.stderr
+    told = {"report.html", "report.json", "generation.json", "manifest.json"}
+    bare, whole = (delivered(place / name) for name in ("bare", "r"))
+    assert {n: d for n, d in bare.items() if n not in told} == {n: d for n, d in whole.items() if n not in told}
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [(("nothing", "--keep", "delivery"), "no such run"), (("r",), "--keep"), (("r", "--keep", "all"), "--keep")],

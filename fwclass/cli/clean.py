@@ -14,12 +14,13 @@ from fwclass.cli.status import run_at
 @click.argument("run", type=RUN)
 @click.option(
     "--keep",
-    type=click.Choice(["delivery", "latest"]),
+    type=click.Choice(["delivery", "deliveries", "latest"]),
     required=True,
-    help="delivery: only what readers see now; latest: that, and the parts that the next run goes on from.",
+    help="delivery: only what readers see now; deliveries: the earlier ones too, no parts; latest: what readers see "
+    "now, and the parts that the next run goes on from.",
 )
 def clean(run: Any, keep: Any) -> None:
-    """Remove earlier deliveries of a run and, with --keep delivery, the parts that the current one was made from.
+    """Remove earlier deliveries of a run, or the parts that they were made from, or both.
 
     What was delivered stays as it is; the next run makes all that is missing.
     """
@@ -29,4 +30,4 @@ def clean(run: Any, keep: Any) -> None:
     some = ", ".join(gone.generations) or "none"
     click.echo(f"generations {some} removed")
     click.echo(f"parts       {gone.parts:,} removed")
-    click.echo(f"size        {gone.before / 1e6:,.1f} MB before, {gone.after / 1e6:,.1f} MB now")
+    click.echo(f"size        {gone.freed}")

@@ -97,6 +97,7 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.graph import plausibility
     from fwclass.graph.drift import judge_drift
     from fwclass.graph.report import REPORT, summary
+    from fwclass.operate.clean import clean
     from fwclass.quality.judge import judge_quality
     from workflows import workflow_of
 
@@ -145,6 +146,9 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
         judge_quality(report["quality"], config.quality)
     if report["accuracy"]:
         judge(report["accuracy"], config.assess)
+    if not config.run.keep_intermediate and generation.whole:
+        gone = clean(entry.location, "deliveries", lambda text: click.echo(text, err=True))
+        click.echo(f"store       {gone.parts:,} parts removed (run.keep_intermediate), {gone.freed}", err=True)
 
 
 @cli.command()

@@ -11,7 +11,7 @@ from fwclass.errors import ConfigError
 from fwclass.store.bucket import Remote
 from fwclass.store.run_location import RunLocation, locked, open_store
 
-Keep = Literal["delivery", "latest"]
+Keep = Literal["delivery", "deliveries", "latest"]
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,14 @@ class Cleaned:
     before: int
     after: int
 
+    @property
+    def freed(self) -> str:
+        """The sizes, in words."""
+        return f"{self.before / 1e6:,.1f} MB before, {self.after / 1e6:,.1f} MB now"
+
 
 def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cleaned:
-    """Remove earlier deliveries and, to keep the ``delivery`` alone, the parts that it was made from.
+    """Remove earlier deliveries unless all ``deliveries`` stay, and all parts unless the ``latest`` ones do.
 
     A simulated survey's files, the history and the words of the last run stay. The same run makes all parts anew, and
     the same delivery.
@@ -33,14 +38,14 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
     Raises
     ------
     ConfigError
-        Only the delivery is to stay, and there is none that is whole.
+        Only what was delivered is to stay, and the current delivery is not whole.
     LockedError
         A run is under way.
     """
     with locked(location, tell) as (own, _):
         store = open_store(own)
         current = store.generations.current()
-        if keep == "delivery" and (current is None or not current.whole):
+        if keep != "latest" and (current is None or not current.whole):
             raise ConfigError(
                 "nothing would be left: the run has no whole delivery",
                 where=store.where,
@@ -49,9 +54,9 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
                 do="finish the run first, or --keep latest",
             )
         before = used(own)
-        generations = store.generations.retire_earlier()
+        generations = [] if keep == "deliveries" else store.generations.retire_earlier()
         parts = []
-        if keep == "delivery":
+        if keep != "latest":
             kept = {receipt.part for receipt in store.receipts("simulate")}
             parts = [name for name in store.parts() if name[0] != "simulate" or name[1] not in kept]
             store.remove_all(parts)
