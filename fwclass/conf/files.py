@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,9 @@ _MOST_DIGITS = 100
 
 _DEEPEST = 50
 """Levels of nested keys and lists."""
+
+PUBLIC, VARIABLE = "data:", "FWCLASS_DATA"
+"""What a directory of public data begins with, and the environment variable that names where all of it lies."""
 
 _UNDER_WAY = (0, 0)
 
@@ -51,6 +55,20 @@ def find(name: str | Path) -> Path:
         expected="a YAML file, or the name of one that comes with fwclass",
         got=nearest(path.stem, known),
         do="give its path",
+    )
+
+
+def public_data(named: str, where: Path, origin: str | None) -> Path:
+    """The directory of public data that ``data:NAME`` names, below the one of the environment variable FWCLASS_DATA."""
+    name, given = named.removeprefix(PUBLIC), os.environ.get(VARIABLE)
+    if given:
+        return Path(given).absolute() / name
+    raise ConfigError(
+        "the files of this survey do not come with fwclass",
+        where=f"{where}: survey.directory",
+        expected=origin or "public data",
+        got=f"no environment variable {VARIABLE}",
+        do=f"get the files, and --set survey.directory=DIR; or put them into DIR/{name}, and set {VARIABLE}=DIR",
     )
 
 

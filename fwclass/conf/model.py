@@ -109,13 +109,15 @@ class SurveySection(Section):
     """What is classified.
 
     `directory` is relative to the survey's file; null: beside it, or, of a `simulated` survey, in the run directory,
-    into which it is simulated. `crs`, if given, is used for
+    into which it is simulated; ``data:NAME`` lies below the directory that the environment variable FWCLASS_DATA names,
+    and `origin` says where its files can be had. `crs`, if given, is used for
     all files, whatever they name; `none` goes without. `features`: what the classifier decides by, a list of columns or
     the name or file of a feature set. `model`: directory of a trained model to use instead of training, or null.
     """
 
     name: str = Field(pattern=r"^\w[\w .-]*$", max_length=100)
     directory: str | None
+    origin: str | None
     simulated: bool
     sources: tuple[str, ...] = Field(min_length=1)
     crs: str | None

@@ -11,6 +11,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.conf import Config
+from fwclass.conf.files import PUBLIC, public_data
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
@@ -112,6 +113,8 @@ def directory_of(config: Config, root: Path) -> Path | Url:
     named = config.survey.directory or "."
     if is_url(named):
         return url_of(named, f"{config.path}: survey.directory")
+    if named.startswith(PUBLIC):
+        return public_data(named, config.path, config.survey.origin)
     path = Path(named)
     return path if path.is_absolute() else (config.path.parent / path).resolve()
 
