@@ -63,7 +63,7 @@ def test_the_image_is_made_by_the_commands_of_the_readme():
     root = DEPLOY.parent
     text = (DEPLOY / "docker" / "Dockerfile").read_text().replace("\\\n", " ")
     steps = [line.split(None, 1) for line in text.splitlines() if line and not line.startswith("#")]
-    assert {step for step, _ in steps} <= {"FROM", "ENV", "WORKDIR", "COPY", "RUN", "ENTRYPOINT"}
+    assert {step for step, _ in steps} <= {"FROM", "ARG", "ENV", "WORKDIR", "COPY", "RUN", "ENTRYPOINT"}
     assert [rest for step, rest in steps if step == "FROM"] == ["python:3.11-slim"]
     run = next(rest for step, rest in steps if step == "RUN").replace("--no-cache-dir ", "")
     install = (root / "README.md").read_text().split("## Install")[1].split("```sh\n")[1].split("```")[0]

@@ -35,4 +35,4 @@ def test_the_variable_names_the_directory_of_all(shared_data, tmp_path, monkeypa
     assert ended.returncode == 0 and "p1: 6 files" in ended.stdout + ended.stderr, ended.stderr
     monkeypatch.setenv("FWCLASS_DATA", str(tmp_path / "none"))
     ended = fwclass("plan", "p1", "--out", tmp_path / "q")
-    assert ended.returncode == 2 and str(tmp_path / "none" / "ign_hd") in ended.stderr
+    assert ended.returncode == 1 and str(tmp_path / "none" / "ign_hd") in ended.stderr
