@@ -18,7 +18,7 @@ from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import crs_of
 from fwclass.graph.rasters import Mosaic
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
-from fwclass.grid import Box, Tile, TileGrid, Window
+from fwclass.grid import Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.contour_file import Contours, write_contours
 from fwclass.publish.contour_style import contour_style
@@ -37,10 +37,14 @@ BATCH = 1 << 20
 """Vertices of lines that are written at once."""
 
 
-def contour_block(here: StageInputs, params: ContourParams, cell: float, bounds: tuple[float, ...]) -> Made:
+def contour_block(
+    here: StageInputs, params: ContourParams, cell: float, inside: tuple[int, int, int, int] | None = None
+) -> Made:
     """Pieces of the contour lines of one block, whose squares have their south-western corner in it, and all corners
-    among the cells of the box `bounds` [m]."""
-    nodes = _nodes(here.tile, cell, bounds)
+    `inside` the survey: their first column and row in the block, and how many of either; None for all."""
+    nodes = _corners(here.tile, cell)
+    if inside is not None:
+        nodes = Window(cell, nodes.col + inside[0], nodes.row + inside[1], *inside[2:])
     grid = TileGrid(here.tile.size)
     mosaic = Mosaic(
         here.inputs, TERRAIN.name, [grid.tile(k) for k in here.parts(TERRAIN.name)], cell, {"dtm": np.float32(np.nan)}
@@ -53,11 +57,10 @@ def contour_block(here: StageInputs, params: ContourParams, cell: float, bounds:
     return {"pieces": len(pieces.ends), "vertices": len(made.vertices), "every": made.every}
 
 
-def _nodes(block: Tile, cell: float, bounds: tuple[float, ...]) -> Window:
-    """The middles of cells that are corners of a block's squares; it has at least one cell of the box."""
+def _corners(block: Tile, cell: float) -> Window:
+    """The middles of cells that are corners of a block's squares."""
     own = Window.covering(block.box, cell)
-    own = Window(cell, own.col, own.row, own.ncols + 1, own.nrows + 1)
-    return own.common(Window.covering(Box(*bounds), cell)) or Window(cell, own.col, own.row, 1, 1)
+    return Window(cell, own.col, own.row, own.ncols + 1, own.nrows + 1)
 
 
 def delivered_contours(here: StageInputs, params: ContourParams, crs: str | None) -> Made:
@@ -154,9 +157,15 @@ def _around(plan: Plan, block: Tile) -> list[Name]:
     ]
 
 
-def _of_box(plan: Plan, block: Tile) -> Mapping[str, Any]:
-    grown = block.box.grown(2.0 * plan.config.terrain.cell)
-    return {"bounds": (plan.layout.box.common(grown) or block.box).bounds}
+def _inside(plan: Plan, block: Tile) -> Mapping[str, Any]:
+    """Which corners of a block that the survey's edge cuts lie within; counted from the block, so that blocks along one
+    edge share their parameters."""
+    cell = plan.config.terrain.cell
+    own = _corners(block, cell)
+    kept = own.common(Window.covering(plan.layout.box, cell)) or Window(cell, own.col, own.row, 1, 1)
+    if kept == own:
+        return {}
+    return {"inside": (kept.col - own.col, kept.row - own.row, kept.ncols, kept.nrows)}
 
 
 CONTOUR_BLOCKS = Stage(
@@ -169,7 +178,7 @@ CONTOUR_BLOCKS = Stage(
     parts=lambda plan: terrain_blocks(plan.layout),
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"params": plan.config.contours, "cell": plan.config.terrain.cell},
-    each=_of_box,
+    each=_inside,
     silent=frozenset({"shortest"}),
     after=(TERRAIN.name,),
     needs=_around,
