@@ -74,7 +74,7 @@ def least_sure_tiles(run: Path, count: int) -> frozenset[str]:
         `run` is no run that has delivered, or its delivery has no confidences (``--workflow ground``).
     """
     delivery = open_run(run)
-    listed = (delivery.report["sureness"] or {"tiles": []})["tiles"]
+    listed = (delivery.report.get("sureness") or {"tiles": []})["tiles"]
     if not listed:
         raise InputError(
             "no tile of this delivery has a confidence",

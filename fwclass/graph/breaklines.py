@@ -6,11 +6,12 @@ import numpy as np
 from pyproj import CRS
 
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
-from fwclass.graph.water import Points
+from fwclass.graph.water import Points, read_as, source_of
 from fwclass.grid import Box, quantised
 from fwclass.read.polygons import open_polygons, read_lines, reprojected
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
+from fwclass.water.along import knots_along
 
 BREAKLINES = "breaklines"
 FILE = "knots"
@@ -22,15 +23,7 @@ def breaklines_read(here: StageInputs, crs: str | None, layer: str, own_crs: str
     shapes, z = read_lines(open_polygons(path, layer))
     if own_crs is not None and crs is not None:
         shapes, _ = reprojected(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
-    x, y = shapes.x, shapes.y
-    last = np.zeros(len(x), bool)
-    last[shapes.ring_start[1:] - 1] = True
-    at = np.flatnonzero(~last)
-    number = np.maximum(1, np.ceil(np.hypot(x[at + 1] - x[at], y[at + 1] - y[at]) / step)).astype(np.int64)
-    edge = np.repeat(at, number)
-    share = (np.arange(len(edge)) - np.repeat(np.cumsum(number) - number, number)) / np.repeat(number, number)
-    ends = np.flatnonzero(last)
-    knots = [np.append(v[edge] + share * (v[edge + 1] - v[edge]), v[ends]) for v in (x, y, z)]
+    knots = knots_along(shapes.x, shapes.y, z, shapes.ring_start, step)
     write_arrays(here.directory / FILE, {n: quantised(v) for n, v in zip("xyz", knots, strict=True)})
     return {"lines": shapes.parts, "knots": len(knots[0])}
 
@@ -60,13 +53,6 @@ READ_BREAKLINES = Stage(
     "part",
     breaklines_read,
     when=_wanted,
-    arguments=lambda plan: {
-        "crs": plan.survey.crs,
-        "layer": plan.survey.breaklines.layer if plan.survey.breaklines else "",
-        "own_crs": plan.survey.breaklines.crs if plan.survey.breaklines else None,
-        "step": plan.config.terrain.thin,
-    },
-    source=lambda plan, part: (
-        (plan.survey.breaklines.path, plan.survey.breaklines.digests) if plan.survey.breaklines else None
-    ),
+    arguments=lambda plan: {**read_as(plan.survey.breaklines, plan.survey.crs), "step": plan.config.terrain.thin},
+    source=lambda plan, part: source_of(plan.survey.breaklines),
 )

@@ -16,6 +16,7 @@ from fwclass.errors import visible
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
 from fwclass.graph.classify import OUTSIDE
+from fwclass.graph.contours import DELIVER_CONTOURS
 from fwclass.graph.corrections import CORRECTIONS
 from fwclass.graph.drift import drift
 from fwclass.graph.kept import class_remarks, kept_codes, kept_names, known_codes
@@ -27,6 +28,7 @@ from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
 from fwclass.graph.tiling import source_codes
 from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
+from fwclass.graph.water import LEVELS
 from fwclass.model.ranges import RANGES
 from fwclass.run.inputs import PartInputs
 from fwclass.run.libraries import reported
@@ -110,18 +112,12 @@ def write_report(
             *(drifted or {}).get("remarks", ()),
             *_crowded(runner, config),
             *_empty(files),
-            *(
-                t
-                for s in ("water-levels", "publish-contours")
-                for r in made_in_run(runner, s)
-                for t in r.meta["remarks"]
-            ),
-            *(words for r in made_in_run(runner, DELIVER_VECTORS.name) for words in vector_remarks(r.meta)),
+            *_of_parts(runner),
             *(class_remarks(source, known_codes(config.classes), kept) if classified else ()),
         ],
         "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
         "ground": _ground(runner, config),
-        "water": [body for r in made_in_run(runner, "water-levels") for body in r.meta["bodies"]],
+        "water": [body for r in made_in_run(runner, LEVELS) for body in r.meta["bodies"]],
         "quality": next((r.meta["quality"] for r in made_in_run(runner, "publish-quality")), None),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(runner),
@@ -180,6 +176,13 @@ def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
         facts = {n: meta.get(n) for n in ("points", "pulses", "point_format")}
         files.append({"path": strip.path.name, "strip": strip.number, **facts})
     return {"files": files, "faults": dict(sorted(faults.items()))}
+
+
+def _of_parts(runner: Runner) -> list[str]:
+    """What the parts of water, contour lines and vectors say."""
+    stages = (LEVELS, DELIVER_CONTOURS.name)
+    remarks = [line for stage in stages for receipt in made_in_run(runner, stage) for line in receipt.meta["remarks"]]
+    return [*remarks, *(line for r in made_in_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]
 
 
 def _empty(files: Mapping[str, Any]) -> list[str]:

@@ -10,18 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from fwclass.errors import InputError
+from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.grid import Box, Window, millimetres
 from fwclass.label.polygons import Polygons, owners
 from fwclass.read.polygons import open_polygons, read_polygons, reprojected
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
+from fwclass.store.remote_file import Location
 from fwclass.water.level import Body, level_of
 from fwclass.water.params import WaterParams
 from fwclass.water.shore import Shoreline, nearest_shore, shoreline
 
 WATER, SHORE, LEVELS = "water", "shore", "water-levels"
 FILE = "water"
+MOST = int(np.iinfo(np.int16).max)
+"""Bodies of water of a survey; points know theirs by a number of 16 bits."""
+
 NAMED = 5
 """Bodies of water that are named."""
 
@@ -90,6 +96,14 @@ def water_read(
         shapes, _ = reprojected(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
     features = np.zeros(1 + int(shapes.feature.max(initial=0)), np.int16)
     polygons = Polygons.of(shapes, features, features, path)
+    if polygons.parts > MOST:
+        raise InputError(
+            "too many polygons of water",
+            where=path,
+            expected=f"at most {MOST:,}",
+            got=f"{polygons.parts:,}",
+            do="leave out the small ones, or those outside the survey",
+        )
     line = shoreline(polygons.x, polygons.y, polygons.ring_start, polygons.part_start, step, stretch)
     arrays = {"shore_x": line.x, "shore_y": line.y, "body": line.body, "stretch": line.stretch}
     write_arrays(here.directory / FILE, {**polygons.arrays(), **arrays, "feature": shapes.feature})
@@ -159,8 +173,9 @@ def _remarks(told: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params: 
     if sloping:
         some = _named([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
         lines.append(
-            f"{len(sloping)} {all_of} are not flattened: the level along their shores differs by more than "
-            f"water.most_spread ({params.most_spread:g} m), as of a river: {some}. Cut them into reaches, or allow more"
+            f"{len(sloping)} {all_of} are not flattened: the level differs by more than "
+            f"water.most_spread ({params.most_spread:g} m) from place to place, as of a river: {some}. Cut them into "
+            "reaches, or allow more"
         )
     apart = [
         t
@@ -197,6 +212,16 @@ def _wanted(plan: Plan) -> bool:
     return plan.config.water.file is not None
 
 
+def read_as(file: PolygonFile | None, crs: str | None) -> dict[str, Any]:
+    """The survey's system, and the layer and the system that a file of shapes is read in."""
+    return {"crs": crs, "layer": file.layer if file else "", "own_crs": file.crs if file else None}
+
+
+def source_of(file: PolygonFile | None) -> tuple[Location, FileDigests] | None:
+    """A file of shapes as the source of its part."""
+    return (file.path, file.digests) if file else None
+
+
 def levels_needed(plan: Plan) -> list[Name]:
     """The part that holds the survey's water, for a stage that flattens it."""
     return [(LEVELS, "all")] if _wanted(plan) else []
@@ -210,13 +235,11 @@ READ_WATER = Stage(
     water_read,
     when=_wanted,
     arguments=lambda plan: {
-        "crs": plan.survey.crs,
-        "layer": plan.survey.water.layer if plan.survey.water else "",
-        "own_crs": plan.survey.water.crs if plan.survey.water else None,
+        **read_as(plan.survey.water, plan.survey.crs),
         "step": plan.config.terrain.thin,
         "stretch": plan.config.water.stretch,
     },
-    source=lambda plan, part: (plan.survey.water.path, plan.survey.water.digests) if plan.survey.water else None,
+    source=lambda plan, part: source_of(plan.survey.water),
 )
 MEASURE_SHORE = Stage(
     SHORE,

@@ -24,7 +24,8 @@ class Body:
     inside : ground echoes in it, further from its shore.
     level : [m]; of its own echoes where they are enough, else of the shore; None where neither are.
     shore_level, inside_level : by either [m]; None where the echoes are too few.
-    lowest, highest : levels of its pieces of shore, a tenth and nine tenths of them [m].
+    lowest, highest : levels of its pieces of shore, a tenth and nine tenths of them [m]; of its own echoes where no
+        shore tells; None where neither do.
     level_enough : it is flattened.
     """
 
@@ -52,17 +53,21 @@ def level_of(
     """The level of one body, from the pieces of shore and the heights `z` [m] of the echoes there, and how many echoes
     in it (`counts`) lie at which `heights` [mm]; all in any order.
 
-    Its own echoes tell by their median. A shore tells by the lower quantile of its heights: banks rise behind the
-    shoreline. A piece of shore with fewer than `params.least` echoes tells nothing of itself. What is higher inside
-    than at its shore, by more than `params.most_spread`, is no water.
+    Its own echoes tell by their median, and without a shore by their spread whether it is level. A shore
+    tells by the lower quantile of its heights: banks rise behind the shoreline. A piece of shore with fewer than
+    `params.least` echoes tells nothing of itself. What is higher inside than at its shore, by more than
+    `params.most_spread`, is no water.
     """
     inside, own_level = int(counts.sum()), None
+    low = high = None
     if inside >= params.least:
         order = np.argsort(heights, kind="stable")
-        middle = np.searchsorted(np.cumsum(counts[order]), (inside + 1) // 2)
-        own_level = float(heights[order[middle]]) / 1000
+        ranks = np.ceil(inside * np.array([BETWEEN[0], 0.5, BETWEEN[1]]))
+        at = order[np.searchsorted(np.cumsum(counts[order]), ranks)]
+        low, own_level, high = (heights[at] / 1000).tolist()
     if len(z) < params.least:
-        return Body(len(z), inside, own_level, None, own_level, None, None, own_level is not None)
+        flat = low is not None and high is not None and high - low <= params.most_spread
+        return Body(len(z), inside, own_level, None, own_level, low, high, flat)
     order = np.lexsort((z, stretch))
     pieces = np.split(z[order], np.flatnonzero(np.diff(stretch[order])) + 1)
     own = [float(np.quantile(piece, params.quantile)) for piece in pieces if len(piece) >= params.least]

@@ -9,6 +9,10 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.units import QUANTUM
+from fwclass.water.along import divided, edges
+
+NEAREST = 4
+"""Places of a shoreline that are held against each other; hardly ever are more as near as each other."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +49,7 @@ def shoreline(
     x, y : (points,) [mm], rings one after another, each closed.
     ring_start, part_start : points of every ring, rings of every body.
     """
-    last = np.zeros(len(x), bool)
-    last[ring_start[1:] - 1] = True
-    at = np.flatnonzero(~last)
+    at = edges(ring_start, len(x))
     ring = np.searchsorted(ring_start, at, "right") - 1
     body = np.searchsorted(part_start, ring, "right") - 1
     length = np.hypot(x[at + 1] - x[at], y[at + 1] - y[at]) * QUANTUM
@@ -55,13 +57,11 @@ def shoreline(
     along -= along[np.searchsorted(body, body)]
     turned = (x[at] > x[at + 1]) | ((x[at] == x[at + 1]) & (y[at] > y[at + 1]))
     low, high = np.where(turned, at + 1, at), np.where(turned, at, at + 1)  # a shared side gets the same places
-    number = np.maximum(1, np.ceil(length / step)).astype(np.int64)
-    edge = np.repeat(np.arange(len(at)), number)
-    share = (np.arange(len(edge)) - np.repeat(np.cumsum(number) - number, number)) / number[edge]
+    edge, share = divided(length, step)
     places = [np.rint(v[low[edge]] + share * (v[high[edge]] - v[low[edge]])).astype(np.int64) for v in (x, y)]
     piece = np.floor((along[edge] + share * length[edge]) / stretch).astype(np.int64)
     kept = _of_one(np.column_stack(places), body[edge])
-    px, py = (v[kept] * QUANTUM for v in places)
+    px, py = (np.asarray(v[kept] * QUANTUM, np.float64) for v in places)
     return Shoreline(px, py, body[edge][kept], piece[kept])
 
 
@@ -79,7 +79,8 @@ def _of_one(places: NDArray[np.int64], body: NDArray[np.int64]) -> NDArray[np.bo
 def nearest_shore(
     line: Shoreline, x: NDArray[np.float64], y: NDArray[np.float64], reach: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Points [m] within `reach` [m] of a place of the shoreline, and the number of the nearest place of each."""
+    """Points [m] within `reach` [m] of a place of the shoreline, and the number of the nearest place of each; of
+    places as near as each other the first, whatever other points and places there are."""
     none = np.zeros(0, np.int64)
     if not len(x) or not len(line.x):
         return none, none
@@ -90,6 +91,8 @@ def nearest_shore(
     if not len(places):
         return none, none
     tree = scipy.spatial.cKDTree(np.column_stack([line.x, line.y])[places] - origin)
-    distance, number = tree.query(np.column_stack([x, y]) - origin, distance_upper_bound=reach)
-    rows = np.flatnonzero(np.isfinite(distance))
-    return rows, places[np.asarray(number)[rows]]
+    nearest = tree.query(np.column_stack([x, y]) - origin, NEAREST, distance_upper_bound=reach)
+    distance, number = (np.asarray(values) for values in nearest)
+    rows = np.flatnonzero(np.isfinite(distance[:, 0]))
+    equal = distance[rows] == distance[rows, :1]
+    return rows, places[np.where(equal, number[rows], len(places)).min(axis=1)]

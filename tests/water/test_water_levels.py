@@ -52,6 +52,14 @@ def test_the_nearest_shore_does_not_depend_on_how_echoes_are_cut():
     assert len(nearest_shore(line, x[:0], y[:0], 2.0)[0]) == len(nearest_shore(line, x[:3] + 1e5, y[:3], 2.0)[0]) == 0
 
 
+def test_of_places_as_near_as_each_other_the_first_counts():
+    line = shoreline(*rings(SQUARE, BESIDE), 0.5, 50.0)
+    x, y = np.array([50.25, 100.0]), np.array([-1.0, -1.0])  # between two places of one shore, and of two
+    rows, place = nearest_shore(line, x, y, 2.0)
+    off = np.hypot(x[:, None] - line.x, y[:, None] - line.y)
+    assert rows.tolist() == [0, 1] and place.tolist() == off.argmin(axis=1).tolist()
+
+
 def banks(n, rise=0.0, seed=0):
     """Piece of shore and height of echoes at a lake of 200 m, half of them on banks up to a metre high."""
     rng = np.random.default_rng(seed)
@@ -100,6 +108,8 @@ def test_water_that_sends_echoes_tells_its_own_level():
     assert few.inside_level is None and few.level == made.shore_level
     alone = level(NONE, np.zeros(0), at, counts)
     assert alone.level_enough and alone.level == made.level and alone.shore_level is None
+    river = level(NONE, np.zeros(0), np.arange(199_000, 200_000, 10), np.ones(100, np.int64))
+    assert not river.level_enough and river.highest - river.lowest == pytest.approx(0.8, abs=0.02)
 
 
 def test_what_is_higher_than_its_shore_is_no_water():
