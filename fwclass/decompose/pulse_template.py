@@ -23,6 +23,11 @@ BEFORE, LEAST_AFTER = 2.5, 1.5
 BISQUARE = 4.685
 """Tuning constant of the biweight: 95 % efficient where there are no outliers (Holland and Welsch 1977)."""
 
+SYSTEMATIC = 30.0
+"""Where half of the samples of a piece depart by more than this many times the common scale, it is the spline that is
+wrong there (a steep rise, an end that is cut off), not the samples: they are judged by their own scale. So wide that
+receivers' noise never reaches it: the RIEGL sample's pulse stays as it is from here to 10 on."""
+
 ROUNDS = 6
 SURE, FAINTEST = 4.0, 1e-3
 """Standard errors, and share of the height, above which the far part of the pulse is believed."""
@@ -154,11 +159,20 @@ def _biweight(
         residual = np.empty(len(v))
         _departures(basis, start, v, scaled, coefficients, residual)
         scale = max(1.4826 * float(np.median(np.abs(residual))), 1e-12)
-        robust = weight * np.clip(1.0 - (residual / (BISQUARE * scale)) ** 2, 0.0, None) ** 2
+        local = 1.4826 * _medians(np.abs(residual), start, size)
+        scales = np.where(local > SYSTEMATIC * scale, local, scale)[start]
+        robust = weight * np.clip(1.0 - (residual / (BISQUARE * scales)) ** 2, 0.0, None) ** 2
     share = robust / weight
     spread = float(np.sqrt((share * residual**2).sum() / max(share.sum(), 1.0)))
     inverse = scipy.linalg.cho_solve_banded((banded, True), np.eye(size))
     return coefficients, spread * np.sqrt(np.diag(inverse))
+
+
+def _medians(values: Floats, group: NDArray[np.integer], groups: int) -> Floats:
+    """Median of the `values` of every group, (groups,); 0 where a group has none."""
+    count = np.bincount(group, minlength=groups)
+    middle = np.minimum(np.cumsum(count) - count + count // 2, len(values) - 1)
+    return np.where(count > 0, values[np.lexsort((values, group))[middle]], 0.0)
 
 
 @kernel

@@ -243,6 +243,22 @@ def test_weak_second_echoes_do_not_reach_the_mean_shape():
     assert found.fwhm == pytest.approx(3.5, rel=5e-3)
 
 
+@pytest.mark.parametrize("phases", [1, 3, 40])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_steep_rise_and_a_cut_tail_are_no_outliers(phases, noise):
+    # as a simulator's detector records them: (t / tau)^2 exp(-t / tau) that ends after 8 ns, at few phases
+    tau, spacing, size = 8.0 / 7.0, 0.4, 200
+    shift = spacing * (np.arange(size) % phases) / phases
+    u = spacing * np.arange(-20, 60) + shift[:, None]
+    t = u + 2.0 * tau
+    pulse = np.where((t > 0.0) & (t < 8.0), (t / tau) ** 2 * np.exp(-t / tau), 0.0) / (4.0 * np.exp(-2.0))
+    v = pulse + noise * np.random.default_rng(3).standard_normal(u.shape)
+    shape = mean_shape(u.ravel(), v.ravel(), np.full(u.size, 1e-3), 3.8, 20.0)
+    inside = (t > 0.5) & (t < 7.5)
+    assert np.abs(np.interp(u, shape.time, shape.value, 0.0, 0.0) - pulse)[inside].max() < 0.04
+    assert np.abs(np.interp(u, shape.time, shape.value, 0.0, 0.0) - pulse)[t < -0.5].max() < 0.02
+
+
 def test_the_family_of_a_gaussian_is_gaussians():
     template = gaussian_template(3.5)
     u = np.linspace(-6, 6, 101)
