@@ -3,6 +3,7 @@ VENV ?= .venv
 PYTHON ?= python3
 PY := $(VENV)/bin/python
 READY := $(VENV)/.ready
+TESTS ?= not bench and not (faults and slow)
 
 # Every command that a test starts would compile the program's modules anew.
 unexport PYTHONDONTWRITEBYTECODE
@@ -34,7 +35,7 @@ uncompiled: $(READY)
 	$(PY) -m pytest -s tests/uncompiled
 
 test: $(READY)
-	$(PY) -m pytest -n auto -m "not bench and not (faults and slow)"
+	$(PY) -m pytest -n auto -m "$(TESTS)"
 
 faults: $(READY)
 	$(PY) -m pytest -v -m faults

@@ -52,6 +52,7 @@ def dtm(run: Path) -> np.ndarray:
         return file.read(1)[::-1]
 
 
+@pytest.mark.slow
 def test_the_terrain_passes_through_breaklines_whatever_the_tiles(survey: Path) -> None:
     made = {}
     for name, words in (

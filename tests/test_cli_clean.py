@@ -46,6 +46,7 @@ def test_earlier_deliveries_go_then_the_store_and_a_run_makes_the_same(place):
     assert {n: d for n, d in files.items() if n not in told} == {n: d for n, d in before.items() if n not in told}
 
 
+@pytest.mark.slow
 def test_a_run_that_keeps_no_parts_keeps_its_deliveries(place):
     words = ("run", "s.yaml", "--out", "bare", "--workers", 0)
     assert fwclass(*words, "--set", "train.trees=3", cwd=place).returncode == 0

@@ -34,6 +34,7 @@ def ended(survey: Path, out: Path, *numbers: signal.Signals, workers: int = 0) -
     return process.returncode, told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_a_run_in_words(tmp_path: Path, number: signal.Signals) -> None:
     survey = small_survey(tmp_path)

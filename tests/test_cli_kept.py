@@ -89,6 +89,7 @@ def test_kept_points_stay_in_a_run_and_in_a_file_and_others_are_answered_as_befo
     assert (written[kept] == own[kept]).all() and set(written[~kept]) <= {2, 5}
 
 
+@pytest.mark.slow
 def test_kept_classes_do_not_depend_on_tiles(place: Path, tmp_path: Path) -> None:
     strips = []
     for size in (25, 60):

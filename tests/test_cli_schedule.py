@@ -117,6 +117,7 @@ def test_once_runs_tells_and_ends_with_the_runs_code(survey):
     no_secret(survey, done.stdout, done.stderr, *text)
 
 
+@pytest.mark.slow
 @pytest.mark.faults
 def test_an_interval_goes_on_after_a_killed_run_until_sigterm(survey):
     with going(survey, "--every", "1s") as process:
@@ -173,6 +174,7 @@ def test_what_was_missed_while_no_schedule_was_there_is_one_run(survey):
     assert abs(state(survey)["last_tick"] - time.time()) < 600
 
 
+@pytest.mark.slow
 def test_a_growing_strip_is_waited_for_and_its_redelivery_replaces_it(survey):
     content = strip(survey / "whole.las").read_bytes()
     target = survey / "data" / "strips" / "a.las"

@@ -23,6 +23,8 @@ from fwclass.store.lock import SCHEDULE
 from fwclass.store.run_location import locked
 from fwclass.store.url import Url
 
+pytestmark = pytest.mark.slow
+
 PARAMS = quick(beat=0.2, dead=2.0, timeout=10.0)
 STORE = f"store: {json.dumps({n: v for n, v in PARAMS.model_dump().items() if v is not None})}\n"
 

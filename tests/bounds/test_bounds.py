@@ -23,6 +23,7 @@ def drive(how: str, room: str, inputs: int, seed: int = 1) -> None:
     assert f"{room}: {inputs} inputs" in ended.stdout
 
 
+@pytest.mark.slow
 def test_kernels_of_decompose():
     drive("python", "decompose", 12)
 

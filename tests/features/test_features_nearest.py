@@ -133,6 +133,7 @@ def test_distances_are_those_of_a_kd_tree():
     np.testing.assert_array_equal(squares, np.rint(expected**2).astype(np.int64))
 
 
+@pytest.mark.slow
 def test_distances_beyond_what_float32_holds():
     """Points 20 km apart in one part: coordinates no longer fit float32."""
     rng, far = np.random.default_rng(6), np.array([20_000.0, 9_000.0, 17_000.0])

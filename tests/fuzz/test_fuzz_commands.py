@@ -64,16 +64,9 @@ def refused(server: Child, lines: list[str]) -> list[str]:
     return [r for r in found if ".xyz" not in r and not r.startswith("plan surveys/") and r not in EMPTY]
 
 
-def test_commands_do_what_they_are_asked_with_sound_files(server: Child) -> None:
-    """Otherwise the damage to them would only be tried on the way to a refusal."""
-    assert (
-        refused(server, [f"{c} {name} " for c in QUICK for name in list(cases_of(c))[:: 1 + len(cases_of(c)) // 4]])
-        == []
-    )
-
-
 @pytest.mark.slow
 def test_every_command_does_what_it_is_asked_with_every_sound_file(whole: Child) -> None:
+    """Otherwise the damage to them would only be tried on the way to a refusal."""
     assert refused(whole, [f"{c} {name} " for c in COMMANDS for name in cases_of(c)]) == []
 
 
@@ -81,6 +74,7 @@ def test_no_input_of_the_corpus_does_harm(server: Child) -> None:
     assert wrong(server, corpus()) == []
 
 
+@pytest.mark.slow
 def test_content_of_another_kind_under_any_name_does_no_harm(server: Child) -> None:
     """One case of every ending with every kind of content."""
     first = {name.partition(".")[2]: name for name in cases_of("info") if not name.endswith("-json")}

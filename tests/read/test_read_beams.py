@@ -121,6 +121,7 @@ def test_mirrored_beams_of_pulses(tmp_path, params):
         np.testing.assert_array_equal(a.pulses[name], b.pulses[name])
 
 
+@pytest.mark.slow
 def test_beams_that_are_turned_round_give_the_echoes_of_right_ones(tmp_path):
     """By command: refused with 1, mended by the option; a right file is refused with it."""
     right, wrong = las(tmp_path / "a.las"), las(tmp_path / "b.las", "mirrored")

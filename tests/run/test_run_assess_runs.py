@@ -16,6 +16,8 @@ from fwclass.operate.assess_runs import assess_runs, describe
 from fwclass.store.arrays import read_arrays
 from fwclass.store.run_store import Store
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_run_gains_nothing_over_itself_and_blocks_are_its_confusion(finished):
     root = finished[0]

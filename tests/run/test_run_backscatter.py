@@ -10,6 +10,8 @@ from runmaker import walk
 
 from workflows import WORKFLOWS
 
+pytestmark = pytest.mark.slow
+
 PRODUCTS = ("voxels.write=true", "profile.write=true", "samples.write=true", "stack.enabled=true", "stack.gap=0.5")
 
 

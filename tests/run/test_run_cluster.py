@@ -10,6 +10,8 @@ import time
 from functools import partial
 from pathlib import Path
 
+import pytest
+
 from fwclass import compiling
 from fwclass.run.cluster import Cluster
 from fwclass.run.part import Task
@@ -41,6 +43,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_workers_without_a_word_of_theirs(tmp_path: Path) -> None:
     script, root = tmp_path / "slow.py", tmp_path / "run"
     script.write_text(SCRIPT)

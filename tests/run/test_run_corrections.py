@@ -118,6 +118,7 @@ def test_with_the_same_corrections_nothing_is_made_anew(second):
     assert again.exit_code == 0, again.output
 
 
+@pytest.mark.slow
 def test_labels_and_sample_do_not_depend_on_the_tiles(second, tmp_path):
     """A border of tiles of 12.5 m goes through the corrected spot."""
     survey, root, report, after, _, _ = second

@@ -78,6 +78,7 @@ def test_seams_compare_it(uneven, survey, files):
     assert found.equal and "unevenness" in {s.stage for s in found.bounded}
 
 
+@pytest.mark.slow
 def test_a_halo_too_small_is_found(survey, files, tmp_path):
     text = Path(files["uneven.py"]).read_text()
     near = tmp_path / "near.py"
@@ -98,6 +99,7 @@ def test_an_edited_file_makes_its_parts_anew_and_no_others(uneven, survey, files
     assert made == {"unevenness"}  # it gives the same values, so that nothing behind it is made
 
 
+@pytest.mark.slow
 def test_a_ground_filter(survey, files, tmp_path):
     runner, report = walk(survey, tmp_path, "survey.features=[zc, amplitude]", workflow=files["lowest.py"])
     assert not runner.failures, runner.failures
@@ -110,6 +112,7 @@ def test_a_ground_filter(survey, files, tmp_path):
     assert not found["noise"].any() and report["ground"]
 
 
+@pytest.mark.slow
 def test_a_classifier(survey, files, tmp_path):
     runner, report = walk(survey, tmp_path, "survey.features=[zc]", workflow=files["rules.py"])
     assert not runner.failures, runner.failures
@@ -121,6 +124,7 @@ def test_a_classifier(survey, files, tmp_path):
     assert report["accuracy"]["overall_accuracy"] > 0.5
 
 
+@pytest.mark.slow
 def test_an_output_format(survey, files, tmp_path):
     runner, _ = walk(survey, tmp_path, "survey.features=[zc, amplitude]", workflow=files["csv_tiles.py"])
     assert not runner.failures, runner.failures
@@ -289,6 +293,7 @@ def test_a_function_that_gives_nonsense_fails_in_words(survey, finished, tmp_pat
     assert any(re.search(words, m) for m in messages), messages
 
 
+@pytest.mark.slow
 def test_a_stage_may_read_a_feature_of_the_program(survey, tmp_path):
     path = tmp_path / "mine.py"
     path.write_text(

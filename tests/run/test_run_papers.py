@@ -68,6 +68,7 @@ def fan(survey: Path, tmp_path_factory: pytest.TempPathFactory):
     return root, json.loads((root / "fan2013.json").read_text())
 
 
+@pytest.mark.slow
 def test_variants_are_judged_on_the_same_echoes(fan) -> None:
     _, facts = fan
     made = [*facts["splits"].values(), *facts["machines"].values(), *facts["thesis"]["with"], facts["every_feature"]]

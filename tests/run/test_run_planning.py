@@ -251,6 +251,7 @@ def test_polygons_are_the_tiles_and_their_halos(walked, tmp_path: Path) -> None:
     assert json.loads(numbers.read_text())["tiles"]["number"] == len(tiles)
 
 
+@pytest.mark.slow
 def test_ten_thousand_square_kilometres_are_planned_in_a_minute(tmp_path: Path) -> None:
     line = [sys.executable, SCALE, tmp_path]
     ended = subprocess.run(line, capture_output=True, text=True, timeout=180)

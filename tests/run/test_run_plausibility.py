@@ -167,6 +167,7 @@ def test_sound_files_are_not_refused(tmp_path, name):
     assert implausible(tmp_path / "o.laz")[1].sum() <= 3
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (REAL / "geolas_example2.pls").is_file(), reason="needs ../shared/data")
 def test_a_file_without_returns_whose_samples_are_stored_wrongly_ends_with_4(tmp_path):
     """Its 16 bit records hold 8 bit ones."""

@@ -16,6 +16,8 @@ from fwclass import conf
 from fwclass.errors import ConfigError
 from fwclass.graph.stages import check_features
 
+pytestmark = pytest.mark.slow
+
 NAMES = [
     "strip",
     "x",

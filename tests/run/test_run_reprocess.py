@@ -16,6 +16,8 @@ from fwclass.graph.numbering import NUMBERS, numbers
 from fwclass.grid import Box, TileGrid
 from fwclass.store.cells import CELL
 
+pytestmark = pytest.mark.slow
+
 TILE = 40.0
 NAMES = ("height_range_c200", "height_above_ground")
 REACH = Asked.of(n for n in NAMES if is_feature(n)).reach(conf.load("demo").features) + CELL

@@ -36,6 +36,7 @@ def test_a_second_run_makes_nothing(survey, copy):
     assert {s for found in statuses(runner).values() for s in found} == {"skipped"}
 
 
+@pytest.mark.slow
 def test_a_changed_parameter_re_runs_its_stage_and_what_follows(survey, copy, tmp_path):
     runner, _ = walk(survey, copy, "train.trees=11")
     found = statuses(runner)
@@ -57,6 +58,7 @@ def test_lost_and_damaged_parts_are_made_again(survey, copy, finished):
     assert delivered(copy) == delivered(finished[0])
 
 
+@pytest.mark.slow
 def test_a_model_of_another_run_classifies_without_labels(survey, finished, tmp_path):
     root = finished[0]
     given = (f"survey.model={root / 'model'}", "survey.reference={kind: none, files: []}", "areas.train=[]")

@@ -82,6 +82,7 @@ def test_each_house_is_one_polygon_with_its_height(place: Path):
     assert same.drop(columns="bbox", errors="ignore").equals(made[same.columns.drop("bbox", errors="ignore")])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [("--set", "tile.size=30"), ("--set", "tile.size=200"), ("--workers", 2)])
 def test_tiles_and_workers_change_no_byte(place: Path, words):
     name = "_".join(map(str, words))

@@ -172,6 +172,7 @@ def clean(place: Path) -> dict[str, str]:
     return delivered(home)
 
 
+@pytest.mark.slow
 def test_commands_in_a_strangers_directory_run_nothing_of_it(place: Path) -> None:
     source = place / "data" / "strips" / "a.las"
     for words in (("info", source), ("run", place / "c.yaml", "--out", place / "r1", "--workers", 1)):

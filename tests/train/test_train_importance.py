@@ -83,6 +83,7 @@ def test_useful_features_are_told_from_useless_ones():
     assert worth.max() < told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values", [{}, {"bagging": 0.9, "replacement": False, "split": "exact", "criterion": "gini"}])
 def test_parts_do_not_change_it(values):
     sample, trees, p = grown(600, 3, trees=6, **values)

@@ -17,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import workloads
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 CLOSE = {"float64": {"rtol": 1e-9, "atol": 1e-12}, "float32": {"rtol": 1e-6, "atol": 1e-12}}
 """Only kernels that are `vectorised` may differ at all, in their last bits: they may sum in another order."""

@@ -44,6 +44,7 @@ def blocks(level: bytes, stride: int) -> dict[tuple[int, ...], np.ndarray]:
     return out
 
 
+@pytest.mark.slow
 def test_every_echo_is_drawn_once_and_what_is_coarse_is_bounded(large: ViewedRun) -> None:
     pyramid = large.pyramid
     assert 0 <= pyramid.coarse < pyramid.own - 1 and large.index()["together"] == list(range(pyramid.coarse + 1))

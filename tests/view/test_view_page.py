@@ -83,6 +83,7 @@ def test_a_click_finds_the_echo_that_a_tree_finds(page: Driven, scene: ViewedRun
     assert picked >= 5 and page.run("fwclass.stats.pick") < 500
 
 
+@pytest.mark.slow
 def test_the_waveform_and_the_votes_are_the_stores(page: Driven, scene: ViewedRun, run: Path) -> None:
     hit = None
     for x, y in page.run(PLACES):
@@ -108,6 +109,7 @@ def test_the_waveform_and_the_votes_are_the_stores(page: Driven, scene: ViewedRu
     assert called[why["given"]] == values["classification"]
 
 
+@pytest.mark.slow
 def test_columns_strips_and_verdicts_colour(page: Driven, scene: ViewedRun) -> None:
     for name in ("entropy", "strip", "right_or_wrong", "echo_ratio_r100", "height"):
         page.run(f"fwclass.colourBy('{name}')")
@@ -116,6 +118,7 @@ def test_columns_strips_and_verdicts_colour(page: Driven, scene: ViewedRun) -> N
     assert page.faults == []
 
 
+@pytest.mark.slow
 def test_classes_go_off_and_the_address_keeps_the_view(page: Driven, server: Server) -> None:
     page.run("document.querySelector('#classes input').click()")
     page.run("Object.assign(fwclass.cam, {far: 50, tilt: 0.5}); fwclass.moved()")
@@ -128,6 +131,7 @@ def test_classes_go_off_and_the_address_keeps_the_view(page: Driven, server: Ser
     assert not page.run("document.querySelector('#classes input').checked")
 
 
+@pytest.mark.slow
 def test_section_measure_keys_and_work_list(page: Driven) -> None:
     page.run("fwclass.tool('section'); fwclass.click(300, 400); fwclass.click(650, 400)")
     page.until("fwclass.state.section.echoes.length > 20")
@@ -144,6 +148,7 @@ def test_section_measure_keys_and_work_list(page: Driven) -> None:
     assert page.faults == []
 
 
+@pytest.mark.slow
 def test_a_mouse_turns_and_asks(page: Driven) -> None:
     """Events of a hand, not the page's own functions."""
     before = page.run("fwclass.cam.azimuth")
@@ -158,6 +163,7 @@ def test_a_mouse_turns_and_asks(page: Driven) -> None:
     page.until("!document.getElementById('picked').hidden")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 1280])
 def test_nothing_lies_outside_the_window(page: Driven, width: int) -> None:
     page.size(width)
@@ -169,6 +175,7 @@ def test_nothing_lies_outside_the_window(page: Driven, width: int) -> None:
     assert page.run(inside)
 
 
+@pytest.mark.slow
 def test_a_lost_context_comes_back_and_no_token_is_told(page: Driven, server: Server) -> None:
     page.run("window.lose = document.getElementById('view').getContext('webgl2').getExtension('WEBGL_lose_context')")
     page.run("lose.loseContext()")
@@ -181,6 +188,7 @@ def test_a_lost_context_comes_back_and_no_token_is_told(page: Driven, server: Se
     assert not page.run("document.getElementById('fault').hidden") and page.run("fwclass.stats.drawn") == 0
 
 
+@pytest.mark.slow
 def test_two_runs_with_deliveries_of_other_names_side_by_side(browser_page: Driven, small_run: Path) -> None:
     other = shutil.copytree(small_run, small_run.parent / "other", symlinks=True)
     deliver(small_run.parent, "publish.figure_pixels=201")

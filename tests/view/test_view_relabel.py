@@ -340,6 +340,7 @@ def test_two_thousand_points_fit_into_a_body(server: Server) -> None:
 # ---------------------------------------------------------------------- the run's last command
 
 
+@pytest.mark.slow
 def test_the_last_command_runs_once_more_only_where_allowed(small_run: Path) -> None:
     with pytest.raises(InputError, match="may start nothing"):
         LastCommand(small_run, False).start()

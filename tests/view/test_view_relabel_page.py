@@ -21,6 +21,8 @@ from fwclass.delivery.viewed_command import LastCommand
 from fwclass.store.corrections import CORRECTIONS, read_corrections
 from fwclass.view.server import Server
 
+pytestmark = pytest.mark.slow
+
 COUNT = "document.getElementById('count').textContent"
 SELECTED = "fwclass.relabel().selection && !fwclass.relabel().busy"
 MARKED = "fwclass.shown()[0].nodes.reduce((s, n) => s + (n.marks ? n.marks.reduce((a, b) => a + b, 0) : 0), 0)"
