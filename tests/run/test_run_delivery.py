@@ -74,9 +74,7 @@ def test_the_list_of_tiles_is_stac(root: Path) -> None:
     stac, total = LocalValidator().item_validator("1.1.0"), 0
     for k, item in enumerate(made["features"]):
         assert item["stac_version"] == "1.0.0" and item["links"] == []
-        assert not list(stac.iter_errors(item | {"stac_version": "1.1.0"})), (
-            "all that 1.0 asks, and more"
-        )
+        assert not list(stac.iter_errors(item | {"stac_version": "1.1.0"})), "all that 1.0 asks, and more"
         assert len(item["bbox"]) == 4 and item["geometry"]["type"] == "Polygon"
         assert item["properties"]["proj:code"] == "EPSG:25832" and ("proj:wkt2" in item["properties"]) == (k == 0)
         path = root / "laz" / item["assets"]["data"]["href"]
