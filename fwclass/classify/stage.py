@@ -41,14 +41,14 @@ def classify(X: NDArray[np.float32] | Table, model: Model, probabilities: bool =
     if isinstance(X, Table):
         X = sample_matrix(X, model.features, "classify")
     winner, shares = answer(X, model)
-    made: dict[str, NDArray] = {
+    columns: dict[str, NDArray] = {
         "classification": model.codes[winner],
         "confidence": np.take_along_axis(shares, winner[:, None], axis=1)[:, 0],
         "entropy": entropy(shares),
     }
     if probabilities:
-        made |= {name: shares[:, k] for k, name in enumerate(probability_columns(model.codes))}
-    return Table(made)
+        columns |= {name: shares[:, k] for k, name in enumerate(probability_columns(model.codes))}
+    return Table(columns)
 
 
 def probability_columns(codes: Iterable[int]) -> tuple[str, ...]:

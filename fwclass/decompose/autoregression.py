@@ -74,11 +74,11 @@ class Autoregression:
 
     def correlation(self, lags: int) -> Floats:
         """Correlation at the lags 0 to `lags`."""
-        found = np.ones(lags + 1)
+        correlation = np.ones(lags + 1)
         for lag in range(1, lags + 1):
             phi = np.array(self._steps[min(lag, len(self.phi)) - 1] if self.phi else ())
-            found[lag] = phi @ found[lag - 1 :: -1][: len(phi)]
-        return found
+            correlation[lag] = phi @ correlation[lag - 1 :: -1][: len(phi)]
+        return correlation
 
 
 WHITE = Autoregression()

@@ -53,8 +53,8 @@ class Envelope:
 
     def below(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Lowest return within one to two cells of every place [m]; the strip's lowest where there is none."""
-        found = _value(self.keys, self.lowest, _keys(x, y, self.cell))
-        return np.where(np.isfinite(found), found, self.bottom)
+        lowest = _value(self.keys, self.lowest, _keys(x, y, self.cell))
+        return np.where(np.isfinite(lowest), lowest, self.bottom)
 
 
 def _keys(x: NDArray[np.float64], y: NDArray[np.float64], cell: float) -> NDArray[np.int64]:

@@ -93,7 +93,7 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
     within = max(params.vendor_tolerance, pulse.fwhm)
     plain = (fits.flags & (SATURATED | OVERLAPPING | EDGE)) == 0
     kinds = np.stack([sample.pulses["sample_spacing"], sample.pulses["saturation"]], axis=1)
-    found = []
+    curves = []
     for spacing, saturation in np.unique(kinds[~np.isnan(kinds).any(axis=1)], axis=0):
         mine = ((kinds == (spacing, saturation)).all(axis=1))[fits.row]
         constant = 0.0
@@ -105,8 +105,8 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
             constant = float(np.median(gap[near]))
         if len(near) >= params.offset_echoes:
             curve = _curve(gap[near], fits.amplitude[near], float(spacing), float(saturation))
-            found += [curve] if curve.scatter < 0.5 * within else []
-    return tuple(found)
+            curves += [curve] if curve.scatter < 0.5 * within else []
+    return tuple(curves)
 
 
 def _nearest(gap: Floats, row: NDArray[np.int64], mine: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
@@ -156,22 +156,22 @@ def _outgoing(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Sys
     n = len(np.unique(sample.pulses["pulse"][recorded]))
     if n == 0:
         return AS_STORED
-    told: dict[str, Any] = {"outgoing": n}
+    evidence: dict[str, Any] = {"outgoing": n}
     if params.outgoing_time != "auto":
-        taken = params.outgoing_time == "subtract"
-        return Placement((), taken, taken, "the setting says so", **told)
+        subtract = params.outgoing_time == "subtract"
+        return Placement((), subtract, subtract, "the setting says so", **evidence)
     if np.isnan(sample.pulses["anchor_range"][recorded]).all():
-        return Placement((), False, False, "its anchors have no fixed distance from the sensor", **told)
+        return Placement((), False, False, "its anchors have no fixed distance from the sensor", **evidence)
     roughness = _roughness(sample, fits, outgoing_times(sample, params, pulse))
     if roughness is None:
-        return Placement((), True, True, "too few neighbouring pulses to tell, so by the format's rule", **told)
+        return Placement((), True, True, "too few neighbouring pulses to tell, so by the format's rule", **evidence)
     (stored, less), ranges = roughness
-    told |= {"places": (stored, less), "ranges": ranges}
+    evidence |= {"places": (stored, less), "ranges": ranges}
     words = f"places along the line are rough by {stored:.3f} m as stored, by {less:.3f} m less that time"
-    taken = _smoother(stored, less, True)
-    if _smoother(stored, less, False) != taken:
+    subtract = _smoother(stored, less, True)
+    if _smoother(stored, less, False) != subtract:
         words += ", which does not tell, so by the format's rule"
-    return Placement((), taken, _smoother(*ranges, taken), words, **told)
+    return Placement((), subtract, _smoother(*ranges, subtract), words, **evidence)
 
 
 def _smoother(stored: float, less: float, otherwise: bool) -> bool:

@@ -91,21 +91,21 @@ def estimate_channels(
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
     pulse_scan.echo_free(waves.wide, waves.offsets, spacing, level, noise, fwhm, tail, mean, variance, count)
     own = level.copy()
-    found = []
+    channels = []
     for k in range(len(kinds)):
         here = group == k
         clear = here & (count >= FEWEST)
         if clear.sum() < 2:
             continue
         channel = channel_from(kinds[k], mean[clear], variance[clear], count[clear])
-        found.append(channel)
+        channels.append(channel)
         share = np.maximum(count[here], 1) / channel.noise**2
         prior = 1.0 / max(channel.baseline_sd, 1e-3) ** 2
         value = np.where(count[here] > 0, mean[here], channel.baseline)
         own[here] = (np.where(count[here] > 0, share, 0.0) * value + prior * channel.baseline) / (
             np.where(count[here] > 0, share, 0.0) + prior
         )
-    return tuple(found), own
+    return tuple(channels), own
 
 
 def channel_from(kind: Floats, mean: Floats, variance: Floats, count: NDArray[np.int64]) -> Channel:

@@ -277,11 +277,11 @@ def _measured(echoes: Echoes, template: Template, params: PulseParams) -> tuple[
     """The mean shape of `echoes`, and those of its width, as fitted with it."""
     for _ in range(SHAPE_ROUNDS):
         close, least = _closest(echoes, template, params)
-        found = _average(close, template, params, least)
-        if found is None:
+        mean_shape = _average(close, template, params, least)
+        if mean_shape is None:
             return None, echoes
-        change = np.abs(found.at(template.time, np.ones(1))[0] - template.value).max()
-        template, echoes = found, fit_template(echoes, found)
+        change = np.abs(mean_shape.at(template.time, np.ones(1))[0] - template.value).max()
+        template, echoes = mean_shape, fit_template(echoes, mean_shape)
         if change < STEADY:
             break
     return template, _closest(echoes, template, params)[0]

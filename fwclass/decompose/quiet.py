@@ -70,7 +70,8 @@ class QuietNoise:
     growth: float = 0.0
 
     @property
-    def told(self) -> dict[str, float | int | None]:
+    def facts(self) -> dict[str, float | int | None]:
+        """What a receipt says of the noise, by name."""
         return {
             "lag1": self.lag1,
             "inflation": self.inflation,
@@ -192,11 +193,11 @@ def _quiet(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Decom
     above = np.nan_to_num((waves.samples - signal - fits.baseline[row]) / fits.noise[row])
     reach = math.ceil(pulse.of(channel).fwhm / channel.sample_spacing)
     bad = (fits.misfit > params.poor_misfit) | ~np.isfinite(fits.baseline)
-    taken = (np.abs(signal) > LEFT * channel.noise) | (waves.samples >= channel.clip) | bad[row]
-    hot = ~taken & (above > MARK)
-    filtered = _filtered(np.where(taken, 0.0, above), _template(pulse.of(channel), channel.sample_spacing))
-    faint = filtered > FAINTEST * _spread(filtered[~taken])
-    quiet = ~_near(hot | faint, row, reach, reach) & ~taken
+    excluded = (np.abs(signal) > LEFT * channel.noise) | (waves.samples >= channel.clip) | bad[row]
+    hot = ~excluded & (above > MARK)
+    filtered = _filtered(np.where(excluded, 0.0, above), _template(pulse.of(channel), channel.sample_spacing))
+    faint = filtered > FAINTEST * _spread(filtered[~excluded])
+    quiet = ~_near(hot | faint, row, reach, reach) & ~excluded
     # a recorder that waits for an echo has one in every waveform: where none stands out, one is hidden
     clear = (fits.count > 0)[row]
     if (quiet & clear).sum() >= FEWEST_CLEAR:

@@ -33,24 +33,24 @@ class Collected:
     Attributes
     ----------
     pairs : echoes by (class that was delivered, class that they have now).
-    taken_back : echoes whose earlier change was undone.
+    withdrawn : echoes whose earlier change was undone.
     differ : echoes whose class is not the one that was checked out, those of earlier collections among them.
     names : of the classes by code.
     where : the file of corrections.
     """
 
     pairs: Mapping[tuple[int, int], int]
-    taken_back: int
+    withdrawn: int
     differ: int
     names: Mapping[int, str]
     where: Path
 
     def __str__(self) -> str:
-        rows = sum(self.pairs.values()) + self.taken_back
+        rows = sum(self.pairs.values()) + self.withdrawn
         lines = [f"{self._name(a)} -> {self._name(b)}: {n:,}" for (a, b), n in sorted(self.pairs.items())]
-        lines += [f"taken back: {self.taken_back:,}"] if self.taken_back else []
-        told = f"{self.differ:,} echoes differ from what was checked out; "
-        lines.append(told + (f"{rows:,} rows added to {self.where}" if rows else "nothing new was added"))
+        lines += [f"taken back: {self.withdrawn:,}"] if self.withdrawn else []
+        summary = f"{self.differ:,} echoes differ from what was checked out; "
+        lines.append(summary + (f"{rows:,} rows added to {self.where}" if rows else "nothing new was added"))
         return "\n".join(lines)
 
     def _name(self, code: int) -> str:

@@ -14,7 +14,7 @@ from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import UNSURE, ViewedRun
 from fwclass.delivery.viewed_colours import CORRECTED
-from fwclass.publish.copc import streamed
+from fwclass.publish.copc import copc_columns
 from fwclass.publish.files import whole_directory
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.view.blocks import DRAWN, identity_block
@@ -31,7 +31,7 @@ class ExportedRun(ViewedRun):
         delivered = [
             f["name"] for f in table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
         ]
-        left = {*delivered} - {*streamed(delivered), "strip"} | {*DRAWN}
+        left = {*delivered} - {*copc_columns(delivered), "strip"} | {*DRAWN}
         return [f["name"] for f in self.index()["columns"] if f["name"] not in left]
 
     def scale(self, part: str) -> dict[str, Any]:
@@ -61,8 +61,8 @@ class ExportedRun(ViewedRun):
         out: list[dict[int, Told]] = [{} for _ in self.work_list().places]
         for number, key in enumerate(self.tiles):
             mine = np.flatnonzero(tile[order] == number)
-            for at, told in zip(mine.tolist(), self._told(key, row[order[mine]]), strict=True):
-                out[int(place[order[at]])][at] = told
+            for at, echo in zip(mine.tolist(), self._describe(key, row[order[mine]]), strict=True):
+                out[int(place[order[at]])][at] = echo
         return [[one for _, one in sorted(echoes.items())] for echoes in out]
 
     def _unsure(self, number: int, key: str) -> dict[str, NDArray]:
@@ -77,7 +77,7 @@ class ExportedRun(ViewedRun):
         best = _first_of_each(place, order, self.params.export)
         return {"place": place[best], "tile": np.full(len(best), number), "row": row[best], "order": order[best]}
 
-    def _told(self, key: str, rows: NDArray[np.int64]) -> list[Told]:
+    def _describe(self, key: str, rows: NDArray[np.int64]) -> list[Told]:
         if not len(rows):
             return []
         path = self.delivery.path / "parquet" / f"{key}.parquet"

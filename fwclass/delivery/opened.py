@@ -98,7 +98,7 @@ class Delivery:
     @cached_property
     def tiles(self) -> list[dict[str, Any]]:
         """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax)."""
-        made = read_json(self._part("laz") / "survey.vpc")
+        catalogue = read_json(self._part("laz") / "survey.vpc")
         return [
             {
                 "tile": item["id"],
@@ -106,7 +106,7 @@ class Delivery:
                 "echoes": item["properties"]["pc:count"],
                 "bounds": tuple(item["properties"]["proj:bbox"]),
             }
-            for item in made["features"]
+            for item in catalogue["features"]
         ]
 
     @cached_property

@@ -23,7 +23,7 @@ from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.delivery.viewed_relabel import Relabelling
 from fwclass.delivery.viewed_tile import OpenTile, by_node, positions
 from fwclass.errors import FwclassError, InputError
-from fwclass.publish.octree import drawn_by
+from fwclass.publish.octree import echo_hashes
 from fwclass.publish.palette import colours, css
 from fwclass.schema import IDENTITY, Table
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
@@ -372,7 +372,7 @@ class ViewedRun:
 
 
 def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
-    return drawn_by(Table({n: columns[n] for n in IDENTITY}))
+    return echo_hashes(Table({n: columns[n] for n in IDENTITY}))
 
 
 def _plain(value: Any) -> Any:

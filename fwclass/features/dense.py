@@ -82,7 +82,7 @@ class Crowd:
         cubes, columns = (Fullest.of_parts(p[name] for p in known) for name in ("cubes", "columns"))
         return cls(cubes, columns) if cubes or columns else None
 
-    def told(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Any]:
         """Plain data."""
         return asdict(self)
 
@@ -122,7 +122,7 @@ def thinned(chunk: Chunk, params: FeaturesParams) -> Thinned | None:
 
 
 def crowd_facts(chunk: Chunk, params: FeaturesParams) -> dict[str, Any] | None:
-    """What of the core lies in dense cubes and columns, see `Crowd.told`; None where nothing does."""
+    """What of the core lies in dense cubes and columns, see `Crowd.facts`; None where nothing does."""
     place = _millimetres(chunk.table)
     core = np.zeros(chunk.table.rows, np.bool_)
     core[chunk.core] = True
@@ -130,7 +130,7 @@ def crowd_facts(chunk: Chunk, params: FeaturesParams) -> dict[str, Any] | None:
     cubes = _fullest(rows, count, core, place, params.dense_cell)
     _, rows, count = _among(place, _owners(place, params), params)
     columns = _fullest(rows, count, core, place[:2], params.dense_column)
-    return Crowd(cubes, columns).told() if cubes or columns else None
+    return Crowd(cubes, columns).facts() if cubes or columns else None
 
 
 def _millimetres(table: Table) -> Place:

@@ -77,9 +77,9 @@ def without(scales: Mapping[Scale, tuple[str, ...]], base: str) -> dict[Scale, t
     return {scale: bases for scale, bases in left.items() if bases}
 
 
-def named(made: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
+def named(by_base: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
     """Values by base, (echoes,) each, as values by name."""
-    return {f"{base}_{scale.suffix}": values for base, values in made.items()}
+    return {f"{base}_{scale.suffix}": values for base, values in by_base.items()}
 
 
 FEATURES = Computation(name="features", version=7, writes=NORMAL)

@@ -79,8 +79,8 @@ def judged(
     arrays = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
     write_arrays(here.directory / COUNTS, arrays)
     sure = by_confidence(table, classes).tolist()
-    made = {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist(), "sure": sure}
-    return {**made, **({"kept": left_out} if kept else {})}
+    facts = {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist(), "sure": sure}
+    return {**facts, **({"kept": left_out} if kept else {})}
 
 
 PERCENT = 101

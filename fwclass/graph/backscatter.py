@@ -67,10 +67,10 @@ def voxel_block(here: StageInputs, params: VoxelParams, block: float) -> Made:
     window = owned(here.tile, params.size)
     echoes = around_block(here).table
     echoes = echoes.take(np.argsort(canonical_key(echoes), kind="stable"))
-    made = voxels.voxels_of(echoes, samples_in(here, window.box, block), window, params, here.part)
-    if made is None:
+    result = voxels.voxels_of(echoes, samples_in(here, window.box, block), window, params, here.part)
+    if result is None:
         return {"layers": None}
-    arrays, lattice = made
+    arrays, lattice = result
     write_arrays(here.directory / ARRAYS, arrays)
     return {
         "layers": [lattice.layer, lattice.layer + lattice.shape[0]],

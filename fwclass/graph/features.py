@@ -28,7 +28,7 @@ def featured(here: StageInputs, params: FeaturesParams, names: tuple[str, ...]) 
         rows.append(these)
         crowds.append(crowd_facts(chunk, params))
     crowded = Crowd.of_parts(crowds)
-    return tile_table(tables, rows), ({"dense": crowded.told()} if crowded else {})
+    return tile_table(tables, rows), ({"dense": crowded.facts()} if crowded else {})
 
 
 def tile_table(pieces: list[Table], rows: list[NDArray[np.int64]]) -> Table:

@@ -15,7 +15,7 @@ from fwclass.store.remote_file import Location, found_outside
 from fwclass.store.url import Url
 
 
-def found_files(
+def find_files(
     patterns: Iterable[str], directory: Path | Url, setting: str, where: Path, params: StoreParams
 ) -> list[Location]:
     """Files that match, sorted by name; a pattern without a match is an error.

@@ -52,10 +52,10 @@ class Surroundings:
     own: NDArray[np.bool_]
     pieces: tuple[tuple[str, int], ...]
 
-    def facts(self, made: Table) -> dict[str, Any]:
-        """For the receipt of a block that `made` this of its own echoes: whose they are, a digest for every tile."""
+    def facts(self, results: Table) -> dict[str, Any]:
+        """For the receipt of a block that `results` this of its own echoes: whose they are, a digest for every tile."""
         offsets = np.cumsum([0, *(rows for _, rows in self.pieces)])
-        cells = by_name(made, (key for key, _ in self.pieces), offsets.tolist())
+        cells = by_name(results, (key for key, _ in self.pieces), offsets.tolist())
         return {"pieces": [list(p) for p in self.pieces], CELLS: cells}
 
 

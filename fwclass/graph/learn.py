@@ -165,11 +165,9 @@ def fitted(
 ) -> Made:
     """The classifier that ``train.method`` names where it is no forest, delivered as the run's model."""
     sample, places = merged_sample(here.inputs, names), spatial(block, gap)
-    found, parts = None, here.parts(MACHINE_SEARCH)
-    if parts:
-        found = gathered(here.inputs, parts, sample, compare.rbf_svm, places)
-    made = train_other(sample, params, compare, classes, params.method, places, found)
-    model: Model = stamped(made, computed)
+    parts = here.parts(MACHINE_SEARCH)
+    search = gathered(here.inputs, parts, sample, compare.rbf_svm, places) if parts else None
+    model: Model = stamped(train_other(sample, params, compare, classes, params.method, places, search), computed)
     save_model(here.directory / MODEL, model)
     return {"card": dict(model.card), "trees": None}
 

@@ -50,11 +50,11 @@ def folded(block: float, gap: float, sample: Sample, folds: int) -> Folding:
         return by_pulses(sample, folds)
     x, y = sample.place[:, 0].astype(np.float64) * 0.001, sample.place[:, 1].astype(np.float64) * 0.001
     try:
-        made = spatial_folds(x, y, sample.y, block, gap, folds)
+        division = spatial_folds(x, y, sample.y, block, gap, folds)
     except InputError as fault:
         note = f"C and gamma were searched in pieces of consecutive pulses: {fault.got} (select.block)"
         return by_pulses(sample, folds, note)
-    return Folding(made.fold, ~made.near, blocks=made.blocks)
+    return Folding(division.fold, ~division.near, blocks=division.blocks)
 
 
 def judge(

@@ -20,7 +20,7 @@ from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
 from fwclass.graph.tiling import source_codes, tiles_of_strips
 from fwclass.publish.copc import write_tile_copc
-from fwclass.publish.geoparquet import about_delivery, rounded, write_geoparquet
+from fwclass.publish.geoparquet import about_delivery, round_floats, write_geoparquet
 from fwclass.publish.laz import without_reflectance
 from fwclass.publish.params import PublishParams
 from fwclass.publish.strips import write_strip_laz
@@ -92,11 +92,11 @@ def delivered_tile(
     path = directory / TILES / f"{here.part}{TILE_ENDING}"
     shown = table if calibrated else without_reflectance(table)
     called = {int(code): name for code, name in names.items()}
-    made = write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
+    copc = write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
     about = about_delivery(called, params.parquet_bits)
-    plain = rounded(table, params.parquet_bits, EXACT)
+    plain = round_floats(table, params.parquet_bits, EXACT)
     write_geoparquet(plain, directory / "parquet" / f"{here.part}.parquet", crs_of(crs), params, about)
-    return {"rows": table.rows, "beyond": made["beyond"], "facts": tile_facts(table)}
+    return {"rows": table.rows, "beyond": copc["beyond"], "facts": tile_facts(table)}
 
 
 def delivered_strip(

@@ -47,7 +47,7 @@ NAMED = 3
 
 def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     """What the receipt of a strip's pulse says of its noise, and of every channel's pulse (`channel_pulses`)."""
-    return {name: meta[name] for name in (*UNKNOWN.noise.told, "channels")}
+    return {name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}
 
 
 def of_strip(

@@ -34,9 +34,11 @@ def class_block(here: StageInputs, params: PublishParams) -> Made:
     """Class and confidence of the highest echo, and the echoes, of every cell of one block of the fixed grid."""
     window = Window.covering(here.tile.box, params.class_cell)
     points = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
-    made = class_rasters(points["x"], points["y"], points["z"], points["classification"], points["confidence"], window)
-    write_rasters(here.directory, made._asdict(), window)
-    return {"cells": int((made.classes > 0).sum())}
+    rasters = class_rasters(
+        points["x"], points["y"], points["z"], points["classification"], points["confidence"], window
+    )
+    write_rasters(here.directory, rasters._asdict(), window)
+    return {"cells": int((rasters.classes > 0).sum())}
 
 
 def delivered_rasters(
@@ -62,7 +64,7 @@ def delivered_rasters(
     system, blocks = crs_of(crs), tuple(grid.tile(key) for key in here.parts(TERRAIN.name))
     called = {int(code): name for code, name in names.items()}
     spreads: dict[str, Spread] = {}
-    told = {
+    cell_counts = {
         "dtm_cells": _terrain_rasters(windows[0], blocks, system, params, here.inputs, target, spreads),
         "class_cells": _class_rasters(windows[1], blocks, called, system, params, here.inputs, target, spreads),
     }
@@ -70,7 +72,7 @@ def delivered_rasters(
     for name in STYLED:
         with whole(target / f"{name}.qml") as beside:
             beside.write_bytes(style_file(raster_style(name, ranges, called), "raster"))
-    return {**told, "ranges": ranges}
+    return {**cell_counts, "ranges": ranges}
 
 
 def check_cells(window: Window, box: Box) -> None:
@@ -136,7 +138,7 @@ def _terrain_rasters(
             dtm = heights["dtm"]
             there = np.isfinite(dtm)
             tone = np.where(there, 1 + 254 * hillshade(wide, window.cell, params)[inner], 0).astype(np.uint8)
-            made = {
+            rasters = {
                 "dtm": dtm,
                 "dsm": heights["dsm"],
                 "ndsm": heights["dsm"] - dtm,
@@ -144,7 +146,7 @@ def _terrain_rasters(
                 "slope": slope(wide, window.cell),
                 "roughness": heights["roughness"],
             }
-            for name, raster in made.items():
+            for name, raster in rasters.items():
                 put[name](stripe, raster)
                 spreads[name].add(raster)
             shade(stripe, tone)

@@ -14,7 +14,7 @@ from fwclass.errors import InputError
 from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
 from fwclass.graph.area_of_interest import edges, shares_area
 from fwclass.graph.file_digests import Digests
-from fwclass.graph.files import box_text, found_files, joint_bounds
+from fwclass.graph.files import box_text, find_files, joint_bounds
 from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.grid import Box
 from fwclass.label.corrections import reference_codes
@@ -42,7 +42,7 @@ def reference_clouds(
     """The reference's clouds, with their digests and points; `InputError` where they lie elsewhere than `box`."""
     if config.survey.reference.kind != "cloud":
         return ()
-    files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
+    files = find_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
     opened = [open_source(local(p)) for p in files]
     place = joint_bounds([s.bounds for s in opened])
     if not place.grown(config.label.max_distance).touches(box):
@@ -65,7 +65,7 @@ def reference_polygons(
         return ()
     survey = CRS.from_wkt(crs) if crs is not None else None
     files = []
-    for place in found_files(asked.files, directory, "survey.reference.files", config.path, config.store):
+    for place in find_files(asked.files, directory, "survey.reference.files", config.path, config.store):
         path = local(place)
         opened = open_polygons(path, asked.layer)
         field = asked.field or ""
@@ -108,7 +108,7 @@ def _file_of_terrain(
     if asked.file is None:
         return None
     survey = CRS.from_wkt(crs) if crs is not None else None
-    places = found_files([asked.file], directory, f"{section}.file", config.path, config.store)
+    places = find_files([asked.file], directory, f"{section}.file", config.path, config.store)
     if len(places) > 1:
         raise InputError(
             f"{section}.file is one file", where=config.path, got=f"{len(places)} files match", do="name one"
@@ -141,7 +141,7 @@ def reference_echo_labels(
     asked = config.survey.reference
     if asked.kind != "echoes":
         return ()
-    places = found_files(asked.files, directory, "survey.reference.files", config.path, config.store)
+    places = find_files(asked.files, directory, "survey.reference.files", config.path, config.store)
     for place in places:
         check_echo_labels(local(place), asked.field or FIELD)
     return tuple((place, digests.of([local(place)], place)) for place in places)
@@ -155,7 +155,7 @@ def reference_corrections(
     if asked.kind == "none" or asked.corrections is False:
         return None
     if asked.corrections:
-        places = found_files([asked.corrections], directory, "survey.reference.corrections", config.path, config.store)
+        places = find_files([asked.corrections], directory, "survey.reference.corrections", config.path, config.store)
     elif isinstance(run, Url):
         places = list(found_outside(CORRECTIONS, run, config.store))
     else:

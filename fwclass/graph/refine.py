@@ -74,8 +74,8 @@ def answered(here: StageInputs, names: tuple[str, ...], model: str | None) -> Ma
         X = sample_matrix(rows, used.features, here.part)
         if outside is not None:
             outside.add(X)
-        made = classify(X, used)
-        tables.append(Table(dict(zip(COARSE, (made[n] for n in CLASSIFY.writes), strict=True))))
+        answers = classify(X, used)
+        tables.append(Table(dict(zip(COARSE, (answers[n] for n in CLASSIFY.writes), strict=True))))
         missing += filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"filled": missing, **seen_outside(outside)}
@@ -86,12 +86,12 @@ def widened(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Made
     tables, rows = [], []
     for these, chunk in here.chunks():
         at = at_boundary(chunk, layer.pair, layer.within)
-        made = {name: np.full(len(at), np.nan, np.float32) for name in layer.wide}
+        columns = {name: np.full(len(at), np.nan, np.float32) for name in layer.wide}
         if at.any() and layer.wide:
             some = features(Chunk(chunk.table, chunk.core[at], chunk.tile), layer.wide, params)
             for name in layer.wide:
-                made[name][at] = some[name]
-        tables.append(Table({BOUNDARY: at, **made}))
+                columns[name][at] = some[name]
+        tables.append(Table({BOUNDARY: at, **columns}))
         rows.append(these)
     table = tile_table(tables, rows)
     return table, {"rows": table.rows, "boundary": int(table[BOUNDARY].sum())}
@@ -119,12 +119,12 @@ def drawn(
     sample = candidates(known, own["reference"], key, inside, drawing, classes, places(own), corrected)
     order = np.argsort(key)
     chosen = order[np.searchsorted(key[order], sample.key)]
-    made = own.take(chosen)
+    table = own.take(chosen)
     if layer.wide:
-        made = made.with_columns(
+        table = table.with_columns(
             features(Chunk(chunk.table, chunk.core[chosen], chunk.tile), layer.wide, params).select(layer.wide)
         )
-    X = sample_matrix(made, layer.names, here.part)
+    X = sample_matrix(table, layer.names, here.part)
     sample = Sample(layer.names, X, sample.y, sample.key, sample.hash, sample.eligible, sample.bare, sample.place)
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows}

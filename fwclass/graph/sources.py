@@ -178,7 +178,7 @@ def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams)
         "noise": max((c.noise for c in pulse.channels), default=None),
         "channels": channel_pulses(pulse, recorded),
         "sampled": sampled,
-        **noise.told,
+        **noise.facts,
     }
 
 

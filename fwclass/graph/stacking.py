@@ -33,8 +33,8 @@ def first_terrain_block(here: StageInputs, params: TerrainParams) -> Made:
     core = Window.covering(here.tile.box, params.cell)
     t = around_block(here).table
     nobody = np.zeros(t.rows, bool)
-    made = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], nobody, core, params)
-    write_rasters(here.directory, {"dtm": made.dtm}, core)
+    first = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], nobody, core, params)
+    write_rasters(here.directory, {"dtm": first.dtm}, core)
     return {}
 
 
@@ -53,9 +53,9 @@ def stacked_block(here: StageInputs, params: StackParams, fit: DecomposeParams, 
     parts = []
     for chunk in here.parts("read"):
         strip, inputs = strip_of(chunk), here.inputs
-        told = pulse_of(strip, inputs), placement_of(strip, inputs)
-        one = candidates(waveforms_of(chunk, inputs), strip, surface, reach, params, fit, *told)
-        parts += [one] if one is not None else []
+        pulse, placement = pulse_of(strip, inputs), placement_of(strip, inputs)
+        part = candidates(waveforms_of(chunk, inputs), strip, surface, reach, params, fit, pulse, placement)
+        parts += [part] if part is not None else []
     if not parts:
         return Table.empty(STACK_COLUMNS), {"roughness": roughness}
     known = np.stack([ground["x"], ground["y"]], axis=1)

@@ -17,7 +17,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
 from fwclass.formats.projected import project
 from fwclass.graph.file_digests import Digests
-from fwclass.graph.files import box_text, found_files, joint_bounds
+from fwclass.graph.files import box_text, find_files, joint_bounds
 from fwclass.graph.layout import Strip, Survey
 from fwclass.graph.numbering import numbers
 from fwclass.graph.reference import (
@@ -133,7 +133,7 @@ def gather(config: Config, runner: Runner) -> Survey:
             raise InputError("the survey could not be simulated", where=runner.root, do="see the failed parts above")
     directory = directory_of(config, runner.root)
     digests = Digests(runner.store)
-    places = found_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
     opened = opened_all(places, config)
     _distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]
@@ -157,7 +157,7 @@ def gather(config: Config, runner: Runner) -> Survey:
     )
     _different(strips)
     standard = all(s.standard_gps_time for s in opened)
-    flown = found_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
+    flown = find_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
     _distinct([local(p) for p in flown])
     trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
     of_labels = given_crs(config.survey.reference.crs, "survey.reference.crs")

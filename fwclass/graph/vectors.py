@@ -63,10 +63,10 @@ def building_block(here: StageInputs, params: VectorParams) -> Made:
     counts = _counted(here, core.grown(MARGIN), params.buildings.codes, params.buildings.low)
     inner = core.within(core.grown(MARGIN))
     whole, beyond = pieces(roofs(counts)[inner], counts.within(inner), core)
-    made = footprints(by_piece(whole), cell, params.buildings)
-    _write(here, made)
+    shapes = footprints(by_piece(whole), cell, params.buildings)
+    _write(here, shapes)
     write_table(here.directory / BEYOND, beyond)
-    return {"buildings": made.rows.rows, "beyond": beyond.rows}
+    return {"buildings": shapes.rows.rows, "beyond": beyond.rows}
 
 
 def tree_block(here: StageInputs, params: VectorParams) -> Made:
@@ -74,17 +74,17 @@ def tree_block(here: StageInputs, params: VectorParams) -> Made:
     cell = max(here.inputs.meta(CELL, "all")["cell"], params.trees.cell)
     core = owned(here.tile, cell)
     window = core.grown(math.ceil(params.trees.halo(cell) / cell))
-    made = trees(_counted(here, window, params.trees.codes, 0.0), window, core, params.trees)
-    _write(here, made)
-    return {"trees": made.rows.rows}
+    shapes = trees(_counted(here, window, params.trees.codes, 0.0), window, core, params.trees)
+    _write(here, shapes)
+    return {"trees": shapes.rows.rows}
 
 
 def _counted(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
     return counted(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
 
 
-def _write(here: StageInputs, made: Shapes) -> None:
-    for name, rows in ((ROWS, made.rows), (RINGS, made.corners)):
+def _write(here: StageInputs, shapes: Shapes) -> None:
+    for name, rows in ((ROWS, shapes.rows), (RINGS, shapes.corners)):
         write_table(here.directory / name, rows)
 
 
@@ -103,19 +103,19 @@ def delivered_vectors(here: StageInputs, params: VectorParams, publish: PublishP
             here.inputs.table(FIND_BUILDINGS.name, b, CELL_COLUMNS, BEYOND) for b in here.parts(FIND_BUILDINGS.name)
         )
         across = footprints(by_piece(joined(Table.concat(cells))), facts["cell"], params.buildings)
-        made = Shapes.together([*_read(here, FIND_BUILDINGS, BUILDING_COLUMNS), across])
-        made = made.ordered(np.lexsort((made.rows["cell_column"], made.rows["cell_row"])))
-        layers.append((made, Layer("buildings", _wkb(made), building_fields(made.rows))))
-        outlines = {OUTLINES[k]: int((made.rows["outline"] == k).sum()) for k in OUTLINES}
-        facts |= {"buildings": made.rows.rows, "across_blocks": across.rows.rows, "outlines": outlines}
+        buildings = Shapes.together([*_read(here, FIND_BUILDINGS, BUILDING_COLUMNS), across])
+        buildings = buildings.ordered(np.lexsort((buildings.rows["cell_column"], buildings.rows["cell_row"])))
+        layers.append((buildings, Layer("buildings", _wkb(buildings), building_fields(buildings.rows))))
+        outlines = {OUTLINES[k]: int((buildings.rows["outline"] == k).sum()) for k in OUTLINES}
+        facts |= {"buildings": buildings.rows.rows, "across_blocks": across.rows.rows, "outlines": outlines}
     if here.parts(FIND_TREES.name):
-        made = Shapes.together(_read(here, FIND_TREES, TREE_COLUMNS))
-        made = made.ordered(np.lexsort((made.rows["x"], made.rows["y"])))
-        x, y, fields = made.rows["x"], made.rows["y"], tree_fields(made.rows)
-        places = Shapes.of(made.rows, [[np.array([place])] for place in np.stack([x, y], axis=1)])
-        layers.append((made, Layer("crowns", _wkb(made), fields)))
+        crowns = Shapes.together(_read(here, FIND_TREES, TREE_COLUMNS))
+        crowns = crowns.ordered(np.lexsort((crowns.rows["x"], crowns.rows["y"])))
+        x, y, fields = crowns.rows["x"], crowns.rows["y"], tree_fields(crowns.rows)
+        places = Shapes.of(crowns.rows, [[np.array([place])] for place in np.stack([x, y], axis=1)])
+        layers.append((crowns, Layer("crowns", _wkb(crowns), fields)))
         layers.append((places, Layer("trees", point_wkb(x, y), fields, "Point")))
-        facts |= {"trees": made.rows.rows}
+        facts |= {"trees": crowns.rows.rows}
     for shapes, layer in layers:
         path = here.directory / "vectors" / f"{layer.name}.parquet"
         boxes = _bounds(shapes)
@@ -166,8 +166,8 @@ def _bounds(shapes: Shapes) -> NDArray[np.float64]:
     return out
 
 
-def layers_made(plan: Plan) -> Names:
-    """The layers of ``vectors.gpkg`` that a run makes: of what is asked for, where there is a class of it."""
+def vector_layers(plan: Plan) -> Names:
+    """The layers of a run's ``vectors.gpkg``: of what is asked for, where there is a class of it."""
     wanted, there = plan.config.vectors, class_names(plan)
     if not wanted.write:
         return ()
@@ -178,22 +178,22 @@ def layers_made(plan: Plan) -> Names:
 
 def lacking(plan: Plan) -> str:
     """What a user should know of vectors that a survey's classes do not give; nothing of others."""
-    wanted, made = plan.config.vectors, layers_made(plan)
+    wanted, layers = plan.config.vectors, vector_layers(plan)
     codes = {"buildings": wanted.buildings.codes, "trees": wanted.trees.codes}
     return "\n".join(
         f"note: vectors have no {name}: no class has code {', '.join(map(str, some))} (vectors.{name}.codes)"
         for name, some in codes.items()
-        if wanted.write and name not in made
+        if wanted.write and name not in layers
     )
 
 
-def vector_remarks(made: Mapping[str, Any]) -> list[str]:
+def vector_remarks(facts: Mapping[str, Any]) -> list[str]:
     """What a user should know of delivered vectors, by the facts of their part."""
-    if not made["sparse"]:
+    if not facts["sparse"]:
         return []
     return [
-        f"{made['density']:.2g} pulses per m² are few for footprints: their outlines, of cells of {made['cell']:g} m, "
-        "are rough, and small buildings are missing"
+        f"{facts['density']:.2g} pulses per m² are few for footprints: their outlines, of cells of {facts['cell']:g} m"
+        ", are rough, and small buildings are missing"
     ]
 
 
@@ -228,7 +228,7 @@ COUNT_PULSES = Stage(
     "block",
     "echo",
     counted_pulses,
-    when=lambda plan: bool(layers_made(plan)),
+    when=lambda plan: bool(vector_layers(plan)),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"square": plan.config.vectors.square},
@@ -242,7 +242,7 @@ CHOOSE_CELL = Stage(
     "survey",
     "part",
     chosen_cell,
-    when=lambda plan: bool(layers_made(plan)),
+    when=lambda plan: bool(vector_layers(plan)),
     arguments=_given,
     after=(COUNT_PULSES.name,),
     needs=_of_blocks(COUNT_PULSES.name),
@@ -254,7 +254,7 @@ FIND_BUILDINGS = Stage(
     "block",
     "echo",
     building_block,
-    when=lambda plan: "buildings" in layers_made(plan),
+    when=lambda plan: "buildings" in vector_layers(plan),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=_given,
@@ -270,7 +270,7 @@ FIND_TREES = Stage(
     "block",
     "echo",
     tree_block,
-    when=lambda plan: "trees" in layers_made(plan),
+    when=lambda plan: "trees" in vector_layers(plan),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=_given,
@@ -286,7 +286,7 @@ DELIVER_VECTORS = Stage(
     "survey",
     "part",
     delivered_vectors,
-    when=lambda plan: bool(layers_made(plan)),
+    when=lambda plan: bool(vector_layers(plan)),
     arguments=lambda plan: {"params": plan.config.vectors, "publish": plan.config.publish, "crs": plan.survey.crs},
     silent=NO_BYTE,
     after=(CELL, FIND_BUILDINGS.name, FIND_TREES.name),

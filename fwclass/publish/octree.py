@@ -42,7 +42,7 @@ class Octree:
     counts: NDArray[np.int64]
 
 
-def drawn_by(table: Table) -> NDArray[np.uint64]:
+def echo_hashes(table: Table) -> NDArray[np.uint64]:
     """A random number for every echo, by strip, pulse and echo alone: the lowest ones are a fair sample of any area."""
     return hashed(SEED, canonical_key(table))
 
@@ -66,10 +66,10 @@ def octree(units: NDArray[np.int64], table: Table, leaf: int) -> Octree:
     bits = max(1, int((units.max(axis=0) - low).max()).bit_length())
     shift = max(0, bits - MAX_BITS)
     code = np.empty(len(units), np.uint64)
-    _interleaved(units[:, 0], units[:, 1], units[:, 2], low, shift, code)
+    _interleave(units[:, 0], units[:, 1], units[:, 2], low, shift, code)
     by_code = np.argsort(code, kind="stable")
     level = np.full(len(units), -1, np.int8)
-    _levels(code[by_code], drawn_by(table)[by_code], min(bits, MAX_BITS), leaf, level)
+    _levels(code[by_code], echo_hashes(table)[by_code], min(bits, MAX_BITS), leaf, level)
     depth = np.empty(len(units), np.int8)
     depth[by_code] = level
     return _nodes(low, bits, shift, code, depth, canonical_key(table))
@@ -103,7 +103,7 @@ def _every_third(code: NDArray[np.uint64], axis: int) -> NDArray[np.int64]:
 
 
 @kernel
-def _interleaved(x, y, z, low, shift, out):  # type: ignore[no-untyped-def]
+def _interleave(x, y, z, low, shift, out):  # type: ignore[no-untyped-def]
     """Bits of three coordinates in turn, x lowest."""
     for i in range(len(out)):
         code = np.uint64(0)

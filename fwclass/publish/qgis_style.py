@@ -49,7 +49,7 @@ def class_raster_style(names: Mapping[int, str], multiply: bool = False) -> list
     pipe = Xml.Element("pipe")
     renderer = add(pipe, "rasterrenderer", type="paletted", band=1, opacity=1, alphaBand=-1, nodataColor="")
     palette = add(renderer, "colorPalette")
-    for code, colour in _coloured(names).items():
+    for code, colour in _class_colours(names).items():
         add(palette, "paletteEntry", value=code, color=css(colour), label=_label(code, names), alpha=255)
     return [pipe, _blend(multiply)]
 
@@ -117,7 +117,7 @@ def class_cloud_style(names: Mapping[int, str]) -> list[Xml.Element]:
     """Echoes by class; one that is not named is not drawn, and none is left unnamed."""
     renderer = _cloud("classified", "Classification")
     categories = add(renderer, "categories")
-    for code, colour in _coloured(names).items():
+    for code, colour in _class_colours(names).items():
         add(categories, "category", value=code, color=rgba(colour), label=_label(code, names), render=1)
     return [renderer]
 
@@ -206,7 +206,7 @@ def _symbol(parent: Xml.Element, name: str, fill: RGB | None, line: RGB, width: 
         add(options, "Option", name=key, value=value, type="QString")
 
 
-def _coloured(names: Mapping[int, str]) -> dict[int, RGB]:
+def _class_colours(names: Mapping[int, str]) -> dict[int, RGB]:
     known = colours({"name": name, "code": code} for code, name in names.items())
     return dict(sorted(known.items()))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from fwclass.publish.overview_section import (
     layers,
     next_steps,
     sure_rows,
-    surveyed,
+    survey_rows,
     verdict,
     waves,
 )
@@ -99,15 +100,23 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
 
 
 def environment() -> Environment:
-    made = Environment(
+    """Jinja's environment of the pages: it escapes every text, and a name that is not given is an error."""
+    env = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(number=number, percent=percent, quantity=quantity, seconds=seconds)
-    return made
+    env.filters.update(number=number, percent=percent, quantity=quantity, seconds=seconds)
+    return env
+
+
+def report_style() -> str:
+    """The style sheet of a run's report, for the other pages."""
+    text = (Path(__file__).parent / TEMPLATE).read_text(encoding="utf-8")
+    match = re.search(r"<style>(.*?)</style>", text, re.S)
+    return match[1] if match else ""
 
 
 def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, Any]:
@@ -124,7 +133,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "summary": _summary(report, classes, counts),
         "facts": _facts(report, counts),
         "verdict": verdict(report),
-        "surveyed": surveyed(report),
+        "surveyed": survey_rows(report),
         "layers": layers({n: data_uri(f) for n, f in figures.items() if n in LAYERS}, classes),
         "framed": bool((report.get("areas") or {}).get("train")),
         "key": class_key(classes),
@@ -184,11 +193,11 @@ def _summary(report: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], co
 
 def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The figures at the top: (label, value), those that are known."""
-    made = report.get("accuracy") or {}
+    accuracy = report.get("accuracy") or {}
     wanted = (
-        ("overall accuracy", percent(made.get("overall_accuracy")), " %"),
-        ("kappa", f"{made['kappa']:.3f}" if made.get("kappa") is not None else "", ""),
-        ("mean IoU", percent(made.get("mean_iou")), " %"),
+        ("overall accuracy", percent(accuracy.get("overall_accuracy")), " %"),
+        ("kappa", f"{accuracy['kappa']:.3f}" if accuracy.get("kappa") is not None else "", ""),
+        ("mean IoU", percent(accuracy.get("mean_iou")), " %"),
         ("pulses", quantity(counts.get("pulses") or None), ""),
         ("echoes", quantity(counts.get("echoes_in_tiles")), ""),
         ("tiles", quantity(counts.get("tiles")), ""),
@@ -198,11 +207,16 @@ def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[s
 
 
 def _balance(counts: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Whether every echo that was made lies in a tile."""
-    made, kept = counts.get("echoes_decomposed"), counts.get("echoes_in_tiles")
-    if made is None or kept is None:
+    """Whether every decomposed echo lies in a tile."""
+    decomposed, in_tiles = counts.get("echoes_decomposed"), counts.get("echoes_in_tiles")
+    if decomposed is None or in_tiles is None:
         return None
-    return {"made": number(made), "kept": number(kept), "equal": made == kept, "lost": number(abs(made - kept))}
+    return {
+        "made": number(decomposed),
+        "kept": number(in_tiles),
+        "equal": decomposed == in_tiles,
+        "lost": number(abs(decomposed - in_tiles)),
+    }
 
 
 def _images(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
@@ -210,6 +224,7 @@ def _images(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
 
 
 def data_uri(picture: bytes) -> str:
+    """A PNG as an address that stands in the page itself."""
     return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
 
 

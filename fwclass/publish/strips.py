@@ -31,8 +31,8 @@ from fwclass.formats.las_bytes import (
 )
 from fwclass.formats.laz_writer import assemble, point_writer
 from fwclass.publish.files import whole
-from fwclass.publish.heights import Heights, stored_heights, with_heights
-from fwclass.publish.packets import Packets, carried, find_packets, publish_packets
+from fwclass.publish.heights import Heights, store_heights, with_heights
+from fwclass.publish.packets import Packets, find_packets, is_copied, publish_packets
 from fwclass.publish.params import PublishParams
 from fwclass.publish.verify import verify
 from fwclass.schema import column
@@ -88,7 +88,7 @@ def write_strip_laz(
     _check(head, output, classes, extra or {})
     extras = extra_bytes(map(column, extra or {}), extra or {}, names_of(kept_records(head)))
     packets = find_packets(head)
-    heights = None if z is None else stored_heights(head, z)
+    heights = None if z is None else store_heights(head, z)
     head = head if heights is None else with_heights(head, heights)
     chunk = chunk_rows(params.chunk_points, head.point_size + extra_size(extras))
     with whole(output) as beside:
@@ -214,7 +214,7 @@ def _copy_extended(head: LasHead, file: BinaryIO, end: int, packets: Packets) ->
     file.seek(end)
     with head.path.open("rb") as source:
         for rec in extended_records(source, head):
-            if carried(rec, packets):
+            if is_copied(rec, packets):
                 copy_bytes(source, file, rec.start, rec.end - rec.start)
                 count += 1
     return (end if count else 0), count

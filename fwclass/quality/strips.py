@@ -85,7 +85,7 @@ class Comparison:
     def facts(self, strips: Sequence[Strip], files: Mapping[int, str], by: By) -> dict[str, Any]:
         """What `report.json` tells of the strips (docs/quality.md); `files`: names of the source files by number."""
         sample = Pairs(*(np.concatenate([getattr(s, n) for s in self._sample]) for n in Pairs.__dataclass_fields__))
-        made = adjusted(strips, sample, self.params.max_tilt_error)
+        adjustment = adjusted(strips, sample, self.params.max_tilt_error)
         n, _, square = np.sum(list(self._sums.values()), axis=0) if self._sums else np.zeros(3)
         group = groups_of(len(strips), *(np.array([k[i] for k in self._sums], np.int64) for i in (0, 1)))
         return {
@@ -94,9 +94,9 @@ class Comparison:
             "adjusted": len(sample.dz),
             "apart": self.apart,
             "rms": math.sqrt(square / n) if n else None,
-            "left": _known(made.left),
-            "sigma": _known(made.sigma),
-            "strips": [_strip(k, s, files, by, made, int(group[k])) for k, s in enumerate(strips)],
+            "left": _known(adjustment.left),
+            "sigma": _known(adjustment.sigma),
+            "strips": [_strip(k, s, files, by, adjustment, int(group[k])) for k, s in enumerate(strips)],
             "between": [
                 {"first": a, "second": b, "pairs": int(c), "mean": float(m / c), "rms": math.sqrt(q / c)}
                 for (a, b), (c, m, q) in sorted(self._sums.items())
@@ -118,7 +118,9 @@ def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _strip(number: int, strip: Strip, files: Mapping[int, str], by: By, made: Adjusted, group: int) -> dict[str, Any]:
+def _strip(
+    number: int, strip: Strip, files: Mapping[int, str], by: By, adjustment: Adjusted, group: int
+) -> dict[str, Any]:
     names = sorted(files.get(f, str(f)) for f in strip.files)
     facts = {
         "name": names[0] if by == "files" else f"line {number + 1}",
@@ -130,11 +132,11 @@ def _strip(number: int, strip: Strip, files: Mapping[int, str], by: By, made: Ad
         "centre": list(strip.centre),
         "width": 2 * strip.half[0],
         "length": 2 * strip.half[1],
-        "pairs": int(made.pairs[number]),
+        "pairs": int(adjustment.pairs[number]),
         "group": group,
     }
     for k, name in enumerate(("height", "roll", "pitch")):
-        facts[name], facts[f"{name}_error"] = (_known(v[number, k]) for v in (made.values, made.errors))
+        facts[name], facts[f"{name}_error"] = (_known(v[number, k]) for v in (adjustment.values, adjustment.errors))
     return facts
 
 

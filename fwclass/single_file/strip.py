@@ -106,7 +106,7 @@ class FileStrip:
     def noise(self) -> Mapping[str, Any]:
         """What its noise is like, see `receiver_facts`."""
         if not self.source.has_waves:
-            return UNKNOWN.noise.told
+            return UNKNOWN.noise.facts
         return receiver_facts(self._measure().meta)
 
     def places(self) -> Mapping[str, Any] | None:

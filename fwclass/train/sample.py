@@ -54,10 +54,10 @@ class Sample:
     @property
     def digest(self) -> str:
         """SHA-256 of the names, keys, classes and values of the rows; where they lie follows from the keys."""
-        made = hashlib.sha256("\n".join(self.features).encode())
+        sha = hashlib.sha256("\n".join(self.features).encode())
         for array in (self.key, self.y, self.X):
-            made.update(np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes())
-        return made.hexdigest()
+            sha.update(np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes())
+        return sha.hexdigest()
 
     def arrays(self) -> dict[str, NDArray]:
         """The arrays that a store keeps; `from_arrays` makes the sample again."""

@@ -38,14 +38,14 @@ def smrf(
     points, low = _without_low_outliers(x, y, z, window, params)
     ground = _with_edges(points, _first_ground(points.z, low, corner, params), params)
     heights = filled(np.where(ground, points.z, np.nan), corner)
-    found = np.empty(len(x), bool)
+    near = np.empty(len(x), bool)
     slope = gradient(heights, params.cell)
-    _near_terrain(x, y, z, heights, slope, *corner, params.cell, params.threshold, params.scalar, found)
-    return found
+    _near_terrain(x, y, z, heights, slope, *corner, params.cell, params.threshold, params.scalar, near)
+    return near
 
 
 @kernel
-def _near_terrain(x, y, z, heights, slopes, row, col, cell, threshold, scalar, found):  # type: ignore[no-untyped-def]
+def _near_terrain(x, y, z, heights, slopes, row, col, cell, threshold, scalar, near):  # type: ignore[no-untyped-def]
     """Whether each point is within threshold + scalar × slope of the terrain, both bilinear between cell centres."""
     last_r, last_c = heights.shape[0] - 1, heights.shape[1] - 1
     for i in range(len(x)):
@@ -58,7 +58,7 @@ def _near_terrain(x, y, z, heights, slopes, row, col, cell, threshold, scalar, f
         a, b, d, e = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
         height = a * heights[r0, c0] + b * heights[r0, c1] + d * heights[r1, c0] + e * heights[r1, c1]
         slope = a * slopes[r0, c0] + b * slopes[r0, c1] + d * slopes[r1, c0] + e * slopes[r1, c1]
-        found[i] = abs(z[i] - height) <= threshold + scalar * slope
+        near[i] = abs(z[i] - height) <= threshold + scalar * slope
 
 
 def _without_low_outliers(

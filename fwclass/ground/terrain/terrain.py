@@ -140,10 +140,10 @@ def terrain(
 def _with_knots(echoes: Points, knots: Points, window: Window) -> Points:
     """Echoes and knots in `window`, without the echoes in cells of a knot: thinning takes the mean of a cell."""
     cells, near = cells_of(*knots[:2], window)
-    taken = np.zeros(math.prod(window.shape), bool)
-    taken[cells] = True
+    has_knot = np.zeros(math.prod(window.shape), bool)
+    has_knot[cells] = True
     own, _ = cells_of(*echoes[:2], window)
-    left = ~taken[own]
+    left = ~has_knot[own]
     rows = np.flatnonzero(near)
     x, y, z = (np.concatenate([e[left], k[rows]]) for e, k in zip(echoes, knots, strict=True))
     return x, y, z

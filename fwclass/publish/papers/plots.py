@@ -20,12 +20,14 @@ BOX = ("p5", "p25", "p50", "p75", "p95")
 
 
 def sheet(width: float, height: float) -> Figure:
+    """An empty figure of this size [inches]."""
     figure = Figure(figsize=(width, height), dpi=DPI, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def dress(axes: Any, x: str = "", y: str = "", grid: str = "both") -> None:
+    """Give axes their labels, grid and colours."""
     axes.set_xlabel(x, fontsize=SIZE, color=INK)
     axes.set_ylabel(y, fontsize=SIZE, color=INK)
     axes.tick_params(labelsize=7, colors=INK, length=3, width=0.6)
@@ -35,15 +37,15 @@ def dress(axes: Any, x: str = "", y: str = "", grid: str = "both") -> None:
         spine.set_color(FRAME)
 
 
-def draw_distribution(made: Mapping[str, Mapping[str, Any]], printed: Mapping[str, Mapping[str, Any]]) -> bytes:
+def draw_distribution(quantiles: Mapping[str, Mapping[str, Any]], printed: Mapping[str, Mapping[str, Any]]) -> bytes:
     """A panel per feature: a box per class from quantiles (5, 25, 50, 75, 95 %), the paper's range behind it.
 
-    `made`: quantiles by feature and class; `printed`: ``low`` and ``high`` by base and class, None for open.
+    `quantiles`: quantiles by feature and class; `printed`: ``low`` and ``high`` by base and class, None for open.
     """
-    across = min(4, max(1, len(made)))
-    rows = -(-len(made) // across)
+    across = min(4, max(1, len(quantiles)))
+    rows = -(-len(quantiles) // across)
     figure = sheet(9.6, 2.3 * rows)
-    for place, (feature, by_class) in enumerate(made.items()):
+    for place, (feature, by_class) in enumerate(quantiles.items()):
         axes = figure.add_subplot(rows, across, place + 1)
         base = split_name(feature)[0]
         known = [v[p] for v in by_class.values() for p in BOX if v.get(p) is not None]
@@ -126,20 +128,20 @@ def _steps(axes: Any, x: Sequence[int], steps: Sequence[tuple[str, float, float,
             axes.plot([a], [step[1]], "x", color=INK, markersize=8, zorder=4)
 
 
-def draw_thesis(found: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
+def draw_thesis(gains: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     """Gain by waveform features with its interval, per seed and figure [points]."""
-    figure = sheet(9.6, 0.75 + 0.36 * len(found))
+    figure = sheet(9.6, 0.75 + 0.36 * len(gains))
     titles = {"overall_accuracy": "overall accuracy", "kappa": "kappa × 100", "mean_iou": "mean IoU"}
     panels = figure.subplots(1, len(titles), sharey=True)
     for axes, (key, title) in zip(panels, titles.items(), strict=True):
-        for k, (_, one) in enumerate(found):
+        for k, (_, one) in enumerate(gains):
             part = one[key]
             if part["low"] is not None:
                 axes.plot([100 * part["low"], 100 * part["high"]], [k, k], color=OURS, linewidth=2)
             axes.plot([100 * part["value"]], [k], "o", color=OURS, markersize=5)
         axes.axvline(0, color=INK, linewidth=0.8)
-        axes.set_yticks(range(len(found)), [f"seed {s}" for s, _ in found])
-        axes.set_ylim(len(found) - 0.5, -0.5)
+        axes.set_yticks(range(len(gains)), [f"seed {s}" for s, _ in gains])
+        axes.set_ylim(len(gains) - 0.5, -0.5)
         dress(axes, f"{title}, points", grid="x")
     return png(figure)
 

@@ -111,8 +111,8 @@ def sklearn_forest(
     with _one_thread():
         forest.fit(np.where(np.isnan(X), MISSING, X), y)
     classes = forest.classes_.astype(np.int64)
-    made = [voting_tree(tree.tree_, classes) for tree in forest.estimators_]
-    return [m[:3] for m in made], sum(m[3] for m in made)
+    trees = [voting_tree(tree.tree_, classes) for tree in forest.estimators_]
+    return [m[:3] for m in trees], sum(m[3] for m in trees)
 
 
 def boosting(X: NDArray[np.float32], y: Labels, params: BoostingParams, seed: int, weights: Any) -> dict[str, NDArray]:

@@ -84,15 +84,15 @@ def searched(
     share = [sum(f["right"] for f in of) / max(1, sum(f["judged"] for f in of)) for of in counts]
     tried = [{"c": a, "gamma": b, "accuracy": s} for (a, b), s in zip(pairs, share, strict=True)]
     c, gamma = smoothest((a, b, s) for (a, b), s in zip(pairs, share, strict=True))
-    told = {
+    return {
         "rows": rows,
         "folds": len(folding.learns),
         "blocks": folding.blocks,
         "tried": tried,
         "c": c,
         "gamma": gamma,
+        "note": folding.note,
     }
-    return {**told, "note": folding.note}
 
 
 def search(sample: Sample, folding: Folding, svm: RbfSvmParams, scaling: str, weights: Any) -> dict[str, Any]:
