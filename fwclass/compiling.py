@@ -140,6 +140,7 @@ class KernelFiles:
 
     @property
     def cache_path(self) -> str:
+        """The directory of the compiled kernels."""
         return str(kernel_cache())
 
     def load_overload(self, signature: Any, context: Any) -> Any:
@@ -190,6 +191,7 @@ class KernelFiles:
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
+        """Write a compiled kernel to its file, and remove those that it replaces; a fault of the disk is said once."""
         global _count
         from numba.core.serialize import dumps
 
@@ -209,11 +211,16 @@ class KernelFiles:
         except OSError as fault:
             _not_kept(str(path.parent), fault.strerror or type(fault).__name__)
 
-    def enable(self) -> None: ...
+        """Numba asks for it; files are always used."""
 
-    def disable(self) -> None: ...
+    def enable(self) -> None:
+        """Numba asks for it; the files are always used."""
 
-    def flush(self) -> None: ...
+    def disable(self) -> None:
+        """Numba asks for it; the files are always used."""
+
+    def flush(self) -> None:
+        """Numba asks for it; nothing waits to be written."""
 
 
 class _Reader(pickle.Unpickler):

@@ -65,6 +65,7 @@ class FwclassError(Exception):
         super().__init__(self.message())
 
     def message(self) -> str:
+        """The error as text: what, where, what was expected, what there was, what to do; a line each."""
         rows = [self.what]
         for label, text in (
             ("where", self.where),

@@ -238,7 +238,7 @@ def test_a_kernel_does_not_divide_as_its_first_caller_may(program: Path, tmp_pat
 def test_a_person_is_told_from_a_second_on(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[bool] = []
     monkeypatch.setattr(compiling, "_spent", 0.0)
-    with compiling.notified(heard.append):
+    with compiling.notify(heard.append):
         with compiling._timed("a"):
             pass
         assert heard == []

@@ -57,7 +57,7 @@ def probability_columns(codes: Iterable[int]) -> tuple[str, ...]:
 
 
 def filled(X: NDArray[np.float32], model: Model) -> int:
-    """Missing values of X that the model replaces by what it knows from training."""
+    """Number of missing values (NaN) in X that the model replaces by what it knows from training."""
     return int(np.isnan(X).sum()) if isinstance(model, Machine) else 0
 
 

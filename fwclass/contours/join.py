@@ -27,6 +27,7 @@ class Pieces:
 
     @classmethod
     def of(cls, lines: Lines) -> Pieces:
+        """Ends, lengths and areas of the pieces that `lines` of one block are."""
         first = np.append(0, np.cumsum(lines.count))[:-1]
         tips = np.hstack([lines.vertices[first], lines.vertices[first + lines.count - 1]])
         away = lines.vertices - np.repeat(tips[:, :2], lines.count, axis=0)

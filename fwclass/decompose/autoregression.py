@@ -53,6 +53,7 @@ class Autoregression:
 
     @property
     def stationary(self) -> bool:
+        """Whether such noise keeps its variance: all its partial correlations lie within -1 to 1."""
         try:
             return len(self._steps) == len(self.phi) and bool(np.isfinite(self.phi).all())
         except ValueError:

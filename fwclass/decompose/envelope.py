@@ -33,7 +33,7 @@ class Envelope:
 
     @classmethod
     def nothing(cls, cell: float) -> Envelope:
-        """Of a strip without returns."""
+        """The envelope of a strip without returns, with cells of edge `cell` [m]: all heights are NaN."""
         return cls(cell, np.empty(0, np.int64), np.empty(0), np.nan, np.nan)
 
     @classmethod

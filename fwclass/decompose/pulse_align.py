@@ -49,6 +49,7 @@ class Echoes:
     misfit: Floats
 
     def take(self, index: NDArray) -> Echoes:
+        """The echoes at `index` (numbers or a mask (n,))."""
         return Echoes(
             self.y[index],
             self.u[index],

@@ -71,7 +71,7 @@ class QuietNoise:
 
     @property
     def facts(self) -> dict[str, float | int | None]:
-        """What a receipt says of the noise, by name."""
+        """What a receipt says of the noise, by name: correlation, growth, number of samples; None where unknown."""
         return {
             "lag1": self.lag1,
             "inflation": self.inflation,
@@ -150,7 +150,8 @@ def correlations(value: Floats, quiet: NDArray[np.bool_], row: NDArray[np.int64]
 
 
 def filter_gain(correlation: Floats, noise: Autoregression, template: Floats) -> float:
-    """Variance of the matched filter's output on samples with this correlation, over what it is if `noise` holds."""
+    """Variance of the matched filter's output on samples of this `correlation` (lags,), over what it is if `noise`
+    holds."""
     white = np.convolve(template, noise.filter)
     whole = np.convolve(noise.filter, white[::-1])
     return output_gain(correlation, whole) / (noise.innovation * float(white @ white))

@@ -306,7 +306,7 @@ def height_error(pulse: SystemPulse, channel: Channel) -> float:
 
 
 def widths_of(pulse: SystemPulse, narrowest: float, widest: float) -> Widths:
-    """FWHM and area over s; between the given values both are all but straight."""
+    """FWHM and area over s, all in ns; between the given widths both are all but straight."""
     profiles = Profiles(pulse)
     s = np.unique(np.append(np.arange(narrowest, widest + WIDTH_STEP, WIDTH_STEP), 1.0)) * profiles.s0
     if profiles.gaussian:

@@ -120,6 +120,7 @@ class Candidates:
 
     @classmethod
     def joined(cls, parts: Iterable[Candidates]) -> Candidates:
+        """The candidates of all `parts` as one, every array (n, …) sorted by strip and pulse."""
         some = list(parts)
         names = cls.__dataclass_fields__
         order = np.lexsort(
@@ -383,7 +384,7 @@ def threshold_of(heights: Floats, decoys: Floats, params: StackParams) -> float:
 
 
 def noise_share(threshold: float) -> float:
-    """How often noise alone reaches a threshold somewhere in a window, about: ten independent places."""
+    """Share of windows, of about ten places each, in which noise alone reaches a threshold [standard deviations]."""
     return 5.0 * math.erfc(threshold / math.sqrt(2.0))
 
 

@@ -47,6 +47,7 @@ class Selected:
 
     @property
     def echoes(self) -> int:
+        """Number of selected echoes."""
         return sum(map(len, self.rows.values()))
 
 

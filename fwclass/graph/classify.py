@@ -116,6 +116,7 @@ def seen_outside(outside: Outside | None) -> dict[str, Any]:
 
 
 def codes_of(table: Table) -> dict[str, int]:
+    """How many echoes of a table have each class code, by code as text."""
     codes, counts = np.unique(table["classification"], return_counts=True)
     return {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
 
@@ -127,14 +128,17 @@ def _asked(plan: Plan) -> Mapping[str, Any]:
 
 
 def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:
+    """The part that holds the run's own model; none where a model is given."""
     return () if plan.model else (("train", "model"),)
 
 
 def given_model(plan: Plan, part: Any) -> tuple[Location, FileDigests] | None:
+    """Where a given model is, and its digest; None for the run's own."""
     return (plan.model[0], (ExternalFile("model", plan.model[1]),)) if plan.model else None
 
 
 def classes_written(plan: Plan) -> tuple[str, ...]:
+    """The columns that classifying writes, with the share of every class where the run asks for them."""
     shares = probability_columns(c.code for c in plan.config.classes) if plan.config.classify.probabilities else ()
     return (*CLASSIFY.writes, *shares)
 

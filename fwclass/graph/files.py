@@ -85,9 +85,11 @@ def _below(directory: Path) -> Iterator[Path]:
 
 
 def joint_bounds(bounds: Iterable[tuple[float, ...]]) -> Box:
+    """The box [m] around all `bounds` (xmin, ymin, zmin, xmax, ymax, zmax)."""
     rows = list(bounds)
     return Box(min(b[0] for b in rows), min(b[1] for b in rows), max(b[3] for b in rows), max(b[4] for b in rows))
 
 
 def box_text(box: Box) -> str:
+    """A box [m] as text, to a decimetre."""
     return "[" + ", ".join(f"{v:.1f}" for v in box.bounds) + "]"

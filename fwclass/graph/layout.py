@@ -35,6 +35,7 @@ class Strip:
 
     @property
     def key(self) -> str:
+        """The strip's number as part of the names of its parts."""
         return f"{self.number:05d}"
 
 
@@ -101,6 +102,7 @@ class Layout:
 
     @classmethod
     def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
+        """The layout by the receipts of the tiles that are done; `InputError` where there is none."""
         grid = TileGrid(config.tile.size)
         mine = [part for stage, part in done if stage == "tile"]
         if not mine:
@@ -138,6 +140,7 @@ class Layout:
 
     @cached_property
     def keys(self) -> frozenset[str]:
+        """The keys of all tiles."""
         return frozenset(t.key for t in self.tiles)
 
     def around(self, box: Box, among: AbstractSet[str]) -> tuple[str, ...]:
@@ -172,8 +175,10 @@ def plain(params: Any) -> Any:
 
 
 def plain_classes(config: Config) -> list[dict[str, Any]]:
+    """The survey's classes as plain data for a key."""
     return [c.model_dump(mode="json") for c in config.survey.classes]
 
 
 def needs_of(columns: Mapping[str, str], parts: Iterable[str]) -> tuple[Name, ...]:
+    """The parts that hold `columns` (stage by column) of the tiles `parts`, and the tiles themselves."""
     return tuple((stage, part) for part in parts for stage in sorted({*columns.values(), "tile"}))

@@ -72,6 +72,7 @@ MAX_CELLS = 1 << 35
 
 
 def crs_of(text: str | None) -> CRS | None:
+    """The coordinate system that `text` (WKT) describes; None for none."""
     return CRS.from_user_input(text) if text else None
 
 

@@ -144,6 +144,7 @@ class Adapter:
     function: Function
 
     def fault(self, what: str, expected: object, got: object, do: str) -> InputError:
+        """The error of a function that does not keep what its stage declares."""
         return InputError(what, where=f"stage {self.stage}", expected=expected, got=got, do=do)
 
     def columns(self, values: Any, rows: int, names: tuple[str, ...]) -> Table:

@@ -56,14 +56,17 @@ class StripSpan:
 
     @property
     def key(self) -> str:
+        """The name of its parts."""
         return chunk_name(self.strip.number, self.number)
 
 
 def chunk_name(strip: int, span: int) -> str:
+    """The name of a part for the `span`-th span of a strip."""
     return f"{strip:05d}-{span:05d}"
 
 
 def index_name(strip: Strip) -> Name:
+    """The part that indexes a strip."""
     return "index", strip.key
 
 

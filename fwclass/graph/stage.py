@@ -73,12 +73,14 @@ class Plan:
 
     @property
     def survey(self) -> Survey:
+        """The survey's files; `FwclassError` before they are known."""
         if self.files is None:
             raise FwclassError("a stage is planned by the survey's files before they are known")
         return self.files
 
     @property
     def layout(self) -> Layout:
+        """The tiles; `FwclassError` before they are known."""
         if self.tiled is None:
             raise FwclassError("a stage is planned by the tiles before they are known")
         return self.tiled
@@ -117,6 +119,7 @@ class StageInputs:
 
     @property
     def tile(self) -> Tile:
+        """The part's tile or block; `FwclassError` for a part without one."""
         if self.place is None:
             raise FwclassError("this part has no place", where=self.part)
         return self.place
@@ -221,6 +224,7 @@ class Work:
 
 
 def always(plan: Plan) -> bool:
+    """True: the stage is part of every run."""
     return True
 
 

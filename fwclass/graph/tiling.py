@@ -157,10 +157,12 @@ def _passes(table: Table) -> list[list[float]]:
 
 
 def min_of(values: Any) -> float:
+    """The least of `values`, for a receipt."""
     return float(values.min())
 
 
 def max_of(values: Any) -> float:
+    """The greatest of `values`, for a receipt."""
     return float(values.max())
 
 

@@ -44,6 +44,7 @@ class Sample:
 
     @property
     def rows(self) -> int:
+        """Number of rows."""
         return len(self.y)
 
     @property
@@ -60,11 +61,12 @@ class Sample:
         return sha.hexdigest()
 
     def arrays(self) -> dict[str, NDArray]:
-        """The arrays that a store keeps; `from_arrays` makes the sample again."""
+        """The arrays (rows, …) that a store keeps; `from_arrays` makes the sample again."""
         return {n: getattr(self, n) for n in _ARRAYS}
 
     @classmethod
     def from_arrays(cls, features: Sequence[str], arrays: Mapping[str, NDArray]) -> Sample:
+        """The sample whose `arrays` (rows, …) these are."""
         return cls(tuple(features), *(arrays[n] for n in _ARRAYS))
 
     def take(self, rows: NDArray) -> Sample:

@@ -63,7 +63,9 @@ def linear_svm(
 def rbf_svm(
     X: NDArray[np.float64], y: Labels, c: float, gamma: float, weights: dict[int, float] | None
 ) -> dict[str, NDArray]:
-    """The arrays of `KernelMachine` by name."""
+    """Fit a support vector machine with a Gaussian kernel; the arrays of `KernelMachine` by name, of its shapes.
+
+    X is (rows, features), prepared."""
     with _one_thread():
         svm = _svc(c, gamma, weights).fit(X, y)
     sign = -1.0 if len(svm.classes_) == 2 else 1.0  # scikit-learn turns the one pair round
@@ -116,7 +118,7 @@ def sklearn_forest(
 
 
 def boosting(X: NDArray[np.float32], y: Labels, params: BoostingParams, seed: int, weights: Any) -> dict[str, NDArray]:
-    """The arrays of `Boosted` by name."""
+    """Fit gradient boosting to X (rows, features); the arrays of `Boosted` by name."""
     model = _sklearn("ensemble").HistGradientBoostingClassifier(
         max_iter=params.rounds,
         learning_rate=params.learning_rate,

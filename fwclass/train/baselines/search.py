@@ -73,7 +73,7 @@ def smoothest(tried: Iterable[tuple[float, float, float]]) -> tuple[float, float
 
 
 def looked_at(sample: Sample, svm: RbfSvmParams, edge: float) -> Sample:
-    """The rows that the search looks at."""
+    """The rows of a sample that the search looks at, thinned by squares of `edge` [m] to `svm.search_rows`."""
     return fewer(fewer(sample, svm.max_rows, edge), svm.search_rows, edge)
 
 
