@@ -98,7 +98,7 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
         mine = ((kinds == (spacing, saturation)).all(axis=1))[fits.row]
         constant = 0.0
         for _ in range(2):  # which echo is nearest depends on the constant
-            near = _nearest(gap - constant, fits.row, mine, sample.pulses.rows)
+            near = _nearest(gap - constant, fits.row, mine)
             near = near[plain[near] & (np.abs(gap[near] - constant) <= within)]
             if len(near) < params.offset_echoes:
                 break
@@ -109,7 +109,7 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
     return tuple(curves)
 
 
-def _nearest(gap: Floats, row: NDArray[np.int64], mine: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
+def _nearest(gap: Floats, row: NDArray[np.int64], mine: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Of the echoes of every row that are `mine` the one of the least gap, the first on a tie."""
     at = np.flatnonzero(mine)
     order = at[np.lexsort((at, np.abs(gap[at]), row[at]))]

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.stage import classify
-from fwclass.delivery.echoes import Echoes
 from fwclass.errors import InputError
 from fwclass.model.matrix import sample_matrix
 from fwclass.run.inputs import TABLE, PartInputs
@@ -46,7 +45,7 @@ class Explanation:
         return "\n".join(lines)
 
 
-def explained(store: Store, model: Path, echoes: Echoes, row: Mapping[str, Any]) -> Explanation:
+def explained(store: Store, model: Path, row: Mapping[str, Any]) -> Explanation:
     """See `Delivery.explain`."""
     strip, pulse, number = (int(row[name]) for name in IDENTITY)
     forest = load_model(model)

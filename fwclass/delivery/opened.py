@@ -88,7 +88,7 @@ class Delivery:
             There is no such echo.
         """
         row = echo if isinstance(echo, Mapping) else dict(zip(("strip", "pulse", "echo_number"), echo, strict=True))
-        return explained(self._store, self._part("model"), self.echoes(), row)
+        return explained(self._store, self._part("model"), row)
 
     @cached_property
     def report(self) -> dict[str, Any]:

@@ -33,7 +33,7 @@ OF_FIELDS = ("intensity", "gps_time")
 """Columns of a tile that are fields of its point format, beside those it cannot be without."""
 
 
-def delivered_overview(
+def deliver_overview(
     here: StageInputs,
     params: PublishParams,
     crs: str | None,
@@ -67,7 +67,7 @@ def _drawn(here: StageInputs, bound: np.uint64) -> Iterator[Table]:
         yield here.inputs.rows(tile, here.columns).select(here.columns).take(rows)
 
 
-def delivered_catalogue(
+def deliver_catalogue(
     here: StageInputs,
     crs: str | None,
     standard_time: bool,
@@ -101,7 +101,7 @@ def delivered_catalogue(
     return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
 
 
-def delivered_polygons(
+def deliver_polygons(
     here: StageInputs, crs: str | None, names: Mapping[str, str], size: float, areas: Mapping[str, list[list[float]]]
 ) -> Made:
     """The tiles as polygons with their figures, and the training and test areas."""
@@ -204,7 +204,7 @@ DELIVER_OVERVIEW = Stage(
     1,
     "survey",
     "echo",
-    delivered_overview,
+    deliver_overview,
     arguments=lambda plan: {
         **_shared(plan),
         "params": plan.config.publish,
@@ -219,7 +219,7 @@ DELIVER_CATALOGUE = Stage(
     1,
     "survey",
     "part",
-    delivered_catalogue,
+    deliver_catalogue,
     arguments=lambda plan: {
         **_shared(plan),
         "columns": _streamed(plan),
@@ -237,7 +237,7 @@ DELIVER_POLYGONS = Stage(
     1,
     "survey",
     "part",
-    delivered_polygons,
+    deliver_polygons,
     arguments=lambda plan: {
         "crs": plan.survey.crs,
         "names": class_names(plan),

@@ -63,7 +63,7 @@ def _corners(block: Tile, cell: float) -> Window:
     return Window(cell, own.col, own.row, own.ncols + 1, own.nrows + 1)
 
 
-def delivered_contours(here: StageInputs, params: ContourParams, crs: str | None) -> Made:
+def deliver_contours(here: StageInputs, params: ContourParams, crs: str | None) -> Made:
     """All contour lines as a GeoPackage, with a style beside it. Only where pieces begin and end is held of all of
     them; vertices are laid into a file that has no name, block by block, and written line by line."""
     blocks = here.parts(CONTOUR_BLOCKS.name)
@@ -193,7 +193,7 @@ DELIVER_CONTOURS = Stage(
     1,
     "survey",
     "cell",
-    delivered_contours,
+    deliver_contours,
     when=lambda plan: plan.config.contours.enabled,
     arguments=lambda plan: {"params": plan.config.contours, "crs": plan.survey.crs},
     after=(CONTOUR_BLOCKS.name,),

@@ -85,7 +85,7 @@ def around_block(here: StageInputs) -> Surroundings:
     return surroundings(here.inputs, here.tile, here.halo, here.tile_size, here.columns, here.present)
 
 
-def filtered_block(here: StageInputs, params: GroundParams) -> Made:
+def filter_block(here: StageInputs, params: GroundParams) -> Made:
     """Ground and noise flags of a block's echoes, tile after tile."""
     around = around_block(here)
     return of_flags(around, filtered(around.table, params))
@@ -148,7 +148,7 @@ def _knots(here: StageInputs, water: Water | None, box: Box) -> Points | None:
     return x, y, z
 
 
-def gathered_columns(here: StageInputs, source: str, columns: tuple[str, ...], block: float) -> Made:
+def gather_columns(here: StageInputs, source: str, columns: tuple[str, ...], block: float) -> Made:
     """Columns that blocks of edge `block` [m] wrote about a tile's echoes, in the tile's row order."""
     places = here.inputs.rows(here.part, {"x": "tile", "y": "tile"})
     out = {n: np.zeros(places.rows, np.dtype(column(n).dtype)) for n in columns}
@@ -170,7 +170,7 @@ def gathered_columns(here: StageInputs, source: str, columns: tuple[str, ...], b
     return Table(out), {"rows": places.rows}
 
 
-def measured_seams(
+def measure_seams(
     here: StageInputs, ground: GroundParams, terrain: TerrainParams, most_cells: int, bounds: tuple[float, ...]
 ) -> Made:
     """The survey filtered once more as a single block, against what its blocks say.
@@ -309,7 +309,7 @@ def _gathers(name: str, source: Stage, columns: Names, block: Any) -> Stage:
         1,
         "tile",
         "echo",
-        gathered_columns,
+        gather_columns,
         arguments=lambda plan: {"source": source.name, "columns": columns, "block": block(plan)},
         own=("x", "y"),
         writes=columns,
@@ -325,7 +325,7 @@ FILTER_GROUND = Stage(
     GROUND_FILTER.version,
     "block",
     "echo",
-    filtered_block,
+    filter_block,
     edge=lambda plan: plan.config.ground.block,
     arguments=lambda plan: {"params": plan.config.ground},
     reads=GROUND_FILTER.reads,
@@ -355,7 +355,7 @@ CHECK_SEAMS = Stage(
     3,
     "survey",
     "echo",
-    measured_seams,
+    measure_seams,
     when=lambda plan: plan.tiled is None or plan.layout.echoes <= plan.config.run.seam_check_echoes,
     arguments=lambda plan: {
         "ground": plan.config.ground,

@@ -12,7 +12,7 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
 from fwclass.conf.model import ClassSection, ReferenceSection
 from fwclass.graph.classify import codes_of
-from fwclass.graph.kept import keeping, kept_by
+from fwclass.graph.kept import deciding_column, keeping
 from fwclass.graph.stage import Made, Stage, StageInputs
 from fwclass.schema import Table
 
@@ -65,6 +65,6 @@ CLASSIFY_GROUND = Stage(
     by_ground,
     when=lambda plan: not plan.names,  # a classifier decides by some features
     arguments=keeping,
-    own=lambda plan: ("ground", "noise", "height_above_ground", *kept_by(plan)),
+    own=lambda plan: ("ground", "noise", "height_above_ground", *deciding_column(plan)),
     writes=CLASSIFY.writes,
 )

@@ -41,10 +41,10 @@ def searches(plan: Plan) -> bool:
 
 def spatial(block: float, gap: float) -> Places:
     """Squares of `block` [m], folds of which lie `gap` [m] apart."""
-    return Places(block, partial(folded, block, gap))
+    return Places(block, partial(make_folds, block, gap))
 
 
-def folded(block: float, gap: float, sample: Sample, folds: int) -> Folding:
+def make_folds(block: float, gap: float, sample: Sample, folds: int) -> Folding:
     """Folds of whole squares; of consecutive pulses where the training areas have too few squares, which is noted."""
     if len(sample.place) == 0:
         return by_pulses(sample, folds)
@@ -72,7 +72,7 @@ def judge(
     return right(looked, places.folding(looked, svm.folds), fold, c, gamma, svm, scaling, weights)
 
 
-def gathered(
+def gather_trials(
     inputs: PartInputs, parts: tuple[str, ...], sample: Sample, svm: RbfSvmParams, places: Places
 ) -> dict[str, object]:
     """What all trials together say; see `searched`."""

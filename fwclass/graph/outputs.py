@@ -13,7 +13,7 @@ from pyproj import CRS
 from fwclass.classify.kept import Kept
 from fwclass.errors import StoreError
 from fwclass.graph.classify import classes_written
-from fwclass.graph.kept import keeping, kept_by, kept_names
+from fwclass.graph.kept import deciding_column, keeping, kept_names
 from fwclass.graph.layout import FileDigests, Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
@@ -76,7 +76,7 @@ def crs_of(text: str | None) -> CRS | None:
     return CRS.from_user_input(text) if text else None
 
 
-def delivered_tile(
+def deliver_tile(
     here: StageInputs,
     params: PublishParams,
     columns: Names,
@@ -100,9 +100,7 @@ def delivered_tile(
     return {"rows": table.rows, "beyond": copc["beyond"], "facts": tile_facts(table)}
 
 
-def delivered_strip(
-    here: StageInputs, params: PublishParams, codes: Mapping[str, int], kept: Kept | None = None
-) -> Made:
+def deliver_strip(here: StageInputs, params: PublishParams, codes: Mapping[str, int], kept: Kept | None = None) -> Made:
     """A source strip in its own order with every point's class: that of its nearest echo of the same pulse, or its own
     where that is `kept`.
 
@@ -182,7 +180,7 @@ def _legacy_codes(plan: Plan, part: _Strip) -> Mapping[str, Any]:
 
 def _read_again(plan: Plan, part: _Strip) -> list[Name]:
     """The chunks whose returns are asked for their own class."""
-    waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if kept_by(plan) else ()
+    waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if deciding_column(plan) else ()
     return [("read", c) for c in part.chunks if c in waves]
 
 
@@ -210,7 +208,7 @@ DELIVER_TILE = Stage(
     4,
     "tile",
     "echo",
-    delivered_tile,
+    deliver_tile,
     arguments=lambda plan: {
         "params": plan.config.publish,
         "columns": columns_of_tiles(plan),
@@ -228,7 +226,7 @@ DELIVER_STRIP = Stage(
     1,
     "strip",
     "point",
-    delivered_strip,
+    deliver_strip,
     parts=_strips,
     arguments=lambda plan: {"params": plan.config.publish, **keeping(plan)},
     each=_legacy_codes,

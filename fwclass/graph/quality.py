@@ -76,7 +76,7 @@ class _Differences(Mosaic):
         return {"dz": largest}, window
 
 
-def delivered_quality(
+def deliver_quality(
     here: StageInputs,
     params: QualityParams,
     publish: PublishParams,
@@ -228,7 +228,7 @@ DELIVER_QUALITY = Stage(
     1,
     "survey",
     "cell",
-    delivered_quality,
+    deliver_quality,
     arguments=lambda plan: {
         "params": plan.config.quality,
         "publish": plan.config.publish,

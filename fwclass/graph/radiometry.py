@@ -113,7 +113,7 @@ def _around(here: StageInputs, flight: str, times: Any) -> Table:
     return here.inputs.groups("trajectory", flight, sorted(g for g in groups if 0 <= g < len(begins)))
 
 
-def compared(here: StageInputs, params: RadiometryParams) -> Made:
+def compare_strips(here: StageInputs, params: RadiometryParams) -> Made:
     """What a tile says about the gains of its strips."""
     chunk = here.chunk()
     trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None
@@ -121,7 +121,7 @@ def compared(here: StageInputs, params: RadiometryParams) -> Made:
     return {}
 
 
-def calibrated(here: StageInputs, params: RadiometryParams) -> Made:
+def calibrate_strips(here: StageInputs, params: RadiometryParams) -> Made:
     """The gains of the strips and the constant of the survey."""
     tiles = here.parts("overlap")
     calibration = calibrate((Overlap.from_arrays(here.inputs.arrays("overlap", t, COUNTS)[0]) for t in tiles), params)
@@ -130,7 +130,7 @@ def calibrated(here: StageInputs, params: RadiometryParams) -> Made:
     return {"calibration": facts}
 
 
-def measured(here: StageInputs, params: RadiometryParams) -> Made:
+def measure_radiometry(here: StageInputs, params: RadiometryParams) -> Made:
     """Radiometric columns of a tile's echoes."""
     chunk = here.chunk()
     trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None
@@ -235,7 +235,7 @@ COMPARE_STRIPS = Stage(
     OVERLAP.version,
     "tile",
     "echo",
-    compared,
+    compare_strips,
     when=_compares,
     arguments=_params,
     reads=OVERLAP.reads,
@@ -248,7 +248,7 @@ CALIBRATE_STRIPS = Stage(
     CALIBRATE.version,
     "survey",
     "part",
-    calibrated,
+    calibrate_strips,
     when=_ranged,
     arguments=_params,
     after=("overlap",),
@@ -259,7 +259,7 @@ MEASURE_RADIOMETRY = Stage(
     RADIOMETRY.version,
     "tile",
     "echo",
-    measured,
+    measure_radiometry,
     when=_ranged,
     arguments=_params,
     own=RADIOMETRY.reads,

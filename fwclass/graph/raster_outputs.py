@@ -41,7 +41,7 @@ def class_block(here: StageInputs, params: PublishParams) -> Made:
     return {"cells": int((rasters.classes > 0).sum())}
 
 
-def delivered_rasters(
+def deliver_rasters(
     here: StageInputs,
     params: PublishParams,
     crs: str | None,
@@ -223,7 +223,7 @@ DELIVER_RASTERS = Stage(
     6,
     "survey",
     "cell",
-    delivered_rasters,
+    deliver_rasters,
     parts=lambda plan: sites(plan.layout),
     key=lambda site: site.name,
     arguments=lambda plan: {

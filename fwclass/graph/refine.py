@@ -18,11 +18,11 @@ from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
 from fwclass.features.stage import FEATURES, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
-from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, own_model, seen_outside
-from fwclass.graph.corrections import CORRECTIONS, corrected_here
+from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, outside_facts, own_model
+from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
-from fwclass.graph.kept import NO_SOURCE, keeping, kept_by
+from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping
 from fwclass.graph.learn import (
     MODEL,
     NOT_OF_THE_SAMPLE,
@@ -33,7 +33,7 @@ from fwclass.graph.learn import (
     load_sample,
     parameters_of,
     places,
-    stamped,
+    stamp,
     taught_here,
     taught_rows,
     trains,
@@ -59,7 +59,7 @@ DRAWN, MERGED = "refine-sample", "refine-training"
 _PLACE = ("x", "y", "z")
 
 
-def answered(here: StageInputs, names: tuple[str, ...], model: str | None) -> Made:
+def answer_coarse(here: StageInputs, names: tuple[str, ...], model: str | None) -> Made:
     """The first layer's answers of a tile."""
     if model is None:
         used = model_at(
@@ -78,10 +78,10 @@ def answered(here: StageInputs, names: tuple[str, ...], model: str | None) -> Ma
         tables.append(Table(dict(zip(COARSE, (answers[n] for n in CLASSIFY.writes), strict=True))))
         missing += filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
-    return table, {"filled": missing, **seen_outside(outside)}
+    return table, {"filled": missing, **outside_facts(outside)}
 
 
-def widened(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Made:
+def widen_features(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Made:
     """Which echoes of a tile are at the boundary, and wide features of those alone, NaN for the others."""
     tables, rows = [], []
     for these, chunk in here.chunks():
@@ -97,7 +97,7 @@ def widened(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Made
     return table, {"rows": table.rows, "boundary": int(table[BOUNDARY].sum())}
 
 
-def drawn(
+def draw_fine_tile(
     here: StageInputs,
     layer: FineLayer,
     areas: Any,
@@ -130,7 +130,9 @@ def drawn(
     return {"rows": sample.rows}
 
 
-def merged(here: StageInputs, layer: FineLayer, rows: str, drawing: TrainParams, classes: tuple[ClassDef, ...]) -> Made:
+def merge_fine_samples(
+    here: StageInputs, layer: FineLayer, rows: str, drawing: TrainParams, classes: tuple[ClassDef, ...]
+) -> Made:
     """The sample of all tiles; refused where the two classes do not meet in the training areas."""
     tiles = here.parts(DRAWN)
     parts = (load_sample(here.inputs, DRAWN, t, layer.names) for t in tiles)
@@ -151,7 +153,7 @@ def merged(here: StageInputs, layer: FineLayer, rows: str, drawing: TrainParams,
     return {"rows": sample.rows, "counts": sample.counts.tolist()}
 
 
-def fitted(
+def train_fine(
     here: StageInputs,
     layer: FineLayer,
     params: TrainParams,
@@ -169,7 +171,7 @@ def fitted(
     fine: Any = fit_layer(sample, params, compare, classes, block, gap)
     if without:
         fine.card["notes"].append(f"no training row has a value of {', '.join(without)}: left out")
-    fine = stamped(fine, computed)
+    fine = stamp(fine, computed)
     card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
     both = TwoLayer(coarse, fine, {**card, "kind": TwoLayer.kind, "refine": refine.model_dump(mode="json")})
     both.check("a newly trained model")
@@ -265,7 +267,7 @@ ANSWER_COARSE = Stage(
     CLASSIFY.version,
     "tile",
     "echo",
-    answered,
+    answer_coarse,
     when=_has,
     arguments=lambda plan: {"names": plan.names, "model": plan.model[1] if plan.model else None},
     own=lambda plan: plan.names,
@@ -280,7 +282,7 @@ DRAW_BOUNDARY = Stage(
     1000 * FEATURES.version + TRAIN_SAMPLE.version,
     "tile",
     "echo",
-    drawn,
+    draw_fine_tile,
     when=_learns,
     parts=training_tiles,
     arguments=lambda plan: {
@@ -301,14 +303,14 @@ DRAW_BOUNDARY = Stage(
     ),
     halo=lambda plan: _layer(plan).halo(plan),
     after=(CORRECTIONS,),
-    needs=corrected_here,
+    needs=corrections_here,
 )
 MERGE_BOUNDARY = Stage(
     MERGED,
     TRAIN_SAMPLE.version,
     "survey",
     "row",
-    merged,
+    merge_fine_samples,
     when=_learns,
     arguments=lambda plan: {"layer": _layer(plan), "classes": _pair(plan), **_drawn_by(plan)},
     silent=NOT_OF_THE_SAMPLE,
@@ -320,7 +322,7 @@ TRAIN_FINE = Stage(
     1000 * BASELINE_VERSION + TRAIN.version,
     "survey",
     "row",
-    fitted,
+    train_fine,
     when=_learns,
     parts=lambda plan: ("model",),
     arguments=lambda plan: {
@@ -342,7 +344,7 @@ WIDEN_BOUNDARY = Stage(
     1000 * FEATURES.version + REFINE.version,
     "tile",
     "echo",
-    widened,
+    widen_features,
     when=_has,
     arguments=lambda plan: {"layer": _layer(plan), "params": plan.config.features},
     silent=frozenset({"also"}),
@@ -366,7 +368,7 @@ CLASSIFY_REFINED = Stage(
         **keeping(plan),
     },
     own=lambda plan: (
-        *kept_by(plan),
+        *deciding_column(plan),
         *COARSE,
         BOUNDARY,
         *_layer(plan).names,

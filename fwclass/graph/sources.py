@@ -114,7 +114,7 @@ def index(here: StageInputs, params: ReadParams) -> Made:
     }
 
 
-def read(here: StageInputs, params: ReadParams, span: Span) -> Made:
+def read_chunk(here: StageInputs, params: ReadParams, span: Span) -> Made:
     """Pulses, returns and waveforms of one span."""
     waves = read_span(open_source(here.file()), span, params)
     write_table(here.directory / RETURNS, waves.returns)
@@ -151,7 +151,7 @@ def waveforms_of(part: str, inputs: PartInputs, returns: bool = True) -> Wavefor
     )
 
 
-def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) -> Made:
+def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) -> Made:
     """The system's pulse and the receiver of a strip, from a sample of its waveforms; the envelope of its returns."""
     parts, inputs, directory = here.parts("read"), here.inputs, here.directory
     strip, pulses = int(here.part), int(inputs.meta("index", here.part)["pulses"])
@@ -186,11 +186,11 @@ def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams)
 
 
 def pulse_of(strip: int, inputs: PartInputs) -> SystemPulse:
-    """The system's pulse of a strip, as `measured_pulse` stored it."""
+    """The system's pulse of a strip, as `measure_pulse` stored it."""
     return SystemPulse.from_json(read_json(inputs.path("pulse", f"{strip:05d}", PULSE_FILE)))
 
 
-def measured_places(here: StageInputs, params: DecomposeParams, sample: int) -> Made:
+def measure_places(here: StageInputs, params: DecomposeParams, sample: int) -> Made:
     """What a strip tells of its places, from runs of about `sample` of its pulses."""
     inputs, index = here.inputs, here.inputs.meta("index", here.part)
     parts = here.parts("read")
@@ -201,12 +201,12 @@ def measured_places(here: StageInputs, params: DecomposeParams, sample: int) -> 
 
 
 def placement_of(strip: int, inputs: PartInputs) -> Placement:
-    """How the echoes of a strip are placed, as `measured_places` stored it."""
+    """How the echoes of a strip are placed, as `measure_places` stored it."""
     return Placement.from_json(read_json(inputs.path("places", f"{strip:05d}", PLACES_FILE)))
 
 
 def surroundings_of(strip: int, inputs: PartInputs) -> Surroundings:
-    """What the echoes of a strip are held against, as `measured_pulse` stored it."""
+    """What the echoes of a strip are held against, as `measure_pulse` stored it."""
     part = f"{strip:05d}"
     if not inputs.meta("pulse", part)["sampled"]:
         return UNKNOWN
@@ -221,7 +221,7 @@ def strip_of(chunk: str) -> int:
     return int(chunk.split("-")[0])
 
 
-def decomposed(here: StageInputs, params: DecomposeParams) -> Made:
+def decompose_chunk(here: StageInputs, params: DecomposeParams) -> Made:
     """Echoes of a chunk, and the echo of every return."""
     strip = strip_of(here.part)
     waves = waveforms_of(here.part, here.inputs)
@@ -229,8 +229,8 @@ def decomposed(here: StageInputs, params: DecomposeParams) -> Made:
     return _write_echoes(here, decompose(waves, strip, params, pulse, around, placement_of(strip, here.inputs)))
 
 
-def returned(here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span) -> Made:
-    """`read` and `decomposed` of a span without waveforms: its returns are its echoes, and nothing is kept in between.
+def read_returns(here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span) -> Made:
+    """As `read_chunk` and `decompose_chunk`, of a span without waveforms: its returns are its echoes.
 
     `width`: of a pulse [ns] that nothing is fitted with.
     """
@@ -275,7 +275,7 @@ READ_SPAN = Stage(
     READ.version,
     "chunk",
     "pulse",
-    read,
+    read_chunk,
     parts=_with_waves,
     waves=True,
     source=_file,
@@ -288,7 +288,7 @@ MEASURE_PULSE = Stage(
     PULSE.version,
     "strip",
     "pulse",
-    measured_pulse,
+    measure_pulse,
     parts=_strips_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.pulse, "fit": plan.config.decompose},
@@ -300,7 +300,7 @@ MEASURE_PLACES = Stage(
     PLACES.version,
     "strip",
     "pulse",
-    measured_places,
+    measure_places,
     parts=_strips_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.decompose, "sample": plan.config.pulse.sample},
@@ -316,7 +316,7 @@ DECOMPOSE_WAVES = Stage(
     DECOMPOSE.version,
     "chunk",
     "pulse",
-    decomposed,
+    decompose_chunk,
     parts=_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.decompose},
@@ -328,7 +328,7 @@ DECOMPOSE_RETURNS = Stage(
     DECOMPOSE.version,
     "chunk",
     "pulse",
-    returned,
+    read_returns,
     parts=_without_waves,
     waves=False,
     source=_file,

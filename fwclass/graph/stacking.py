@@ -38,7 +38,7 @@ def first_terrain_block(here: StageInputs, params: TerrainParams) -> Made:
     return {}
 
 
-def stacked_block(here: StageInputs, params: StackParams, fit: DecomposeParams, cell: float, block: float) -> Made:
+def stack_block(here: StageInputs, params: StackParams, fit: DecomposeParams, cell: float, block: float) -> Made:
     """The ground echoes that the pulses of a block show together."""
     box = here.tile.box
     reach = box.grown(params.radius)
@@ -63,7 +63,7 @@ def stacked_block(here: StageInputs, params: StackParams, fit: DecomposeParams, 
     return table, {**counts, "roughness": roughness}
 
 
-def delivered_stack(here: StageInputs, params: PublishParams, crs: str | None, standard_time: bool) -> Made:
+def deliver_stack(here: StageInputs, params: PublishParams, crs: str | None, standard_time: bool) -> Made:
     """The stacked echoes of a block as LAZ and GeoParquet, where it has some."""
     table = here.inputs.table(STACK.name, here.part)
     if table.rows:
@@ -134,7 +134,7 @@ STACK_PULSES = Stage(
     STACK.version,
     "block",
     "pulse",
-    stacked_block,
+    stack_block,
     when=_enabled,
     parts=_blocks,
     arguments=lambda plan: {
@@ -154,7 +154,7 @@ DELIVER_STACK = Stage(
     1,
     "block",
     "part",
-    delivered_stack,
+    deliver_stack,
     when=_enabled,
     parts=_blocks,
     arguments=lambda plan: {

@@ -349,15 +349,15 @@ class Stage:
 
     def columns_read(self, plan: Plan) -> dict[str, str]:
         """The columns that it reads under this plan, and the stage that writes each, as far as a record tells."""
-        names = (*named(self.reads, plan), *named(self.own, plan)) if self.when(plan) else ()
+        names = (*names_under(self.reads, plan), *names_under(self.own, plan)) if self.when(plan) else ()
         return {n: plan.providers[n] for n in names if n in plan.providers}
 
     def columns(self, plan: Plan) -> Names:
         """The columns that it writes under this plan."""
-        return named(self.writes, plan) if self.when(plan) else ()
+        return names_under(self.writes, plan) if self.when(plan) else ()
 
 
-def named(columns: Columns, plan: Plan) -> Names:
+def names_under(columns: Columns, plan: Plan) -> Names:
     """The columns that a record names, under this plan, each once."""
     return tuple(dict.fromkeys(columns(plan) if callable(columns) else columns))
 
@@ -367,7 +367,7 @@ class _Maker:
 
     def __init__(self, stage: Stage, plan: Plan) -> None:
         self.stage, self.plan = stage, plan
-        self.reads, self.own = named(stage.reads, plan), named(stage.own, plan)
+        self.reads, self.own = names_under(stage.reads, plan), names_under(stage.own, plan)
         self.of_reads, self.of_own = self._stages(self.reads), self._stages(self.own)
         self.arguments = stage.arguments(plan)
         self.params = plain_values(self.arguments, stage.silent)

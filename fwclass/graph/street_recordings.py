@@ -134,7 +134,7 @@ class OnTrajectory:
             yield replace(frame, place=float(way.place(frame.time)))
 
 
-def opened(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Recording:
+def open_on_trajectory(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Recording:
     """The recording at `path`, placed along a trajectory where there is one."""
     if path.suffix.lower() in LAS_SUFFIXES and path.is_file():
         return LasRecording(path, params, trajectory)

@@ -55,7 +55,7 @@ LOOKED_AT = 100_000
 """Points at the start of a file that its header is held against."""
 
 
-def simulated(here: StageInputs, params: SimulateParams, prefix: str) -> Made:
+def simulate_part(here: StageInputs, params: SimulateParams, prefix: str) -> Made:
     """A strip of the simulated survey, or its trajectory, in the directory `prefix`."""
     from fwclass.simulate.stage import plan_strips, simulate_strip, write_trajectory  # other surveys need not load it
 
@@ -91,7 +91,7 @@ def simulation(prefix: str) -> Stage:
         1,
         "file",
         "pulse",
-        simulated,
+        simulate_part,
         when=lambda plan: plan.config.simulate is not None,
         parts=parts,
         arguments=lambda plan: {"params": plan.config.simulate, "prefix": prefix},
@@ -134,7 +134,7 @@ def gather(config: Config, runner: Runner) -> Survey:
     directory = directory_of(config, runner.root)
     digests = Digests(runner.store)
     places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = opened_all(places, config)
+    opened = open_all(places, config)
     _distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]
     if not full:
@@ -175,7 +175,7 @@ def gather(config: Config, runner: Runner) -> Survey:
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **of_terrain)
 
 
-def opened_all(places: Sequence[Location], config: Config) -> list[Source]:
+def open_all(places: Sequence[Location], config: Config) -> list[Source]:
     """Every source, opened and checked; `InputError` naming all that cannot be used."""
     opened, faults = [], []
     for place in places:

@@ -89,7 +89,7 @@ def tiles_of_strips(plan: Plan) -> dict[int, tuple[str, ...]]:
     return {strip: tuple(sorted(keys)) for strip, keys in held.items()}
 
 
-def scattered(here: StageInputs, params: TileParams) -> Made:
+def scatter(here: StageInputs, params: TileParams) -> Made:
     """Echoes of a chunk in tile order, one row group a tile; tells how many the source has of every class."""
     echoes = here.inputs.table("decompose", here.part)
     codes, counts = np.unique(echoes["source_class"], return_counts=True)
@@ -106,7 +106,7 @@ def source_codes(splits: Mapping[Name, Receipt]) -> Counter[int]:
     return counted
 
 
-def scattered_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Made:
+def scatter_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Made:
     """Reference points of part of a file, in tile order."""
     cloud = read_cloud(here.file(), *rows)
     return _write_split(here, cloud.with_columns({n: quantised(cloud[n]) for n in "xyz"}), params)
@@ -128,7 +128,7 @@ def _fragments(here: StageInputs, stage: str) -> list[Table]:
     return [here.inputs.fragment(stage, part, here.part) for part in here.parts(stage)]
 
 
-def tiled(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Made:
+def gather_tile(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Made:
     """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them."""
     table = assemble(_fragments(here, "split"), f"tile {here.part}")
     return table, {
@@ -166,7 +166,7 @@ def max_of(values: Any) -> float:
     return float(values.max())
 
 
-def tiled_cloud(here: StageInputs, params: TileParams) -> Made:
+def gather_cloud(here: StageInputs, params: TileParams) -> Made:
     """A tile's reference points."""
     table = assemble_points(_fragments(here, "reference-split"))
     return table, {"rows": table.rows}
@@ -189,7 +189,7 @@ SPLIT_ECHOES = Stage(
     SPLIT.version,
     "chunk",
     "pulse",
-    scattered,
+    scatter,
     parts=_spans,
     arguments=_sizes,
     after=("decompose",),
@@ -200,7 +200,7 @@ SPLIT_REFERENCE = Stage(
     SPLIT.version,
     "file",
     "reference",
-    scattered_cloud,
+    scatter_cloud,
     when=_has_cloud,
     parts=_pieces,
     arguments=_sizes,
@@ -212,7 +212,7 @@ TILE_ECHOES = Stage(
     TILE.version,
     "tile",
     "echo",
-    tiled,
+    gather_tile,
     parts=_cut("split"),
     arguments=lambda plan: {"params": plan.config.tile, "blocks": _blocks(plan)},
     after=("split",),
@@ -226,7 +226,7 @@ TILE_REFERENCE = Stage(
     REFERENCE.version,
     "tile",
     "reference",
-    tiled_cloud,
+    gather_cloud,
     when=_has_cloud,
     parts=_cut("reference-split"),
     arguments=_sizes,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ VECTORS = "vectors.gpkg"
 UNITS = {"height": "m", "height_median": "m", "area": "m2", "crown_area": "m2"}
 
 
-def counted_pulses(here: StageInputs, square: float) -> Made:
+def count_pulses(here: StageInputs, square: float) -> Made:
     """How many squares of a block hold how many pulses."""
     window = owned(here.tile, square)
     table = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
@@ -47,7 +48,7 @@ def counted_pulses(here: StageInputs, square: float) -> Made:
     return {"squares": {str(n): k for n, k in pulses_by_square(table["x"], table["y"], window).items()}}
 
 
-def chosen_cell(here: StageInputs, params: VectorParams) -> Made:
+def choose_cell(here: StageInputs, params: VectorParams) -> Made:
     """The density of the survey's pulses, and the cell that vectors are made in."""
     squares: Counter[int] = Counter()
     for block in here.parts(COUNT_PULSES.name):
@@ -95,7 +96,7 @@ def _read(here: StageInputs, stage: Stage, columns: Names) -> list[Shapes]:
     return [Shapes(tables(stage.name, b, columns, ROWS), tables(stage.name, b, CORNERS, RINGS)) for b in blocks]
 
 
-def delivered_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Made:
+def deliver_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Made:
     """All buildings and trees as GeoParquet and GeoPackage; buildings that cross blocks are put together first."""
     facts, layers = dict(here.inputs.meta(CELL, "all")), []
     if here.parts(FIND_BUILDINGS.name):
@@ -227,7 +228,7 @@ COUNT_PULSES = Stage(
     1,
     "block",
     "echo",
-    counted_pulses,
+    count_pulses,
     when=lambda plan: bool(vector_layers(plan)),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
@@ -241,13 +242,12 @@ CHOOSE_CELL = Stage(
     1,
     "survey",
     "part",
-    chosen_cell,
+    choose_cell,
     when=lambda plan: bool(vector_layers(plan)),
     arguments=_given,
     after=(COUNT_PULSES.name,),
     needs=_of_blocks(COUNT_PULSES.name),
 )
-_READ = ("classification", "confidence", "height_above_ground")
 FIND_BUILDINGS = Stage(
     "buildings",
     1,
@@ -258,34 +258,25 @@ FIND_BUILDINGS = Stage(
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=_given,
-    reads=_READ,
+    reads=("classification", "confidence", "height_above_ground"),
     halo=lambda plan: MARGIN * plan.config.vectors.cells[-1],
     area=_largest_cells,
     after=(CELL,),
     needs=lambda plan, part: [(CELL, "all")],
 )
-FIND_TREES = Stage(
-    "tree-tops",
-    1,
-    "block",
-    "echo",
-    tree_block,
+FIND_TREES = replace(
+    FIND_BUILDINGS,
+    name="tree-tops",
+    function=tree_block,
     when=lambda plan: "trees" in vector_layers(plan),
-    parts=_blocks,
-    edge=lambda plan: plan.config.terrain.block,
-    arguments=_given,
-    reads=_READ,
     halo=lambda plan: plan.config.vectors.trees.halo(_largest(plan)) + _largest(plan),
-    area=_largest_cells,
-    after=(CELL,),
-    needs=lambda plan, part: [(CELL, "all")],
 )
 DELIVER_VECTORS = Stage(
     "publish-vectors",
     1,
     "survey",
     "part",
-    delivered_vectors,
+    deliver_vectors,
     when=lambda plan: bool(vector_layers(plan)),
     arguments=lambda plan: {"params": plan.config.vectors, "publish": plan.config.publish, "crs": plan.survey.crs},
     silent=NO_BYTE,

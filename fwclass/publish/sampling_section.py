@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from fwclass.publish.palette import colours, css
@@ -33,7 +33,7 @@ def sampling(census: Mapping[str, Any] | None) -> dict[str, Any] | None:
             | {key: number(c[key]) for key in ("labelled", "train", "taken", "test")}
             for c in classes
         ],
-        "boxes": [_box(i + 1, b, classes) for i, b in enumerate(census["boxes"][:LISTED])],
+        "boxes": [_box(i + 1, b) for i, b in enumerate(census["boxes"][:LISTED])],
         "more": max(len(census["boxes"]) - LISTED, 0),
         "names": [c["name"] for c in classes],
         "remarks": list(census["remarks"]),
@@ -59,7 +59,7 @@ def _facts(census: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _box(place: int, box: Mapping[str, Any], classes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _box(place: int, box: Mapping[str, Any]) -> dict[str, Any]:
     corners = ", ".join(f"{v:.0f}" for v in box["box"])
     cells = [f"{number(t)} of {number(n)}" for t, n in zip(box["taken"], box["labelled"], strict=True)]
     return {"place": place, "corners": corners, "cells": cells, "empty": not any(box["labelled"])}

@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 
 from fwclass import conf
 from fwclass.conf.street import scanner
-from fwclass.graph.street import Rows, Split, fitted, sample_of
+from fwclass.graph.street import Rows, Split, fit_model, sample_of
 from fwclass.model import class_index
 from fwclass.single_file.street.online import Loop
 from fwclass.street.answers import Writer
@@ -110,7 +110,7 @@ def trained(frames, config, vectors: int):
         rbf = config.compare.rbf_svm.model_copy(update={"c": (c,), "gamma": (1.0,), "max_rows": 16000})
         compare = config.compare.model_copy(update={"rbf_svm": rbf})
         sample = sample_of(parts[::3], names, split, config.classes, 8000)
-        model = fitted(sample, params, config.train, compare, config.classes)
+        model = fit_model(sample, params, config.train, compare, config.classes)
         if len(model.vectors) >= vectors:
             break
     return model, parts

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from fwclass.classify.shares import answer
-from fwclass.graph.machine_search import folded, spatial
+from fwclass.graph.machine_search import make_folds, spatial
 from fwclass.model import ClassDef
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
@@ -44,7 +44,7 @@ def test_equal_scores_go_to_the_smoother_machine():
 
 def test_folds_are_squares_with_a_gap():
     made = sample()
-    folding = folded(50.0, 10.0, made, 3)
+    folding = make_folds(50.0, 10.0, made, 3)
     assert folding.blocks > 3 and set(folding.fold.tolist()) == {0, 1, 2} and not folding.note
     at = made.place * 0.001
     for k in range(3):
@@ -54,7 +54,7 @@ def test_folds_are_squares_with_a_gap():
 
 
 def test_too_few_squares_fall_back_to_pulses_and_say_so():
-    folding = folded(500.0, 10.0, sample(), 3)
+    folding = make_folds(500.0, 10.0, sample(), 3)
     assert "pieces of consecutive pulses" in folding.note and folding.blocks == 0
     np.testing.assert_array_equal(folding.fold, by_pulses(sample(), 3).fold)
 

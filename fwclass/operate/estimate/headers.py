@@ -11,7 +11,7 @@ import numpy as np
 from fwclass.conf import Config
 from fwclass.errors import InputError
 from fwclass.graph.files import find_files
-from fwclass.graph.survey import common_crs, directory_of, opened_all
+from fwclass.graph.survey import common_crs, directory_of, open_all
 from fwclass.graph.tiling import CLOUD_ROWS
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
@@ -126,7 +126,7 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
     if config.simulate is not None and isinstance(directory, Path) and not any(directory.glob("strips/*")):
         return simulated_facts(config)
     places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = opened_all(places, config)
+    opened = open_all(places, config)
     full = [s for s in opened if s.n_records]
     if not full:
         raise InputError(

@@ -70,14 +70,16 @@ def difference(comparison: Mapping[str, Any], digits: int = 2) -> dict[str, str]
     texts = {}
     for key in ("overall_accuracy", "kappa", "mean_iou"):
         part = comparison[key]
-        texts[key] = signed(part["value"], digits)
+        texts[key] = signed_points(part["value"], digits)
         texts[f"{key}_span"] = (
-            f"[{signed(part['low'], digits)}, {signed(part['high'], digits)}]" if part["low"] is not None else "–"
+            f"[{signed_points(part['low'], digits)}, {signed_points(part['high'], digits)}]"
+            if part["low"] is not None
+            else "–"
         )
     return texts
 
 
-def signed(value: float, digits: int = 2) -> str:
+def signed_points(value: float, digits: int = 2) -> str:
     """A fraction in points with its sign."""
     return f"{100 * value:+.{digits}f}".replace("-", MINUS)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
 from fwclass.publish.files import whole
 from fwclass.publish.street_pictures import draw_slice
 from fwclass.street.annotation import HEAD, Box, Labeller, ended, overlaps, read_boxes
@@ -55,7 +55,7 @@ def annotate(
     places: list[float] = []
 
     def labelled() -> Any:
-        for frame, placed in labeller.frames(opened(source, params, trajectory).frames()):
+        for frame, placed in labeller.frames(open_on_trajectory(source, params, trajectory).frames()):
             place = placed.place * UNIT
             places.append(place)
             if not ahead:

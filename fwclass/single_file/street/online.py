@@ -21,7 +21,7 @@ from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
 from fwclass.graph.street import params_of
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
 from fwclass.model import Model
 from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
@@ -144,7 +144,7 @@ def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[st
     if asked.source.startswith("tcp://"):
         place_of(asked.source)
     elif asked.source != "-":
-        opened(Path(asked.source), params, asked.trajectory)
+        open_on_trajectory(Path(asked.source), params, asked.trajectory)
     prepare(asked.target, asked.overwrite)
     warm(model, params)
     with interruptible() as ended, ExitStack() as stack, without_garbage():
@@ -197,7 +197,7 @@ def _source(
     if asked.source.startswith("tcp://"):
         stream = stack.enter_context(listening(asked.source, params.stream, ended, say))
         return stream.frames(), stream
-    recording = opened(Path(asked.source), params, asked.trajectory)
+    recording = open_on_trajectory(Path(asked.source), params, asked.trajectory)
     return from_recording(recording, asked.paced, ended), None
 
 

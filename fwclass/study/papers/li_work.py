@@ -13,7 +13,17 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.conf.street import scanner
-from fwclass.graph.street import Rows, Split, by_model, fitted, joined, judged, rows_of, sample_of, seen_frames
+from fwclass.graph.street import (
+    Rows,
+    Split,
+    by_model,
+    fit_model,
+    frames_with_features,
+    join_rows,
+    judge_answers,
+    rows_of,
+    sample_of,
+)
 from fwclass.hashing import hashed, seeded
 from fwclass.model import Model, class_index
 from fwclass.run.inputs import PartInputs
@@ -49,7 +59,7 @@ def _path(inputs: PartInputs, name: str) -> Path:
 
 
 def _rows(inputs: PartInputs, name: str, params: StreetParams) -> Rows:
-    return joined(list(rows_of([_path(inputs, name)], params)))
+    return join_rows(list(rows_of([_path(inputs, name)], params)))
 
 
 def _some(rows: Rows, most: int, seed: int) -> Rows:
@@ -61,12 +71,12 @@ def _some(rows: Rows, most: int, seed: int) -> Rows:
 def _judged(
     config: Config, rows: Rows, answers: Callable[[Rows], NDArray[np.uint8]], split: Split | None
 ) -> dict[str, Any]:
-    return judged([rows], answers, split, config.classes, config.assess.block)
+    return judge_answers([rows], answers, split, config.classes, config.assess.block)
 
 
 def _model(config: Config, rows: Rows, names: tuple[str, ...], split: Split, params: StreetParams) -> Model:
     sample = sample_of([rows], names, split, config.classes, config.train.samples_per_class)
-    return fitted(sample, params, config.train, config.compare, config.classes)
+    return fit_model(sample, params, config.train, config.compare, config.classes)
 
 
 def radius(config: Config, metres: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
@@ -101,7 +111,7 @@ def _lost(inputs: PartInputs, params: StreetParams) -> float:
     for window in ("exact", "paper"):
         here = params.model_copy(update={"window": window})
         rows = []
-        for one in seen_frames(_path(inputs, "main"), here):
+        for one in frames_with_features(_path(inputs, "main"), here):
             rows.append(one.features[:, 6].copy())
             if len(rows) == WINDOW_FRAMES:
                 break
