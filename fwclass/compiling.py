@@ -211,8 +211,6 @@ class KernelFiles:
         except OSError as fault:
             _not_kept(str(path.parent), fault.strerror or type(fault).__name__)
 
-        """Numba asks for it; files are always used."""
-
     def enable(self) -> None:
         """Numba asks for it; the files are always used."""
 

@@ -134,7 +134,7 @@ _LEAST = 1 << 16
 """Bytes free, below which a fault while writing is put down to a full disk: some libraries do not say why."""
 
 
-def interrupted(fault: BaseException) -> bool:
+def is_interrupt(fault: BaseException) -> bool:
     """Ctrl-C lies behind it: compiled code tells it by a `SystemError`."""
     return any(isinstance(one, KeyboardInterrupt) for one in _behind(fault))
 

@@ -166,11 +166,11 @@ class _Guard:
             return None
         spec = PathFinder.find_spec(name, path, target)
         if spec is not None and spec.loader is not None:
-            setattr(spec.loader, "exec_module", _guarded(name, spec.loader.exec_module))  # noqa: B010 - for this one
+            setattr(spec.loader, "exec_module", _guard(name, spec.loader.exec_module))  # noqa: B010 - for this one
         return spec
 
 
-def _guarded(name: str, execute: Callable[[ModuleType], None]) -> Callable[[ModuleType], None]:
+def _guard(name: str, execute: Callable[[ModuleType], None]) -> Callable[[ModuleType], None]:
     def exec_module(module: ModuleType) -> None:
         if name == "numba":
             kernel_cache()

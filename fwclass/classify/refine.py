@@ -41,7 +41,7 @@ def _places(table: Table, rows: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     return table["x"][rows], table["y"][rows], table["z"][rows]
 
 
-def refined(table: Table, X: NDArray[np.float32], model: TwoLayer, coarse: Table | None = None) -> Table:
+def refine_boundary(table: Table, X: NDArray[np.float32], model: TwoLayer, coarse: Table | None = None) -> Table:
     """Class, confidence and entropy of rows that have `COARSE` and `BOUNDARY`; X are the fine features (boundary rows,
     features) of those at the boundary. Elsewhere the first layer's answers stay as they are.
 

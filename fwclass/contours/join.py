@@ -59,7 +59,7 @@ class Joined:
     depression: NDArray[np.bool_]
 
 
-def joined(pieces: Pieces) -> Joined:
+def join_lines(pieces: Pieces) -> Joined:
     """Lines of the pieces of all blocks, by the first piece of each."""
     ends, n = pieces.ends, len(pieces.ends)
     places = np.concatenate([ends[:, :4], ends[:, [0, 4, 5, 6]]])

@@ -77,7 +77,7 @@ def lines(heights: NDArray[np.int64], window: Window, steps: int, index: int) ->
     second = np.flatnonzero(_SECOND[case, 0] >= 0)
     sides = np.concatenate([_FIRST[case], _SECOND[case[second]]])
     square, level = np.concatenate([square, square[second]]), np.concatenate([level, level[second]])
-    return _joined(sides, square, level, heights, window, steps, every)
+    return _join(sides, square, level, heights, window, steps, every)
 
 
 def _levels(heights: NDArray[np.int64], band: NDArray[np.int64]) -> tuple[NDArray[np.int64] | None, NDArray[np.int64]]:
@@ -95,7 +95,7 @@ def _levels(heights: NDArray[np.int64], band: NDArray[np.int64]) -> tuple[NDArra
     return square, low.reshape(-1)[square] + 1 + past
 
 
-def _joined(
+def _join(
     sides: NDArray[np.int64],
     square: NDArray[np.int64],
     level: NDArray[np.int64],

@@ -21,7 +21,7 @@ from fwclass.decompose.placement import Placement, offsets_of
 from fwclass.decompose.placing import beams, origins_of, row_shifts
 from fwclass.decompose.shapes import Profiles, height_error
 from fwclass.decompose.system_pulse import Channel, SystemPulse
-from fwclass.grid import quantised
+from fwclass.grid import quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
 from fwclass.waveforms import Waveforms
@@ -68,7 +68,7 @@ def backscatter_samples(
         area = float(shape.sum()) * float(step)
         at = _samples_of(waves.offsets, rows)
         energy[at] = height[at] * area * np.repeat(gain[rows], length[rows])
-    return _placed(waves, strip, fits, height, energy, params, fit, pulse, placement)
+    return _place_samples(waves, strip, fits, height, energy, params, fit, pulse, placement)
 
 
 def pulse_at_samples(pulse: SystemPulse, spacing: float) -> tuple[Floats, int]:
@@ -92,7 +92,7 @@ def _samples_of(offsets: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[
     return np.asarray(np.arange(int(length.sum())) + np.repeat(offsets[rows] - begin, length))
 
 
-def _placed(
+def _place_samples(
     waves: Waveforms,
     strip: int,
     fits: Fits,
@@ -118,7 +118,7 @@ def _placed(
         "strip": np.full(len(row), strip),
         "pulse": pulses["pulse"][row],
         "sample": sample + _before(pulses)[row],
-        **{axis: quantised(place[:, c]) for c, axis in enumerate("xyz")},
+        **{axis: quantise(place[:, c]) for c, axis in enumerate("xyz")},
         "gps_time": pulses["gps_time"][row],
         "sample_value": waves.samples[kept] - level[kept],
         "returned_energy": energy[kept],
@@ -157,7 +157,7 @@ def first_samples(
     return anchor - back[:, None] * velocity, velocity
 
 
-def joined(parts: Sequence[Table]) -> Table:
+def join_samples(parts: Sequence[Table]) -> Table:
     """Samples of several chunks in one order: strip, pulse, sample."""
     table = Table.concat([Table.empty(SAMPLE_COLUMNS), *parts])
     return table.take(np.lexsort((table["sample"], table["pulse"], table["strip"])))

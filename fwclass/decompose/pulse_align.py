@@ -65,7 +65,7 @@ class Echoes:
         return len(self.noise)
 
 
-def cut_out(
+def cut_samples(
     waves: Waveforms, rows: NDArray, peak: NDArray, level: Floats, noise: Floats, fwhm: float, after: float
 ) -> Echoes:
     """Samples of waveforms `rows` from `BEFORE` FWHM before to `after` [ns] behind the sample `peak`."""

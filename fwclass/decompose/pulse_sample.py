@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.params import PulseParams
 from fwclass.decompose.system_pulse import Channel
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.schema import Table
 from fwclass.waveforms import RETURN_COLUMNS, Waveforms
 
@@ -29,7 +29,7 @@ def sample_pulses(waves: Waveforms, strip: int, n_pulses: int, params: PulsePara
     chosen = np.ones(len(pulse), np.bool_)
     if n_pulses > params.sample:
         key = (np.uint64(strip) << np.uint64(40)) | (pulse << np.uint64(8))
-        chosen = hashed(params.seed, key) < np.uint64(int(params.sample / n_pulses * 2.0**64))
+        chosen = hash_keys(params.seed, key) < np.uint64(int(params.sample / n_pulses * 2.0**64))
     return rows_of(waves, np.flatnonzero(chosen))
 
 

@@ -124,7 +124,7 @@ def with_correlated_noise(pulse: SystemPulse, waves: Waveforms, params: Decompos
     channels = {c.key: c for c in pulse.channels}
     for rows, channel, part in _channels(waves, pulse, certain):
         correlation, samples = correlations(part.value, part.quiet, part.row)
-        noise = chosen(correlation, samples, _template(pulse.of(channel), channel.sample_spacing))
+        noise = choose_order(correlation, samples, _template(pulse.of(channel), channel.sample_spacing))
         if noise.phi:
             channels[channel.key] = _of_white(channel, noise, rows, part)
     return replace(pulse, channels=tuple(channels.values()))
@@ -157,7 +157,7 @@ def filter_gain(correlation: Floats, noise: Autoregression, template: Floats) ->
     return output_gain(correlation, whole) / (noise.innovation * float(white @ white))
 
 
-def chosen(correlation: Floats, samples: int, template: Floats) -> Autoregression:
+def choose_order(correlation: Floats, samples: int, template: Floats) -> Autoregression:
     """The shortest autoregression that describes what `samples` quiet samples show; white where that does."""
     tried = []
     for order in range(min(MOST_ORDER, len(correlation) - 1) + 1):
@@ -196,7 +196,7 @@ def _quiet(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Decom
     bad = (fits.misfit > params.poor_misfit) | ~np.isfinite(fits.baseline)
     excluded = (np.abs(signal) > LEFT * channel.noise) | (waves.samples >= channel.clip) | bad[row]
     hot = ~excluded & (above > MARK)
-    filtered = _filtered(np.where(excluded, 0.0, above), _template(pulse.of(channel), channel.sample_spacing))
+    filtered = _filter(np.where(excluded, 0.0, above), _template(pulse.of(channel), channel.sample_spacing))
     faint = filtered > FAINTEST * _spread(filtered[~excluded])
     quiet = ~_near(hot | faint, row, reach, reach) & ~excluded
     # a recorder that waits for an echo has one in every waveform: where none stands out, one is hidden
@@ -206,7 +206,7 @@ def _quiet(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Decom
     return _Quiet(waves.samples - signal - channel.baseline, quiet, row)
 
 
-def _filtered(value: Floats, template: Floats) -> Floats:
+def _filter(value: Floats, template: Floats) -> Floats:
     """`value` behind the matched filter, as many numbers."""
     half = len(template) // 2
     return np.convolve(value, template[::-1])[half : half + len(value)]

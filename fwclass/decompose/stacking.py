@@ -24,7 +24,7 @@ from fwclass.decompose.pulse_sample import rows_of
 from fwclass.decompose.shapes import Profiles
 from fwclass.decompose.stack_kernels import match_around, stack_groups
 from fwclass.decompose.system_pulse import Channel, SystemPulse
-from fwclass.grid import Box, Window, quantised
+from fwclass.grid import Box, Window, quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
 from fwclass.waveforms import Waveforms
@@ -165,7 +165,7 @@ def candidates(
     velocity = beam * speed[:, None]
     met = _meeting(start, velocity, surface)
     hidden, echoes = _hidden(fits, after - shift[fits.row] if at_return else after, some, velocity, surface, params)
-    return _matched(some, strip, fits, hidden & np.isfinite(met), start, velocity, met, echoes, params, fit, pulse)
+    return _match(some, strip, fits, hidden & np.isfinite(met), start, velocity, met, echoes, params, fit, pulse)
 
 
 def _first_samples(waves: Waveforms, late: Floats, beam: Floats, speed: Floats) -> Floats:
@@ -216,7 +216,7 @@ def _hidden(
     return good[pulse], count[pulse]
 
 
-def _matched(
+def _match(
     waves: Waveforms,
     strip: int,
     fits: Fits,
@@ -329,7 +329,7 @@ def _of_kind(
     )
 
 
-def stacked(
+def stack(
     candidates: Candidates, known: Floats, box: Box, roughness: float, params: StackParams
 ) -> tuple[Table, dict[str, float]]:
     """The echoes that groups of candidates show, of those that meet the surface in `box`.
@@ -343,7 +343,7 @@ def stacked(
     Returns
     -------
     `STACK_COLUMNS`, a row an echo, and counts: ``candidates`` that are `gap` from what is known and have enough
-    neighbours, ``stacked`` echoes among them, ``decoys`` tried beneath the surface, ``false`` ones that reach
+    neighbours, ``stack`` echoes among them, ``decoys`` tried beneath the surface, ``false`` ones that reach
     `params.threshold` there, and the ``threshold`` that was needed for no more than a share of `params.max_false` of
     the echoes to be such.
     """
@@ -424,7 +424,7 @@ def _echoes(candidates: Candidates, rows: NDArray[np.int64], sums: Floats, rough
     speed = np.sqrt((candidates.beam[rows] ** 2).sum(axis=1))
     steep = np.abs(candidates.beam[rows, 2]) / speed
     number = np.minimum(candidates.echoes[rows] + 1, 255)
-    columns = {axis: quantised(place[:, c]) for c, axis in enumerate("xyz")}
+    columns = {axis: quantise(place[:, c]) for c, axis in enumerate("xyz")}
     return Table(
         {
             "strip": candidates.strip[rows],

@@ -87,7 +87,7 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
     note = read_note(directory)
     delivery = _run_of(note, run, directory)
     classes = delivery.report["config"]["survey"]["classes"]
-    tiles = [_changed(directory, key, digest) for key, digest in sorted(note.tiles.items())]
+    tiles = [_changes(directory, key, digest) for key, digest in sorted(note.tiles.items())]
     _check_codes(tiles, list(note.tiles), {int(c["code"]): str(c["name"]) for c in classes if c["codes"]})
     changed = EchoLabels.joined([t.labels for t in tiles])
     before = np.concatenate([t.before for t in tiles]) if tiles else np.empty(0, np.int16)
@@ -98,7 +98,7 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
         new = new_rows(earlier, changed, note.collected, time, who)
         lost = np.isin(changed.key[~stays], new.take(new.code != TAKEN_BACK).key)
         if lost.any():
-            raise _moved(changed.take(np.flatnonzero(~stays)[lost]), note, delivery)
+            raise _lost_error(changed.take(np.flatnonzero(~stays)[lost]), note, delivery)
         if new.rows:
             add_time(directory, note, time)
         return new
@@ -163,7 +163,7 @@ def _run_of(note: Note, run: Path | None, directory: Path) -> Delivery:
     return delivery
 
 
-def _changed(directory: Path, tile: str, digest: str) -> _Changed:
+def _changes(directory: Path, tile: str, digest: str) -> _Changed:
     """The echoes of a tile whose class is not the one that was checked out."""
     path, given = tile_file(directory, tile), labels_file(directory, tile)
     for one in (path, given):
@@ -183,7 +183,7 @@ def _changed(directory: Path, tile: str, digest: str) -> _Changed:
     number = np.minimum(labels.echo_number, LAST_RETURN)
     place = [millimetres(getattr(labels, a)) for a in PLACE]
     before = _rows(labels.strip, labels.pulse, number, *place, labels.code)
-    now = _edited(path, labels.rows)
+    now = _read_points(path, labels.rows)
     a, b = (np.lexsort(rows.T[::-1]) for rows in (before, now))
     if not np.array_equal(before[a][:, :-1], now[b][:, :-1]):
         raise _other_echoes(path, len(now), _difference(before[:, :-1], now[:, :-1]))
@@ -194,7 +194,7 @@ def _changed(directory: Path, tile: str, digest: str) -> _Changed:
     return _Changed(EchoLabels.of(columns, code[rows], 0, ""), own.code)
 
 
-def _edited(path: Path, echoes: int) -> NDArray[np.int64]:
+def _read_points(path: Path, echoes: int) -> NDArray[np.int64]:
     """int64 (points, 7): strip, pulse, number of the return, x, y, z [mm], class."""
     source = open_las(path)
     if source.n_points != echoes:
@@ -262,7 +262,7 @@ def _at_their_place(changed: EchoLabels, note: Note, delivery: Delivery) -> NDAr
     return _code_of(changed, there) != TAKEN_BACK
 
 
-def _moved(lost: EchoLabels, note: Note, delivery: Delivery) -> InputError:
+def _lost_error(lost: EchoLabels, note: Note, delivery: Delivery) -> InputError:
     return InputError(
         "echoes that were changed are not at their place any more",
         where=delivery.path,

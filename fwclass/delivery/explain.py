@@ -45,7 +45,7 @@ class Explanation:
         return "\n".join(lines)
 
 
-def explained(store: Store, model: Path, row: Mapping[str, Any]) -> Explanation:
+def explain(store: Store, model: Path, row: Mapping[str, Any]) -> Explanation:
     """See `Delivery.explain`."""
     strip, pulse, number = (int(row[name]) for name in IDENTITY)
     forest = load_model(model)

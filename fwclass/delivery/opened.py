@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.delivery.echoes import Bounds, Echoes
-from fwclass.delivery.explain import Explanation, explained
+from fwclass.delivery.explain import Explanation, explain
 from fwclass.delivery.rasters import Raster, read_raster
 from fwclass.delivery.waves import Waveform, waveform_of
 from fwclass.errors import InputError
@@ -88,7 +88,7 @@ class Delivery:
             There is no such echo.
         """
         row = echo if isinstance(echo, Mapping) else dict(zip(("strip", "pulse", "echo_number"), echo, strict=True))
-        return explained(self._store, self._part("model"), row)
+        return explain(self._store, self._part("model"), row)
 
     @cached_property
     def report(self) -> dict[str, Any]:

@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import Delivery, open_run
-from fwclass.delivery.viewed_colours import CORRECTED, DIFFERS, MEANING, RIGHT, accepted, compared, kinds, verdicts
+from fwclass.delivery.viewed_colours import (
+    CORRECTED,
+    DIFFERS,
+    MEANING,
+    RIGHT,
+    compare_classes,
+    compare_corrections,
+    kinds,
+    verdicts,
+)
 from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.delivery.viewed_relabel import Relabelling
@@ -73,10 +82,10 @@ class ViewedRun:
         return self.delivery.path.name
 
     def reopened(self) -> ViewedRun:
-        from fwclass.delivery.viewed_large import viewed  # which is made of this
+        from fwclass.delivery.viewed_large import view_run  # which is made of this
 
         current = open_run(self.delivery.root)
-        return self if current.path == self.delivery.path else viewed(current, self.params)
+        return self if current.path == self.delivery.path else view_run(current, self.params)
 
     def prepare(self) -> None:
         """Make ahead what the page asks for first; what fails will be said when it is asked for."""
@@ -342,12 +351,12 @@ class ViewedRun:
         if name == CORRECTED:
             return self._accepted(self._tile(key), key)
         if name == DIFFERS and self._other is not None:
-            return compared(self._file(key), self._other / f"{key}.parquet")
+            return compare_classes(self._file(key), self._other / f"{key}.parquet")
         values = self._column(key, name)
         return (values % NO_VALUE).astype(np.uint8) if name == "strip" else self._scale(name).bytes_of(values)
 
     def _accepted(self, opened: OpenTile, key: str) -> NDArray[np.uint8]:
-        return accepted(opened.columns["classification"], *self._classes(opened, key))
+        return compare_corrections(opened.columns["classification"], *self._classes(opened, key))
 
     def _verdicts(self, key: str) -> NDArray[np.uint8]:
         given = self._column(key, "classification")

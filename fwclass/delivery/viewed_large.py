@@ -15,7 +15,7 @@ from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_tile import positions
 from fwclass.errors import InputError
 from fwclass.formats.extra_bytes import published
-from fwclass.grid import TileGrid, quantised
+from fwclass.grid import TileGrid, quantise
 from fwclass.publish.copc import copc_columns
 from fwclass.publish.octree import echo_hashes
 from fwclass.read.las import open_las
@@ -33,7 +33,7 @@ TILE = 20_000
 """Echoes that are read in the time in which a tile is opened."""
 
 
-def viewed(delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> ViewedRun:
+def view_run(delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> ViewedRun:
     """The run as the viewer shows it; a large one by its overview."""
     cost = sum(TILE + int(t["echoes"]) for t in delivery.tiles)
     large = cost > params.whole and (delivery.path / OVERVIEW).is_file()
@@ -62,7 +62,7 @@ class LargeRun(ViewedRun):
             more = {
                 c.name: reader.extra_byte(points, c.las) for c in published(copc_columns(there)) if c.name != "pulse"
             }
-        x, y, z = map(quantised, coordinates(source, points))
+        x, y, z = map(quantise, coordinates(source, points))
         echoes: dict[str, NDArray] = {
             **more,
             **{"x": x, "y": y, "z": z},

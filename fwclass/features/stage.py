@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.features.cells import cells, height_in_cell
-from fwclass.features.dense import thinned
+from fwclass.features.dense import thin_dense
 from fwclass.features.nearest import nearest_echoes
 from fwclass.features.orientation import oriented_inclination
 from fwclass.features.params import COLLINEAR, LINEAR, NORMAL, ORIENTED, Asked, FeaturesParams
@@ -42,12 +42,12 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
     """
     asked = Asked.of(names)
     require(chunk.table, asked.reads, chunk.tile.key)
-    thin = thinned(chunk, params)
+    thin = thin_dense(chunk, params)
     columns = _of_neighbours(thin.chunk if thin else chunk, asked, params)
     if thin:
         columns = {name: values[thin.source] for name, values in columns.items()}
     for scale, bases in asked.of_kind("g").items():
-        columns |= named(cells(chunk, scale, bases), scale)
+        columns |= name_features(cells(chunk, scale, bases), scale)
     if variances := tuple(n for n in asked.plain if n in MEASURED):
         columns |= pulse_variances(chunk, variances, params)
     if "zc" in asked.plain:
@@ -67,7 +67,7 @@ def _of_neighbours(chunk: Chunk, asked: Asked, params: FeaturesParams) -> dict[s
     if chosen or radius:
         columns |= optimal(chunk, chosen, radius, params)
     for scale, bases in asked.of_kind("k").items():
-        columns |= named(nearest_echoes(chunk, scale, bases, params), scale)
+        columns |= name_features(nearest_echoes(chunk, scale, bases, params), scale)
     return columns
 
 
@@ -77,7 +77,7 @@ def without(scales: Mapping[Scale, tuple[str, ...]], base: str) -> dict[Scale, t
     return {scale: bases for scale, bases in left.items() if bases}
 
 
-def named(by_base: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
+def name_features(by_base: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
     """Values by base, (echoes,) each, as values by name."""
     return {f"{base}_{scale.suffix}": values for base, values in by_base.items()}
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, joined
+from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, join_samples
 from fwclass.decompose.params import DecomposeParams, SampleParams
 from fwclass.graph.ground import around_block, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of
@@ -58,7 +58,7 @@ def samples_in(here: StageInputs, box: Box, block: float) -> Table:
     for chunk in here.parts(SAMPLES.name):
         there = here.inputs.meta(SAMPLES.name, chunk)["tiles"]
         parts += [here.inputs.fragment(SAMPLES.name, chunk, key) for key in keys if key in there]
-    table = joined(parts)
+    table = join_samples(parts)
     return table.take(box.contains(table["x"], table["y"]))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.kept import Kept, with_kept
-from fwclass.classify.stage import CLASSIFY, classify, filled, probability_columns
+from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
 from fwclass.errors import InputError
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping, source_of
@@ -76,7 +76,7 @@ def classify_tile(
         if outside is not None:
             outside.add(X[~kept.rows(source)] if kept else X)
         tables.append(with_kept(classify(X, used, probabilities), source, kept))
-        missing += filled(X, used)
+        missing += count_filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"codes": codes_of(table), "filled": missing, **outside_facts(outside)}
 
@@ -107,7 +107,7 @@ def classify_thinned_tile(
     others = tuple(core[n][~own] for n in _PLACE)
     near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
     table = with_kept(answer.take(near), source_of(here, kept), kept)
-    facts = {"codes": codes_of(table), "filled": filled(X, used), "asked": int(own.sum())}
+    facts = {"codes": codes_of(table), "filled": count_filled(X, used), "asked": int(own.sum())}
     return table, facts | outside_facts(outside)
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.contours.join import Joined, Pieces, joined
+from fwclass.contours.join import Joined, Pieces, join_lines
 from fwclass.contours.lines import lines
 from fwclass.contours.params import ContourParams
-from fwclass.contours.smooth import margin, smoothed
+from fwclass.contours.smooth import margin, smooth_terrain
 from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import crs_of
 from fwclass.graph.rasters import Mosaic
@@ -50,7 +50,7 @@ def contour_block(
         here.inputs, TERRAIN.name, [grid.tile(k) for k in here.parts(TERRAIN.name)], cell, {"dtm": np.float32(np.nan)}
     )
     dtm = mosaic.laid(nodes.grown(margin(params, cell)))["dtm"]
-    drawn = lines(smoothed(dtm, cell, params), nodes, params.steps, params.index)
+    drawn = lines(smooth_terrain(dtm, cell, params), nodes, params.steps, params.index)
     pieces = Pieces.of(drawn)
     arrays = {"ends": pieces.ends, "measures": pieces.measures, "vertices": drawn.vertices}
     write_arrays(here.directory / PIECES, arrays)
@@ -69,7 +69,7 @@ def deliver_contours(here: StageInputs, params: ContourParams, crs: str | None) 
     blocks = here.parts(CONTOUR_BLOCKS.name)
     tables = [here.inputs.arrays(CONTOUR_BLOCKS.name, key, PIECES, ("ends", "measures"))[0] for key in blocks]
     pieces = Pieces(*(np.concatenate([t[name] for t in tables]) for name in ("ends", "measures")))
-    sizes, lines = [len(t["ends"]) for t in tables], joined(pieces)
+    sizes, lines = [len(t["ends"]) for t in tables], join_lines(pieces)
     del tables
     long_enough = lines.length >= params.shortest
     written, places = _places(pieces, lines, long_enough)

@@ -20,7 +20,7 @@ from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
-from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filtered
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import FLATTENED, Points, terrain
 from fwclass.memory import give_back
@@ -88,7 +88,7 @@ def around_block(here: StageInputs) -> Surroundings:
 def filter_block(here: StageInputs, params: GroundParams) -> Made:
     """Ground and noise flags of a block's echoes, tile after tile."""
     around = around_block(here)
-    return of_flags(around, filtered(around.table, params))
+    return of_flags(around, filter_ground(around.table, params))
 
 
 def of_flags(around: Surroundings, flags: Flags) -> Made:
@@ -237,7 +237,7 @@ class _Seams:
     def add_flags(self, table: Table, params: GroundParams) -> Points:
         """Filter the echoes of one place as one block, and hold the answer against their flags; the ground."""
         give_back(None)  # the whole survey at once: what was freed on the way here is not needed beside it
-        whole = filtered(table, params)
+        whole = filter_ground(table, params)
         differs = (table["ground"] != whole.ground) | (table["noise"] != whole.noise)
         self.counts.update(echoes=table.rows, flags_differ=int(differs.sum()))
         rows = np.flatnonzero(whole.ground & ~whole.noise)

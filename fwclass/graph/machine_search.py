@@ -12,7 +12,7 @@ from fwclass.graph.stage import Made, Plan, StageInputs
 from fwclass.run.inputs import PartInputs
 from fwclass.select.folds import spatial_folds
 from fwclass.train.baselines.params import RbfSvmParams
-from fwclass.train.baselines.search import Folding, Places, by_pulses, looked_at, pairs_of, right, searched
+from fwclass.train.baselines.search import Folding, Places, by_pulses, pairs_of, right, search_rows, search_summary
 from fwclass.train.sample import Sample
 
 MACHINE_SEARCH = "machine-search"
@@ -67,7 +67,7 @@ def judge(
     places: Places,
 ) -> Made:
     """What one trial has right."""
-    looked = looked_at(sample, svm, places.edge)
+    looked = search_rows(sample, svm, places.edge)
     c, gamma, fold = trial
     return right(looked, places.folding(looked, svm.folds), fold, c, gamma, svm, scaling, weights)
 
@@ -75,9 +75,9 @@ def judge(
 def gather_trials(
     inputs: PartInputs, parts: tuple[str, ...], sample: Sample, svm: RbfSvmParams, places: Places
 ) -> dict[str, object]:
-    """What all trials together say; see `searched`."""
-    looked = looked_at(sample, svm, places.edge)
+    """What all trials together say; see `search_summary`."""
+    looked = search_rows(sample, svm, places.edge)
     pairs = pairs_of(svm)
     metas = [{n: int(inputs.meta(MACHINE_SEARCH, p)[n]) for n in ("right", "judged")} for p in parts]
     counts = [metas[k * svm.folds : (k + 1) * svm.folds] for k in range(len(pairs))]
-    return searched(looked.rows, places.folding(looked, svm.folds), pairs, counts)
+    return search_summary(looked.rows, places.folding(looked, svm.folds), pairs, counts)

@@ -11,8 +11,8 @@ import numpy as np
 
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.params import RefineParams
-from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refined
-from fwclass.classify.stage import CLASSIFY, classify, filled
+from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refine_boundary
+from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.conf.model import AreasSection
 from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
@@ -76,7 +76,7 @@ def answer_coarse(here: StageInputs, names: tuple[str, ...], model: str | None) 
             outside.add(X)
         answers = classify(X, used)
         tables.append(Table(dict(zip(COARSE, (answers[n] for n in CLASSIFY.writes), strict=True))))
-        missing += filled(X, used)
+        missing += count_filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"filled": missing, **outside_facts(outside)}
 
@@ -216,8 +216,10 @@ def both_answered(
     for rows in here.cuts():
         X = sample_matrix(rows.take(np.flatnonzero(rows[BOUNDARY])), used.fine.features, here.part)
         coarse = classify(sample_matrix(rows, used.features, here.part), used.coarse, True) if probabilities else None
-        tables.append(with_kept(refined(rows, X, used, coarse), rows["source_class"] if kept else NO_SOURCE, kept))
-        missing += filled(X, used.fine)
+        tables.append(
+            with_kept(refine_boundary(rows, X, used, coarse), rows["source_class"] if kept else NO_SOURCE, kept)
+        )
+        missing += count_filled(X, used.fine)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"codes": codes_of(table), "filled": missing}
 

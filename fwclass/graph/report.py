@@ -11,7 +11,7 @@ from fwclass import __version__
 from fwclass.assess.stage import caution
 from fwclass.classify.kept import Kept
 from fwclass.conf import Config
-from fwclass.decompose.plausible import added
+from fwclass.decompose.plausible import add_counts
 from fwclass.errors import visible
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
@@ -344,7 +344,7 @@ def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, A
         of_strip(
             name,
             returns[part],
-            added(counts[part]),
+            add_counts(counts[part]),
             receiver_facts(noise[part]),
             places.get(part),
             faults.get(part),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fwclass.decompose.params import DecomposeParams, StackParams
-from fwclass.decompose.stacking import STACK, STACK_COLUMNS, Candidates, Surface, candidates, roughness_of, stacked
+from fwclass.decompose.stacking import STACK, STACK_COLUMNS, Candidates, Surface, candidates, roughness_of, stack
 from fwclass.graph.ground import around_block, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.rasters import Mosaic, write_rasters
@@ -59,7 +59,7 @@ def stack_block(here: StageInputs, params: StackParams, fit: DecomposeParams, ce
     if not parts:
         return Table.empty(STACK_COLUMNS), {"roughness": roughness}
     known = np.stack([ground["x"], ground["y"]], axis=1)
-    table, counts = stacked(Candidates.joined(parts), known, box, roughness, params)
+    table, counts = stack(Candidates.joined(parts), known, box, roughness, params)
     return table, {**counts, "roughness": roughness}
 
 

@@ -17,7 +17,7 @@ from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
 from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, Model, assemble, class_index
 from fwclass.schema import Table
 from fwclass.street.frames import Track
@@ -182,7 +182,7 @@ class Split:
     def trains(self, rows: Rows) -> NDArray[np.bool_]:
         """bool (rows,): which train."""
         if self.kind == "random":
-            return hashed(self.seed, rows.key) < np.uint64(min(self.share * 2.0**64, 2.0**64 - 2048))
+            return hash_keys(self.seed, rows.key) < np.uint64(min(self.share * 2.0**64, 2.0**64 - 2048))
         inside = np.zeros(len(rows.place), bool)
         for x0, y0, x1, y1 in self.boxes:
             inside |= (rows.place >= x0) & (rows.place < x1) & (rows.depth >= y0) & (rows.depth < y1)

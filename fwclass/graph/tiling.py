@@ -14,7 +14,7 @@ from fwclass.graph.layout import FileDigests
 from fwclass.graph.numbering import numbers
 from fwclass.graph.sources import StripSpan, chunk_name, spans_of, strip_of
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
-from fwclass.grid import TileGrid, quantised
+from fwclass.grid import TileGrid, quantise
 from fwclass.read.stage import read_cloud
 from fwclass.run.inputs import TABLE
 from fwclass.run.part import Name
@@ -109,7 +109,7 @@ def source_codes(splits: Mapping[Name, Receipt]) -> Counter[int]:
 def scatter_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Made:
     """Reference points of part of a file, in tile order."""
     cloud = read_cloud(here.file(), *rows)
-    return _write_split(here, cloud.with_columns({n: quantised(cloud[n]) for n in "xyz"}), params)
+    return _write_split(here, cloud.with_columns({n: quantise(cloud[n]) for n in "xyz"}), params)
 
 
 def _write_split(here: StageInputs, table: Table, params: TileParams) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from fwclass.schema import Table
 from fwclass.store.tables import write_table
 from fwclass.vectors.buildings import COLUMNS as BUILDING_COLUMNS
 from fwclass.vectors.buildings import OUTLINES, footprints
-from fwclass.vectors.cells import CELL_COLUMNS, MARGIN, Counts, by_piece, counted, joined, pieces, roofs
+from fwclass.vectors.cells import CELL_COLUMNS, MARGIN, Counts, by_piece, count_cells, join_cells, pieces, roofs
 from fwclass.vectors.density import cell_of, median_density, pulses_by_square
 from fwclass.vectors.params import VectorParams
 from fwclass.vectors.shapes import CORNERS, Shapes
@@ -81,7 +81,7 @@ def tree_block(here: StageInputs, params: VectorParams) -> Made:
 
 
 def _counted(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
-    return counted(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
+    return count_cells(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
 
 
 def _write(here: StageInputs, shapes: Shapes) -> None:
@@ -103,7 +103,7 @@ def deliver_vectors(here: StageInputs, params: VectorParams, publish: PublishPar
         cells = (
             here.inputs.table(FIND_BUILDINGS.name, b, CELL_COLUMNS, BEYOND) for b in here.parts(FIND_BUILDINGS.name)
         )
-        across = footprints(by_piece(joined(Table.concat(cells))), facts["cell"], params.buildings)
+        across = footprints(by_piece(join_cells(Table.concat(cells))), facts["cell"], params.buildings)
         buildings = Shapes.together([*_read(here, FIND_BUILDINGS, BUILDING_COLUMNS), across])
         buildings = buildings.ordered(np.lexsort((buildings.rows["cell_column"], buildings.rows["cell_row"])))
         layers.append((buildings, Layer("buildings", _wkb(buildings), building_fields(buildings.rows))))

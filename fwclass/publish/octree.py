@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.kernel import kernel
 from fwclass.schema import Table, canonical_key
 
@@ -44,7 +44,7 @@ class Octree:
 
 def echo_hashes(table: Table) -> NDArray[np.uint64]:
     """A random number for every echo, by strip, pulse and echo alone: the lowest ones are a fair sample of any area."""
-    return hashed(SEED, canonical_key(table))
+    return hash_keys(SEED, canonical_key(table))
 
 
 def octree(units: NDArray[np.int64], table: Table, leaf: int) -> Octree:

@@ -292,7 +292,7 @@ class Recorded(NamedTuple):
     echo_class: np.ndarray
 
 
-def recorded(pulses: int, rays: int, long: int) -> Recorded:
+def empty_record(pulses: int, rays: int, long: int) -> Recorded:
     """Room, all zero, for what a chunk of this many pulses [count] records, whatever they meet; `long` [samples] the
     longest wave."""
     return Recorded(

@@ -165,6 +165,6 @@ class Labeller:
         return codes
 
 
-def ended(boxes: Sequence[Box]) -> float | None:
+def annotated_end(boxes: Sequence[Box]) -> float | None:
     """Where the annotation ends [m along the road]: at the end of the last slice that has a `rest`; None of none."""
     return max((b.end for b in boxes if b.kind == "rest"), default=None)

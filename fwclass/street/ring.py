@@ -155,7 +155,7 @@ class Ring:
         return np.ascontiguousarray(np.concatenate(list(self._out), axis=1))
 
 
-def seen(frames: Iterable[Placed], geometry: Geometry, params: StreetParams) -> Iterator[Seen]:
+def with_features(frames: Iterable[Placed], geometry: Geometry, params: StreetParams) -> Iterator[Seen]:
     """Every frame of a recording with its features, in order."""
     ring = Ring(geometry, params)
     for frame in frames:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
-from fwclass.hashing import below, seeded
+from fwclass.hashing import below, seed_for
 from fwclass.kernel import inlined, kernel
 from fwclass.model import LEAF, Tree
 from fwclass.train.bag import bag
@@ -131,8 +131,8 @@ def drops(
     for t, tree in enumerate(trees):
         outside = np.flatnonzero(bag(sample.rows, first + t, params)[0] == 0)
         judged[t] = len(outside)
-        start = seeded(params.seed, _PURPOSE, first + t)
-        seeds = np.array([[seeded(start, f, r) for r in range(repeats)] for f in range(n_features)], np.uint64)
+        start = seed_for(params.seed, _PURPOSE, first + t)
+        seeds = np.array([[seed_for(start, f, r) for r in range(repeats)] for f in range(n_features)], np.uint64)
         drop_counts[t] = _of_tree(X, sample.y, tree, outside, seeds.reshape(n_features, repeats))
     return drop_counts, judged
 

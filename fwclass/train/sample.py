@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.schema import Table
 
@@ -103,13 +103,13 @@ def draw(
     y = index[rows].astype(np.uint8)
     eligible = np.bincount(y, minlength=len(classes)).astype(np.int64)
     key = np.asarray(key, np.uint64)[rows]
-    drawn = hashed(seed, key)
+    drawn = hash_keys(seed, key)
     if first is not None:
         drawn = np.where(first[rows], drawn >> np.uint64(32), drawn)
     kept = _smallest(y, drawn, len(classes), per_class)
     X = sample_matrix(features.take(rows[kept]), names, "training rows")
     there = np.empty((0, 2), np.int64) if place is None else place[rows[kept]]
-    return _sorted(Sample(names, X, y[kept], key[kept], drawn[kept], eligible, bare, there))
+    return _sort(Sample(names, X, y[kept], key[kept], drawn[kept], eligible, bare, there))
 
 
 def join(samples: Iterable[Sample], per_class: int) -> Sample:
@@ -122,11 +122,11 @@ def join(samples: Iterable[Sample], per_class: int) -> Sample:
         held.append(part)
         rows += part.rows
         if rows > 3 * per_class * len(part.eligible):  # memory stays that of a few samples, however many tiles
-            held = [_thinned(_union(held), per_class)]
+            held = [_thin(_union(held), per_class)]
             rows = held[0].rows
     if not held:
         raise ValueError("nothing to merge")
-    return _sorted(_thinned(_union(held), per_class))
+    return _sort(_thin(_union(held), per_class))
 
 
 def _union(parts: Sequence[Sample]) -> Sample:
@@ -153,11 +153,11 @@ def _smallest(y: NDArray[np.uint8], drawn: NDArray[np.uint64], n_classes: int, p
     return np.concatenate(keep)
 
 
-def _thinned(sample: Sample, per_class: int) -> Sample:
+def _thin(sample: Sample, per_class: int) -> Sample:
     return sample.take(_smallest(sample.y, sample.hash, len(sample.eligible), per_class))
 
 
-def _sorted(sample: Sample) -> Sample:
+def _sort(sample: Sample) -> Sample:
     """The sample in the order of its keys."""
     order = np.argsort(sample.key, kind="stable")
     key = sample.key[order]

@@ -20,7 +20,7 @@ TIED = 1e-12
 """Relative: neighbours whose distances differ by less are equally near."""
 
 
-def trimmed(X: NDArray[np.float64], y: NDArray[np.uint8], trim: Trim) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
+def trim_rows(X: NDArray[np.float64], y: NDArray[np.uint8], trim: Trim) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
     """Rows that stay, bool (rows,), and the classes that would have gone whole and stay untrimmed.
 
     A row stays if one of its nearest other rows has its class; all that are equally near count, and a row at the very

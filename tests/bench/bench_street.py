@@ -30,7 +30,7 @@ from fwclass.single_file.street.online import Loop
 from fwclass.street.answers import Writer
 from fwclass.street.frames import Track
 from fwclass.street.ring import Ring, feature_names
-from fwclass.street.simulate import simulated
+from fwclass.street.simulate import simulate_frames
 from fwclass.street.sphere_kernels import UNIT
 
 RADII = (0.1, 0.3, 0.5, 0.8)
@@ -45,7 +45,7 @@ def drive(name: str, frames: int, extra: tuple[str, ...] = ()):
     config = conf.load("street-sim", (f"street.scanner={name}", "street_scene.stops=0", "street_scene.sway=0", *extra))
     sheet = scanner(name)
     scene = config.street_scene.model_copy(update={"length": frames * sheet.period * config.street_scene.speed})
-    made = list(simulated(scene, sheet, config.street.mounting))
+    made = list(simulate_frames(scene, sheet, config.street.mounting))
     return config, made[:frames]
 
 

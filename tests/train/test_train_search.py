@@ -13,7 +13,7 @@ from fwclass.graph.machine_search import make_folds, spatial
 from fwclass.model import ClassDef
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
-from fwclass.train.baselines.search import by_pulses, looked_at, pairs_of, right, search, searched, smoothest
+from fwclass.train.baselines.search import by_pulses, pairs_of, right, search, search_rows, search_summary, smoothest
 from fwclass.train.baselines.stage import train_other
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
@@ -62,12 +62,12 @@ def test_too_few_squares_fall_back_to_pulses_and_say_so():
 def test_parts_of_the_search_add_up_to_the_whole():
     made, svm = sample(), compare(c=[1.0, 10.0], gamma=[0.1, 1.0], search_rows=500).rbf_svm
     places = spatial(50.0, 5.0)
-    looked = looked_at(made, svm, places.edge)
+    looked = search_rows(made, svm, places.edge)
     folding = places.folding(looked, svm.folds)
     whole = search(looked, folding, svm, "standard", None)
     folds = range(svm.folds)
     counts = [[right(looked, folding, f, c, g, svm, "standard", None) for f in folds] for c, g in pairs_of(svm)]
-    assert searched(looked.rows, folding, pairs_of(svm), counts) == whole
+    assert search_summary(looked.rows, folding, pairs_of(svm), counts) == whole
     model = train_other(
         made, PARAMS, compare(c=[1.0, 10.0], gamma=[0.1, 1.0], search_rows=500), CLASSES, "rbf-svm", places
     )

@@ -28,7 +28,7 @@ from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
 from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
 from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
-from fwclass.street.answers import ANSWERS, END, Answer, Writer, answered
+from fwclass.street.answers import ANSWERS, END, Answer, Writer, make_answer
 from fwclass.street.frames import Frame, Scan, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import Prescriber, Segment
@@ -42,9 +42,9 @@ def classified(one: Seen, model: Model) -> Answer:
     """Classes and shares of a frame's returns."""
     here = ~np.isnan(one.frame.r)
     if not here.any():
-        return answered(one.frame, np.empty(0, np.uint8), np.empty(0))
+        return make_answer(one.frame, np.empty(0, np.uint8), np.empty(0))
     winner, shares = answer(one.features[here], model)
-    return answered(one.frame, model.codes[winner], np.take_along_axis(shares, winner[:, None], axis=1)[:, 0])
+    return make_answer(one.frame, model.codes[winner], np.take_along_axis(shares, winner[:, None], axis=1)[:, 0])
 
 
 @dataclass

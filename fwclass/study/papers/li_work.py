@@ -24,14 +24,14 @@ from fwclass.graph.street import (
     rows_of,
     sample_of,
 )
-from fwclass.hashing import hashed, seeded
+from fwclass.hashing import hash_keys, seed_for
 from fwclass.model import Model, class_index
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_parquet import write_recording
 from fwclass.street.ring import feature_names
-from fwclass.street.simulate import simulated
+from fwclass.street.simulate import simulate_frames
 
 DRIVE, RECORDING, GRIDS = "street-drive", "drive.parquet", "grids"
 SHOWN = 400
@@ -50,7 +50,7 @@ WINDOW_FRAMES = 60
 def drive(config: Config, changes: Mapping[str, Any], inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """A simulated recording."""
     params = config.street_scene.model_copy(update=dict(changes))
-    frames = simulated(params, scanner(config.street.scanner), config.street.mounting)
+    frames = simulate_frames(params, scanner(config.street.scanner), config.street.mounting)
     return {"frames": write_recording(directory / RECORDING, frames), **changes}
 
 
@@ -65,7 +65,7 @@ def _rows(inputs: PartInputs, name: str, params: StreetParams) -> Rows:
 def _some(rows: Rows, most: int, seed: int) -> Rows:
     """About `most` of the rows, by a hash of their own: with that of the split they would be those that train."""
     share = min(1.0, most / max(1, len(rows.key)))
-    return rows.take(hashed(seeded(seed, TEST_ROWS), rows.key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048)))
+    return rows.take(hash_keys(seed_for(seed, TEST_ROWS), rows.key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048)))
 
 
 def _judged(

@@ -84,7 +84,7 @@ def _svc(c: float, gamma: float, weights: dict[int, float] | None) -> Any:
     )
 
 
-def judged(
+def count_right(
     X: NDArray[np.float64],
     y: Labels,
     learns: NDArray[np.bool_],

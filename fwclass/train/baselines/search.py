@@ -13,7 +13,7 @@ from fwclass.train.baselines import fit
 from fwclass.train.baselines.params import RbfSvmParams
 from fwclass.train.baselines.prepare import fewer, pieces, preparation
 from fwclass.train.sample import Sample
-from fwclass.train.trim import trimmed
+from fwclass.train.trim import trim_rows
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,10 @@ def right(
     of the rows that it learns from."""
     learns, asked = folding.learns[fold], np.asarray(folding.fold == fold)
     X = preparation(sample.X[learns], scaling)(sample.X) if learns.any() else np.zeros(sample.X.shape)
-    kept, _ = trimmed(X[learns], sample.y[learns], svm.trim)
+    kept, _ = trim_rows(X[learns], sample.y[learns], svm.trim)
     learns = learns.copy()
     learns[np.flatnonzero(learns)[~kept]] = False
-    hits = fit.judged(X, sample.y, learns, asked, c, gamma, weights)
+    hits = fit.count_right(X, sample.y, learns, asked, c, gamma, weights)
     return {"right": hits, "judged": int(asked.sum())}
 
 
@@ -72,12 +72,12 @@ def smoothest(tried: Iterable[tuple[float, float, float]]) -> tuple[float, float
     return c, gamma
 
 
-def looked_at(sample: Sample, svm: RbfSvmParams, edge: float) -> Sample:
+def search_rows(sample: Sample, svm: RbfSvmParams, edge: float) -> Sample:
     """The rows of a sample that the search looks at, thinned by squares of `edge` [m] to `svm.search_rows`."""
     return fewer(fewer(sample, svm.max_rows, edge), svm.search_rows, edge)
 
 
-def searched(
+def search_summary(
     rows: int, folding: Folding, pairs: Sequence[tuple[float, float]], counts: Sequence[Sequence[dict[str, int]]]
 ) -> dict[str, Any]:
     """What the card says of a search: `counts` as `right` gives them, for every pair and fold."""
@@ -96,10 +96,10 @@ def searched(
 
 
 def search(sample: Sample, folding: Folding, svm: RbfSvmParams, scaling: str, weights: Any) -> dict[str, Any]:
-    """All pairs of the settings on `sample`, one after another; see `searched`."""
+    """All pairs of the settings on `sample`, one after another; see `search_summary`."""
     pairs, folds = pairs_of(svm), range(len(folding.learns))
     counts = [[right(sample, folding, f, c, g, svm, scaling, weights) for f in folds] for c, g in pairs]
-    return searched(sample.rows, folding, pairs, counts)
+    return search_summary(sample.rows, folding, pairs, counts)
 
 
 def pairs_of(svm: RbfSvmParams) -> list[tuple[float, float]]:

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import __version__
-from fwclass.hashing import seeded
+from fwclass.hashing import seed_for
 from fwclass.model import FORMAT, Boosted, ClassDef, KernelMachine, LinearMachine, Model, Preparation, assemble
 from fwclass.model.ranges import RANGES, ranges_of
 from fwclass.train.baselines import fit
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer, preparation
-from fwclass.train.baselines.search import BY_PULSES, Places, looked_at, search
+from fwclass.train.baselines.search import BY_PULSES, Places, search, search_rows
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, review
-from fwclass.train.trim import trimmed
+from fwclass.train.trim import trim_rows
 from fwclass.train.weights import whole_weights
 
 METHODS = ("forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting")
@@ -89,7 +89,7 @@ def machine_weights(sample: Sample, params: TrainParams, classes: Sequence[Class
     return {k: float(w) / mean for k, w in enumerate(whole)}
 
 
-def _prepared(sample: Sample, compare: CompareParams, card: dict[str, Any]) -> Preparation:
+def _prepare(sample: Sample, compare: CompareParams, card: dict[str, Any]) -> Preparation:
     """How a machine's samples are prepared; the card tells it, and how many values of the training rows are filled."""
     prepare = preparation(sample.X, compare.scaling)
     gaps = np.isnan(sample.X).sum(axis=0)
@@ -105,11 +105,11 @@ def _prepared(sample: Sample, compare: CompareParams, card: dict[str, Any]) -> P
 def _linear(
     sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], card: dict[str, Any]
 ) -> Model:
-    prepare, svm = _prepared(sample, compare, card), compare.linear_svm
+    prepare, svm = _prepare(sample, compare, card), compare.linear_svm
     weights, bias, notes = fit.linear_svm(prepare(sample.X), sample.y, svm, machine_weights(sample, params, classes))
     card["params"] |= svm.model_dump(mode="json")
     card["notes"] += notes
-    return _checked(LinearMachine(weights, bias, card))
+    return _check(LinearMachine(weights, bias, card))
 
 
 def _rbf(
@@ -130,10 +130,10 @@ def _rbf(
             "(compare.rbf_svm.max_rows)"
         )
         card["samples"] = [int(n) for n in sample.counts]
-    prepare, weights = _prepared(sample, compare, card), machine_weights(sample, params, classes)
+    prepare, weights = _prepare(sample, compare, card), machine_weights(sample, params, classes)
     c, gamma = svm.c[0], svm.gamma[0]
     if len(svm.c) * len(svm.gamma) > 1:
-        looked = looked_at(all_rows, svm, places.edge)
+        looked = search_rows(all_rows, svm, places.edge)
         search_result = search_result or search(
             looked, places.folding(looked, svm.folds), svm, compare.scaling, weights
         )
@@ -142,10 +142,10 @@ def _rbf(
         card["notes"] += [search_result["note"]] if search_result["note"] else []
     card["params"] |= {"c": c, "gamma": gamma, "trim": svm.trim}
     X, y = prepare(sample.X), sample.y
-    kept, whole_classes = trimmed(X, y, svm.trim)
+    kept, whole_classes = trim_rows(X, y, svm.trim)
     if svm.trim != "none":
         card |= _trimming_facts(kept, y, whole_classes, classes, card)
-    return _checked(KernelMachine(**fit.rbf_svm(X[kept], y[kept], c, gamma, weights), card=card))
+    return _check(KernelMachine(**fit.rbf_svm(X[kept], y[kept], c, gamma, weights), card=card))
 
 
 def _trimming_facts(
@@ -168,7 +168,7 @@ def _forest(
         "min_samples_split": params.min_samples_split,
         "max_samples": params.bagging if params.bagging < 1 else None,
         "bootstrap": True,
-        "random_state": seeded(params.seed) % (1 << 32),
+        "random_state": seed_for(params.seed) % (1 << 32),
     }
     card["params"] |= settings
     weights = machine_weights(sample, params, classes)
@@ -183,11 +183,11 @@ def _boosting(
 ) -> Model:
     card["params"] |= compare.boosting.model_dump(mode="json")
     weights = machine_weights(sample, params, classes)
-    arrays = fit.boosting(sample.X, sample.y, compare.boosting, seeded(params.seed), weights)
-    return _checked(Boosted(**arrays, card=card))
+    arrays = fit.boosting(sample.X, sample.y, compare.boosting, seed_for(params.seed), weights)
+    return _check(Boosted(**arrays, card=card))
 
 
-def _checked(model: Any) -> Model:
+def _check(model: Any) -> Model:
     model.card["kind"] = model.kind
     model.check("a newly trained model")
     return model
