@@ -20,7 +20,7 @@ from fwclass.decompose.params import DecomposeParams, SampleParams
 from fwclass.decompose.placement import Placement, offsets_of
 from fwclass.decompose.placing import beams, origins_of, row_shifts
 from fwclass.decompose.shapes import Profiles, height_error
-from fwclass.decompose.system_pulse import Channel, SystemPulse
+from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
@@ -59,9 +59,9 @@ def backscatter_samples(
     gain = waves.pulses["gain"].astype(np.float64)
     for step, which in np.unique(np.stack([spacing, kind], axis=1)[usable], axis=0):
         rows = np.flatnonzero(usable & (spacing == step) & (kind == which))
-        own = kinds[int(which)]
+        own, channel = kinds[int(which)], known[int(which)]
         shape, before = pulse_at_samples(own, float(step))
-        error = _height_error(own, known[int(which)], float(step))
+        error = height_error(own, channel) if channel else math.sqrt(float(step) / own.energy)
         limit = params.threshold * error * fits.noise[rows]
         gold, level = params.method == "gold", fits.baseline[rows]
         deconvolve_rows(waves.wide, waves.offsets, rows, level, limit, shape, before, gold, params.iterations, height)
@@ -80,10 +80,6 @@ def pulse_at_samples(pulse: SystemPulse, spacing: float) -> tuple[Floats, int]:
     high = np.flatnonzero(h > FOOT)
     first, last = min(int(high[0]), -begin), max(int(high[-1]), -begin)
     return np.maximum(h[first : last + 1], 0.0), -begin - first
-
-
-def _height_error(pulse: SystemPulse, channel: Channel | None, spacing: float) -> float:
-    return height_error(pulse, channel) if channel else math.sqrt(spacing / pulse.energy)
 
 
 def _samples_of(offsets: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:

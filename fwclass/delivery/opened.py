@@ -172,7 +172,10 @@ def open_run(run: str | os.PathLike[str]) -> Delivery:
             else "name the directory that was given as --out",
         )
     listed = generations.manifest(current)
-    gone = [name for name, facts in (listed or {}).items() if not _there(current.path / name, facts["bytes"])]
+    files = {current.path / name: facts["bytes"] for name, facts in (listed or {}).items()}
+    gone = [
+        str(f.relative_to(current.path)) for f, size in files.items() if not f.is_file() or f.stat().st_size != size
+    ]
     if listed is None or gone:
         raise InputError(
             "the delivery is damaged",
@@ -182,7 +185,3 @@ def open_run(run: str | os.PathLike[str]) -> Delivery:
             do="run the survey again with --verify: what is damaged is made anew",
         )
     return Delivery(root, current.path)
-
-
-def _there(path: Path, size: int) -> bool:
-    return path.is_file() and path.stat().st_size == size

@@ -174,10 +174,6 @@ def _corrections(plan: Plan) -> list[_File]:
     return [_File(ALL, *file)] if file is not None else []
 
 
-def _label_files(plan: Plan) -> list[_File]:
-    return [_File(f"{number:03d}", *file) for number, file in enumerate(plan.survey.echo_labels)]
-
-
 def _cutting(plan: Plan, margin: float) -> Mapping[str, Any]:
     return {"size": plan.config.tile.size, "reach": plan.config.label.max_move, "margin": margin}
 
@@ -210,7 +206,7 @@ READ_ECHO_LABELS = Stage(
     "part",
     echo_labels_read,
     when=lambda plan: plan.config.survey.reference.kind == "echoes",
-    parts=_label_files,
+    parts=lambda plan: [_File(f"{number:03d}", *file) for number, file in enumerate(plan.survey.echo_labels)],
     arguments=lambda plan: {**_cutting(plan, 0.0), "field": plan.config.survey.reference.field or FIELD},
     source=lambda plan, file: (file.path, file.digests),
 )

@@ -147,10 +147,6 @@ class _Polygons:
     file: PolygonFile
 
 
-def _files(plan: Plan) -> list[_Polygons]:
-    return [_Polygons(f"{number:03d}", file) for number, file in enumerate(plan.survey.polygons)]
-
-
 def _field(plan: Plan) -> Mapping[str, Any]:
     asked = plan.config.survey.reference
     return {"field": asked.field or "", "values": asked.values, "classes": plan.config.classes, "crs": plan.survey.crs}
@@ -183,10 +179,6 @@ def _moved(plan: Plan) -> float:
     return plan.config.label.max_move if plan.tiled is not None and plan.tiled.corrected else 0.0
 
 
-def _cloud_halo(plan: Plan) -> float:
-    return max(LABEL.halo(plan.config.label), _moved(plan))
-
-
 READ_POLYGONS = Stage(
     "polygons",
     1,
@@ -194,7 +186,7 @@ READ_POLYGONS = Stage(
     "part",
     polygons_read,
     when=_of_kind("polygons"),
-    parts=_files,
+    parts=lambda plan: [_Polygons(f"{number:03d}", file) for number, file in enumerate(plan.survey.polygons)],
     arguments=_field,
     each=lambda plan, part: {"layer": part.file.layer, "own_crs": part.file.crs},
     source=lambda plan, part: (part.file.path, part.file.digests),
@@ -221,7 +213,7 @@ LABEL_BY_CLOUD = replace(
     function=label_by_cloud,
     when=_of_kind("cloud"),
     own=("x", "y", "z", "gps_time"),
-    halo=_cloud_halo,
+    halo=lambda plan: max(LABEL.halo(plan.config.label), _moved(plan)),
     after=("reference", CORRECTIONS),
     needs=_clouds,
 )

@@ -210,10 +210,6 @@ def _one_layer(plan: Plan) -> bool:
     return trains(plan) and fine_layer(plan) is None
 
 
-def _importances(plan: Plan) -> bool:
-    return forest_learns(plan) and bool(plan.config.train.importance_repeats)
-
-
 @dataclass(frozen=True)
 class _Batch:
     """Trees that one part grows: `count` from the one that `key` names."""
@@ -299,7 +295,7 @@ WEIGH_FEATURES = Stage(
     "survey",
     "tree_row",
     permute_features,
-    when=_importances,
+    when=lambda plan: forest_learns(plan) and bool(plan.config.train.importance_repeats),
     parts=_batches,
     arguments=lambda plan: {
         "names": plan.config.features_asked,

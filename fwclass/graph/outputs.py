@@ -14,7 +14,7 @@ from fwclass.classify.kept import Kept
 from fwclass.errors import StoreError
 from fwclass.graph.classify import classes_written
 from fwclass.graph.kept import deciding_column, keeping, kept_names
-from fwclass.graph.layout import FileDigests, Strip
+from fwclass.graph.layout import Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
@@ -28,7 +28,6 @@ from fwclass.publish.tile_facts import tile_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table
-from fwclass.store.remote_file import Location
 
 DELIVERED = (
     "x",
@@ -184,10 +183,6 @@ def _read_again(plan: Plan, part: _Strip) -> list[Name]:
     return [("read", c) for c in part.chunks if c in waves]
 
 
-def _strip_file(plan: Plan, part: _Strip) -> tuple[Location, FileDigests]:
-    return part.strip.path, part.strip.digests
-
-
 def columns_of_tiles(plan: Plan) -> Names:
     """The columns that a delivered tile has."""
     measured = MEASURE_RADIOMETRY.columns(plan)
@@ -237,6 +232,6 @@ DELIVER_STRIP = Stage(
         *_read_again(plan, part),
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
     ],
-    source=_strip_file,
+    source=lambda plan, part: (part.strip.path, part.strip.digests),
     where="deliver",
 )

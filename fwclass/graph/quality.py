@@ -15,7 +15,7 @@ from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Made, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole
@@ -207,10 +207,6 @@ def _style(path: Path, spread: Spread, unit: str) -> None:
         beside.write_bytes(style_file(ramp_raster_style(MANY, low, high, unit), "raster"))
 
 
-def _every_block(plan: Plan, part: object) -> list[tuple[str, str]]:
-    return [(MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)]
-
-
 MEASURE_QUALITY = Stage(
     "quality-block",
     1,
@@ -240,6 +236,6 @@ DELIVER_QUALITY = Stage(
     },
     silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS,
     after=(MEASURE_QUALITY.name,),
-    needs=_every_block,
+    needs=lambda plan, part: [(MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)],
     where="deliver",
 )

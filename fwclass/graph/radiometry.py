@@ -152,10 +152,6 @@ class _Flight:
     digests: FileDigests
 
 
-def _flights(plan: Plan) -> list[_Flight]:
-    return [_Flight(path.stem, path, digests) for path, digests in plan.survey.trajectory]
-
-
 def _params(plan: Plan) -> Mapping[str, Any]:
     return {"params": plan.config.radiometry}
 
@@ -190,10 +186,6 @@ def has_pointing(plan: Plan) -> bool:
     return has_range(plan.config) and bool(plan.flown) and bool(_over(plan, _probes(plan)))
 
 
-def _points(plan: Plan) -> bool:
-    return bool(plan.config.survey.trajectory.files) if plan.tiled is None else plan.pointing
-
-
 def _checked(plan: Plan) -> list[Name]:
     return [("pointing", "all")] if plan.pointing else []
 
@@ -210,7 +202,7 @@ READ_TRAJECTORY = Stage(
     "part",
     flown,
     when=lambda plan: bool(plan.config.survey.trajectory.files),
-    parts=_flights,
+    parts=lambda plan: [_Flight(path.stem, path, digests) for path, digests in plan.survey.trajectory],
     after=("tile",),
     arguments=lambda plan: {
         "crs": plan.survey.crs,
@@ -225,7 +217,7 @@ CHECK_POINTING = Stage(
     "survey",
     "part",
     pointing,
-    when=_points,
+    when=lambda plan: bool(plan.config.survey.trajectory.files) if plan.tiled is None else plan.pointing,
     arguments=_params,
     after=("tile", "trajectory"),
     needs=lambda plan, part: [*(("tile", key) for key in _probes(plan)), *_over(plan, _probes(plan))],

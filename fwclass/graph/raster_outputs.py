@@ -14,8 +14,8 @@ from fwclass.errors import InputError
 from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import MAX_CELLS, NO_BYTE, class_names, crs_of
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
-from fwclass.graph.sites import WHOLE, Site, sites
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.sites import WHOLE, sites
+from fwclass.graph.stage import Made, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.ground.terrain.terrain import NO_TERRAIN
@@ -196,14 +196,6 @@ def _class_rasters(
     return cells
 
 
-def _terrain_and_classes(plan: Plan, site: Site) -> list[tuple[str, str]]:
-    return [(stage, b.key) for stage in (TERRAIN.name, "class-block") for b in site.blocks]
-
-
-def _box_of_cells(plan: Plan, block: Tile) -> Box:
-    return Window.covering(block.box, plan.config.publish.class_cell).box
-
-
 MAP_CLASSES = Stage(
     "class-block",
     2,
@@ -216,7 +208,7 @@ MAP_CLASSES = Stage(
     silent=NO_BYTE,
     reads=("z", "classification", "confidence"),
     halo=0.0,
-    area=_box_of_cells,
+    area=lambda plan, block: Window.covering(block.box, plan.config.publish.class_cell).box,
 )
 DELIVER_RASTERS = Stage(
     "publish-rasters",
@@ -236,6 +228,6 @@ DELIVER_RASTERS = Stage(
     each=lambda plan, site: {"bounds": site.box.bounds},
     silent=NO_BYTE,
     after=("terrain", "class-block"),
-    needs=_terrain_and_classes,
+    needs=lambda plan, site: [(stage, b.key) for stage in (TERRAIN.name, "class-block") for b in site.blocks],
     where="deliver",
 )

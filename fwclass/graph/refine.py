@@ -42,7 +42,6 @@ from fwclass.graph.machine_search import spatial
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.model.ranges import Outside
-from fwclass.run.part import Name
 from fwclass.schema import Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import write_arrays
@@ -244,10 +243,6 @@ def _pair(plan: Plan) -> tuple[ClassDef, ...]:
     return tuple(next(c for c in plan.config.classes if c.code == code) for code in codes)
 
 
-def _coarse_model(plan: Plan, part: Any) -> tuple[Name, ...]:
-    return () if plan.model else ((TRAIN_COARSE, "model"),)
-
-
 def _wide_reads(plan: Plan) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*_PLACE, COARSE[0], *Asked.of(_layer(plan).wide).reads)))
 
@@ -275,7 +270,7 @@ ANSWER_COARSE = Stage(
     own=lambda plan: plan.names,
     writes=COARSE,
     after=(TRAIN_COARSE,),
-    needs=_coarse_model,
+    needs=lambda plan, part: () if plan.model else ((TRAIN_COARSE, "model"),),
     source=given_model,
     cells=True,
 )

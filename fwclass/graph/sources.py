@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -83,14 +83,6 @@ def _spans(plan: Plan) -> list[StripSpan]:
 
 def _with_waves(plan: Plan) -> list[StripSpan]:
     return [s for s in _spans(plan) if s.waves]
-
-
-def _without_waves(plan: Plan) -> list[StripSpan]:
-    return [s for s in _spans(plan) if not s.waves]
-
-
-def _strips(plan: Plan) -> Sequence[Strip]:
-    return plan.survey.strips
 
 
 def _strips_with_waves(plan: Plan) -> list[Strip]:
@@ -266,7 +258,7 @@ INDEX = Stage(
     "strip",
     "point",
     index,
-    parts=_strips,
+    parts=lambda plan: plan.survey.strips,
     source=_file,
     arguments=lambda plan: {"params": plan.config.read},
 )
@@ -329,7 +321,7 @@ DECOMPOSE_RETURNS = Stage(
     "chunk",
     "pulse",
     read_returns,
-    parts=_without_waves,
+    parts=lambda plan: [s for s in _spans(plan) if not s.waves],
     waves=False,
     source=_file,
     arguments=lambda plan: {

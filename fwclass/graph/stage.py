@@ -228,30 +228,6 @@ def always(plan: Plan) -> bool:
     return True
 
 
-def _no_arguments(plan: Plan) -> Mapping[str, Any]:
-    return {}
-
-
-def _no_more(plan: Plan, part: Any) -> Mapping[str, Any]:
-    return {}
-
-
-def _no_needs(plan: Plan, part: Any) -> Iterable[Name]:
-    return ()
-
-
-def _no_source(plan: Plan, part: Any) -> None:
-    return None
-
-
-def _name_of(part: Any) -> str:
-    return str(getattr(part, "key", part))
-
-
-def _own_box(plan: Plan, place: Tile) -> Box:
-    return place.box
-
-
 Columns = Names | Callable[[Plan], Iterable[str]]
 
 
@@ -302,18 +278,18 @@ class Stage:
     waves: bool | None = None
     edge: Callable[[Plan], float] | None = None
     margin: int = 0
-    key: Callable[[Any], str] = _name_of
-    arguments: Callable[[Plan], Mapping[str, Any]] = _no_arguments
-    each: Callable[[Plan, Any], Mapping[str, Any]] = _no_more
+    key: Callable[[Any], str] = lambda part: str(getattr(part, "key", part))
+    arguments: Callable[[Plan], Mapping[str, Any]] = lambda plan: {}
+    each: Callable[[Plan, Any], Mapping[str, Any]] = lambda plan, part: {}
     silent: frozenset[str] = frozenset()
     reads: Columns = ()
     own: Columns = ()
     writes: Columns = ()
     halo: float | Callable[[Plan], float] | None = None
-    area: Callable[[Plan, Tile], Box] = _own_box
+    area: Callable[[Plan, Tile], Box] = lambda plan, place: place.box
     after: Names = ()
-    needs: Callable[[Plan, Any], Iterable[Name]] = _no_needs
-    source: Callable[[Plan, Any], tuple[Location, FileDigests] | None] = _no_source
+    needs: Callable[[Plan, Any], Iterable[Name]] = lambda plan, part: ()
+    source: Callable[[Plan, Any], tuple[Location, FileDigests] | None] = lambda plan, part: None
     named: bool = False
     declares: tuple[Column, ...] = ()
     cells: bool = False

@@ -12,7 +12,7 @@ import numpy as np
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.numbering import numbers
-from fwclass.graph.sources import StripSpan, chunk_name, spans_of, strip_of
+from fwclass.graph.sources import chunk_name, spans_of, strip_of
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.grid import TileGrid, quantise
 from fwclass.read.stage import read_cloud
@@ -52,10 +52,6 @@ def _pieces(plan: Plan) -> list[CloudPiece]:
         for path, digests, points in listed
         for k, first in enumerate(range(0, points, CLOUD_ROWS))
     ]
-
-
-def _spans(plan: Plan) -> list[StripSpan]:
-    return [span for strip in plan.survey.strips for span in spans_of(plan, strip)]
 
 
 @dataclass(frozen=True)
@@ -190,7 +186,7 @@ SPLIT_ECHOES = Stage(
     "chunk",
     "pulse",
     scatter,
-    parts=_spans,
+    parts=lambda plan: [span for strip in plan.survey.strips for span in spans_of(plan, strip)],
     arguments=_sizes,
     after=("decompose",),
     needs=lambda plan, part: ((DECOMPOSE.name, part.key),),

@@ -142,7 +142,11 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "curve": curve(report.get("automation")),
         "importance": importance(report.get("training")),
         "waves": waves(report.get("waves")),
-        "maps": _images({n: f for n, f in figures.items() if n not in (PULSE, SAMPLING, *LAYERS)}),
+        "maps": [
+            {"title": n.replace("_", " ").capitalize(), "uri": data_uri(f)}
+            for n, f in figures.items()
+            if n not in (PULSE, SAMPLING, *LAYERS)
+        ],
         "remarks": [str(text) for text in report.get("remarks") or ()],
         "waveforms": waveforms(report.get("waveforms")),
         "plausibility": plausibility(report.get("plausibility")),
@@ -217,10 +221,6 @@ def _balance(counts: Mapping[str, Any]) -> dict[str, Any] | None:
         "equal": decomposed == in_tiles,
         "lost": number(abs(decomposed - in_tiles)),
     }
-
-
-def _images(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
-    return [{"title": n.replace("_", " ").capitalize(), "uri": data_uri(f)} for n, f in figures.items()]
 
 
 def data_uri(picture: bytes) -> str:

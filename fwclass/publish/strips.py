@@ -97,7 +97,7 @@ def write_strip_laz(
         verify(head, beside, classes, extras, extra or {}, packets, chunk, heights)
         size = beside.stat().st_size
         waveforms, wdp = publish_packets(head, packets, output)
-    copc = _is_copc(head)
+    copc = any(r.user == "copc" for r in head.records)
     kind = "LAS" if output.suffix.lower() == ".las" else "LAZ"
     notes = list(packets.notes)
     if packets.internal and wdp is not None:
@@ -157,7 +157,8 @@ def _copy(
     heights: Heights | None,
 ) -> int:
     """Write head, points and extended records; the number of points whose class differs."""
-    writer = point_writer(output, file, _new_head(head, extras, packets))
+    block = _block(head, extras, packets)
+    writer = point_writer(output, file, assemble(block, extended(kept_records(head), extras), head.gap))
     changed = first = 0
     for part in point_chunks(head, chunk):
         rows = slice(first, first + len(part))
@@ -169,7 +170,7 @@ def _copy(
             part = np.concatenate([part, added], axis=1)
         writer.write(part)
         first = rows.stop
-    end = writer.finish(_block(head, extras, packets))
+    end = writer.finish(block)
     start, count = _copy_extended(head, file, end, packets)
     if head.minor >= 4:
         file.seek(AT_EVLRS)
@@ -184,14 +185,6 @@ def _reclassify(point_format: int, part: NDArray[np.uint8], classes: NDArray[np.
     changed = int(np.count_nonzero(part[:, at] != new))
     part[:, at] = new
     return changed
-
-
-def _new_head(head: LasHead, extras: tuple[ExtraByte, ...], packets: Packets) -> bytes:
-    return assemble(_block(head, extras, packets), extended(kept_records(head), extras), head.gap)
-
-
-def _is_copc(head: LasHead) -> bool:
-    return any(r.user == "copc" for r in head.records)
 
 
 def _block(head: LasHead, extras: tuple[ExtraByte, ...], packets: Packets) -> bytes:
