@@ -61,8 +61,8 @@ def _set(name: str, value: str) -> None:
 
 def outer_environment() -> dict[str, str]:
     """The environment as it was before `isolate`, for commands of the user's own."""
-    kept = {name: value for name, value in os.environ.items() if name not in _before}
-    return kept | {name: value for name, value in _before.items() if value is not None}
+    added = {name: value for name, value in os.environ.items() if name not in _before}
+    return added | {name: value for name, value in _before.items() if value is not None}
 
 
 def _here() -> str:

@@ -101,24 +101,24 @@ def _place_samples(
 ) -> tuple[Table, dict[str, float]]:
     row = np.repeat(np.arange(waves.pulses.rows), np.diff(waves.offsets))
     noise, level = (np.nan_to_num(getattr(fits, n), nan=np.inf)[row] for n in ("noise", "baseline"))
-    kept = np.flatnonzero(height > params.least * noise)
-    total, sure = float(energy.sum()), float(energy[kept].sum())
-    row, sample = row[kept], kept - waves.offsets[row[kept]]
+    strong = np.flatnonzero(height > params.least * noise)
+    total, sure = float(energy.sum()), float(energy[strong].sum())
+    row, sample = row[strong], strong - waves.offsets[row[strong]]
     start, velocity = first_samples(waves, fits, fit, pulse, placement)
     pulses = waves.pulses
     time = sample * pulses["sample_spacing"].astype(np.float64)[row]
     place = start[row] + time[:, None] * velocity[row]
     names, of = np.unique(pulses["pulse"], return_inverse=True)
-    whole = np.bincount(of[row], weights=energy[kept], minlength=len(names))
+    whole = np.bincount(of[row], weights=energy[strong], minlength=len(names))
     columns = {
         "strip": np.full(len(row), strip),
         "pulse": pulses["pulse"][row],
         "sample": sample + _before(pulses)[row],
         **{axis: quantise(place[:, c]) for c, axis in enumerate("xyz")},
         "gps_time": pulses["gps_time"][row],
-        "sample_value": waves.samples[kept] - level[kept],
-        "returned_energy": energy[kept],
-        "share": energy[kept] / np.maximum(whole[of[row]], TINY),
+        "sample_value": waves.samples[strong] - level[strong],
+        "returned_energy": energy[strong],
+        "share": energy[strong] / np.maximum(whole[of[row]], TINY),
     }
     return Table({n: columns[n] for n in SAMPLE_COLUMNS}), {"energy": total, "dropped": total - sure}
 

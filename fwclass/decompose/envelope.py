@@ -64,8 +64,8 @@ def _keys(x: NDArray[np.float64], y: NDArray[np.float64], cell: float) -> NDArra
 
 def _lowest(keys: NDArray[np.int64], z: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     order = np.lexsort((z, keys))
-    kept, first = np.unique(keys[order], return_index=True)
-    return kept, z[order][first]
+    cells, first = np.unique(keys[order], return_index=True)
+    return cells, z[order][first]
 
 
 def _value(keys: NDArray[np.int64], values: NDArray[np.float64], wanted: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -56,16 +56,16 @@ def sample_runs(waves: Waveforms, n_pulses: int, sample: int) -> Waveforms:
 
 def join_runs(parts: Iterable[Waveforms]) -> Waveforms:
     """Samples of several chunks as one, by (pulse, segment)."""
-    kept = [part for part in parts if part.pulses.rows]
-    if not kept:
+    filled = [part for part in parts if part.pulses.rows]
+    if not filled:
         return Waveforms(Table.empty(PULSE_COLUMNS), Table.empty(RETURN_COLUMNS), np.empty(0, np.uint8), _ends([]))
     whole = Waveforms(
-        Table.concat([p.pulses for p in kept]),
+        Table.concat([p.pulses for p in filled]),
         Table.empty(RETURN_COLUMNS),
-        np.concatenate([p.samples for p in kept]),
-        _ends(np.concatenate([np.diff(p.offsets) for p in kept])),
-        outgoing=np.concatenate([p.outgoing for p in kept]),
-        outgoing_offsets=_ends(np.concatenate([np.diff(p.outgoing_offsets) for p in kept])),
+        np.concatenate([p.samples for p in filled]),
+        _ends(np.concatenate([np.diff(p.offsets) for p in filled])),
+        outgoing=np.concatenate([p.outgoing for p in filled]),
+        outgoing_offsets=_ends(np.concatenate([np.diff(p.outgoing_offsets) for p in filled])),
     )
     return _rows(whole, np.lexsort((whole.pulses["segment_start"], whole.pulses["pulse"])))
 

@@ -40,10 +40,10 @@ def channel_groups(waves: Waveforms) -> tuple[Floats, NDArray[np.int64]]:
     """
     keys = np.stack([waves.pulses["sample_spacing"], waves.pulses["saturation"]], axis=1).astype(np.float64)
     kinds, group, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    kept = np.sort(np.lexsort((np.arange(len(kinds)), -count))[:MOST_CHANNELS])
+    largest = np.sort(np.lexsort((np.arange(len(kinds)), -count))[:MOST_CHANNELS])
     place = np.full(len(kinds), -1)
-    place[kept] = np.arange(len(kept))
-    return kinds[kept], place[group.ravel()]
+    place[largest] = np.arange(len(largest))
+    return kinds[largest], place[group.ravel()]
 
 
 def clip_levels(waves: Waveforms, kinds: Floats, group: NDArray[np.int64]) -> Floats:

@@ -340,8 +340,8 @@ def _shape_error(echoes: Echoes, template: Template) -> float:
     excess = np.where(near, residual**2, 0.0).sum(axis=1) - noise
     scale = np.where(near, model**2, 0.0).sum(axis=1)
     # a hidden second echo is no error of the shape
-    kept = np.argsort(excess / np.maximum(scale, 1e-12), kind="stable")[: max(int(0.98 * len(scale)), 1)]
-    return math.sqrt(max(float(excess[kept].sum() / scale[kept].sum()), 0.0))
+    inliers = np.argsort(excess / np.maximum(scale, 1e-12), kind="stable")[: max(int(0.98 * len(scale)), 1)]
+    return math.sqrt(max(float(excess[inliers].sum() / scale[inliers].sum()), 0.0))
 
 
 def describe(pulse: SystemPulse) -> dict[str, float | int | str]:

@@ -35,14 +35,14 @@ def sample_pulses(waves: Waveforms, strip: int, n_pulses: int, params: PulsePara
 
 def join_samples(parts: Iterable[Waveforms]) -> Waveforms:
     """Samples of several chunks as one, without returns and outgoing pulses, by (pulse, segment)."""
-    kept = list(parts)
-    if not kept:
+    samples = list(parts)
+    if not samples:
         raise ValueError("nothing to join")
-    lengths = np.concatenate([np.diff(part.offsets) for part in kept])
+    lengths = np.concatenate([np.diff(part.offsets) for part in samples])
     whole = Waveforms(
-        Table.concat([part.pulses for part in kept]),
+        Table.concat([part.pulses for part in samples]),
         Table.empty(RETURN_COLUMNS),
-        np.concatenate([part.samples[part.offsets[0] : part.offsets[-1]] for part in kept]),
+        np.concatenate([part.samples[part.offsets[0] : part.offsets[-1]] for part in samples]),
         np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
     )
     return rows_of(whole, np.lexsort((whole.pulses["segment_start"], whole.pulses["pulse"])))

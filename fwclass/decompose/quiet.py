@@ -105,9 +105,9 @@ def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -
         noise = channel.autoregression
         gain = filter_gain(correlation, noise, _template(pulse.of(channel), channel.sample_spacing))
         inflation = math.sqrt(max(gain, 1.0))
-        seen = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth)
-        if worst.lag1 is None or seen.inflation > worst.inflation:
-            worst = seen
+        measured = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth)
+        if worst.lag1 is None or measured.inflation > worst.inflation:
+            worst = measured
     return worst
 
 
@@ -247,12 +247,12 @@ def _of_white(channel: Channel, noise: Autoregression, waves: Waveforms, part: _
     mean, n = total[use] / count[use], count[use]
     variance = np.maximum(square[use] - n * mean**2, 0.0) / (n - 1)
     kind = np.array([channel.sample_spacing, channel.saturation])
-    seen, gain = channel_from(kind, mean, variance, n), float(taps.sum())
+    recorded, gain = channel_from(kind, mean, variance, n), float(taps.sum())
     return replace(
         channel,
-        baseline=channel.baseline + seen.baseline / gain,
-        baseline_sd=seen.baseline_sd / gain,
-        noise=seen.noise / math.sqrt(noise.innovation),
-        freedom=seen.freedom,
+        baseline=channel.baseline + recorded.baseline / gain,
+        baseline_sd=recorded.baseline_sd / gain,
+        noise=recorded.noise / math.sqrt(noise.innovation),
+        freedom=recorded.freedom,
         phi=noise.phi,
     )

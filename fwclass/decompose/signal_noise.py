@@ -105,11 +105,11 @@ def _separate_noise(by: Floats, left: Floats, known: Floats) -> tuple[float, flo
     What all echoes leave alike is noise that differs between waveforms.
     """
     total = left + by @ known
-    kept, both = np.ones(len(by), np.bool_), known
+    inliers, both = np.ones(len(by), np.bool_), known
     for _ in range(CUTS):
-        rows, aim = by[kept], total[kept]
+        rows, aim = by[inliers], total[inliers]
         both = scipy.optimize.nnls(rows, aim)[0]
-        kept = total < OUTLIER * (by @ both)
+        inliers = total < OUTLIER * (by @ both)
     spread = float(((aim - rows @ both) ** 2).mean())
     if both[0] > SURE * math.sqrt(spread * np.linalg.pinv(rows.T @ rows)[0, 0]):
         return float(both[0]), float(both[1])

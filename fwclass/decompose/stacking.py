@@ -355,15 +355,15 @@ def stack(
     decoys = _heights(_stack(fair, candidates.below, candidates))
     sums = _stack(members[rows], candidates.product, candidates)
     threshold = threshold_of(_heights(sums), decoys, params)
-    kept = _heights(sums) > threshold
+    significant = _heights(sums) > threshold
     counts = {
         "candidates": len(rows),
-        "stacked": int(kept.sum()),
+        "stacked": int(significant.sum()),
         "decoys": len(fair),
         "false": int((decoys > params.threshold).sum()),
         "threshold": threshold if np.isfinite(threshold) else -1.0,
     }
-    return _echoes(candidates, rows[kept], sums[kept], roughness), counts
+    return _echoes(candidates, rows[significant], sums[significant], roughness), counts
 
 
 def threshold_of(heights: Floats, decoys: Floats, params: StackParams) -> float:
@@ -375,10 +375,10 @@ def threshold_of(heights: Floats, decoys: Floats, params: StackParams) -> float:
     if len(decoys) == 0:
         return math.inf
     for at in np.arange(params.threshold, params.threshold + HIGHEST, 0.05):
-        kept, noise = int((heights > at).sum()), int((decoys > at).sum()) * len(heights) / len(decoys)
-        if kept == 0:
+        passing, noise = int((heights > at).sum()), int((decoys > at).sum()) * len(heights) / len(decoys)
+        if passing == 0:
             break
-        if noise + min(noise_share(at) * len(heights), 1.0) <= params.max_false * kept:
+        if noise + min(noise_share(at) * len(heights), 1.0) <= params.max_false * passing:
             return float(at)
     return math.inf
 

@@ -62,9 +62,9 @@ def decompose(
     counts : `plausible.COUNTS`.
     """
     echoes = _echo_columns(waves, params, pulse, placement)
-    kept = _return_columns(waves, echoes["pulse"])
-    if len(kept["pulse"]):
-        echoes = {name: np.concatenate([echoes[name], kept[name]]) for name in echoes}
+    returns = _return_columns(waves, echoes["pulse"])
+    if len(returns["pulse"]):
+        echoes = {name: np.concatenate([echoes[name], returns[name]]) for name in echoes}
         order = np.lexsort((echoes["echo_number"], echoes["pulse"]))
         echoes = {name: values[order] for name, values in echoes.items()}
     echoes, judged = _judge(echoes, waves, around, params)
@@ -74,8 +74,8 @@ def decompose(
         echoes[axis] = quantise(echoes[axis])
     table = Table({name: echoes[name] for name in ECHO_COLUMNS})
     lone = returns_without_echo(waves, table, links, params)
-    seen, blank = _blank(waves)
-    return table, links, {**judged, "returns_without_echo": lone, "waveforms": seen, "blank": blank}
+    waveforms, blank = _blank(waves)
+    return table, links, {**judged, "returns_without_echo": lone, "waveforms": waveforms, "blank": blank}
 
 
 def _blank(waves: Waveforms) -> tuple[int, int]:
@@ -85,8 +85,8 @@ def _blank(waves: Waveforms) -> tuple[int, int]:
         return 0, 0
     highest = np.maximum.reduceat(waves.samples[: waves.offsets[-1]], waves.offsets[rows])
     pulses = waves.pulses["pulse"][rows]
-    seen = len(np.unique(pulses))
-    return seen, seen - len(np.unique(pulses[highest > 0]))
+    waveforms = len(np.unique(pulses))
+    return waveforms, waveforms - len(np.unique(pulses[highest > 0]))
 
 
 def _judge(
@@ -223,9 +223,9 @@ def _among(values: NDArray, known: NDArray) -> NDArray[np.bool_]:
     if len(known) == 0 or len(values) == 0:
         return np.zeros(len(values), bool)
     low = int(min(values.min(), known.min()))
-    seen = np.zeros(int(max(values.max(), known.max())) - low + 1, bool)
-    seen[known - low] = True
-    return np.asarray(seen[values - low], bool)
+    present = np.zeros(int(max(values.max(), known.max())) - low + 1, bool)
+    present[known - low] = True
+    return np.asarray(present[values - low], bool)
 
 
 def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:

@@ -104,12 +104,12 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
         return new
 
     added = add_corrections(delivery.root, change)
-    given = added.take(added.code != TAKEN_BACK)
+    labels = added.take(added.code != TAKEN_BACK)
     old = dict(zip(changed.key.tolist(), before.tolist(), strict=True))
-    pairs = Counter((old[k], c) for k, c in zip(given.key.tolist(), given.code.tolist(), strict=True))
+    pairs = Counter((old[k], c) for k, c in zip(labels.key.tolist(), labels.code.tolist(), strict=True))
     names = {int(c["code"]): str(c["name"]) for c in delivery.report["classes"]}
     where = place_of(delivery.root)
-    return Collected(pairs, added.rows - given.rows, changed.rows, names, Path(str(where)))
+    return Collected(pairs, added.rows - labels.rows, changed.rows, names, Path(str(where)))
 
 
 def new_rows(earlier: EchoLabels, changed: EchoLabels, collected: Sequence[int], time: int, who: str) -> EchoLabels:
@@ -165,21 +165,21 @@ def _run_of(note: Note, run: Path | None, directory: Path) -> Delivery:
 
 def _changes(directory: Path, tile: str, digest: str) -> _Changed:
     """The echoes of a tile whose class is not the one that was checked out."""
-    path, given = tile_file(directory, tile), labels_file(directory, tile)
-    for one in (path, given):
+    path, labels_path = tile_file(directory, tile), labels_file(directory, tile)
+    for one in (path, labels_path):
         if not one.is_file():
             raise InputError(
                 "a file that was checked out is missing",
                 where=one,
                 do="put it back; a tile without changes is needed too, for a change that was undone is told by it",
             )
-    if file_digest(given) != digest:
+    if file_digest(labels_path) != digest:
         raise InputError(
             "the classes that a tile had are not what was written",
-            where=given,
+            where=labels_path,
             do="check the tile out again, to another directory",
         )
-    labels = read_echo_labels(given, given)
+    labels = read_echo_labels(labels_path, labels_path)
     number = np.minimum(labels.echo_number, LAST_RETURN)
     place = [millimetres(getattr(labels, a)) for a in PLACE]
     before = _rows(labels.strip, labels.pulse, number, *place, labels.code)

@@ -359,12 +359,12 @@ class ViewedRun:
         return compare_corrections(opened.columns["classification"], *self._classes(opened, key))
 
     def _verdicts(self, key: str) -> NDArray[np.uint8]:
-        given = self._column(key, "classification")
+        classes = self._column(key, "classification")
         try:
             reference = self._behind.reference(key)
         except (FwclassError, OSError):
-            return np.zeros(len(given), np.uint8)
-        return verdicts(given, reference, self.delivery.report["config"]["survey"]["classes"])
+            return np.zeros(len(classes), np.uint8)
+        return verdicts(classes, reference, self.delivery.report["config"]["survey"]["classes"])
 
     def _skimmed_column(self, name: str) -> NDArray[np.uint8]:
         return self._open.get(("skimmed", name), lambda: self._skim_column(name), lambda v: v.nbytes)

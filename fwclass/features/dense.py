@@ -113,12 +113,12 @@ def thin_dense(chunk: Chunk, params: FeaturesParams) -> Thinned | None:
     place = _millimetres(chunk.table)
     owner = _owners(place, params)
     owner = _among(place, owner, params)[0]
-    kept = np.flatnonzero(owner == np.arange(len(owner)))
-    if len(kept) == len(owner):
+    counting = np.flatnonzero(owner == np.arange(len(owner)))
+    if len(counting) == len(owner):
         return None
     owners, source = np.unique(owner[chunk.core], return_inverse=True)
-    core = np.searchsorted(kept, owners)
-    return Thinned(Chunk(chunk.table.take(kept), core, chunk.tile), source)
+    core = np.searchsorted(counting, owners)
+    return Thinned(Chunk(chunk.table.take(counting), core, chunk.tile), source)
 
 
 def crowd_facts(chunk: Chunk, params: FeaturesParams) -> dict[str, Any] | None:

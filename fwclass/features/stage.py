@@ -40,33 +40,33 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
 
     Source: the columns' own; the shape of a neighbourhood is the same for every kind of it.
     """
-    asked = Asked.of(names)
-    require(chunk.table, asked.reads, chunk.tile.key)
+    request = Asked.of(names)
+    require(chunk.table, request.reads, chunk.tile.key)
     thin = thin_dense(chunk, params)
-    columns = _of_neighbours(thin.chunk if thin else chunk, asked, params)
+    columns = _of_neighbours(thin.chunk if thin else chunk, request, params)
     if thin:
         columns = {name: values[thin.source] for name, values in columns.items()}
-    for scale, bases in asked.of_kind("g").items():
+    for scale, bases in request.of_kind("g").items():
         columns |= name_features(cells(chunk, scale, bases), scale)
-    if variances := tuple(n for n in asked.plain if n in MEASURED):
+    if variances := tuple(n for n in request.plain if n in MEASURED):
         columns |= pulse_variances(chunk, variances, params)
-    if "zc" in asked.plain:
+    if "zc" in request.plain:
         columns["zc"] = height_in_cell(chunk, params)
     line = columns[f"{LINEAR}_r{round(params.normal_radius * 100)}"] > COLLINEAR
     columns |= {name: np.where(line, np.float32(np.nan), columns[name]) for name in NORMAL}
-    return Table({name: columns[name] for name in (*asked.names, *NORMAL)})
+    return Table({name: columns[name] for name in (*request.names, *NORMAL)})
 
 
-def _of_neighbours(chunk: Chunk, asked: Asked, params: FeaturesParams) -> dict[str, NDArray]:
+def _of_neighbours(chunk: Chunk, request: Asked, params: FeaturesParams) -> dict[str, NDArray]:
     """What is asked of spheres, cylinders and nearest echoes, of the core rows."""
-    columns: dict[str, NDArray] = dict(spheres(chunk, without(asked.of_kind("rc"), ORIENTED), params))
-    for scale, bases in asked.of_kind("r").items():
+    columns: dict[str, NDArray] = dict(spheres(chunk, without(request.of_kind("rc"), ORIENTED), params))
+    for scale, bases in request.of_kind("r").items():
         if ORIENTED in bases:
             columns[f"{ORIENTED}_{scale.suffix}"] = oriented_inclination(chunk, scale, params)
-    chosen, radius = [b for bases in asked.of_kind("o").values() for b in bases], "optimal_radius" in asked.plain
+    chosen, radius = [b for bases in request.of_kind("o").values() for b in bases], "optimal_radius" in request.plain
     if chosen or radius:
         columns |= optimal(chunk, chosen, radius, params)
-    for scale, bases in asked.of_kind("k").items():
+    for scale, bases in request.of_kind("k").items():
         columns |= name_features(nearest_echoes(chunk, scale, bases, params), scale)
     return columns
 

@@ -87,10 +87,10 @@ PERCENT = 101
 
 def by_confidence(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
     """(2, 101) labelled echoes: wrong and right ones (rows), by the confidence of their class [%]."""
-    reference, given = (class_index(table[n], classes) for n in ("reference", "classification"))
+    reference, answer = (class_index(table[n], classes) for n in ("reference", "classification"))
     known = (reference >= 0) & np.isfinite(table["confidence"])
     percent = np.floor(100 * table["confidence"][known].astype(np.float64) + 1e-4).astype(np.int64)
-    cells = PERCENT * (reference[known] == given[known]) + np.clip(percent, 0, PERCENT - 1)
+    cells = PERCENT * (reference[known] == answer[known]) + np.clip(percent, 0, PERCENT - 1)
     return np.bincount(cells, minlength=2 * PERCENT).reshape(2, PERCENT).astype(np.int64)
 
 

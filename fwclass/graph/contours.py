@@ -167,10 +167,10 @@ def _inside(plan: Plan, block: Tile) -> Mapping[str, Any]:
     edge share their parameters."""
     cell = plan.config.terrain.cell
     own = _corners(block, cell)
-    kept = own.common(Window.covering(plan.layout.box, cell)) or Window(cell, own.col, own.row, 1, 1)
-    if kept == own:
+    part = own.common(Window.covering(plan.layout.box, cell)) or Window(cell, own.col, own.row, 1, 1)
+    if part == own:
         return {}
-    return {"inside": (kept.col - own.col, kept.row - own.row, kept.ncols, kept.nrows)}
+    return {"inside": (part.col - own.col, part.row - own.row, part.ncols, part.nrows)}
 
 
 CONTOUR_BLOCKS = Stage(

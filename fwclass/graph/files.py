@@ -69,14 +69,14 @@ def _files(paths: Iterable[Path]) -> list[Location]:
 
 def _below(directory: Path) -> Iterator[Path]:
     """Every file below `directory`, also through links, but no directory twice: links may lead back."""
-    waiting, seen = [directory], set()
+    waiting, visited = [directory], set()
     while waiting:
         path = waiting.pop()
         try:
             facts = path.stat()
-            if (facts.st_dev, facts.st_ino) in seen:
+            if (facts.st_dev, facts.st_ino) in visited:
                 continue
-            seen.add((facts.st_dev, facts.st_ino))
+            visited.add((facts.st_dev, facts.st_ino))
             entries = sorted(path.iterdir(), reverse=True)
         except OSError:  # as `glob` does: what cannot be read holds nothing
             continue

@@ -184,7 +184,7 @@ def measure_seams(
     blocks = [cut.tile(key) for key in here.parts(TERRAIN.name)]
     mosaic = Mosaic(here.inputs, TERRAIN.name, blocks, terrain.cell, {"dtm": np.float32(np.nan)})
     parts = groups(Tile(*place, ground.block) for place in owned)
-    seen, left_out, water = _Seams(), 0, water_of(here)
+    differences, left_out, water = _Seams(), 0, water_of(here)
     for k, part in enumerate(parts, 1):
         inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
         window = Window.covering(inside or box, terrain.cell)
@@ -192,12 +192,12 @@ def measure_seams(
         if math.prod(window.shape) > most_cells or (len(part) == 1 < len(parts)):
             left_out += echoes.rows
             continue
-        points = seen.add_flags(echoes, ground)
+        points = differences.add_flags(echoes, ground)
         echoes = echoes.select(())  # what is not needed any more makes room for the triangles of all
         table = table if k < len(parts) else echoes
         knots = _knots(here, water, window.box.grown(terrain.block_halo))
-        seen.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water, knots)
-    return {**seen.facts(), "left_out": left_out}
+        differences.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water, knots)
+    return {**differences.facts(), "left_out": left_out}
 
 
 def _every_echo(here: StageInputs, edge: float) -> tuple[Table, set[tuple[int, int]]]:

@@ -148,8 +148,13 @@ class _Polygons:
 
 
 def _field(plan: Plan) -> Mapping[str, Any]:
-    asked = plan.config.survey.reference
-    return {"field": asked.field or "", "values": asked.values, "classes": plan.config.classes, "crs": plan.survey.crs}
+    reference = plan.config.survey.reference
+    return {
+        "field": reference.field or "",
+        "values": reference.values,
+        "classes": plan.config.classes,
+        "crs": plan.survey.crs,
+    }
 
 
 def _of_kind(kind: str) -> Any:

@@ -101,10 +101,10 @@ class Layout:
     near_corrected: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
+    def of(cls, config: Config, receipts: Mapping[Name, Receipt]) -> Layout:
         """The layout by the receipts of the tiles that are done; `InputError` where there is none."""
         grid = TileGrid(config.tile.size)
-        mine = [part for stage, part in done if stage == "tile"]
+        mine = [part for stage, part in receipts if stage == "tile"]
         if not mine:
             raise InputError(
                 "there is no echo to classify",
@@ -116,7 +116,7 @@ class Layout:
         occupied: dict[float, set[str]] = {}
         passes, bounds, rows = {}, [], 0
         for key in mine:  # one receipt at a time: a large survey has many
-            meta = done["tile", key].meta
+            meta = receipts["tile", key].meta
             for size, blocks in meta["blocks"].items():
                 occupied.setdefault(float(size), set()).update(blocks)
             passes[key] = tuple((a, b) for _, a, b in meta["times"])
@@ -129,13 +129,13 @@ class Layout:
             config,
             tuple(sorted(grid.tile(k) for k in mine)),
             {size: frozenset(blocks) for size, blocks in occupied.items()},
-            frozenset(part for stage, part in done if stage == "reference"),
+            frozenset(part for stage, part in receipts if stage == "reference"),
             Box(low[0], low[1], high[0] + 0.001, high[1] + 0.001),
             (min((t[0] for t in times), default=math.nan), max((t[1] for t in times), default=math.nan)),
             passes,
             low[2],
             rows,
-            tuple(sorted(part for stage, part in done if stage == "polygons")),
+            tuple(sorted(part for stage, part in receipts if stage == "polygons")),
         )
 
     @cached_property

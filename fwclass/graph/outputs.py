@@ -162,9 +162,9 @@ class _Strip:
 
 
 def _strips(plan: Plan) -> list[_Strip]:
-    held = tiles_of_strips(plan)
+    tiles_by_strip = tiles_of_strips(plan)
     return [
-        _Strip(s.path.stem, s, tuple(span.key for span in spans_of(plan, s)), held.get(s.number, ()))
+        _Strip(s.path.stem, s, tuple(span.key for span in spans_of(plan, s)), tiles_by_strip.get(s.number, ()))
         for s in plan.survey.strips
         if s.point_format >= 0 and spans_of(plan, s)  # a file of pulses only, or without any points, is no strip
     ]

@@ -117,10 +117,10 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
         ]
     some = [s for s in strips if (s["blank_share"] or 0.0) > RARE]
     if some:
-        blank, seen = _sums(some, "blank", "waveforms")
+        blank, pulses = _sums(some, "blank", "waveforms")
         lines.append(
-            f"{blank:,} of {seen:,} pulses ({_percent(blank / seen)}) have nothing but zeros for a waveform, which no "
-            f"receiver records: is the packet file whole? ({_names(some)})"
+            f"{blank:,} of {pulses:,} pulses ({_percent(blank / pulses)}) have nothing but zeros for a waveform, which "
+            f"no receiver records: is the packet file whole? ({_names(some)})"
         )
     some = [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]
     if some:

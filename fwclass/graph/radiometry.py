@@ -78,11 +78,11 @@ def flown(here: StageInputs, crs: str | None, undulation: float, times: tuple[fl
     return {"fixes": table.rows, "begins": at[::FIXES].tolist(), "ends": float(at[-1])}
 
 
-def flown_by(plan: Plan, done: Mapping[Name, Receipt]) -> Flown:
+def flown_by(plan: Plan, receipts: Mapping[Name, Receipt]) -> Flown:
     """When each trajectory was flown; (-inf, inf) for one that could not be read."""
     known = {}
     for part in READ_TRAJECTORY.all_parts(plan):
-        receipt = done.get((READ_TRAJECTORY.name, part.key))
+        receipt = receipts.get((READ_TRAJECTORY.name, part.key))
         known[part.key] = (receipt.meta["begins"][0], receipt.meta["ends"]) if receipt else (-math.inf, math.inf)
     return known
 

@@ -182,8 +182,8 @@ def _with_values(sample: Sample) -> tuple[Sample, list[str]]:
     """The sample without features that no row has a value of, and these."""
     some = [bool(np.isfinite(values).any()) for values in sample.X.T]
     names = tuple(n for n, one in zip(sample.features, some, strict=True) if one)
-    kept = (sample.X[:, some], sample.y, sample.key, sample.hash, sample.eligible, sample.bare, sample.place)
-    return Sample(names, *kept), [n for n in sample.features if n not in names]
+    columns = (sample.X[:, some], sample.y, sample.key, sample.hash, sample.eligible, sample.bare, sample.place)
+    return Sample(names, *columns), [n for n in sample.features if n not in names]
 
 
 def fit_layer(

@@ -415,8 +415,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     if "words" in report:  # of a workflow that has no echoes
         return "\n".join([*report["words"], *(f"{'page':<11} {root / name}" for name in report["outputs"])])
     counts = report["counts"]
-    decomposed, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
-    balance = "all of them in tiles" if decomposed == kept else f"{kept:,} of them in the tiles of this run"
+    decomposed, in_tiles = counts["echoes_decomposed"], counts["echoes_in_tiles"]
+    balance = "all of them in tiles" if decomposed == in_tiles else f"{in_tiles:,} of them in the tiles of this run"
     lost = sorted({f["part"] for f in report["failed"] if f["stage"] in SOURCES})
     if lost:
         more = f" and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""

@@ -85,7 +85,7 @@ def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> 
     return {"classes": rows, "tiles": listed, "stage": DELIVER_TILE.name}
 
 
-def some_waves(reads: Sequence[Receipt], done: set[str], inputs: PartInputs) -> list[dict[str, Any]]:
+def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInputs) -> list[dict[str, Any]]:
     """A few pulses of the first chunk with waveforms, from simple ones to those with most echoes.
 
     Returns
@@ -93,7 +93,7 @@ def some_waves(reads: Sequence[Receipt], done: set[str], inputs: PartInputs) -> 
     dicts with ``strip, pulse``; ``start, spacing`` of the samples [ns]; ``samples`` [DN]; ``baseline`` [DN];
     ``echoes``: (time [ns], amplitude [DN], width [ns]) each.
     """
-    chunk = next((r.part for r in reads if r.meta.get("waveforms") and r.part in done), None)
+    chunk = next((r.part for r in reads if r.meta.get("waveforms") and r.part in decomposed), None)
     if chunk is None:
         return []
     waves = waveforms_of(chunk, inputs, returns=False)

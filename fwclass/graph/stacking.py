@@ -84,9 +84,9 @@ def _blocks(plan: Plan) -> tuple[Tile, ...]:
 
 def chunks_near(plan: Plan, box: Box) -> Names:
     """Chunks with waveforms that have an echo in a tile that `box`, grown by `ASIDE`, touches."""
-    held = _chunks_of_tiles(plan)
+    chunks = _chunks_of_tiles(plan)
     tiles = TileGrid(plan.config.tile.size).touching(box.grown(ASIDE))
-    return tuple(sorted({chunk for tile in tiles for chunk in held.get(tile.key, ())}))
+    return tuple(sorted({chunk for tile in tiles for chunk in chunks.get(tile.key, ())}))
 
 
 _known: list[tuple[Plan, dict[str, list[str]]]] = []
@@ -96,12 +96,12 @@ _known: list[tuple[Plan, dict[str, list[str]]]] = []
 def _chunks_of_tiles(plan: Plan) -> dict[str, list[str]]:
     """For every tile the chunks with waveforms that have an echo in it."""
     if not _known or _known[0][0] is not plan:
-        held: dict[str, list[str]] = {}
+        chunks: dict[str, list[str]] = {}
         for stage, part in plan.splits:
             if stage == SPLIT_ECHOES.name and plan.indexed["index", part.split("-")[0]].meta["pulses"]:
                 for key in plan.splits[stage, part].meta["tiles"]:
-                    held.setdefault(key, []).append(part)
-        _known[:] = [(plan, held)]
+                    chunks.setdefault(key, []).append(part)
+        _known[:] = [(plan, chunks)]
     return _known[0][1]
 
 

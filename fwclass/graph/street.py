@@ -110,14 +110,14 @@ class Rows:
 def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Iterator[Rows]:
     """All returns of the recordings, by blocks of frames."""
     for number, path in enumerate(paths):
-        held: list[Rows] = []
+        parts: list[Rows] = []
         for at, one in enumerate(frames_with_features(path, params, trajectory)):
-            held.append(_rows(number, at, one))
-            if len(held) == BLOCK:
-                yield join_rows(held)
-                held = []
-        if held:
-            yield join_rows(held)
+            parts.append(_rows(number, at, one))
+            if len(parts) == BLOCK:
+                yield join_rows(parts)
+                parts = []
+        if parts:
+            yield join_rows(parts)
 
 
 def frames_with_features(

@@ -143,11 +143,11 @@ def gather(config: Config, runner: Runner) -> Survey:
             where=", ".join(str(s.path) for s in opened[:3]),
             do="check the delivery; there is nothing to classify",
         )
-    given, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
+    user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
     numbered = numbers(s.path.stem for s in opened)
     bounds = {s.path: flat_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
     for source in full:
-        own, ends = given or system_of(source), bounds[source.path]
+        own, ends = user_crs or system_of(source), bounds[source.path]
         refuse_unless_flat(own, ends[:3], ends[3:], source.path, max(source.scales[:2]))
     box = joint_bounds(bounds.values())
     check_areas(config, box)  # before all files are read for their digests
@@ -233,14 +233,16 @@ def _distinct(paths: list[Path]) -> None:
 
 def _different(strips: tuple[Strip, ...]) -> None:
     """Refuse a file that is listed under two names: its echoes would count twice."""
-    seen: dict[str, Location] = {}
+    by_digest: dict[str, Location] = {}
     for strip in strips:
         digest = strip.digests[0].digest
-        if digest in seen:
+        if digest in by_digest:
             raise InputError(
-                "two source files are the same file", where=f"{seen[digest]}, {strip.path}", do="remove one of them"
+                "two source files are the same file",
+                where=f"{by_digest[digest]}, {strip.path}",
+                do="remove one of them",
             )
-        seen[digest] = strip.path
+        by_digest[digest] = strip.path
 
 
 def header_box(path: Path) -> Box | None:
@@ -252,8 +254,8 @@ def header_box(path: Path) -> Box | None:
 def _true_bounds(source: Source) -> tuple[float, ...]:
     """The header's bounds, or the points' own where the first points disagree: some writers leave them empty."""
     if isinstance(source, PulseSource):
-        given = np.array(source.bounds)
-        return source.bounds if np.isfinite(given).all() and (given[3:5] > given[:2]).any() else pulse_bounds(source)
+        bounds = np.array(source.bounds)
+        return source.bounds if np.isfinite(bounds).all() and (bounds[3:5] > bounds[:2]).any() else pulse_bounds(source)
     if isinstance(source, BeamSource):
         return source.bounds
     low, high = source.bounds[:3], source.bounds[3:]
@@ -289,12 +291,12 @@ def flat_bounds(source: Source) -> tuple[float, ...]:
 
 def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str | None:
     """The survey's CRS as text (WKT), None where the configuration says `none`; what the user names wins."""
-    given = given_crs(config.survey.crs, "survey.crs")
+    user_crs = given_crs(config.survey.crs, "survey.crs")
     for source in opened:
         if source.target is None:
-            refuse_source(source, given or source.crs)
-            refuse_other_system(source, given)
-        elif given is not None and not given.equals(system_of(source), ignore_axis_order=True):
+            refuse_source(source, user_crs or source.crs)
+            refuse_other_system(source, user_crs)
+        elif user_crs is not None and not user_crs.equals(system_of(source), ignore_axis_order=True):
             raise ConfigError(
                 "the files are brought into another system than the survey's",
                 where=f"{config.path}: read.project_to, survey.crs",
@@ -302,13 +304,13 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
                 got=f"{source.target} and {config.survey.crs}",
                 do="name one system",
             )
-    if config.survey.crs is not None and given is None:
+    if config.survey.crs is not None and user_crs is None:
         return None
     systems: dict[str, Path] = {}
     for path, crs in ((source.path, system_of(source)) for source in opened):
-        if given is not None and crs is not None and not crs.equals(given, ignore_axis_order=True):
-            runner.display.say(f"note: survey.crs ({given.name}) is used for {path.name}, which names {crs.name}")
-        crs = given or crs
+        if user_crs is not None and crs is not None and not crs.equals(user_crs, ignore_axis_order=True):
+            runner.display.say(f"note: survey.crs ({user_crs.name}) is used for {path.name}, which names {crs.name}")
+        crs = user_crs or crs
         if crs is None:
             raise InputError(
                 "the coordinate system is unknown",

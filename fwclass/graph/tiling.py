@@ -78,11 +78,11 @@ def _cut(stage: str) -> Callable[[Plan], list[_Pieces]]:
 
 def tiles_of_strips(plan: Plan) -> dict[int, tuple[str, ...]]:
     """For every strip the tiles that hold its echoes."""
-    held: dict[int, set[str]] = {}
+    tiles: dict[int, set[str]] = {}
     for stage, part in plan.splits:
         if stage == SPLIT.name:
-            held.setdefault(strip_of(part), set()).update(plan.splits[stage, part].meta["tiles"])
-    return {strip: tuple(sorted(keys)) for strip, keys in held.items()}
+            tiles.setdefault(strip_of(part), set()).update(plan.splits[stage, part].meta["tiles"])
+    return {strip: tuple(sorted(keys)) for strip, keys in tiles.items()}
 
 
 def scatter(here: StageInputs, params: TileParams) -> Made:

@@ -174,8 +174,8 @@ def until_report(
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, keys)))
     elif COUNT_LABELS in stages:  # before anything is computed that the labels may not be worth
         first = [stage for stage in stages if stage.name in LABELLING]
-        done = runner.do(tasks_of(plan, first))
-        counted = {name: receipt for name, receipt in done.items() if name[0] == COUNT_LABELS.name}
+        receipts = runner.do(tasks_of(plan, first))
+        counted = {name: receipt for name, receipt in receipts.items() if name[0] == COUNT_LABELS.name}
         if not runner.failures:  # what failed may hold the labels that are lacking
             runner.tell(lambda: check_labels(plan, counted))
         tasks = tasks_of(plan, [stage for stage in stages if stage not in first])

@@ -109,8 +109,8 @@ def _sample(points: Points, rules: GroundAutoParams) -> Iterator[Points]:
 
 def _agreement(points: Points, tried: list[GroundParams], rules: GroundAutoParams) -> NDArray[np.int64]:
     """(tried, 4) counts of the points where the referees agree: both ground, only they, only the filter, none."""
-    kept = ~noise(*points, tried[0].noise)
-    x, y, z = (np.ascontiguousarray(a[kept]) for a in points)
+    clean = ~noise(*points, tried[0].noise)
+    x, y, z = (np.ascontiguousarray(a[clean]) for a in points)
     last = np.ones(len(x), bool)
     off = tried[0].noise.model_copy(update={"low": False, "high": False, "sigma_rule": False})
 

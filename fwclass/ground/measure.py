@@ -129,8 +129,8 @@ def measure(
     x, y, z : (n,) finite coordinates [m], at least one, in any order, which does not matter.
     last : (n,) the point is the last, or only, echo of its pulse; if none is, all are looked at.
     """
-    points, seen = len(x), float(np.mean(last))
-    if 0 < seen < 1:
+    points, last_share = len(x), float(np.mean(last))
+    if 0 < last_share < 1:
         x, y, z = x[last], y[last], z[last]
     spacing, area, density = _density(x, y)
     cell = _cell(spacing, area)
@@ -146,7 +146,7 @@ def measure(
     height = surface - first
     return Measured(
         points=points,
-        last=seen,
+        last=last_share,
         width=float(np.ptp(x)),
         height=float(np.ptp(y)),
         area=area,
@@ -159,7 +159,7 @@ def measure(
         standing=float(cut.sum()) / n,
         building=_widest(low, cell, _quantile(bare, 0.9)),
         ground=_near(flat, z, (first + NEAR + 0.5 * cell * slope).reshape(-1)) / len(x),
-        vegetation=1.0 - seen,
+        vegetation=1.0 - last_share,
         roughness=_quantile(np.abs(first - scipy.ndimage.uniform_filter(first, 3, mode="nearest"))[known & ~cut], 0.5),
         outliers=outliers,
     )

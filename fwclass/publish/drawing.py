@@ -183,11 +183,11 @@ def area_edges(boxes: Sequence[tuple[float, ...]], inset: float) -> list[list[tu
     times = Counter(edge for four in sides for edge in four)
     lines = []
     for four in sides:
-        kept = [times[edge] == 1 for edge in four]
+        outer = [times[edge] == 1 for edge in four]
         for k, ((x0, y0), (x1, y1)) in enumerate(four):
-            if kept[k]:
+            if outer[k]:
                 i, j = INWARD[k]
-                ends = (inset * kept[SIDES_AT[k][0]], inset * kept[SIDES_AT[k][1]])
+                ends = (inset * outer[SIDES_AT[k][0]], inset * outer[SIDES_AT[k][1]])
                 along = (1, 0) if y0 == y1 else (0, 1)
                 start = (x0 + i * inset + along[0] * ends[0], y0 + j * inset + along[1] * ends[0])
                 stop = (x1 + i * inset - along[0] * ends[1], y1 + j * inset - along[1] * ends[1])

@@ -126,7 +126,7 @@ def _levels(code, rank, bits, leaf, level):  # type: ignore[no-untyped-def]
     for depth in range(bits + 1):
         node_shift = np.uint64(3 * (bits - depth))
         cell_shift = np.uint64(max(0, 3 * (bits - depth - GRID_BITS)))
-        kept, start = 0, 0
+        count, start = 0, 0
         while start < len(rest):
             node = code[rest[start]] >> node_shift
             end = start
@@ -147,9 +147,9 @@ def _levels(code, rank, bits, leaf, level):  # type: ignore[no-untyped-def]
                 level[rest[best]] = depth
                 for k in range(start, stop):
                     if k != best:
-                        rest[kept] = rest[k]
-                        kept += 1
+                        rest[count] = rest[k]
+                        count += 1
                 start = stop
-        rest = rest[:kept]
-        if kept == 0:
+        rest = rest[:count]
+        if count == 0:
             return

@@ -22,12 +22,12 @@ COLOURS = {
 def drop_implied(edges: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     """`edges` (stages that each reads) without those that follow from others; stages in the order of the run."""
     reach: dict[str, set[str]] = {}
-    kept: dict[str, list[str]] = {}
+    direct: dict[str, list[str]] = {}
     for name, sources in edges.items():
         behind = set().union(*(reach.get(s, set()) for s in sources)) if sources else set()
-        kept[name] = [s for s in sources if s not in behind]
+        direct[name] = [s for s in sources if s not in behind]
         reach[name] = behind | set(sources)
-    return kept
+    return direct
 
 
 def stage_graph(stages: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:

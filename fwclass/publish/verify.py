@@ -97,9 +97,9 @@ def _verify_points(
         row = wrong[0]
         raise differs(copy, f"the class of point {first + row}", classes[row], new[row, at] & mask)
     old[:, at] = new[:, at] & mask | old[:, at] & ~np.uint8(mask)
-    kept = new[:, : head.point_size]
-    if not np.array_equal(old, kept):
-        row, column = np.argwhere(old != kept)[0]
+    own = new[:, : head.point_size]
+    if not np.array_equal(old, own):
+        row, column = np.argwhere(old != own)[0]
         raise differs(copy, f"byte {column} of point {first + row}", old[row, column], new[row, column])
 
 

@@ -22,8 +22,8 @@ def judge_quality(summary: Mapping[str, Any], params: QualityParams) -> None:
         ("max_dz", "the root mean square difference of strips [m]", strips["rms"], params.max_dz),
         ("max_noise", "the share of noise", summary["noise_share"], params.max_noise),
     )
-    for sign, words, asked in ((1, "at least", least), (-1, "at most", most)):
-        for setting, what, value, bound in asked:
+    for sign, words, bounds in ((1, "at least", least), (-1, "at most", most)):
+        for setting, what, value, bound in bounds:
             if bound is not None and (value is None or sign * value < sign * bound):
                 raise QualityError(
                     f"{what} misses its threshold" if value is not None else f"nothing tells {what}",

@@ -78,9 +78,9 @@ class Comparison:
         values = np.stack([np.bincount(at.reshape(-1), v, minlength=len(both)) for v in (np.ones(len(dz)), dz, dz**2)])
         for (a, b), one in zip(both.tolist(), values.T, strict=True):
             self._sums[a, b] = self._sums.get((a, b), np.zeros(3)) + one
-        kept = _draw(col, row, self.share)
-        x, y = ((v[kept].astype(np.float64) + 0.5) * self.params.cell for v in (col, row))
-        self._sample.append(Pairs(first[kept], second[kept], x, y, dz[kept], weight[kept]))
+        sampled = _draw(col, row, self.share)
+        x, y = ((v[sampled].astype(np.float64) + 0.5) * self.params.cell for v in (col, row))
+        self._sample.append(Pairs(first[sampled], second[sampled], x, y, dz[sampled], weight[sampled]))
 
     def facts(self, strips: Sequence[Strip], files: Mapping[int, str], by: By) -> dict[str, Any]:
         """What `report.json` tells of the strips (docs/quality.md); `files`: names of the source files by number."""

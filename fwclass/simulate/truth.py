@@ -86,13 +86,13 @@ def write_truth(params: SimulateParams, out: Path) -> Path:
     beside = path.with_name(f".{path.stem}.part.gpkg")
     beside.unlink(missing_ok=True)
     crs = CRS.from_user_input(params.crs).to_wkt("WKT1_GDAL")
-    seen = np.array([_is_inside(scene, part) for part in corners], bool)
-    whole = np.bincount(building, ~seen)[building] == 0 if len(seen) else seen
+    inside = np.array([_is_inside(scene, part) for part in corners], bool)
+    whole = np.bincount(building, ~inside)[building] == 0 if len(inside) else inside
     fields: dict[str, Any] = {"building": building, "top": top + params.base_height, "whole": whole}
     write_shapes(beside, "buildings", [polygon_wkb([part + move]) for part in corners], fields, crs)
     trees, overtopped = trees_of(scene)
-    seen = np.array([_is_inside(scene, one[None, :2]) for one in trees], bool)
-    fields = {"top": trees[:, 2] + params.base_height, "height": trees[:, 3], "crown": trees[:, 4], "whole": seen}
+    inside = np.array([_is_inside(scene, one[None, :2]) for one in trees], bool)
+    fields = {"top": trees[:, 2] + params.base_height, "height": trees[:, 3], "crown": trees[:, 4], "whole": inside}
     fields["overtopped"] = overtopped
     write_shapes(beside, "trees", point_wkb(trees[:, 0] + move[0], trees[:, 1] + move[1]), fields, crs, "Point")
     return beside.replace(path)

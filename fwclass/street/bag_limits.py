@@ -144,8 +144,8 @@ def check_chunks(chunks: Sequence[Any]) -> None:
     """`ValueError` where more than `TOGETHER` bytes of an MCAP's chunks overlap in time."""
     ends = [(c.message_start_time, 1, c.uncompressed_size) for c in chunks]
     ends += [(c.message_end_time, 2, -c.uncompressed_size) for c in chunks]
-    held = 0
+    total = 0
     for _, _, size in sorted(ends):
-        held += size
-        if held > TOGETHER:
+        total += size
+        if total > TOGETHER:
             raise ValueError(f"chunks of more than {TOGETHER} bytes overlap in time")

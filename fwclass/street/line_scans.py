@@ -192,8 +192,8 @@ class Cutter:
 
     def rest(self) -> list[tuple[NDArray[Any], ...]]:
         """The last frame."""
-        held, self._held = self._held, []
-        return [tuple(held)] if held and len(held[0]) else []
+        frames, self._held = self._held, []
+        return [tuple(frames)] if frames and len(frames[0]) else []
 
     def _cuts(self, now: list[NDArray[Any]]) -> NDArray[np.int64]:
         begin = self.turning.begin(now[0], now[1])

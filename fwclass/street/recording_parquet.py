@@ -120,23 +120,23 @@ def damage_error(path: Path, fault: Exception) -> InputError:
 def write_recording(path: Path, frames: Iterable[Frame]) -> int:
     """Write frames, of one scan each like the first, as `ParquetRecording` reads them; return their number."""
     writer: pq.ParquetWriter | None = None
-    held: list[Frame] = []
+    waiting: list[Frame] = []
     count = 0
 
     def flush() -> None:
-        nonlocal writer, held
-        if not held:
+        nonlocal writer, waiting
+        if not waiting:
             return
-        table = _table(held)
+        table = _table(waiting)
         writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")
         writer.write_table(table)
-        held = []
+        waiting = []
 
     try:
         for frame in frames:
-            held.append(frame)
+            waiting.append(frame)
             count += 1
-            if len(held) == ROWS:
+            if len(waiting) == ROWS:
                 flush()
         flush()
     finally:

@@ -123,8 +123,8 @@ class Ring:
 
     def _begin(self, middle: int) -> int:
         first = middle
-        held = max(0, self._received - self.size, middle - self.params.most_frames)
-        while first > held and self._near(middle, first - 1):
+        oldest = max(0, self._received - self.size, middle - self.params.most_frames)
+        while first > oldest and self._near(middle, first - 1):
             first -= 1
         return first
 

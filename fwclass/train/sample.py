@@ -106,27 +106,27 @@ def draw(
     drawn = hash_keys(seed, key)
     if first is not None:
         drawn = np.where(first[rows], drawn >> np.uint64(32), drawn)
-    kept = _smallest(y, drawn, len(classes), per_class)
-    X = sample_matrix(features.take(rows[kept]), names, "training rows")
-    there = np.empty((0, 2), np.int64) if place is None else place[rows[kept]]
-    return _sort(Sample(names, X, y[kept], key[kept], drawn[kept], eligible, bare, there))
+    smallest = _smallest(y, drawn, len(classes), per_class)
+    X = sample_matrix(features.take(rows[smallest]), names, "training rows")
+    there = np.empty((0, 2), np.int64) if place is None else place[rows[smallest]]
+    return _sort(Sample(names, X, y[smallest], key[smallest], drawn[smallest], eligible, bare, there))
 
 
 def join(samples: Iterable[Sample], per_class: int) -> Sample:
     """One sample of the union of the rows that `samples` were drawn from, whatever their order or number."""
-    held: list[Sample] = []
+    parts: list[Sample] = []
     rows = 0
     for part in samples:
-        if held and (part.features != held[0].features or len(part.eligible) != len(held[0].eligible)):
-            raise ValueError(f"samples differ: {held[0].features} and {part.features}")
-        held.append(part)
+        if parts and (part.features != parts[0].features or len(part.eligible) != len(parts[0].eligible)):
+            raise ValueError(f"samples differ: {parts[0].features} and {part.features}")
+        parts.append(part)
         rows += part.rows
         if rows > 3 * per_class * len(part.eligible):  # memory stays that of a few samples, however many tiles
-            held = [_thin(_union(held), per_class)]
-            rows = held[0].rows
-    if not held:
+            parts = [_thin(_union(parts), per_class)]
+            rows = parts[0].rows
+    if not parts:
         raise ValueError("nothing to merge")
-    return _sort(_thin(_union(held), per_class))
+    return _sort(_thin(_union(parts), per_class))
 
 
 def _union(parts: Sequence[Sample]) -> Sample:

@@ -60,9 +60,9 @@ def shoreline(
     edge, share = divide(length, step)
     places = [np.rint(v[low[edge]] + share * (v[high[edge]] - v[low[edge]])).astype(np.int64) for v in (x, y)]
     piece = np.floor((along[edge] + share * length[edge]) / stretch).astype(np.int64)
-    kept = _of_one(np.column_stack(places), body[edge])
-    px, py = (np.asarray(v[kept] * QUANTUM, np.float64) for v in places)
-    return Shoreline(px, py, body[edge][kept], piece[kept])
+    single = _of_one(np.column_stack(places), body[edge])
+    px, py = (np.asarray(v[single] * QUANTUM, np.float64) for v in places)
+    return Shoreline(px, py, body[edge][single], piece[single])
 
 
 def _of_one(places: NDArray[np.int64], body: NDArray[np.int64]) -> NDArray[np.bool_]:

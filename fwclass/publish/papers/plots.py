@@ -85,7 +85,7 @@ def _box(axes: Any, x: float, row: Mapping[str, Any], colour: str) -> None:
 
 def draw_curves(
     paper: Sequence[tuple[str, float]],
-    given: Sequence[tuple[str, float, float, bool]],
+    paper_order: Sequence[tuple[str, float, float, bool]],
     best: Sequence[tuple[str, float, float, bool]],
 ) -> bytes:
     """Two panels: accuracy [%] as features are added in the paper's order beside the paper's; in our best order.
@@ -98,7 +98,7 @@ def draw_curves(
     left.plot(
         range(len(paper)), [v for _, v in paper], "o--", color=THEIRS, linewidth=1.3, markersize=4, label="Fan 2013"
     )
-    _steps(left, [at[s[0]] for s in given], given, "ours, spatial folds")
+    _steps(left, [at[s[0]] for s in paper_order], paper_order, "ours, spatial folds")
     left.set_xticks(range(len(paper)), [n for n, _ in paper], rotation=35, ha="right", rotation_mode="anchor")
     left.legend(fontsize=7.5, frameon=False, labelcolor=INK, loc="lower right")
     _steps(right, list(range(len(best))), best, "ours")

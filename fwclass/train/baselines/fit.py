@@ -88,18 +88,18 @@ def count_right(
     X: NDArray[np.float64],
     y: Labels,
     learns: NDArray[np.bool_],
-    asked: NDArray[np.bool_],
+    judged: NDArray[np.bool_],
     c: float,
     gamma: float,
     weights: dict[int, float] | None,
 ) -> int:
-    """How many of the rows `asked` the machine of the rows `learns` answers right; 0 where these are of one class."""
-    if len(np.unique(y[learns])) < 2 or not asked.any():
+    """How many of the rows `judged` the machine of the rows `learns` answers right; 0 where these are of one class."""
+    if len(np.unique(y[learns])) < 2 or not judged.any():
         return 0
     known = {k: w for k, w in weights.items() if (y[learns] == k).any()} if weights else None
     with _one_thread():
         svm = _svc(c, gamma, known).fit(X[learns], y[learns])
-        return int((svm.predict(X[asked]) == y[asked]).sum())
+        return int((svm.predict(X[judged]) == y[judged]).sum())
 
 
 def sklearn_forest(

@@ -57,13 +57,13 @@ def right(
 ) -> dict[str, int]:
     """What the machine of one (C, gamma, fold) has right: ``right`` of ``judged`` rows; scaling and trimming are those
     of the rows that it learns from."""
-    learns, asked = folding.learns[fold], np.asarray(folding.fold == fold)
+    learns, judged = folding.learns[fold], np.asarray(folding.fold == fold)
     X = preparation(sample.X[learns], scaling)(sample.X) if learns.any() else np.zeros(sample.X.shape)
-    kept, _ = trim_rows(X[learns], sample.y[learns], svm.trim)
+    clean, _ = trim_rows(X[learns], sample.y[learns], svm.trim)
     learns = learns.copy()
-    learns[np.flatnonzero(learns)[~kept]] = False
-    hits = fit.count_right(X, sample.y, learns, asked, c, gamma, weights)
-    return {"right": hits, "judged": int(asked.sum())}
+    learns[np.flatnonzero(learns)[~clean]] = False
+    hits = fit.count_right(X, sample.y, learns, judged, c, gamma, weights)
+    return {"right": hits, "judged": int(judged.sum())}
 
 
 def smoothest(tried: Iterable[tuple[float, float, float]]) -> tuple[float, float]:

@@ -142,17 +142,17 @@ def _rbf(
         card["notes"] += [search_result["note"]] if search_result["note"] else []
     card["params"] |= {"c": c, "gamma": gamma, "trim": svm.trim}
     X, y = prepare(sample.X), sample.y
-    kept, whole_classes = trim_rows(X, y, svm.trim)
+    clean, whole_classes = trim_rows(X, y, svm.trim)
     if svm.trim != "none":
-        card |= _trimming_facts(kept, y, whole_classes, classes, card)
-    return _check(KernelMachine(**fit.rbf_svm(X[kept], y[kept], c, gamma, weights), card=card))
+        card |= _trimming_facts(clean, y, whole_classes, classes, card)
+    return _check(KernelMachine(**fit.rbf_svm(X[clean], y[clean], c, gamma, weights), card=card))
 
 
 def _trimming_facts(
-    kept: NDArray[np.bool_], y: NDArray[np.uint8], whole: Sequence[int], classes: Sequence[ClassDef], card: Any
+    clean: NDArray[np.bool_], y: NDArray[np.uint8], whole: Sequence[int], classes: Sequence[ClassDef], card: Any
 ) -> dict[str, Any]:
     """What the card says of trimming: rows that went, per class, and classes that stay untrimmed."""
-    went = np.bincount(y[~kept], minlength=len(classes))
+    went = np.bincount(y[~clean], minlength=len(classes))
     notes = [f"{int(went.sum()):,} of {len(y):,} training rows lie among those of another class and were trimmed"]
     notes += [f"every row of class {classes[k].name!r} lies among those of others: it stays untrimmed" for k in whole]
     return {"trimmed": {c.name: int(n) for c, n in zip(classes, went, strict=True)}, "notes": [*card["notes"], *notes]}
