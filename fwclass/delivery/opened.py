@@ -172,10 +172,8 @@ def open_run(run: str | os.PathLike[str]) -> Delivery:
             else "name the directory that was given as --out",
         )
     listed = generations.manifest(current)
-    files = {current.path / name: facts["bytes"] for name, facts in (listed or {}).items()}
-    gone = [
-        str(f.relative_to(current.path)) for f, size in files.items() if not f.is_file() or f.stat().st_size != size
-    ]
+    sizes = {name: facts["bytes"] for name, facts in (listed or {}).items()}
+    gone = [n for n, size in sizes.items() if not (f := current.path / n).is_file() or f.stat().st_size != size]
     if listed is None or gone:
         raise InputError(
             "the delivery is damaged",

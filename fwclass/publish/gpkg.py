@@ -48,9 +48,7 @@ def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> d
     with whole(path) as beside:
         beside.unlink(missing_ok=True)
         for layer in layers:
-            fields = {
-                name: np.asarray(v, None if isinstance(v, np.ndarray) else object) for name, v in layer.fields.items()
-            }
+            fields = {n: np.asarray(v, None if isinstance(v, np.ndarray) else object) for n, v in layer.fields.items()}
             system = wkt(crs) if crs is not None else None
             write_shapes(beside, layer.name, layer.geometry, fields, system, layer.kind)
         size = beside.stat().st_size
