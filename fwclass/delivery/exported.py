@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import open_run
-from fwclass.delivery.viewed import UNSURE, ViewedRun
+from fwclass.delivery.viewed import UNSURE, ViewedRun, plain_value
 from fwclass.delivery.viewed_colours import CORRECTED
 from fwclass.publish.copc import copc_columns
 from fwclass.publish.files import whole_directory
@@ -84,7 +83,7 @@ class ExportedRun(ViewedRun):
         columns = {n: v[rows] for n, v in table_columns(path, [f["name"] for f in self._fields]).items()}
         out = []
         for k, row in enumerate(rows.tolist()):
-            values = {n: _plain(v[k]) for n, v in columns.items()}
+            values = {n: plain_value(v[k]) for n, v in columns.items()}
             node, at, _ = self._in_blocks(key, np.array([row]))[0]
             x, y, z = (round(values[a] - o, 3) for a, o in zip("xyz", self.origin, strict=True))
             strip, pulse, number = (int(values[n]) for n in IDENTITY)
@@ -103,11 +102,6 @@ def _first_of_each(place: NDArray[np.int64], order: NDArray, most: int) -> NDArr
     sorted_ = place[rows]
     rank = np.arange(len(rows)) - np.searchsorted(sorted_, sorted_)
     return np.asarray(rows[rank < most])
-
-
-def _plain(value: Any) -> Any:
-    plain = value.item()
-    return None if isinstance(plain, float) and not math.isfinite(plain) else plain
 
 
 def export_view(

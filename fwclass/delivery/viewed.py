@@ -143,7 +143,7 @@ class ViewedRun:
     def echo(self, node: Node, row: int) -> dict[str, Any]:
         tile, at = self._row_of(node, row)
         names = [f["name"] for f in self._fields if f["name"] not in MEANING]
-        values = {n: _plain(v[at]) for n, v in self._columns(tile, names).items()}
+        values = {n: plain_value(v[at]) for n, v in self._columns(tile, names).items()}
         if len(self._asked) >= REMEMBERED:
             self._asked.clear()
         self._asked[tuple(int(values[n]) for n in IDENTITY)] = tile, at
@@ -384,7 +384,7 @@ def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
     return echo_hashes(Table({n: columns[n] for n in IDENTITY}))
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """For JSON: no NaN, no numpy."""
     plain = value.item() if hasattr(value, "item") else value
     return None if isinstance(plain, float) and not math.isfinite(plain) else plain

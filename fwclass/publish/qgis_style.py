@@ -46,8 +46,7 @@ def rgba(colour: RGB) -> str:
 
 def class_raster_style(names: Mapping[int, str], multiply: bool = False) -> list[Xml.Element]:
     """One colour a class, of the classes that there are."""
-    pipe = Xml.Element("pipe")
-    renderer = add(pipe, "rasterrenderer", type="paletted", band=1, opacity=1, alphaBand=-1, nodataColor="")
+    pipe, renderer = _raster("paletted")
     palette = add(renderer, "colorPalette")
     for code, colour in _class_colours(names).items():
         add(palette, "paletteEntry", value=code, color=css(colour), label=_label(code, names), alpha=255)
@@ -56,39 +55,24 @@ def class_raster_style(names: Mapping[int, str], multiply: bool = False) -> list
 
 def ramp_raster_style(ramp: Ramp, low: float, high: float, unit: str = "", multiply: bool = False) -> list[Xml.Element]:
     """Colours between two values, the ends' beyond them."""
-    pipe = Xml.Element("pipe")
-    renderer = add(
-        pipe,
-        "rasterrenderer",
-        type="singlebandpseudocolor",
-        band=1,
-        opacity=1,
-        alphaBand=-1,
-        nodataColor="",
-        classificationMin=low,
-        classificationMax=high,
-    )
+    pipe, renderer = _raster("singlebandpseudocolor", classificationMin=low, classificationMax=high)
     _shader(add(renderer, "rastershader"), ramp, low, high, unit)
     return [pipe, _blend(multiply)]
 
 
 def grey_raster_style(low: float, high: float) -> list[Xml.Element]:
     """Black to white between two values."""
-    pipe = Xml.Element("pipe")
-    renderer = add(
-        pipe,
-        "rasterrenderer",
-        type="singlebandgray",
-        grayBand=1,
-        opacity=1,
-        alphaBand=-1,
-        nodataColor="",
-        gradient="BlackToWhite",
-    )
+    pipe, renderer = _raster("singlebandgray", "grayBand", gradient="BlackToWhite")
     stretch = add(renderer, "contrastEnhancement")
     for tag, value in (("minValue", low), ("maxValue", high), ("algorithm", "StretchToMinimumMaximum")):
         add(stretch, tag).text = str(value)
     return [pipe, _blend(False)]
+
+
+def _raster(kind: str, band: str = "band", **attributes: Any) -> tuple[Xml.Element, Xml.Element]:
+    """The pipe of a raster's one band, and its renderer."""
+    pipe, shared = Xml.Element("pipe"), {band: 1, "opacity": 1, "alphaBand": -1, "nodataColor": ""}
+    return pipe, add(pipe, "rasterrenderer", type=kind, **shared, **attributes)
 
 
 def _blend(multiply: bool) -> Xml.Element:

@@ -165,7 +165,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "stages": stages(report.get("stages") or ()),
         "graph": stage_graph(report.get("graph") or ()),
         "outputs": _outputs(report.get("outputs") or {}),
-        "config": _yaml(config) if config else "",
+        "config": yaml.safe_dump(config, sort_keys=False, allow_unicode=True, width=100) if config else "",
     }
 
 
@@ -255,16 +255,3 @@ def _link(path: str) -> str:
     """A link that can only lead to a file beside the report; "" for any other path."""
     inside = not path.startswith(("/", "\\")) and ".." not in path.split("/") and ":" not in path.split("/")[0]
     return "./" + quote(path.replace("\\", "/")) if inside else ""
-
-
-def _yaml(config: Any) -> str:
-    return str(yaml.safe_dump(_plain(config), sort_keys=False, allow_unicode=True, width=100))
-
-
-def _plain(value: Any) -> Any:
-    """Only what YAML writes plainly."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return value if isinstance(value, (str, int, float, bool)) or value is None else str(value)

@@ -15,6 +15,7 @@ from fwclass.schema import column, split_name
 
 OURS, THEIRS, PALE = "#17697a", "#d0742e", "#e6c3a6"
 GRID, FRAME = "#dde3e8", "#8795a1"
+WITH_ERRORS: dict[str, Any] = {"color": OURS, "ecolor": "#9fb8bf", "fmt": "o-"}
 SIZE = 8.5
 BOX = ("p5", "p25", "p50", "p75", "p95")
 
@@ -109,20 +110,8 @@ def draw_curves(
 
 
 def _steps(axes: Any, x: Sequence[int], steps: Sequence[tuple[str, float, float, bool]], label: str) -> None:
-    y = [s[1] for s in steps]
-    spread = [s[2] for s in steps]
-    axes.errorbar(
-        x,
-        y,
-        yerr=spread,
-        color=OURS,
-        ecolor="#9fb8bf",
-        fmt="o-",
-        markersize=4,
-        linewidth=1.4,
-        elinewidth=1,
-        label=label,
-    )
+    style: dict[str, Any] = {"markersize": 4, "linewidth": 1.4, "elinewidth": 1}
+    axes.errorbar(x, [s[1] for s in steps], yerr=[s[2] for s in steps], label=label, **WITH_ERRORS, **style)
     for a, step in zip(x, steps, strict=True):
         if not step[3]:
             axes.plot([a], [step[1]], "x", color=INK, markersize=8, zorder=4)
@@ -174,18 +163,8 @@ def draw_elimination(steps: Sequence[tuple[int, float, float]], chosen: int, pri
     figure = sheet(9.6, 3.2)
     axes = figure.add_subplot()
     x, y, spread = zip(*steps, strict=True)
-    axes.errorbar(
-        x,
-        y,
-        yerr=spread,
-        color=OURS,
-        ecolor="#9fb8bf",
-        fmt="o-",
-        markersize=3,
-        linewidth=1.3,
-        elinewidth=0.9,
-        label="ours",
-    )
+    style: dict[str, Any] = {"markersize": 3, "linewidth": 1.3, "elinewidth": 0.9}
+    axes.errorbar(x, y, yerr=spread, label="ours", **WITH_ERRORS, **style)
     at = x.index(chosen)
     axes.plot([chosen], [y[at]], "o", color=OURS, markersize=9, markerfacecolor="none", label=f"chosen: {chosen}")
     axes.plot([printed[0]], [printed[1]], "D", color=THEIRS, markersize=6, label=f"Xiong 2018: {printed[0]} features")
