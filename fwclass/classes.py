@@ -69,6 +69,7 @@ class ClassDef:
 
     @classmethod
     def of(cls, card: Mapping[str, Any]) -> ClassDef:
+        """The class that a model's card describes; `plain` writes the same."""
         code = card["code"]
         return cls(str(card.get("name", code)), code, tuple(card.get("codes", (code,))), card.get("legacy_code"))
 

@@ -45,12 +45,12 @@ SUFFIX = ".kernel"
 LINKING = 1
 """Goes into the names of the files; it changes with what is done to kernels while they are compiled."""
 
-TOLD_AFTER = 1.0
+NOTIFY_AFTER = 1.0
 """Seconds that a process compiles before a person is told."""
 
 ONCE = "compiling for this machine, once"
 
-tellers: list[Callable[[bool], None]] = []
+listeners: list[Callable[[bool], None]] = []
 """The last is told when this process begins to compile, or to wait for a kernel, and when that is over."""
 
 asked: list[tuple[str, Any]] = []
@@ -79,8 +79,8 @@ def runs() -> bool:
 
 
 @contextmanager
-def _watched(name: str) -> Iterator[None]:
-    """Told to `watchers`, once for all kernels that are compiled on behalf of one."""
+def _timed(name: str) -> Iterator[None]:
+    """Count the time, and tell `listeners`, once for all kernels that are compiled on behalf of one."""
     global _since, _spent
     if runs():
         _under_way[name] += 1
@@ -92,7 +92,7 @@ def _watched(name: str) -> Iterator[None]:
     _since = time.perf_counter()
     _under_way[name] += 1
     try:
-        with _told_late():
+        with _notify_late():
             yield
     finally:
         _spent += time.perf_counter() - _since
@@ -100,17 +100,17 @@ def _watched(name: str) -> Iterator[None]:
 
 
 @contextmanager
-def _told_late() -> Iterator[None]:
-    """The last of `tellers` is told, unless it is over before."""
-    heard = tellers[-1:]
+def _notify_late() -> Iterator[None]:
+    """The last of `listeners` hears of it where it takes longer than `NOTIFY_AFTER`."""
+    last = listeners[-1:]
     begun = threading.Event()
 
     def tell() -> None:
         begun.set()
-        for teller in heard:
-            teller(True)
+        for listener in last:
+            listener(True)
 
-    timer = threading.Timer(max(TOLD_AFTER - _spent, 0.0), tell)
+    timer = threading.Timer(max(NOTIFY_AFTER - _spent, 0.0), tell)
     timer.daemon = True
     timer.start()
     try:
@@ -118,18 +118,18 @@ def _told_late() -> Iterator[None]:
     finally:
         timer.cancel()
         if begun.is_set():
-            for teller in heard:
-                teller(False)
+            for listener in last:
+                listener(False)
 
 
 @contextmanager
-def told(teller: Callable[[bool], None]) -> Iterator[None]:
-    """Inside, `teller` is the one of `tellers` that is told."""
-    tellers.append(teller)
+def notify(listener: Callable[[bool], None]) -> Iterator[None]:
+    """Inside, `listener` is the one of `listeners` that hears of compiling."""
+    listeners.append(listener)
     try:
         yield
     finally:
-        tellers.remove(teller)
+        listeners.remove(listener)
 
 
 class KernelFiles:
@@ -140,6 +140,7 @@ class KernelFiles:
 
     @property
     def cache_path(self) -> str:
+        """The directory of the compiled kernels."""
         return str(kernel_cache())
 
     def load_overload(self, signature: Any, context: Any) -> Any:
@@ -150,7 +151,7 @@ class KernelFiles:
         kernel_there = self._load(signature, context)
         if kernel_there is None:
             context.refresh()
-            _stacks[-1].enter_context(_watched(self._name))
+            _stacks[-1].enter_context(_timed(self._name))
             _stacks[-1].enter_context(_alone(self._name))
             kernel_there = self._load(signature, context)  # it may have been made meanwhile
         return kernel_there
@@ -174,7 +175,7 @@ class KernelFiles:
     def _path(self, signature: Any, codegen: Any) -> Path:
         import numba
 
-        parts = (LINKING, _told(signature), codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
+        parts = (LINKING, _type_key(signature), codegen.magic_tuple(), numba.__version__, sys.version_info[:2])
         key = hashlib.blake2b(repr(parts).encode(), digest_size=8).hexdigest()
         return kernel_cache() / f"{self._name}-{self._stamp[:16]}-{key}{SUFFIX}"
 
@@ -190,6 +191,7 @@ class KernelFiles:
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
+        """Write a compiled kernel to its file, and remove those that it replaces; a fault of the disk is said once."""
         global _count
         from numba.core.serialize import dumps
 
@@ -209,11 +211,14 @@ class KernelFiles:
         except OSError as fault:
             _not_kept(str(path.parent), fault.strerror or type(fault).__name__)
 
-    def enable(self) -> None: ...
+    def enable(self) -> None:
+        """Numba asks for it; the files are always used."""
 
-    def disable(self) -> None: ...
+    def disable(self) -> None:
+        """Numba asks for it; the files are always used."""
 
-    def flush(self) -> None: ...
+    def flush(self) -> None:
+        """Numba asks for it; nothing waits to be written."""
 
 
 class _Reader(pickle.Unpickler):
@@ -280,11 +285,11 @@ def _for_all_numbers(template: Callable[..., Any]) -> Callable[..., Any]:
     return get_call_template
 
 
-def _told(kind: Any) -> Any:
+def _type_key(kind: Any) -> Any:
     """A type of numba in words that differ for all that is compiled differently; its own leave out fields' names."""
     if isinstance(kind, tuple):
-        return tuple(map(_told, kind))
-    return repr(kind), getattr(kind, "fields", None), _told(tuple(getattr(kind, "types", ())))
+        return tuple(map(_type_key, kind))
+    return repr(kind), getattr(kind, "fields", None), _type_key(tuple(getattr(kind, "types", ())))
 
 
 def _digest(data: bytes) -> bytes:

@@ -65,6 +65,7 @@ class FwclassError(Exception):
         super().__init__(self.message())
 
     def message(self) -> str:
+        """The error as text: what, where, what was expected, what there was, what to do; a line each."""
         rows = [self.what]
         for label, text in (
             ("where", self.where),
@@ -133,7 +134,7 @@ _LEAST = 1 << 16
 """Bytes free, below which a fault while writing is put down to a full disk: some libraries do not say why."""
 
 
-def interrupted(fault: BaseException) -> bool:
+def is_interrupt(fault: BaseException) -> bool:
     """Ctrl-C lies behind it: compiled code tells it by a `SystemError`."""
     return any(isinstance(one, KeyboardInterrupt) for one in _behind(fault))
 
@@ -141,20 +142,20 @@ def interrupted(fault: BaseException) -> bool:
 def _behind(fault: BaseException) -> list[BaseException]:
     """A fault and what it came from; one may have been raised from itself."""
     chain: list[BaseException] = []
-    seen: BaseException | None = fault
-    while seen is not None and seen not in chain:
-        chain.append(seen)
-        seen = seen.__cause__ or seen.__context__
+    cause: BaseException | None = fault
+    while cause is not None and cause not in chain:
+        chain.append(cause)
+        cause = cause.__cause__ or cause.__context__
     return chain
 
 
 def full_or(fault: Exception, where: Path) -> Exception:
     """`fault`, or the `OSError` of the full disk that lies behind it; `where` is a place on the disk written to."""
-    for seen in _behind(fault):
-        if isinstance(seen, OSError) and seen.errno in FULL:
-            return seen if seen.filename else OSError(seen.errno, os.strerror(seen.errno), str(where))
+    for cause in _behind(fault):
+        if isinstance(cause, OSError) and cause.errno in FULL:
+            return cause if cause.filename else OSError(cause.errno, os.strerror(cause.errno), str(where))
         for code in FULL:
-            if os.strerror(code) in str(seen):
+            if os.strerror(code) in str(cause):
                 return OSError(code, os.strerror(code), str(where))
     system = isinstance(fault, OSError) and fault.errno is not None
     if not system and where.exists() and shutil.disk_usage(where).free < _LEAST:

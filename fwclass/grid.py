@@ -22,17 +22,17 @@ _KEY = re.compile(r"^(-?\d+)_(-?\d+)$")
 
 def millimetres(metres: NDArray[np.float64]) -> NDArray[np.int64]:
     """Coordinates [m] as whole millimetres, rounded to nearest."""
-    return _rounded(metres).astype(np.int64)
+    return _round_millimetres(metres).astype(np.int64)
 
 
-def quantised(metres: NDArray[np.float64]) -> NDArray[np.float64]:
+def quantise(metres: NDArray[np.float64]) -> NDArray[np.float64]:
     """Coordinates [m] on the millimetre grid; `millimetres` takes them back exactly."""
-    out = _rounded(metres)
+    out = _round_millimetres(metres)
     out *= QUANTUM
     return out
 
 
-def _rounded(metres: NDArray[np.float64]) -> NDArray[np.float64]:
+def _round_millimetres(metres: NDArray[np.float64]) -> NDArray[np.float64]:
     out = np.divide(metres, QUANTUM, dtype=np.float64)
     return np.rint(out, out=out) if isinstance(out, np.ndarray) else np.rint(out)
 

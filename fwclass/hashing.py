@@ -21,7 +21,7 @@ def mix(z: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return z ^ (z >> _C)
 
 
-def seeded(seed: int, *counters: int) -> int:
+def seed_for(seed: int, *counters: int) -> int:
     """A 64-bit number for (seed, counters…), such as (seed, tree)."""
     state = 0
     for word in (seed, *counters):
@@ -29,9 +29,9 @@ def seeded(seed: int, *counters: int) -> int:
     return state
 
 
-def hashed(seed: int, keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
+def hash_keys(seed: int, keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """A random number for every key, one-to-one for a given seed: unique keys never tie."""
-    return mix(np.asarray(keys, np.uint64) + np.array([seeded(seed)], np.uint64))
+    return mix(np.asarray(keys, np.uint64) + np.array([seed_for(seed)], np.uint64))
 
 
 @inlined

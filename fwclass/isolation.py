@@ -61,8 +61,8 @@ def _set(name: str, value: str) -> None:
 
 def outer_environment() -> dict[str, str]:
     """The environment as it was before `isolate`, for commands of the user's own."""
-    kept = {name: value for name, value in os.environ.items() if name not in _before}
-    return kept | {name: value for name, value in _before.items() if value is not None}
+    added = {name: value for name, value in os.environ.items() if name not in _before}
+    return added | {name: value for name, value in _before.items() if value is not None}
 
 
 def _here() -> str:
@@ -166,11 +166,11 @@ class _Guard:
             return None
         spec = PathFinder.find_spec(name, path, target)
         if spec is not None and spec.loader is not None:
-            setattr(spec.loader, "exec_module", _guarded(name, spec.loader.exec_module))  # noqa: B010 - for this one
+            setattr(spec.loader, "exec_module", _guard(name, spec.loader.exec_module))  # noqa: B010 - for this one
         return spec
 
 
-def _guarded(name: str, execute: Callable[[ModuleType], None]) -> Callable[[ModuleType], None]:
+def _guard(name: str, execute: Callable[[ModuleType], None]) -> Callable[[ModuleType], None]:
     def exec_module(module: ModuleType) -> None:
         if name == "numba":
             kernel_cache()

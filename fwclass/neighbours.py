@@ -140,7 +140,7 @@ def sort_by_cell(cell, n_cells):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _nearest(px, py, pz, x, y, z, start, occupied, ncols, nrows, cell, limit, found, distance):  # type: ignore[no-untyped-def]
+def _nearest(px, py, pz, x, y, z, start, occupied, ncols, nrows, cell, limit, nearest, distance):  # type: ignore[no-untyped-def]
     """Sorted row of the nearest indexed point within `limit` mm (first in walk order on a tie), -1 if none."""
     every = len(occupied) == 0
     for i in range(len(px)):
@@ -159,7 +159,7 @@ def _nearest(px, py, pz, x, y, z, start, occupied, ncols, nrows, cell, limit, fo
                 d = dx * dx + dy * dy + dz * dz
                 if d < best:
                     best, at = d, j
-        found[i] = at
+        nearest[i] = at
         distance[i] = np.sqrt(float(best)) if at >= 0 else np.nan
 
 
@@ -201,7 +201,7 @@ def nearest_within(
 
 
 def _nearest_in_crowds(
-    points: Points, among: Points, limit: int, found: NDArray[np.int64], distance: NDArray[np.float64]
+    points: Points, among: Points, limit: int, nearest: NDArray[np.int64], distance: NDArray[np.float64]
 ) -> None:
     """Fill the results of `nearest_within` (`limit` and distances in mm) where cells hold many points: of equal points
     the first stands for all, and ever larger cells are looked at by those points that have found nothing yet."""
@@ -211,7 +211,7 @@ def _nearest_in_crowds(
     rows = np.sort(order[new])
     some = (among[0][rows], among[1][rows], among[2][rows])
     edges = sorted({limit >> k for k in range(8)} - {0})
-    left = np.arange(len(found))
+    left = np.arange(len(nearest))
     for edge in edges:
         index = CellIndex.build(*some, cell=edge / 1000, asked=len(left))
         for first in range(0, len(left), AT_A_TIME):
@@ -238,12 +238,12 @@ def _nearest_in_crowds(
                 apart,
             )
             hit = at >= 0
-            found[part[hit]], distance[part[hit]] = rows[at[hit]], apart[hit]
-        left = left[found[left] < 0]
+            nearest[part[hit]], distance[part[hit]] = rows[at[hit]], apart[hit]
+        left = left[nearest[left] < 0]
 
 
 @kernel
-def _nearest_of_ties(px, py, pz, x, y, z, order, start, occupied, ncols, nrows, cell, x0, y0, limit, found, distance):  # type: ignore[no-untyped-def]
+def _nearest_of_ties(px, py, pz, x, y, z, order, start, occupied, ncols, nrows, cell, x0, y0, limit, nearest, distance):  # type: ignore[no-untyped-def]
     """As `_nearest` within the edge of a cell, with input rows; of points at one distance the one that comes first by
     cells of edge `limit`, then by row."""
     every = len(occupied) == 0
@@ -267,5 +267,5 @@ def _nearest_of_ties(px, py, pz, x, y, z, order, start, occupied, ncols, nrows, 
                     )
                     if d < best or sooner:
                         best, at, row_of, col_of = d, own, own_row, own_col
-        found[i] = at
+        nearest[i] = at
         distance[i] = np.sqrt(float(best)) if at >= 0 else np.nan

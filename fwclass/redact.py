@@ -20,8 +20,8 @@ def redacted(text: str) -> str:
     return _ADDRESS.sub(_cut, text) if "://" in text else text
 
 
-def _cut(found: re.Match[str]) -> str:
-    scheme, rest = found[1], found[2]
+def _cut(match: re.Match[str]) -> str:
+    scheme, rest = match[1], match[2]
     place, query, _ = rest.partition("?")
     host, slash, path = place.partition("/")
     host = host.rpartition("@")[2]

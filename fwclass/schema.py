@@ -30,10 +30,12 @@ class Scale(NamedTuple):
 
     @property
     def metres(self) -> float:
+        """The scale in metres."""
         return self.size / 100.0
 
     @property
     def suffix(self) -> str:
+        """The end of a feature's name: ``r100`` for a sphere of 1 m."""
         return "opt" if self.kind == "o" else f"{self.kind}{self.size}"
 
     def __str__(self) -> str:
@@ -115,9 +117,11 @@ class Table(Mapping[str, NDArray]):
 
     @property
     def rows(self) -> int:
+        """Number of rows."""
         return self._rows
 
     def select(self, names: Iterable[str]) -> Table:
+        """The same rows with the columns `names` alone, in that order."""
         return Table({n: self[n] for n in names})
 
     def take(self, index: NDArray) -> Table:
@@ -125,10 +129,12 @@ class Table(Mapping[str, NDArray]):
         return Table({n: v[index] for n, v in self._columns.items()})
 
     def with_columns(self, columns: Mapping[str, ArrayLike]) -> Table:
+        """The same rows with `columns` added, or put in the place of those of the same name."""
         return Table({**self._columns, **columns})
 
     @classmethod
     def empty(cls, names: Iterable[str]) -> Table:
+        """A table of no rows with the columns `names`, in their types."""
         return cls({n: np.empty(0, column(n).dtype) for n in names})
 
     @classmethod

@@ -14,7 +14,7 @@ from fwclass.delivery.opened import Delivery
 from fwclass.formats.geoparquet import header
 from fwclass.publish.copc import write_tile_copc
 from fwclass.publish.geoparquet import about_delivery, write_geoparquet
-from fwclass.publish.octree import drawn_by
+from fwclass.publish.octree import echo_hashes
 from fwclass.publish.tile_facts import point_schema, tile_facts
 from fwclass.publish.vpc import write_vpc
 from fwclass.schema import Table
@@ -46,7 +46,7 @@ def many_tiles(source: Delivery, root: Path, edge: int, echoes: int) -> Path:
             }
         )
         key = f"{at[0] + i}_{at[1] + j}"
-        coarse.append(moved.take(drawn_by(moved) <= np.uint64(min(share * 2.0**64, float(2**64 - 2048)))))
+        coarse.append(moved.take(echo_hashes(moved) <= np.uint64(min(share * 2.0**64, float(2**64 - 2048)))))
         out = root / "made" / f"{key}.parquet"
         write_geoparquet(moved, out, crs, params, about)
         files[f"parquet/{key}.parquet"] = out

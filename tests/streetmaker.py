@@ -7,7 +7,7 @@ from pathlib import Path
 from fwclass import conf
 from fwclass.conf.street import scanner
 from fwclass.street.frames import Frame
-from fwclass.street.simulate import simulated
+from fwclass.street.simulate import simulate_frames
 
 SHORT = ("street_scene.length=5", "street_scene.speed=1.5", "street.speed=1.5")
 QUICK = ("train.method=forest", "train.trees=10", "train.samples_per_class=1500")
@@ -21,7 +21,7 @@ def config(*settings):
 def drive() -> tuple[Frame, ...]:
     """Some 135 frames of 1 081 beams with labels, a stop among them."""
     made = config()
-    return tuple(simulated(made.street_scene, scanner(made.street.scanner), made.street.mounting))
+    return tuple(simulate_frames(made.street_scene, scanner(made.street.scanner), made.street.mounting))
 
 
 @functools.cache

@@ -238,14 +238,14 @@ def test_a_kernel_does_not_divide_as_its_first_caller_may(program: Path, tmp_pat
 def test_a_person_is_told_from_a_second_on(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[bool] = []
     monkeypatch.setattr(compiling, "_spent", 0.0)
-    with compiling.told(heard.append):
-        with compiling._watched("a"):
+    with compiling.notify(heard.append):
+        with compiling._timed("a"):
             pass
         assert heard == []
-        with compiling._watched("a"), compiling._watched("b"):
-            time.sleep(compiling.TOLD_AFTER + 0.3)
+        with compiling._timed("a"), compiling._timed("b"):
+            time.sleep(compiling.NOTIFY_AFTER + 0.3)
             assert heard == [True]
-        assert heard == [True, False] and not compiling.runs() and compiling.spent() > compiling.TOLD_AFTER
+        assert heard == [True, False] and not compiling.runs() and compiling.spent() > compiling.NOTIFY_AFTER
 
 
 def test_the_list_of_kernels_can_be_read_and_is_as_it_is_written() -> None:
@@ -314,7 +314,7 @@ from fwclass import compiling
 @cli.command()
 def waits():
     for _ in range(2):
-        with compiling._watched("a"):
+        with compiling._timed("a"):
             time.sleep(1.3)
 cli(["waits"], standalone_mode=False)
 answer = 0.0

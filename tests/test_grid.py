@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fwclass.errors import ConfigError
-from fwclass.grid import Box, TileGrid, Window, millimetres, quantised, whole_millimetres
+from fwclass.grid import Box, TileGrid, Window, millimetres, quantise, whole_millimetres
 
 coordinate = st.integers(-(10**10), 10**10)
 
@@ -29,7 +29,7 @@ def test_every_point_has_exactly_one_owner(mx, my, size):
 def test_millimetres_go_there_and_back(mm):
     metres = np.array([mm / 1000.0])
     assert millimetres(metres)[0] == mm
-    assert millimetres(quantised(metres))[0] == mm
+    assert millimetres(quantise(metres))[0] == mm
 
 
 def test_touching_is_every_tile_that_shares_area_and_no_other():

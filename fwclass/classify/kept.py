@@ -40,7 +40,7 @@ class Kept:
         return table
 
     def rows(self, source: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Which echoes stay, by the class of their source."""
+        """bool (rows,): which echoes stay, by the class of their `source`."""
         return self.codes[source]
 
 

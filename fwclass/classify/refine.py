@@ -28,20 +28,20 @@ def at_boundary(chunk: Chunk, pair: tuple[int, int], within: float) -> NDArray[n
     other. `chunk` has x, y, z and ``coarse_class``, and rows as far around."""
     table, core = chunk.table, chunk.core
     codes = table["coarse_class"]
-    found = np.zeros(len(core), bool)
+    boundary = np.zeros(len(core), bool)
     for mine, yours in (pair, pair[::-1]):
         ask, others = core[codes[core] == mine], np.flatnonzero(codes == yours)
         if len(ask) and len(others):
             near, _ = nearest_within(_places(table, ask), _places(table, others), within)
-            found[codes[core] == mine] = near >= 0
-    return found
+            boundary[codes[core] == mine] = near >= 0
+    return boundary
 
 
 def _places(table: Table, rows: NDArray) -> tuple[NDArray, NDArray, NDArray]:
     return table["x"][rows], table["y"][rows], table["z"][rows]
 
 
-def refined(table: Table, X: NDArray[np.float32], model: TwoLayer, coarse: Table | None = None) -> Table:
+def refine_boundary(table: Table, X: NDArray[np.float32], model: TwoLayer, coarse: Table | None = None) -> Table:
     """Class, confidence and entropy of rows that have `COARSE` and `BOUNDARY`; X are the fine features (boundary rows,
     features) of those at the boundary. Elsewhere the first layer's answers stay as they are.
 
@@ -50,16 +50,16 @@ def refined(table: Table, X: NDArray[np.float32], model: TwoLayer, coarse: Table
     """
     rows = np.flatnonzero(table[BOUNDARY])
     names = ("classification", "confidence", "entropy")
-    made = {name: table[column].copy() for name, column in zip(names, COARSE, strict=True)}
+    answers = {name: table[column].copy() for name, column in zip(names, COARSE, strict=True)}
     shares = {n: coarse[n].copy() for n in probability_columns(model.codes)} if coarse is not None else {}
     if len(rows):
         winner, of_pair = answer(X, model.fine)
         every = np.zeros((len(rows), len(model.codes)))
         order = np.argsort(model.codes)
         every[:, order[np.searchsorted(model.codes[order], model.fine.codes)]] = of_pair
-        made["classification"][rows] = model.fine.codes[winner]
-        made["confidence"][rows] = np.take_along_axis(of_pair, winner[:, None], axis=1)[:, 0]
-        made["entropy"][rows] = entropy(every)
+        answers["classification"][rows] = model.fine.codes[winner]
+        answers["confidence"][rows] = np.take_along_axis(of_pair, winner[:, None], axis=1)[:, 0]
+        answers["entropy"][rows] = entropy(every)
         for k, values in enumerate(shares.values()):
             values[rows] = every[:, k]
-    return Table({**made, **shares})
+    return Table({**answers, **shares})

@@ -35,7 +35,7 @@ def answer(X: NDArray[np.float32], model: Model) -> Answer:
 
 
 def fitting(X: NDArray[np.float32], model: Model) -> NDArray[np.float32]:
-    """X, if it has the model's columns; else an `InputError`."""
+    """X (rows, features), if it has the model's columns; else an `InputError`."""
     X = np.asarray(X)
     if X.ndim != 2 or X.shape[1] != len(model.features):
         raise InputError(

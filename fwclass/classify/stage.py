@@ -31,7 +31,7 @@ def classify(X: NDArray[np.float32] | Table, model: Model, probabilities: bool =
     X is a table that has the model's features (others are ignored; `InputError` naming the one that is
     missing) or a matrix (rows, features). Every row gets a class; what a missing value (NaN) does is the model's:
     in a forest it goes right at every node, in boosting to the side learned, a machine takes the median of its
-    training rows for it (`filled` counts them).
+    training rows for it (`count_filled` counts them).
 
     Returns
     -------
@@ -41,14 +41,14 @@ def classify(X: NDArray[np.float32] | Table, model: Model, probabilities: bool =
     if isinstance(X, Table):
         X = sample_matrix(X, model.features, "classify")
     winner, shares = answer(X, model)
-    made: dict[str, NDArray] = {
+    columns: dict[str, NDArray] = {
         "classification": model.codes[winner],
         "confidence": np.take_along_axis(shares, winner[:, None], axis=1)[:, 0],
         "entropy": entropy(shares),
     }
     if probabilities:
-        made |= {name: shares[:, k] for k, name in enumerate(probability_columns(model.codes))}
-    return Table(made)
+        columns |= {name: shares[:, k] for k, name in enumerate(probability_columns(model.codes))}
+    return Table(columns)
 
 
 def probability_columns(codes: Iterable[int]) -> tuple[str, ...]:
@@ -56,8 +56,8 @@ def probability_columns(codes: Iterable[int]) -> tuple[str, ...]:
     return tuple(f"probability_{int(code)}" for code in codes)
 
 
-def filled(X: NDArray[np.float32], model: Model) -> int:
-    """Missing values of X that the model replaces by what it knows from training."""
+def count_filled(X: NDArray[np.float32], model: Model) -> int:
+    """Number of missing values (NaN) in X that the model replaces by what it knows from training."""
     return int(np.isnan(X).sum()) if isinstance(model, Machine) else 0
 
 

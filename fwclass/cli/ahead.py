@@ -20,7 +20,7 @@ def compile_kernels(as_json: bool) -> None:
     from fwclass import compiling
     from fwclass.operate.ahead import compile_all
 
-    compiling.tellers.clear()
+    compiling.listeners.clear()
     done = compile_all(lambda text: click.echo(f"compiling        {text}", err=True))
     click.echo(
         f"{done['compiled']} kernels compiled in {done['seconds']:g} s; all {done['listed']} that are called lie in "

@@ -26,15 +26,15 @@ def cli() -> None:
     """
     from fwclass import compiling  # not for --help
 
-    compiling.tellers[:] = [_compiling]
+    compiling.listeners[:] = [_compiling]
 
 
 def _compiling(begins: bool) -> None:
     """For commands that show no progress."""
     from fwclass import compiling
 
-    if begins and compiling.tellers:
-        compiling.tellers.clear()
+    if begins and compiling.listeners:
+        compiling.listeners.clear()
         click.echo(f"{compiling.ONCE}; `fwclass compile` makes all kernels ahead", err=True)
 
 

@@ -55,7 +55,7 @@ def open_runner(
 ) -> Iterator[Any]:
     """A run locked for writing, with its executor; `location` is its directory, or a `Remote` place; `limits` is
     section `run` of the configuration, `report` where Dask's performance report goes."""
-    from fwclass.compiling import told
+    from fwclass.compiling import notify
     from fwclass.run.libraries import announced
     from fwclass.run.local import Loop, WhenNeeded
     from fwclass.run.progress import Display
@@ -66,7 +66,7 @@ def open_runner(
     with (
         unmade_again(location),
         Display() as display,
-        told(partial(display.compiling, "")),
+        notify(partial(display.compiling, "")),
         locked(location, display.say) as (location, held),
     ):
 

@@ -63,12 +63,12 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], overwrite: bool) 
     from fwclass.conf.street import scanner
     from fwclass.publish.files import whole
     from fwclass.street.recording_parquet import write_recording
-    from fwclass.street.simulate import simulated
+    from fwclass.street.simulate import simulate_frames
 
     config = _config(conf, settings)
     if out.exists() and not overwrite:
         raise ConfigError("the recording exists", where=out, do="choose another name, or add --overwrite")
-    frames = simulated(config.street_scene, scanner(config.street.scanner), config.street.mounting)
+    frames = simulate_frames(config.street_scene, scanner(config.street.scanner), config.street.mounting)
     with whole(out) as beside:
         count = write_recording(beside, frames)
     _say(f"recording    {out}: {count} frames, {config.street_scene.length:g} m of street")

@@ -27,6 +27,7 @@ class Pieces:
 
     @classmethod
     def of(cls, lines: Lines) -> Pieces:
+        """Ends, lengths and areas of the pieces that `lines` of one block are."""
         first = np.append(0, np.cumsum(lines.count))[:-1]
         tips = np.hstack([lines.vertices[first], lines.vertices[first + lines.count - 1]])
         away = lines.vertices - np.repeat(tips[:, :2], lines.count, axis=0)
@@ -58,17 +59,19 @@ class Joined:
     depression: NDArray[np.bool_]
 
 
-def joined(pieces: Pieces) -> Joined:
+def join_lines(pieces: Pieces) -> Joined:
     """Lines of the pieces of all blocks, by the first piece of each."""
     ends, n = pieces.ends, len(pieces.ends)
     places = np.concatenate([ends[:, :4], ends[:, [0, 4, 5, 6]]])
     number = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
     begins = np.full(2 * n, -1, np.int64)
     begins[number[:n]] = np.arange(n)
-    made = chains(begins[number[n:]])
-    length, area, x0, y0, x1, y1 = pieces.measures[made.order].T
-    counts = np.diff(made.first)
-    x, y = (np.repeat(v[made.first[:-1]], counts) for v in (x0, y0))  # areas about one vertex of the line
+    lines = chains(begins[number[n:]])
+    length, area, x0, y0, x1, y1 = pieces.measures[lines.order].T
+    counts = np.diff(lines.first)
+    x, y = (np.repeat(v[lines.first[:-1]], counts) for v in (x0, y0))  # areas about one vertex of the line
     area = area + (x0 - x) * (y1 - y0) - (y0 - y) * (x1 - x0)
-    whole = [np.add.reduceat(v, made.first[:-1]) if n else v for v in (length, area)]
-    return Joined(made.order, made.first, ends[made.order[made.first[:-1]], 0], whole[0], made.closed & (whole[1] < 0))
+    whole = [np.add.reduceat(v, lines.first[:-1]) if n else v for v in (length, area)]
+    return Joined(
+        lines.order, lines.first, ends[lines.order[lines.first[:-1]], 0], whole[0], lines.closed & (whole[1] < 0)
+    )

@@ -77,7 +77,7 @@ def lines(heights: NDArray[np.int64], window: Window, steps: int, index: int) ->
     second = np.flatnonzero(_SECOND[case, 0] >= 0)
     sides = np.concatenate([_FIRST[case], _SECOND[case[second]]])
     square, level = np.concatenate([square, square[second]]), np.concatenate([level, level[second]])
-    return _joined(sides, square, level, heights, window, steps, every)
+    return _join(sides, square, level, heights, window, steps, every)
 
 
 def _levels(heights: NDArray[np.int64], band: NDArray[np.int64]) -> tuple[NDArray[np.int64] | None, NDArray[np.int64]]:
@@ -95,7 +95,7 @@ def _levels(heights: NDArray[np.int64], band: NDArray[np.int64]) -> tuple[NDArra
     return square, low.reshape(-1)[square] + 1 + past
 
 
-def _joined(
+def _join(
     sides: NDArray[np.int64],
     square: NDArray[np.int64],
     level: NDArray[np.int64],
@@ -116,13 +116,13 @@ def _joined(
     start, stop = number[: len(level)], number[len(level) :]
     after = np.full(len(crossing), -1, np.int64)
     after[start] = stop
-    made = chains(after)
-    again = made.closed.astype(np.int64)
-    count = np.diff(made.first) + again
+    chain = chains(after)
+    again = chain.closed.astype(np.int64)
+    count = np.diff(chain.first) + again
     first = np.append(0, np.cumsum(count))
     order = np.empty(int(first[-1]), np.int64)
-    order[np.arange(len(made.order)) + np.repeat(np.cumsum(again) - again, np.diff(made.first))] = made.order
-    order[first[1:][made.closed] - 1] = made.order[made.first[:-1][made.closed]]
+    order[np.arange(len(chain.order)) + np.repeat(np.cumsum(again) - again, np.diff(chain.first))] = chain.order
+    order[first[1:][chain.closed] - 1] = chain.order[chain.first[:-1][chain.closed]]
     key = crossing[order]
     upon, (axis, node) = key // (2 * nodes) + lowest, np.divmod(key % (2 * nodes), nodes)
     row, col = np.divmod(node, window.ncols)

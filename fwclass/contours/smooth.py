@@ -25,7 +25,7 @@ def margin(params: ContourParams, cell: float) -> int:
     return PASSES * half_width(params, cell)
 
 
-def smoothed(dtm: NDArray[np.float32], cell: float, params: ContourParams) -> NDArray[np.int64]:
+def smooth_terrain(dtm: NDArray[np.float32], cell: float, params: ContourParams) -> NDArray[np.int64]:
     """Heights that contours are drawn of, in units of `STEP`; `NO_HEIGHT` where there is no terrain.
 
     The mean of the terrain around, by weights near a Gaussian's, and nowhere more than ``most * interval`` (and half a

@@ -53,6 +53,7 @@ class Autoregression:
 
     @property
     def stationary(self) -> bool:
+        """Whether such noise keeps its variance: all its partial correlations lie within -1 to 1."""
         try:
             return len(self._steps) == len(self.phi) and bool(np.isfinite(self.phi).all())
         except ValueError:
@@ -74,11 +75,11 @@ class Autoregression:
 
     def correlation(self, lags: int) -> Floats:
         """Correlation at the lags 0 to `lags`."""
-        found = np.ones(lags + 1)
+        correlation = np.ones(lags + 1)
         for lag in range(1, lags + 1):
             phi = np.array(self._steps[min(lag, len(self.phi)) - 1] if self.phi else ())
-            found[lag] = phi @ found[lag - 1 :: -1][: len(phi)]
-        return found
+            correlation[lag] = phi @ correlation[lag - 1 :: -1][: len(phi)]
+        return correlation
 
 
 WHITE = Autoregression()

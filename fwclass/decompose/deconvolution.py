@@ -20,8 +20,8 @@ from fwclass.decompose.params import DecomposeParams, SampleParams
 from fwclass.decompose.placement import Placement, offsets_of
 from fwclass.decompose.placing import beams, origins_of, row_shifts
 from fwclass.decompose.shapes import Profiles, height_error
-from fwclass.decompose.system_pulse import Channel, SystemPulse
-from fwclass.grid import quantised
+from fwclass.decompose.system_pulse import SystemPulse
+from fwclass.grid import quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
 from fwclass.waveforms import Waveforms
@@ -59,16 +59,16 @@ def backscatter_samples(
     gain = waves.pulses["gain"].astype(np.float64)
     for step, which in np.unique(np.stack([spacing, kind], axis=1)[usable], axis=0):
         rows = np.flatnonzero(usable & (spacing == step) & (kind == which))
-        own = kinds[int(which)]
+        own, channel = kinds[int(which)], known[int(which)]
         shape, before = pulse_at_samples(own, float(step))
-        error = _height_error(own, known[int(which)], float(step))
+        error = height_error(own, channel) if channel else math.sqrt(float(step) / own.energy)
         limit = params.threshold * error * fits.noise[rows]
         gold, level = params.method == "gold", fits.baseline[rows]
         deconvolve_rows(waves.wide, waves.offsets, rows, level, limit, shape, before, gold, params.iterations, height)
         area = float(shape.sum()) * float(step)
         at = _samples_of(waves.offsets, rows)
         energy[at] = height[at] * area * np.repeat(gain[rows], length[rows])
-    return _placed(waves, strip, fits, height, energy, params, fit, pulse, placement)
+    return _place_samples(waves, strip, fits, height, energy, params, fit, pulse, placement)
 
 
 def pulse_at_samples(pulse: SystemPulse, spacing: float) -> tuple[Floats, int]:
@@ -82,17 +82,13 @@ def pulse_at_samples(pulse: SystemPulse, spacing: float) -> tuple[Floats, int]:
     return np.maximum(h[first : last + 1], 0.0), -begin - first
 
 
-def _height_error(pulse: SystemPulse, channel: Channel | None, spacing: float) -> float:
-    return height_error(pulse, channel) if channel else math.sqrt(spacing / pulse.energy)
-
-
 def _samples_of(offsets: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.int64]:
     length = np.diff(offsets)[rows]
     begin = np.concatenate([[0], np.cumsum(length)])[:-1]
     return np.asarray(np.arange(int(length.sum())) + np.repeat(offsets[rows] - begin, length))
 
 
-def _placed(
+def _place_samples(
     waves: Waveforms,
     strip: int,
     fits: Fits,
@@ -105,24 +101,24 @@ def _placed(
 ) -> tuple[Table, dict[str, float]]:
     row = np.repeat(np.arange(waves.pulses.rows), np.diff(waves.offsets))
     noise, level = (np.nan_to_num(getattr(fits, n), nan=np.inf)[row] for n in ("noise", "baseline"))
-    kept = np.flatnonzero(height > params.least * noise)
-    total, sure = float(energy.sum()), float(energy[kept].sum())
-    row, sample = row[kept], kept - waves.offsets[row[kept]]
+    strong = np.flatnonzero(height > params.least * noise)
+    total, sure = float(energy.sum()), float(energy[strong].sum())
+    row, sample = row[strong], strong - waves.offsets[row[strong]]
     start, velocity = first_samples(waves, fits, fit, pulse, placement)
     pulses = waves.pulses
     time = sample * pulses["sample_spacing"].astype(np.float64)[row]
     place = start[row] + time[:, None] * velocity[row]
     names, of = np.unique(pulses["pulse"], return_inverse=True)
-    whole = np.bincount(of[row], weights=energy[kept], minlength=len(names))
+    whole = np.bincount(of[row], weights=energy[strong], minlength=len(names))
     columns = {
         "strip": np.full(len(row), strip),
         "pulse": pulses["pulse"][row],
         "sample": sample + _before(pulses)[row],
-        **{axis: quantised(place[:, c]) for c, axis in enumerate("xyz")},
+        **{axis: quantise(place[:, c]) for c, axis in enumerate("xyz")},
         "gps_time": pulses["gps_time"][row],
-        "sample_value": waves.samples[kept] - level[kept],
-        "returned_energy": energy[kept],
-        "share": energy[kept] / np.maximum(whole[of[row]], TINY),
+        "sample_value": waves.samples[strong] - level[strong],
+        "returned_energy": energy[strong],
+        "share": energy[strong] / np.maximum(whole[of[row]], TINY),
     }
     return Table({n: columns[n] for n in SAMPLE_COLUMNS}), {"energy": total, "dropped": total - sure}
 
@@ -157,7 +153,7 @@ def first_samples(
     return anchor - back[:, None] * velocity, velocity
 
 
-def joined(parts: Sequence[Table]) -> Table:
+def join_samples(parts: Sequence[Table]) -> Table:
     """Samples of several chunks in one order: strip, pulse, sample."""
     table = Table.concat([Table.empty(SAMPLE_COLUMNS), *parts])
     return table.take(np.lexsort((table["sample"], table["pulse"], table["strip"])))

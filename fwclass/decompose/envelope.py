@@ -33,7 +33,7 @@ class Envelope:
 
     @classmethod
     def nothing(cls, cell: float) -> Envelope:
-        """Of a strip without returns."""
+        """The envelope of a strip without returns, with cells of edge `cell` [m]: all heights are NaN."""
         return cls(cell, np.empty(0, np.int64), np.empty(0), np.nan, np.nan)
 
     @classmethod
@@ -53,8 +53,8 @@ class Envelope:
 
     def below(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
         """Lowest return within one to two cells of every place [m]; the strip's lowest where there is none."""
-        found = _value(self.keys, self.lowest, _keys(x, y, self.cell))
-        return np.where(np.isfinite(found), found, self.bottom)
+        lowest = _value(self.keys, self.lowest, _keys(x, y, self.cell))
+        return np.where(np.isfinite(lowest), lowest, self.bottom)
 
 
 def _keys(x: NDArray[np.float64], y: NDArray[np.float64], cell: float) -> NDArray[np.int64]:
@@ -64,8 +64,8 @@ def _keys(x: NDArray[np.float64], y: NDArray[np.float64], cell: float) -> NDArra
 
 def _lowest(keys: NDArray[np.int64], z: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     order = np.lexsort((z, keys))
-    kept, first = np.unique(keys[order], return_index=True)
-    return kept, z[order][first]
+    cells, first = np.unique(keys[order], return_index=True)
+    return cells, z[order][first]
 
 
 def _value(keys: NDArray[np.int64], values: NDArray[np.float64], wanted: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.units import FWHM_PER_SIGMA
 from fwclass.waveforms import Waveforms
 
-__all__ = ["EDGE", "OVERLAPPING", "POOR", "SATURATED", "Fits", "fit_waveforms", "model_of", "reached_limits"]
+__all__ = ["EDGE", "OVERLAPPING", "POOR", "SATURATED", "Fits", "fit_waveforms", "model_of", "sample_limits"]
 
 
 SPARED = 4
@@ -88,7 +88,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
     top = waves.pulses["saturation"].astype(np.float64)
     top = np.where(np.isnan(top), np.inf, top)
     channels, values, channel_of = _channels(pulse, spacing, top)
-    top = reached_limits(waves, pulse)
+    top = sample_limits(waves, pulse)
     count, row_values = np.zeros(n, np.int64), np.full((3, n), np.nan)
     lengths = np.diff(waves.offsets)
     parts, samples = [], waves.wide
@@ -116,7 +116,7 @@ def fit_waveforms(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse)
                 echoes,
             )
             parts.append(_in_ns(echoes, total, float(step), widths))
-    return _gathered(count, row_values, parts)
+    return _gather(count, row_values, parts)
 
 
 def _alike(
@@ -189,7 +189,7 @@ def _channels(
     return known, np.array([*values, (0.0, 0.0, 0.0, 0.0)]), channel_of
 
 
-def reached_limits(waves: Waveforms, pulse: SystemPulse) -> NDArray[np.float64]:
+def sample_limits(waves: Waveforms, pulse: SystemPulse) -> NDArray[np.float64]:
     """The highest value that every waveform's samples can reach [DN]: the saturation, or its channel's clip level where
     that is lower; infinite where neither is known."""
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
@@ -217,7 +217,7 @@ def _in_ns(echoes: Echoes, total: int, spacing: float, widths: Widths) -> tuple[
     return e._replace(width=np.interp(e.width, widths.s, widths.fwhm), width_sigma=e.width_sigma * slope), energy
 
 
-def _gathered(
+def _gather(
     count: NDArray[np.int64], row_values: NDArray[np.float64], parts: list[tuple[Echoes, NDArray[np.float64]]]
 ) -> Fits:
     """Echoes of all parts by row."""

@@ -32,7 +32,9 @@ def held(t, n):  # type: ignore[no-untyped-def]
 
 @inlined
 def place(look, t, s):  # type: ignore[no-untyped-def]
-    """(row of the table, cell in width, whole sample, rest in time, rest in width) of an echo."""
+    """Where the profile of an echo at time `t` and of width `s` [samples] lies in the table of `look`.
+
+    Its row, its cell in width, the whole sample (index) it begins at, and what is left in time and in width."""
     k = int(min(max(0.0, (s - look.low) / look.step), len(look.first) - 1.0))
     cell = int(math.floor(t * look.phases + 0.5))
     whole = int(math.floor(cell / look.phases))
@@ -92,7 +94,9 @@ def moments(y, weight, pad, n):  # type: ignore[no-untyped-def]
 
 @kernel
 def fit_one(p, y, weight, pad, n, prior, limits, look, sums):  # type: ignore[no-untyped-def]
-    """`fit` for a single echo: the same steps, all in registers. `sums` is `moments`. (chi-square, steps)."""
+    """`fit` for a single echo, `p` of shape (4,): the same steps, all in registers; (chi-square, number of steps).
+
+    `sums` : `moments` of the weights."""
     narrow, wide, iterations, tolerance, highest = limits
     b, a, t, s = p[0], p[1], held(p[2], n), p[3]
     damping = FIRST_DAMPING
@@ -303,10 +307,10 @@ def _cross(one, two, weight, length):  # type: ignore[no-untyped-def]
 
 @kernel
 def normal_equations(p, count, weight, residual, basis, window, total, pull, hessian, gradient):  # type: ignore[no-untyped-def]
-    """Upper triangle of J^T W J and J^T W r, after `evaluate` or `lay` at the same `p`.
+    """Upper triangle of J^T W J into `hessian` (size, size), and J^T W r into `gradient` (size,), after `evaluate` or
+    `lay` at the same `p`.
 
-    `total`, `pull` : sums of w and of w r.
-    """
+    `total`, `pull` : sums of w and of w r."""
     size = 3 * count + 1
     for a in range(size):
         for b in range(a, size):
@@ -337,11 +341,10 @@ def normal_equations(p, count, weight, residual, basis, window, total, pull, hes
 
 @inlined
 def factorise(hessian, frozen, damping, size, upper):  # type: ignore[no-untyped-def]
-    """Cholesky factor R, R^T R = `hessian` with its diagonal grown by `damping` and `frozen`, into the upper triangle;
-    False if singular. The diagonal of `upper` holds inverses.
+    """Cholesky factor R (size, size), R^T R = `hessian` with its diagonal grown by `damping` and `frozen`.
 
-    Each row is taken off all below it at once: that runs several numbers at a time, without another order of sums.
-    """
+    It goes into the upper triangle of `upper`, whose diagonal holds inverses; False if singular. Each row is taken off
+    all below it at once: that runs several numbers at a time, without another order of sums."""
     for i in range(size):
         for j in range(i, size):
             upper[i, j] = hessian[i, j]
@@ -445,7 +448,7 @@ def fit(p, count, y, weight, pad, n, prior, limits, look, sums, work):  # type: 
 
 @inlined
 def variances(upper, size, x, out):  # type: ignore[no-untyped-def]
-    """Diagonal of (R^T R)^-1."""
+    """Diagonal of (R^T R)^-1 into `out` (size,), for R in the upper triangle of `upper` as `factorise` leaves it."""
     for q in range(size):
         total = 0.0
         for i in range(q, size):

@@ -8,7 +8,7 @@ from fwclass.kernel import kernel
 
 
 @kernel
-def nearest_of_pulse(from_pulse, from_xyz, to_pulse, to_xyz, found):  # type: ignore[no-untyped-def]
+def nearest_of_pulse(from_pulse, from_xyz, to_pulse, to_xyz, nearest):  # type: ignore[no-untyped-def]
     """For every row the nearest row of the other list in the same pulse, the first on a tie; -1 if the pulse has none.
 
     Both lists are sorted by pulse. Distances are in space, which along one beam is the distance along the beam.
@@ -27,7 +27,7 @@ def nearest_of_pulse(from_pulse, from_xyz, to_pulse, to_xyz, found):  # type: ig
             if d < best or at < 0:
                 best, at = d, j
             j += 1
-        found[i] = at
+        nearest[i] = at
 
 
 @kernel

@@ -124,8 +124,8 @@ def level_and_noise(samples, first, n, floor, histograms):  # type: ignore[no-un
 
 @inlined
 def surer(threshold, freedom):  # type: ignore[no-untyped-def]
-    """The threshold in Student's t that is as rare as `threshold` in the normal distribution, to second order:
-    noise estimated from few samples may be underestimated. Source: Cornish and Fisher 1937."""
+    """The threshold in Student's t, of `freedom` degrees, as rare as `threshold` [standard deviations] in the normal
+    distribution, to second order: noise estimated from few samples may be too low. Source: Cornish and Fisher 1937."""
     f, z = max(freedom, 4.0), threshold * threshold
     return threshold * (1.0 + (z + 1.0) / (4.0 * f) + (5.0 * z * z + 16.0 * z + 3.0) / (96.0 * f * f))
 
@@ -157,7 +157,7 @@ def _above(part, length, bound):  # type: ignore[no-untyped-def]
 
 @inlined
 def next_above(z, i, n, bound):  # type: ignore[no-untyped-def]
-    """The first of the samples i, i + 1, … of `n` that is above `bound`; `n` if none is. Quiet ones are passed
+    """Index of the first of the samples i, i + 1, … of `z` (n,) above `bound`; `n` if none is. Low ones are passed
     `AT_ONCE` at a time."""
     while i < n:
         length = min(AT_ONCE, n - i)
@@ -171,7 +171,7 @@ def next_above(z, i, n, bound):  # type: ignore[no-untyped-def]
 
 @inlined
 def is_peak(z, n, i):  # type: ignore[no-untyped-def]
-    """Sample i is above its left and not below its right neighbour."""
+    """Whether sample i of `z` (n,) is above its left and not below its right neighbour."""
     return (i == 0 or z[i] > z[i - 1]) and (i == n - 1 or z[i] >= z[i + 1])
 
 

@@ -56,16 +56,16 @@ def sample_runs(waves: Waveforms, n_pulses: int, sample: int) -> Waveforms:
 
 def join_runs(parts: Iterable[Waveforms]) -> Waveforms:
     """Samples of several chunks as one, by (pulse, segment)."""
-    kept = [part for part in parts if part.pulses.rows]
-    if not kept:
+    filled = [part for part in parts if part.pulses.rows]
+    if not filled:
         return Waveforms(Table.empty(PULSE_COLUMNS), Table.empty(RETURN_COLUMNS), np.empty(0, np.uint8), _ends([]))
     whole = Waveforms(
-        Table.concat([p.pulses for p in kept]),
+        Table.concat([p.pulses for p in filled]),
         Table.empty(RETURN_COLUMNS),
-        np.concatenate([p.samples for p in kept]),
-        _ends(np.concatenate([np.diff(p.offsets) for p in kept])),
-        outgoing=np.concatenate([p.outgoing for p in kept]),
-        outgoing_offsets=_ends(np.concatenate([np.diff(p.outgoing_offsets) for p in kept])),
+        np.concatenate([p.samples for p in filled]),
+        _ends(np.concatenate([np.diff(p.offsets) for p in filled])),
+        outgoing=np.concatenate([p.outgoing for p in filled]),
+        outgoing_offsets=_ends(np.concatenate([np.diff(p.outgoing_offsets) for p in filled])),
     )
     return _rows(whole, np.lexsort((whole.pulses["segment_start"], whole.pulses["pulse"])))
 
@@ -93,23 +93,23 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
     within = max(params.vendor_tolerance, pulse.fwhm)
     plain = (fits.flags & (SATURATED | OVERLAPPING | EDGE)) == 0
     kinds = np.stack([sample.pulses["sample_spacing"], sample.pulses["saturation"]], axis=1)
-    found = []
+    curves = []
     for spacing, saturation in np.unique(kinds[~np.isnan(kinds).any(axis=1)], axis=0):
         mine = ((kinds == (spacing, saturation)).all(axis=1))[fits.row]
         constant = 0.0
         for _ in range(2):  # which echo is nearest depends on the constant
-            near = _nearest(gap - constant, fits.row, mine, sample.pulses.rows)
+            near = _nearest(gap - constant, fits.row, mine)
             near = near[plain[near] & (np.abs(gap[near] - constant) <= within)]
             if len(near) < params.offset_echoes:
                 break
             constant = float(np.median(gap[near]))
         if len(near) >= params.offset_echoes:
             curve = _curve(gap[near], fits.amplitude[near], float(spacing), float(saturation))
-            found += [curve] if curve.scatter < 0.5 * within else []
-    return tuple(found)
+            curves += [curve] if curve.scatter < 0.5 * within else []
+    return tuple(curves)
 
 
-def _nearest(gap: Floats, row: NDArray[np.int64], mine: NDArray[np.bool_], rows: int) -> NDArray[np.int64]:
+def _nearest(gap: Floats, row: NDArray[np.int64], mine: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Of the echoes of every row that are `mine` the one of the least gap, the first on a tie."""
     at = np.flatnonzero(mine)
     order = at[np.lexsort((at, np.abs(gap[at]), row[at]))]
@@ -156,22 +156,22 @@ def _outgoing(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Sys
     n = len(np.unique(sample.pulses["pulse"][recorded]))
     if n == 0:
         return AS_STORED
-    told: dict[str, Any] = {"outgoing": n}
+    evidence: dict[str, Any] = {"outgoing": n}
     if params.outgoing_time != "auto":
-        taken = params.outgoing_time == "subtract"
-        return Placement((), taken, taken, "the setting says so", **told)
+        subtract = params.outgoing_time == "subtract"
+        return Placement((), subtract, subtract, "the setting says so", **evidence)
     if np.isnan(sample.pulses["anchor_range"][recorded]).all():
-        return Placement((), False, False, "its anchors have no fixed distance from the sensor", **told)
+        return Placement((), False, False, "its anchors have no fixed distance from the sensor", **evidence)
     roughness = _roughness(sample, fits, outgoing_times(sample, params, pulse))
     if roughness is None:
-        return Placement((), True, True, "too few neighbouring pulses to tell, so by the format's rule", **told)
+        return Placement((), True, True, "too few neighbouring pulses to tell, so by the format's rule", **evidence)
     (stored, less), ranges = roughness
-    told |= {"places": (stored, less), "ranges": ranges}
+    evidence |= {"places": (stored, less), "ranges": ranges}
     words = f"places along the line are rough by {stored:.3f} m as stored, by {less:.3f} m less that time"
-    taken = _smoother(stored, less, True)
-    if _smoother(stored, less, False) != taken:
+    subtract = _smoother(stored, less, True)
+    if _smoother(stored, less, False) != subtract:
         words += ", which does not tell, so by the format's rule"
-    return Placement((), taken, _smoother(*ranges, taken), words, **told)
+    return Placement((), subtract, _smoother(*ranges, subtract), words, **evidence)
 
 
 def _smoother(stored: float, less: float, otherwise: bool) -> bool:

@@ -67,10 +67,12 @@ class Placement:
     outgoing: int = 0
 
     def to_json(self) -> dict[str, Any]:
+        """Plain data that `from_json` reads."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> Placement:
+        """The placement that `to_json` wrote."""
         curves = tuple(
             OffsetCurve(**{**c, "heights": tuple(c["heights"]), "offsets": tuple(c["offsets"])})
             for c in plain["curves"]
@@ -93,7 +95,7 @@ def offsets_of(fits: Fits, pulses: Table, placement: Placement) -> Floats:
 
 
 def phases_of(pulses: Table, placement: Placement) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Rows whose locations are known to lack the clock's phase, and rows of which nothing is known."""
+    """Two masks, bool (rows,): locations known to lack the clock's phase, and rows of which nothing is known."""
     lacking, unknown = np.zeros(pulses.rows, np.bool_), np.ones(pulses.rows, np.bool_)
     for curve in placement.curves:
         mine = _of_channel(pulses, curve)

@@ -25,10 +25,10 @@ def outgoing_times(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse
         return late
     fits = fit_waveforms(outgoing_of(waves, rows), params, pulse)
     order = np.lexsort((fits.amplitude, fits.row))
-    found, last = np.unique(fits.row[order][::-1], return_index=True)
+    fitted, last = np.unique(fits.row[order][::-1], return_index=True)
     highest = order[::-1][last]
-    start = waves.pulses["outgoing_start"].astype(np.float64)[rows[found]]
-    late[rows[found]] = np.nan_to_num(start + fits.time[highest])
+    start = waves.pulses["outgoing_start"].astype(np.float64)[rows[fitted]]
+    late[rows[fitted]] = np.nan_to_num(start + fits.time[highest])
     return late
 
 

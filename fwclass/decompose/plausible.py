@@ -108,7 +108,7 @@ def judge(
     return Plausibility(implausible, dict(zip(COUNTS, (int(c.sum()) for c in counted), strict=False)))
 
 
-def added(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
+def add_counts(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
     """Sum of the counts of several chunks."""
     whole = dict.fromkeys(COUNTS, 0)
     for one in counts:
@@ -117,7 +117,7 @@ def added(counts: Iterable[Mapping[str, int]]) -> dict[str, int]:
     return whole
 
 
-def renumbered(echoes: Mapping[str, NDArray], implausible: NDArray[np.bool_]) -> dict[str, NDArray]:
+def renumber(echoes: Mapping[str, NDArray], implausible: NDArray[np.bool_]) -> dict[str, NDArray]:
     """The flag set, the class of a return taken away, and the echoes of a pulse numbered so that implausible ones come
     after the others, which do not count them: the last plausible echo of a pulse is its last."""
     if not implausible.any():

@@ -49,6 +49,7 @@ class Echoes:
     misfit: Floats
 
     def take(self, index: NDArray) -> Echoes:
+        """The echoes at `index` (numbers or a mask (n,))."""
         return Echoes(
             self.y[index],
             self.u[index],
@@ -64,7 +65,7 @@ class Echoes:
         return len(self.noise)
 
 
-def cut_out(
+def cut_samples(
     waves: Waveforms, rows: NDArray, peak: NDArray, level: Floats, noise: Floats, fwhm: float, after: float
 ) -> Echoes:
     """Samples of waveforms `rows` from `BEFORE` FWHM before to `after` [ns] behind the sample `peak`."""

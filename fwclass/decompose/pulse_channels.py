@@ -40,10 +40,10 @@ def channel_groups(waves: Waveforms) -> tuple[Floats, NDArray[np.int64]]:
     """
     keys = np.stack([waves.pulses["sample_spacing"], waves.pulses["saturation"]], axis=1).astype(np.float64)
     kinds, group, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    kept = np.sort(np.lexsort((np.arange(len(kinds)), -count))[:MOST_CHANNELS])
+    largest = np.sort(np.lexsort((np.arange(len(kinds)), -count))[:MOST_CHANNELS])
     place = np.full(len(kinds), -1)
-    place[kept] = np.arange(len(kept))
-    return kinds[kept], place[group.ravel()]
+    place[largest] = np.arange(len(largest))
+    return kinds[largest], place[group.ravel()]
 
 
 def clip_levels(waves: Waveforms, kinds: Floats, group: NDArray[np.int64]) -> Floats:
@@ -91,21 +91,21 @@ def estimate_channels(
     spacing = waves.pulses["sample_spacing"].astype(np.float64)
     pulse_scan.echo_free(waves.wide, waves.offsets, spacing, level, noise, fwhm, tail, mean, variance, count)
     own = level.copy()
-    found = []
+    channels = []
     for k in range(len(kinds)):
         here = group == k
         clear = here & (count >= FEWEST)
         if clear.sum() < 2:
             continue
         channel = channel_from(kinds[k], mean[clear], variance[clear], count[clear])
-        found.append(channel)
+        channels.append(channel)
         share = np.maximum(count[here], 1) / channel.noise**2
         prior = 1.0 / max(channel.baseline_sd, 1e-3) ** 2
         value = np.where(count[here] > 0, mean[here], channel.baseline)
         own[here] = (np.where(count[here] > 0, share, 0.0) * value + prior * channel.baseline) / (
             np.where(count[here] > 0, share, 0.0) + prior
         )
-    return tuple(found), own
+    return tuple(channels), own
 
 
 def channel_from(kind: Floats, mean: Floats, variance: Floats, count: NDArray[np.int64]) -> Channel:

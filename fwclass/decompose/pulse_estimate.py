@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from fwclass.decompose import pulse_scan
 from fwclass.decompose.params import FEWEST, PulseParams
-from fwclass.decompose.pulse_align import Echoes, cut_out, fit_template, half_sample_mode, narrowest
+from fwclass.decompose.pulse_align import Echoes, cut_samples, fit_template, half_sample_mode, narrowest
 from fwclass.decompose.pulse_channels import channel_groups, clip_levels, estimate_channels, rough_levels
 from fwclass.decompose.pulse_sample import join_samples, rows_of, sample_pulses
-from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, mean_shape, widened
+from fwclass.decompose.pulse_template import NARROWEST, WIDEST, Template, gaussian_template, make_template, mean_shape
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.waveforms import Waveforms
 
@@ -91,7 +91,7 @@ def estimate_pulse(waves: Waveforms, params: PulseParams, recorded: SystemPulse 
         wide = fwhm if params.width or len(rows) < FEWEST else half_sample_mode(width[rows])
         main = next(iter(pulses.values()), None)
         pulse, echoes = _pulse_of(waves, rows, float(kinds[k, 0]), (peak, height, level, noise), wide, params)
-        known = _recorded_instead(pulse, echoes, recorded, tuple(kinds[k].tolist()), params)
+        known = _prefer_recorded(pulse, echoes, recorded, tuple(kinds[k].tolist()), params)
         own = pulse.echoes >= params.min_echoes and (known.outgoing or not _agree(main or pulse, pulse, echoes, params))
         if main is None or own:
             pulses[k] = known
@@ -113,20 +113,20 @@ def _pulse_of(
     `facts` are every waveform's (sample of its peak, height, level, noise).
     """
     peak, height, level, noise = facts
-    if len(rows) < FEWEST or not _resolved(fwhm, spacing):
+    if len(rows) < FEWEST or not _is_resolved(fwhm, spacing):
         return SystemPulse("gaussian", fwhm), None
     rows = _surest(rows, -height[rows] / noise[rows], CANDIDATES * params.max_echoes)
     fwhm, rows = _narrow_width(waves, rows, peak, level, noise, fwhm, params)
-    if len(rows) < params.min_echoes or not _resolved(fwhm, spacing):
+    if len(rows) < params.min_echoes or not _is_resolved(fwhm, spacing):
         return SystemPulse("gaussian", fwhm, echoes=len(rows)), None
     after = min(max(params.tail, 2.0 * fwhm), FARTHEST * fwhm)
     echoes = fit_template(
-        cut_out(waves, rows, peak[rows], level[rows], noise[rows], fwhm, after), gaussian_template(fwhm)
+        cut_samples(waves, rows, peak[rows], level[rows], noise[rows], fwhm, after), gaussian_template(fwhm)
     )
-    return _shaped(echoes, fwhm, params), echoes
+    return _measure_pulse(echoes, fwhm, params), echoes
 
 
-def _recorded_instead(
+def _prefer_recorded(
     pulse: SystemPulse,
     echoes: Echoes | None,
     recorded: SystemPulse | None,
@@ -159,7 +159,7 @@ def _agree(main: SystemPulse, pulse: SystemPulse, echoes: Echoes | None, params:
     return gain < params.worth * len(echoes)
 
 
-def _resolved(fwhm: float, spacing: float) -> bool:
+def _is_resolved(fwhm: float, spacing: float) -> bool:
     """Whether a pulse of `fwhm` takes enough samples to have a shape, and not so many that it is none."""
     return FEWEST_SAMPLES <= fwhm / spacing <= MOST_SAMPLES
 
@@ -210,7 +210,7 @@ def _narrow_width(
     """The FWHM of a Gaussian that the narrowest echoes share, and the rows of echoes not far from it."""
     near = np.ones(len(rows), np.bool_)
     for _ in range(WIDTH_ROUNDS):
-        echoes = cut_out(waves, rows, peak[rows], level[rows], noise[rows], fwhm, 2.0 * fwhm)
+        echoes = cut_samples(waves, rows, peak[rows], level[rows], noise[rows], fwhm, 2.0 * fwhm)
         echoes = fit_template(echoes, gaussian_template(fwhm))
         width, error = fwhm * echoes.size, fwhm * echoes.size_sd
         fair = _fair(echoes)
@@ -233,11 +233,11 @@ def _fair(echoes: Echoes) -> NDArray[np.bool_]:
     return fair & inside & np.isfinite(share) & (echoes.amplitude > 0.0)
 
 
-def _shaped(echoes: Echoes, fwhm: float, params: PulseParams) -> SystemPulse:
+def _measure_pulse(echoes: Echoes, fwhm: float, params: PulseParams) -> SystemPulse:
     """The pulse of `echoes`, which were fitted with a Gaussian of `fwhm`."""
     smooth = gaussian_template(fwhm)
     plain, _ = _closest(echoes, smooth, params)
-    measured, aligned = _measured(echoes, smooth, params) if params.shape != "gaussian" else (None, plain)
+    measured, aligned = _measure_shape(echoes, smooth, params) if params.shape != "gaussian" else (None, plain)
     if measured is not None:
         gain, error = _trial(aligned, measured, smooth, params)
         if params.shape == "measured" or gain > params.worth:
@@ -270,18 +270,18 @@ def _closest(echoes: Echoes, template: Template, params: PulseParams) -> tuple[E
 def _template_of(pulse: SystemPulse) -> Template:
     if pulse.shape == "gaussian":
         return gaussian_template(pulse.fwhm)
-    return widened(pulse.first + pulse.step * np.arange(len(pulse.values)), pulse.values, pulse.fwhm)
+    return make_template(pulse.first + pulse.step * np.arange(len(pulse.values)), pulse.values, pulse.fwhm)
 
 
-def _measured(echoes: Echoes, template: Template, params: PulseParams) -> tuple[Template | None, Echoes]:
+def _measure_shape(echoes: Echoes, template: Template, params: PulseParams) -> tuple[Template | None, Echoes]:
     """The mean shape of `echoes`, and those of its width, as fitted with it."""
     for _ in range(SHAPE_ROUNDS):
         close, least = _closest(echoes, template, params)
-        found = _average(close, template, params, least)
-        if found is None:
+        mean_shape = _average(close, template, params, least)
+        if mean_shape is None:
             return None, echoes
-        change = np.abs(found.at(template.time, np.ones(1))[0] - template.value).max()
-        template, echoes = found, fit_template(echoes, found)
+        change = np.abs(mean_shape.at(template.time, np.ones(1))[0] - template.value).max()
+        template, echoes = mean_shape, fit_template(echoes, mean_shape)
         if change < STEADY:
             break
     return template, _closest(echoes, template, params)[0]
@@ -340,8 +340,8 @@ def _shape_error(echoes: Echoes, template: Template) -> float:
     excess = np.where(near, residual**2, 0.0).sum(axis=1) - noise
     scale = np.where(near, model**2, 0.0).sum(axis=1)
     # a hidden second echo is no error of the shape
-    kept = np.argsort(excess / np.maximum(scale, 1e-12), kind="stable")[: max(int(0.98 * len(scale)), 1)]
-    return math.sqrt(max(float(excess[kept].sum() / scale[kept].sum()), 0.0))
+    inliers = np.argsort(excess / np.maximum(scale, 1e-12), kind="stable")[: max(int(0.98 * len(scale)), 1)]
+    return math.sqrt(max(float(excess[inliers].sum() / scale[inliers].sum()), 0.0))
 
 
 def describe(pulse: SystemPulse) -> dict[str, float | int | str]:

@@ -418,7 +418,7 @@ def fit_all(  # type: ignore[no-untyped-def]
         first, n = offsets[w], offsets[w + 1] - offsets[w]
         channel = channels[channel_of[w]]
         spare[0][pad + n : pad + n + look.after + 2] = 0.0
-        found, base, sigma, chi = fit_pulse(
+        fitted, base, sigma, chi = fit_pulse(
             samples,
             first,
             n,
@@ -438,12 +438,12 @@ def fit_all(  # type: ignore[no-untyped-def]
             spare,
         )
         baseline[w], noise[w], misfit[w] = p[0] / kind.level + base, sigma, chi
-        if found == 0:
+        if fitted == 0:
             count[w] = 0
             continue
-        _dropped(p, found, n, settings.tail_share, settings.tail_reach, drop)
-        kept = 0
-        for k in range(found):
+        _dropped(p, fitted, n, settings.tail_share, settings.tail_reach, drop)
+        written = 0
+        for k in range(fitted):
             if drop[k]:
                 continue
             a = 3 * k + 1
@@ -454,10 +454,10 @@ def fit_all(  # type: ignore[no-untyped-def]
             reach = FWHM_PER_SIGMA * p[a + 2]
             rms = _rms_near(work[0], weight, pad, n, p[a + 1], reach)
             echoes.deviation[total] = 1000.0 * rms / (math.sqrt(kind.innovation) * p[a])
-            echoes.flags[total] = _flags(p, found, k, y, pad, n, top[w] - base, chi, settings.poor_misfit, drop)
+            echoes.flags[total] = _flags(p, fitted, k, y, pad, n, top[w] - base, chi, settings.poor_misfit, drop)
             total += 1
-            kept += 1
-        count[w] = kept
-        if kept == 0:
+            written += 1
+        count[w] = written
+        if written == 0:
             misfit[w] = np.nan
     return total

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fwclass.decompose.params import PulseParams
 from fwclass.decompose.system_pulse import Channel
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.schema import Table
 from fwclass.waveforms import RETURN_COLUMNS, Waveforms
 
@@ -29,27 +29,27 @@ def sample_pulses(waves: Waveforms, strip: int, n_pulses: int, params: PulsePara
     chosen = np.ones(len(pulse), np.bool_)
     if n_pulses > params.sample:
         key = (np.uint64(strip) << np.uint64(40)) | (pulse << np.uint64(8))
-        chosen = hashed(params.seed, key) < np.uint64(int(params.sample / n_pulses * 2.0**64))
+        chosen = hash_keys(params.seed, key) < np.uint64(int(params.sample / n_pulses * 2.0**64))
     return rows_of(waves, np.flatnonzero(chosen))
 
 
 def join_samples(parts: Iterable[Waveforms]) -> Waveforms:
     """Samples of several chunks as one, without returns and outgoing pulses, by (pulse, segment)."""
-    kept = list(parts)
-    if not kept:
+    samples = list(parts)
+    if not samples:
         raise ValueError("nothing to join")
-    lengths = np.concatenate([np.diff(part.offsets) for part in kept])
+    lengths = np.concatenate([np.diff(part.offsets) for part in samples])
     whole = Waveforms(
-        Table.concat([part.pulses for part in kept]),
+        Table.concat([part.pulses for part in samples]),
         Table.empty(RETURN_COLUMNS),
-        np.concatenate([part.samples[part.offsets[0] : part.offsets[-1]] for part in kept]),
+        np.concatenate([part.samples[part.offsets[0] : part.offsets[-1]] for part in samples]),
         np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
     )
     return rows_of(whole, np.lexsort((whole.pulses["segment_start"], whole.pulses["pulse"])))
 
 
 def rows_of(waves: Waveforms, rows: NDArray) -> Waveforms:
-    """Waveforms `rows` of `waves`, in that order, without returns and outgoing pulses."""
+    """Waveforms `rows` (indices or mask) of `waves`, in that order, without returns and outgoing pulses."""
     length = np.diff(waves.offsets)[rows]
     offsets = np.concatenate([[0], np.cumsum(length)]).astype(np.int64)
     at = np.arange(offsets[-1]) + np.repeat(waves.offsets[rows] - offsets[:-1], length)
@@ -57,7 +57,7 @@ def rows_of(waves: Waveforms, rows: NDArray) -> Waveforms:
 
 
 def outgoing_of(waves: Waveforms, rows: NDArray) -> Waveforms:
-    """The recorded outgoing pulses of `rows` of `waves`, in that order, as if they were waveforms."""
+    """The recorded outgoing pulses of `rows` (indices) of `waves`, in that order, as if they were waveforms."""
     return rows_of(Waveforms(waves.pulses, waves.returns, waves.outgoing, waves.outgoing_offsets), rows)
 
 

@@ -69,7 +69,7 @@ def brightest(samples, offsets, spacing, top, level, least, isolation, noise, pe
             continue
         half = level[w] + 0.5 * high
         sides = np.zeros(2)
-        found, clear = 0, True
+        crossings, clear = 0, True
         rise = isolation * high + 4.0 * noise[w]
         for side in range(2):
             step = 2 * side - 1
@@ -85,8 +85,8 @@ def brightest(samples, offsets, spacing, top, level, least, isolation, noise, pe
                     clear = False
                     break
                 i += step
-            found += crossed
-        if found == 2 and clear:
+            crossings += crossed
+        if crossings == 2 and clear:
             peak[w], height[w], width[w] = at, high, (sides[0] + sides[1]) * spacing[w]
 
 

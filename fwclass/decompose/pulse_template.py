@@ -76,7 +76,7 @@ class Template:
         return below + b * (above - below), slope / step, (above - below) * ((rows - 1) / (WIDEST - NARROWEST))
 
 
-def widened(time: Floats, value: Floats, fwhm: float) -> Template:
+def make_template(time: Floats, value: Floats, fwhm: float) -> Template:
     """The `Template` of a shape given at even times, with its family."""
     step = float(time[1] - time[0])
     margin = int(2.0 * fwhm / step)
@@ -102,7 +102,7 @@ def gaussian_template(fwhm: float) -> Template:
     """A Gaussian of `fwhm` [ns] as a `Template`."""
     half = round(BEFORE * STEPS_PER_FWHM)
     time = np.arange(-half, half + 1) * (fwhm / STEPS_PER_FWHM)
-    return widened(time, np.exp(-0.5 * (time / fwhm * FWHM_PER_SIGMA) ** 2), fwhm)
+    return make_template(time, np.exp(-0.5 * (time / fwhm * FWHM_PER_SIGMA) ** 2), fwhm)
 
 
 def mean_shape(u: Floats, v: Floats, sigma: Floats, fwhm: float, tail: float) -> Template | None:
@@ -134,7 +134,7 @@ def mean_shape(u: Floats, v: Floats, sigma: Floats, fwhm: float, tail: float) ->
     coefficients, error = _biweight(basis, start, v, 1.0 / sigma**2, pieces + 3)
     if coefficients is None or error is None:
         return None
-    return _normalised(scipy.interpolate.BSpline(knots, coefficients, 3), error, first, last, fwhm)
+    return _normalise(scipy.interpolate.BSpline(knots, coefficients, 3), error, first, last, fwhm)
 
 
 def _biweight(
@@ -197,7 +197,7 @@ def _departures(basis, start, v, scale, coefficients, out):  # type: ignore[no-u
         out[i] = (v[i] - value) * scale[i]
 
 
-def _normalised(
+def _normalise(
     spline: scipy.interpolate.BSpline, error: Floats, first: float, last: float, fwhm: float
 ) -> Template | None:
     """`spline` with its peak of 1 at time 0, tapered to 0 where it is not significant."""
@@ -224,7 +224,7 @@ def _normalised(
     width = _fwhm(time, value)
     if width is None:
         return None
-    return widened(time, value, width)
+    return make_template(time, value, width)
 
 
 def _reach(spline: scipy.interpolate.BSpline, error: Floats, peak: float, fwhm: float) -> tuple[float, float]:

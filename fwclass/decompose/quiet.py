@@ -70,7 +70,8 @@ class QuietNoise:
     growth: float = 0.0
 
     @property
-    def told(self) -> dict[str, float | int | None]:
+    def facts(self) -> dict[str, float | int | None]:
+        """What a receipt says of the noise, by name: correlation, growth, number of samples; None where unknown."""
         return {
             "lag1": self.lag1,
             "inflation": self.inflation,
@@ -104,9 +105,9 @@ def quiet_noise(waves: Waveforms, pulse: SystemPulse, params: DecomposeParams) -
         noise = channel.autoregression
         gain = filter_gain(correlation, noise, _template(pulse.of(channel), channel.sample_spacing))
         inflation = math.sqrt(max(gain, 1.0))
-        seen = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth)
-        if worst.lag1 is None or seen.inflation > worst.inflation:
-            worst = seen
+        measured = QuietNoise(float(correlation[1]), inflation, samples, len(noise.phi), channel.growth)
+        if worst.lag1 is None or measured.inflation > worst.inflation:
+            worst = measured
     return worst
 
 
@@ -123,7 +124,7 @@ def with_correlated_noise(pulse: SystemPulse, waves: Waveforms, params: Decompos
     channels = {c.key: c for c in pulse.channels}
     for rows, channel, part in _channels(waves, pulse, certain):
         correlation, samples = correlations(part.value, part.quiet, part.row)
-        noise = chosen(correlation, samples, _template(pulse.of(channel), channel.sample_spacing))
+        noise = choose_order(correlation, samples, _template(pulse.of(channel), channel.sample_spacing))
         if noise.phi:
             channels[channel.key] = _of_white(channel, noise, rows, part)
     return replace(pulse, channels=tuple(channels.values()))
@@ -149,13 +150,14 @@ def correlations(value: Floats, quiet: NDArray[np.bool_], row: NDArray[np.int64]
 
 
 def filter_gain(correlation: Floats, noise: Autoregression, template: Floats) -> float:
-    """Variance of the matched filter's output on samples with this correlation, over what it is if `noise` holds."""
+    """Variance of the matched filter's output on samples of this `correlation` (lags,), over what it is if `noise`
+    holds."""
     white = np.convolve(template, noise.filter)
     whole = np.convolve(noise.filter, white[::-1])
     return output_gain(correlation, whole) / (noise.innovation * float(white @ white))
 
 
-def chosen(correlation: Floats, samples: int, template: Floats) -> Autoregression:
+def choose_order(correlation: Floats, samples: int, template: Floats) -> Autoregression:
     """The shortest autoregression that describes what `samples` quiet samples show; white where that does."""
     tried = []
     for order in range(min(MOST_ORDER, len(correlation) - 1) + 1):
@@ -192,11 +194,11 @@ def _quiet(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Decom
     above = np.nan_to_num((waves.samples - signal - fits.baseline[row]) / fits.noise[row])
     reach = math.ceil(pulse.of(channel).fwhm / channel.sample_spacing)
     bad = (fits.misfit > params.poor_misfit) | ~np.isfinite(fits.baseline)
-    taken = (np.abs(signal) > LEFT * channel.noise) | (waves.samples >= channel.clip) | bad[row]
-    hot = ~taken & (above > MARK)
-    filtered = _filtered(np.where(taken, 0.0, above), _template(pulse.of(channel), channel.sample_spacing))
-    faint = filtered > FAINTEST * _spread(filtered[~taken])
-    quiet = ~_near(hot | faint, row, reach, reach) & ~taken
+    excluded = (np.abs(signal) > LEFT * channel.noise) | (waves.samples >= channel.clip) | bad[row]
+    hot = ~excluded & (above > MARK)
+    filtered = _filter(np.where(excluded, 0.0, above), _template(pulse.of(channel), channel.sample_spacing))
+    faint = filtered > FAINTEST * _spread(filtered[~excluded])
+    quiet = ~_near(hot | faint, row, reach, reach) & ~excluded
     # a recorder that waits for an echo has one in every waveform: where none stands out, one is hidden
     clear = (fits.count > 0)[row]
     if (quiet & clear).sum() >= FEWEST_CLEAR:
@@ -204,7 +206,7 @@ def _quiet(waves: Waveforms, channel: Channel, pulse: SystemPulse, params: Decom
     return _Quiet(waves.samples - signal - channel.baseline, quiet, row)
 
 
-def _filtered(value: Floats, template: Floats) -> Floats:
+def _filter(value: Floats, template: Floats) -> Floats:
     """`value` behind the matched filter, as many numbers."""
     half = len(template) // 2
     return np.convolve(value, template[::-1])[half : half + len(value)]
@@ -245,12 +247,12 @@ def _of_white(channel: Channel, noise: Autoregression, waves: Waveforms, part: _
     mean, n = total[use] / count[use], count[use]
     variance = np.maximum(square[use] - n * mean**2, 0.0) / (n - 1)
     kind = np.array([channel.sample_spacing, channel.saturation])
-    seen, gain = channel_from(kind, mean, variance, n), float(taps.sum())
+    recorded, gain = channel_from(kind, mean, variance, n), float(taps.sum())
     return replace(
         channel,
-        baseline=channel.baseline + seen.baseline / gain,
-        baseline_sd=seen.baseline_sd / gain,
-        noise=seen.noise / math.sqrt(noise.innovation),
-        freedom=seen.freedom,
+        baseline=channel.baseline + recorded.baseline / gain,
+        baseline_sd=recorded.baseline_sd / gain,
+        noise=recorded.noise / math.sqrt(noise.innovation),
+        freedom=recorded.freedom,
         phi=noise.phi,
     )

@@ -164,7 +164,7 @@ def second_look(  # type: ignore[no-untyped-def]
         split = score > TRIGGER * gain * variance
         if peak < 0 and not split:
             break
-        found, best_chi = False, chi
+        improved, best_chi = False, chi
         left = used - 3.0 * count - 4.0
         least = 0.5 * threshold
         if peak >= 0:
@@ -177,24 +177,24 @@ def second_look(  # type: ignore[no-untyped-def]
                 and _pays(chi, new, left, gain, known)
                 and _sound(trial, count, least, settings.separation)
             ):
-                found, best_chi = True, new
+                improved, best_chi = True, new
                 _copy(trial, 3 * count + 4, best)
-        if split and not found:
+        if split and not improved:
             tried[k] = True
             for attempt in range(2):
                 later = 0.5 if attempt == 1 else (0.28 if skew > 0.0 else 0.72)
                 _split_start(p, count, k, later, settings.sigma, n, trial)
                 new = fit(trial, count + 1, y, weight, pad, n, prior, limits, look, sums, work)
                 if _pays(chi, new, left, gain, known) and _sound(trial, count, least, settings.separation):
-                    found, best_chi = True, new
+                    improved, best_chi = True, new
                     _copy(trial, 3 * count + 4, best)
                     break
-        if found:
+        if improved:
             _copy(best, 3 * count + 4, p)
             count += 1
             chi = best_chi
             tried[:] = False
         lay(p, count, y, pad, n, look, residual, basis, window)
-        if not found and not split:
+        if not improved and not split:
             break
     return count, chi

@@ -242,15 +242,15 @@ def _starts(
     widths: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """`Lookup.starts` of echoes with these profiles (k, samples) and widths [samples], the sharpest peak first."""
-    found = []
+    starts = []
     for profile, before, width in zip(profiles, first, widths, strict=True):
         answer = np.correlate(profile, template, "full")
         peak = template_first + len(template) - 1 - int(before)
         if not 0 < peak < len(answer) - 1 or not (answer[peak - 1 : peak + 2] > 0.0).all():
             continue
         left, middle, right = np.log(answer[peak - 1 : peak + 2])
-        found.append((2.0 * middle - left - right, width, 1.0 / answer[peak]))
-    return np.array(sorted(found, reverse=True)).reshape(-1, 3)
+        starts.append((2.0 * middle - left - right, width, 1.0 / answer[peak]))
+    return np.array(sorted(starts, reverse=True)).reshape(-1, 3)
 
 
 def _quadratic(
@@ -306,7 +306,7 @@ def height_error(pulse: SystemPulse, channel: Channel) -> float:
 
 
 def widths_of(pulse: SystemPulse, narrowest: float, widest: float) -> Widths:
-    """FWHM and area over s; between the given values both are all but straight."""
+    """FWHM and area over s, all in ns; between the given widths both are all but straight."""
     profiles = Profiles(pulse)
     s = np.unique(np.append(np.arange(narrowest, widest + WIDTH_STEP, WIDTH_STEP), 1.0)) * profiles.s0
     if profiles.gaussian:

@@ -56,7 +56,7 @@ def with_signal_noise(pulse: SystemPulse, waves: Waveforms, params: DecomposePar
                 channels.append(channel)
                 continue
             by, left, height = echoes
-            growth, error = _told_apart(by, left, np.array([channel.growth, own.shape_error**2, 1.0]))
+            growth, error = _separate_noise(by, left, np.array([channel.growth, own.shape_error**2, 1.0]))
             matters = growth * height > NOTICED * channel.noise**2
             error = math.sqrt(error)
             if error > ABSURD:
@@ -99,17 +99,17 @@ def _bright(
     return np.stack(by, axis=1) / count[use, None], chi / freedom - 1.0, float(np.median(signal))
 
 
-def _told_apart(by: Floats, left: Floats, known: Floats) -> tuple[float, float]:
+def _separate_noise(by: Floats, left: Floats, known: Floats) -> tuple[float, float]:
     """(growth of the variance [DN], square of the shape error) from `_bright` echoes that were weighed by `known`.
 
     What all echoes leave alike is noise that differs between waveforms.
     """
     total = left + by @ known
-    kept, both = np.ones(len(by), np.bool_), known
+    inliers, both = np.ones(len(by), np.bool_), known
     for _ in range(CUTS):
-        rows, aim = by[kept], total[kept]
+        rows, aim = by[inliers], total[inliers]
         both = scipy.optimize.nnls(rows, aim)[0]
-        kept = total < OUTLIER * (by @ both)
+        inliers = total < OUTLIER * (by @ both)
     spread = float(((aim - rows @ both) ** 2).mean())
     if both[0] > SURE * math.sqrt(spread * np.linalg.pinv(rows.T @ rows)[0, 0]):
         return float(both[0]), float(both[1])

@@ -51,7 +51,7 @@ def match_around(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def stack_groups(members, product, energy, slope, weight, found):  # type: ignore[no-untyped-def]
+def stack_groups(members, product, energy, slope, weight, peaks):  # type: ignore[no-untyped-def]
     """Where the weighted sum of the pulses of a group stands out most.
 
     Parameters
@@ -59,7 +59,7 @@ def stack_groups(members, product, energy, slope, weight, found):  # type: ignor
     members : (g, m) pulses of every group, -1 where it has fewer.
     product, energy, slope : (n, k), see `match_around`.
     weight : (n,) one over the variance of a pulse's noise [1/DN2].
-    found : (g, 6), filled with significance (height of the sum over its standard deviation), amplitude and its standard
+    peaks : (g, 6), filled with significance (height of the sum over its standard deviation), amplitude and its standard
         error [DN], place of the peak [lags from the first; NaN at either end], its standard error [samples], pulses.
     """
     tried = product.shape[1]
@@ -88,6 +88,6 @@ def stack_groups(members, product, energy, slope, weight, found):  # type: ignor
             place = top + (0.5 * (curve[top + 1] - curve[top - 1]) / bend if bend > 0.0 else 0.0)
         sigma = 1.0 / math.sqrt(known) if known > 0.0 else np.nan
         height = curve[top] * sigma
-        found[g, 0], found[g, 1], found[g, 2] = curve[top], height, sigma
-        found[g, 3], found[g, 4] = place, 1.0 / (height * math.sqrt(steep)) if height > 0.0 and steep > 0.0 else np.nan
-        found[g, 5] = count
+        peaks[g, 0], peaks[g, 1], peaks[g, 2] = curve[top], height, sigma
+        peaks[g, 3], peaks[g, 4] = place, 1.0 / (height * math.sqrt(steep)) if height > 0.0 and steep > 0.0 else np.nan
+        peaks[g, 5] = count

@@ -24,7 +24,7 @@ from fwclass.decompose.pulse_sample import rows_of
 from fwclass.decompose.shapes import Profiles
 from fwclass.decompose.stack_kernels import match_around, stack_groups
 from fwclass.decompose.system_pulse import Channel, SystemPulse
-from fwclass.grid import Box, Window, quantised
+from fwclass.grid import Box, Window, quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
 from fwclass.waveforms import Waveforms
@@ -120,6 +120,7 @@ class Candidates:
 
     @classmethod
     def joined(cls, parts: Iterable[Candidates]) -> Candidates:
+        """The candidates of all `parts` as one, every array (n, …) sorted by strip and pulse."""
         some = list(parts)
         names = cls.__dataclass_fields__
         order = np.lexsort(
@@ -164,7 +165,7 @@ def candidates(
     velocity = beam * speed[:, None]
     met = _meeting(start, velocity, surface)
     hidden, echoes = _hidden(fits, after - shift[fits.row] if at_return else after, some, velocity, surface, params)
-    return _matched(some, strip, fits, hidden & np.isfinite(met), start, velocity, met, echoes, params, fit, pulse)
+    return _match(some, strip, fits, hidden & np.isfinite(met), start, velocity, met, echoes, params, fit, pulse)
 
 
 def _first_samples(waves: Waveforms, late: Floats, beam: Floats, speed: Floats) -> Floats:
@@ -215,7 +216,7 @@ def _hidden(
     return good[pulse], count[pulse]
 
 
-def _matched(
+def _match(
     waves: Waveforms,
     strip: int,
     fits: Fits,
@@ -328,41 +329,41 @@ def _of_kind(
     )
 
 
-def stacked(
-    found: Candidates, known: Floats, box: Box, roughness: float, params: StackParams
+def stack(
+    candidates: Candidates, known: Floats, box: Box, roughness: float, params: StackParams
 ) -> tuple[Table, dict[str, float]]:
     """The echoes that groups of candidates show, of those that meet the surface in `box`.
 
     Parameters
     ----------
-    found : candidates of `box` and of `params.radius` around it.
+    candidates : candidates of `box` and of `params.radius` around it.
     known : (n, 2) where single pulses have shown the surface, in `box` and `params.gap` around it [m].
     roughness : standard deviation of the surface's own echoes about it [m]; part of every echo's error.
 
     Returns
     -------
     `STACK_COLUMNS`, a row an echo, and counts: ``candidates`` that are `gap` from what is known and have enough
-    neighbours, ``stacked`` echoes among them, ``decoys`` tried beneath the surface, ``false`` ones that reach
+    neighbours, ``stack`` echoes among them, ``decoys`` tried beneath the surface, ``false`` ones that reach
     `params.threshold` there, and the ``threshold`` that was needed for no more than a share of `params.max_false` of
     the echoes to be such.
     """
-    members = _groups(found, params)
-    own = box.contains(found.place[:, 0], found.place[:, 1]) & ((members >= 0).sum(axis=1) >= params.least)
-    rows = np.flatnonzero(own & _far(found.place[:, :2], known, params.gap))
-    fair = np.where((members >= 0) & found.fair[members], members, -1)[rows]
+    members = _groups(candidates, params)
+    own = box.contains(candidates.place[:, 0], candidates.place[:, 1]) & ((members >= 0).sum(axis=1) >= params.least)
+    rows = np.flatnonzero(own & _far(candidates.place[:, :2], known, params.gap))
+    fair = np.where((members >= 0) & candidates.fair[members], members, -1)[rows]
     fair = fair[(fair >= 0).sum(axis=1) >= params.least]
-    decoys = _heights(_stack(fair, found.below, found))
-    sums = _stack(members[rows], found.product, found)
+    decoys = _heights(_stack(fair, candidates.below, candidates))
+    sums = _stack(members[rows], candidates.product, candidates)
     threshold = threshold_of(_heights(sums), decoys, params)
-    kept = _heights(sums) > threshold
+    significant = _heights(sums) > threshold
     counts = {
         "candidates": len(rows),
-        "stacked": int(kept.sum()),
+        "stacked": int(significant.sum()),
         "decoys": len(fair),
         "false": int((decoys > params.threshold).sum()),
         "threshold": threshold if np.isfinite(threshold) else -1.0,
     }
-    return _echoes(found, rows[kept], sums[kept], roughness), counts
+    return _echoes(candidates, rows[significant], sums[significant], roughness), counts
 
 
 def threshold_of(heights: Floats, decoys: Floats, params: StackParams) -> float:
@@ -374,16 +375,16 @@ def threshold_of(heights: Floats, decoys: Floats, params: StackParams) -> float:
     if len(decoys) == 0:
         return math.inf
     for at in np.arange(params.threshold, params.threshold + HIGHEST, 0.05):
-        kept, noise = int((heights > at).sum()), int((decoys > at).sum()) * len(heights) / len(decoys)
-        if kept == 0:
+        passing, noise = int((heights > at).sum()), int((decoys > at).sum()) * len(heights) / len(decoys)
+        if passing == 0:
             break
-        if noise + min(noise_share(at) * len(heights), 1.0) <= params.max_false * kept:
+        if noise + min(noise_share(at) * len(heights), 1.0) <= params.max_false * passing:
             return float(at)
     return math.inf
 
 
 def noise_share(threshold: float) -> float:
-    """How often noise alone reaches a threshold somewhere in a window, about: ten independent places."""
+    """Share of windows, of about ten places each, in which noise alone reaches a threshold [standard deviations]."""
     return 5.0 * math.erfc(threshold / math.sqrt(2.0))
 
 
@@ -395,9 +396,9 @@ def _far(places: Floats, known: Floats, gap: float) -> NDArray[np.bool_]:
     return np.asarray(near > gap)
 
 
-def _groups(found: Candidates, params: StackParams) -> NDArray[np.int64]:
+def _groups(candidates: Candidates, params: StackParams) -> NDArray[np.int64]:
     """The nearest candidates of every candidate, itself among them; -1 where there are fewer within the radius."""
-    places = found.place[:, :2]
+    places = candidates.place[:, :2]
     if len(places) == 0:
         return np.empty((0, params.pulses), np.int64)
     tree = scipy.spatial.cKDTree(places - places.min(axis=0))
@@ -405,9 +406,9 @@ def _groups(found: Candidates, params: StackParams) -> NDArray[np.int64]:
     return np.where(near < len(places), near, -1).astype(np.int64)
 
 
-def _stack(members: NDArray[np.int64], product: Floats, found: Candidates) -> Floats:
+def _stack(members: NDArray[np.int64], product: Floats, candidates: Candidates) -> Floats:
     out = np.empty((len(members), 6))
-    stack_groups(np.ascontiguousarray(members), product, found.energy, found.slope, found.weight, out)
+    stack_groups(np.ascontiguousarray(members), product, candidates.energy, candidates.slope, candidates.weight, out)
     return out
 
 
@@ -416,23 +417,23 @@ def _heights(sums: Floats) -> Floats:
     return np.where(np.isfinite(sums[:, 3]), sums[:, 0], -np.inf)
 
 
-def _echoes(found: Candidates, rows: NDArray[np.int64], sums: Floats, roughness: float) -> Table:
-    tried = found.product.shape[1]
+def _echoes(candidates: Candidates, rows: NDArray[np.int64], sums: Floats, roughness: float) -> Table:
+    tried = candidates.product.shape[1]
     later = STEP * (sums[:, 3] - tried // 2)
-    place = found.place[rows] + later[:, None] * found.beam[rows]
-    speed = np.sqrt((found.beam[rows] ** 2).sum(axis=1))
-    steep = np.abs(found.beam[rows, 2]) / speed
-    number = np.minimum(found.echoes[rows] + 1, 255)
-    columns = {axis: quantised(place[:, c]) for c, axis in enumerate("xyz")}
+    place = candidates.place[rows] + later[:, None] * candidates.beam[rows]
+    speed = np.sqrt((candidates.beam[rows] ** 2).sum(axis=1))
+    steep = np.abs(candidates.beam[rows, 2]) / speed
+    number = np.minimum(candidates.echoes[rows] + 1, 255)
+    columns = {axis: quantise(place[:, c]) for c, axis in enumerate("xyz")}
     return Table(
         {
-            "strip": found.strip[rows],
-            "pulse": found.pulse[rows],
+            "strip": candidates.strip[rows],
+            "pulse": candidates.pulse[rows],
             "echo_number": number,
             "number_of_echoes": number,
             "origin": np.full(len(rows), STACKED),
             **columns,
-            "gps_time": found.gps_time[rows],
+            "gps_time": candidates.gps_time[rows],
             "amplitude": sums[:, 1],
             "amplitude_sigma": sums[:, 2],
             "range_sigma": np.hypot(sums[:, 4] * speed, roughness / np.maximum(steep, 0.1)),

@@ -12,9 +12,9 @@ from fwclass.decompose.matching import nearest_of_pulse, rank_in_pulse
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.placement import AS_STORED, Placement
 from fwclass.decompose.placing import beams, detection_limits, from_anchor, origins_of
-from fwclass.decompose.plausible import UNKNOWN, Surroundings, judge, renumbered
+from fwclass.decompose.plausible import UNKNOWN, Surroundings, judge, renumber
 from fwclass.decompose.system_pulse import SystemPulse
-from fwclass.grid import quantised
+from fwclass.grid import quantise
 from fwclass.schema import Table
 from fwclass.stage import Computation
 from fwclass.units import AREA_PER_FWHM
@@ -61,21 +61,21 @@ def decompose(
     links : `LINK_COLUMNS`, one row per return, in file order: the nearest echo of its pulse.
     counts : `plausible.COUNTS`.
     """
-    echoes = _fitted(waves, params, pulse, placement)
-    kept = _kept(waves, echoes["pulse"])
-    if len(kept["pulse"]):
-        echoes = {name: np.concatenate([echoes[name], kept[name]]) for name in echoes}
+    echoes = _echo_columns(waves, params, pulse, placement)
+    returns = _return_columns(waves, echoes["pulse"])
+    if len(returns["pulse"]):
+        echoes = {name: np.concatenate([echoes[name], returns[name]]) for name in echoes}
         order = np.lexsort((echoes["echo_number"], echoes["pulse"]))
         echoes = {name: values[order] for name, values in echoes.items()}
-    echoes, judged = _judged(echoes, waves, around, params)
+    echoes, judged = _judge(echoes, waves, around, params)
     links = _tie(waves.returns, echoes)
     echoes["strip"] = np.full(len(echoes["pulse"]), strip)
     for axis in "xyz":
-        echoes[axis] = quantised(echoes[axis])
+        echoes[axis] = quantise(echoes[axis])
     table = Table({name: echoes[name] for name in ECHO_COLUMNS})
     lone = returns_without_echo(waves, table, links, params)
-    seen, blank = _blank(waves)
-    return table, links, {**judged, "returns_without_echo": lone, "waveforms": seen, "blank": blank}
+    waveforms, blank = _blank(waves)
+    return table, links, {**judged, "returns_without_echo": lone, "waveforms": waveforms, "blank": blank}
 
 
 def _blank(waves: Waveforms) -> tuple[int, int]:
@@ -85,11 +85,11 @@ def _blank(waves: Waveforms) -> tuple[int, int]:
         return 0, 0
     highest = np.maximum.reduceat(waves.samples[: waves.offsets[-1]], waves.offsets[rows])
     pulses = waves.pulses["pulse"][rows]
-    seen = len(np.unique(pulses))
-    return seen, seen - len(np.unique(pulses[highest > 0]))
+    waveforms = len(np.unique(pulses))
+    return waveforms, waveforms - len(np.unique(pulses[highest > 0]))
 
 
-def _judged(
+def _judge(
     echoes: dict[str, NDArray], waves: Waveforms, around: Surroundings, params: DecomposeParams
 ) -> tuple[dict[str, NDArray], dict[str, int]]:
     """`echoes` with the implausible ones flagged, `source_class` and `intensity` of the nearest return; the counts."""
@@ -102,7 +102,7 @@ def _judged(
         values = waves.returns[name]
         echoes[name] = np.where(row >= 0, values[row], 0) if len(values) else np.zeros(len(row), np.uint8)
     judged = judge(echoes, row, waves, around, params)
-    return renumbered(echoes, judged.implausible), dict(judged.counts)
+    return renumber(echoes, judged.implausible), dict(judged.counts)
 
 
 def _places(columns: Mapping[str, NDArray]) -> NDArray[np.float64]:
@@ -120,7 +120,9 @@ def returns_without_echo(waves: Waveforms, echoes: Table, links: Table, params: 
     return int((away > params.vendor_tolerance * beams(waves)[1].max()).sum())
 
 
-def _fitted(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, placement: Placement) -> dict[str, NDArray]:
+def _echo_columns(
+    waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, placement: Placement
+) -> dict[str, NDArray]:
     """Columns of the fitted echoes, by pulse and echo number."""
     fits = fit_waveforms(waves, params, pulse)
     row, pulses = fits.row, waves.pulses
@@ -163,7 +165,7 @@ def _fitted(waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, place
     return columns
 
 
-def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
+def _return_columns(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
     """Columns of the returns that are echoes themselves: of pulses not among `alive`."""
     table = waves.returns.take(np.flatnonzero(~_among(waves.returns["pulse"], alive)))
     table = table.take(np.lexsort((table["return_number"], table["pulse"])))
@@ -192,7 +194,9 @@ def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
         "energy": np.where(undeclared, energy, np.nan),
         "deviation": table["vendor_deviation"],
         "time": np.where(unseen, table["location"], np.nan),
-        "fit_flags": (np.where(unseen, VENDOR_KEPT, UNFITTED) | _saturated(waves, table["pulse"])).astype(np.uint8),
+        "fit_flags": (np.where(unseen, VENDOR_KEPT, UNFITTED) | _saturation_flags(waves, table["pulse"])).astype(
+            np.uint8
+        ),
     }
     beam = np.full((n, 3), np.nan)
     if waves.pulses.rows:
@@ -204,7 +208,7 @@ def _kept(waves: Waveforms, alive: NDArray) -> dict[str, NDArray]:
     return columns
 
 
-def _saturated(waves: Waveforms, pulse: NDArray) -> NDArray[np.int64]:
+def _saturation_flags(waves: Waveforms, pulse: NDArray) -> NDArray[np.int64]:
     """Flag `SATURATED` of the pulses some of whose samples stand at the digitiser's limit."""
     rows = np.flatnonzero(np.diff(waves.offsets) > 0)
     if len(rows) == 0 or len(pulse) == 0:
@@ -219,9 +223,9 @@ def _among(values: NDArray, known: NDArray) -> NDArray[np.bool_]:
     if len(known) == 0 or len(values) == 0:
         return np.zeros(len(values), bool)
     low = int(min(values.min(), known.min()))
-    seen = np.zeros(int(max(values.max(), known.max())) - low + 1, bool)
-    seen[known - low] = True
-    return np.asarray(seen[values - low], bool)
+    present = np.zeros(int(max(values.max(), known.max())) - low + 1, bool)
+    present[known - low] = True
+    return np.asarray(present[values - low], bool)
 
 
 def _tie(returns: Table, echoes: dict[str, NDArray]) -> Table:

@@ -53,10 +53,12 @@ class Channel:
 
     @property
     def key(self) -> tuple[float, float]:
+        """Sample spacing [ns] and saturation [DN], which tell channels apart."""
         return self.sample_spacing, self.saturation
 
     @property
     def autoregression(self) -> Autoregression:
+        """The correlation of the channel's noise, from one sample (index) to the next."""
         return Autoregression(self.phi)
 
 
@@ -88,6 +90,7 @@ class SystemPulse:
 
     @classmethod
     def gaussian(cls, fwhm: float, shape_error: float = 0.0) -> SystemPulse:
+        """A Gaussian pulse of `fwhm` [ns]."""
         return cls("gaussian", fwhm, shape_error=shape_error)
 
     def at(self, time: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -107,7 +107,7 @@ def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
                 do=nearest(key, list(known)[:50]),
             )
     with whole_directory(directory) as beside:
-        labels = {key: _copied(delivery, Path(known[key]["file"]), key, beside) for key in keys}
+        labels = {key: _copy_tile(delivery, Path(known[key]["file"]), key, beside) for key in keys}
         _write_project(delivery, [known[key] for key in keys], beside)
         note = Note(
             str(delivery.root), delivery.report["survey"], delivery.path.name, manifest_digest(delivery), labels
@@ -121,7 +121,7 @@ def check_out(run: Path, directory: Path, tiles: Iterable[str]) -> str:
     )
 
 
-def _copied(delivery: Delivery, source: Path, tile: str, directory: Path) -> str:
+def _copy_tile(delivery: Delivery, source: Path, tile: str, directory: Path) -> str:
     """Copy a tile, and keep the classes that it has; the digest of their file."""
     copy, name = tile_file(directory, tile), source.relative_to(delivery.path).as_posix()
     shutil.copyfile(source, copy)  # never a link: QGIS writes into the file itself

@@ -33,24 +33,24 @@ class Collected:
     Attributes
     ----------
     pairs : echoes by (class that was delivered, class that they have now).
-    taken_back : echoes whose earlier change was undone.
+    withdrawn : echoes whose earlier change was undone.
     differ : echoes whose class is not the one that was checked out, those of earlier collections among them.
     names : of the classes by code.
     where : the file of corrections.
     """
 
     pairs: Mapping[tuple[int, int], int]
-    taken_back: int
+    withdrawn: int
     differ: int
     names: Mapping[int, str]
     where: Path
 
     def __str__(self) -> str:
-        rows = sum(self.pairs.values()) + self.taken_back
+        rows = sum(self.pairs.values()) + self.withdrawn
         lines = [f"{self._name(a)} -> {self._name(b)}: {n:,}" for (a, b), n in sorted(self.pairs.items())]
-        lines += [f"taken back: {self.taken_back:,}"] if self.taken_back else []
-        told = f"{self.differ:,} echoes differ from what was checked out; "
-        lines.append(told + (f"{rows:,} rows added to {self.where}" if rows else "nothing new was added"))
+        lines += [f"taken back: {self.withdrawn:,}"] if self.withdrawn else []
+        summary = f"{self.differ:,} echoes differ from what was checked out; "
+        lines.append(summary + (f"{rows:,} rows added to {self.where}" if rows else "nothing new was added"))
         return "\n".join(lines)
 
     def _name(self, code: int) -> str:
@@ -87,7 +87,7 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
     note = read_note(directory)
     delivery = _run_of(note, run, directory)
     classes = delivery.report["config"]["survey"]["classes"]
-    tiles = [_changed(directory, key, digest) for key, digest in sorted(note.tiles.items())]
+    tiles = [_changes(directory, key, digest) for key, digest in sorted(note.tiles.items())]
     _check_codes(tiles, list(note.tiles), {int(c["code"]): str(c["name"]) for c in classes if c["codes"]})
     changed = EchoLabels.joined([t.labels for t in tiles])
     before = np.concatenate([t.before for t in tiles]) if tiles else np.empty(0, np.int16)
@@ -98,18 +98,18 @@ def collect(directory: Path, run: Path | None, who: str, time: int) -> Collected
         new = new_rows(earlier, changed, note.collected, time, who)
         lost = np.isin(changed.key[~stays], new.take(new.code != TAKEN_BACK).key)
         if lost.any():
-            raise _moved(changed.take(np.flatnonzero(~stays)[lost]), note, delivery)
+            raise _lost_error(changed.take(np.flatnonzero(~stays)[lost]), note, delivery)
         if new.rows:
             add_time(directory, note, time)
         return new
 
     added = add_corrections(delivery.root, change)
-    given = added.take(added.code != TAKEN_BACK)
+    labels = added.take(added.code != TAKEN_BACK)
     old = dict(zip(changed.key.tolist(), before.tolist(), strict=True))
-    pairs = Counter((old[k], c) for k, c in zip(given.key.tolist(), given.code.tolist(), strict=True))
+    pairs = Counter((old[k], c) for k, c in zip(labels.key.tolist(), labels.code.tolist(), strict=True))
     names = {int(c["code"]): str(c["name"]) for c in delivery.report["classes"]}
     where = place_of(delivery.root)
-    return Collected(pairs, added.rows - given.rows, changed.rows, names, Path(str(where)))
+    return Collected(pairs, added.rows - labels.rows, changed.rows, names, Path(str(where)))
 
 
 def new_rows(earlier: EchoLabels, changed: EchoLabels, collected: Sequence[int], time: int, who: str) -> EchoLabels:
@@ -163,27 +163,27 @@ def _run_of(note: Note, run: Path | None, directory: Path) -> Delivery:
     return delivery
 
 
-def _changed(directory: Path, tile: str, digest: str) -> _Changed:
+def _changes(directory: Path, tile: str, digest: str) -> _Changed:
     """The echoes of a tile whose class is not the one that was checked out."""
-    path, given = tile_file(directory, tile), labels_file(directory, tile)
-    for one in (path, given):
+    path, labels_path = tile_file(directory, tile), labels_file(directory, tile)
+    for one in (path, labels_path):
         if not one.is_file():
             raise InputError(
                 "a file that was checked out is missing",
                 where=one,
                 do="put it back; a tile without changes is needed too, for a change that was undone is told by it",
             )
-    if file_digest(given) != digest:
+    if file_digest(labels_path) != digest:
         raise InputError(
             "the classes that a tile had are not what was written",
-            where=given,
+            where=labels_path,
             do="check the tile out again, to another directory",
         )
-    labels = read_echo_labels(given, given)
+    labels = read_echo_labels(labels_path, labels_path)
     number = np.minimum(labels.echo_number, LAST_RETURN)
     place = [millimetres(getattr(labels, a)) for a in PLACE]
     before = _rows(labels.strip, labels.pulse, number, *place, labels.code)
-    now = _edited(path, labels.rows)
+    now = _read_points(path, labels.rows)
     a, b = (np.lexsort(rows.T[::-1]) for rows in (before, now))
     if not np.array_equal(before[a][:, :-1], now[b][:, :-1]):
         raise _other_echoes(path, len(now), _difference(before[:, :-1], now[:, :-1]))
@@ -194,7 +194,7 @@ def _changed(directory: Path, tile: str, digest: str) -> _Changed:
     return _Changed(EchoLabels.of(columns, code[rows], 0, ""), own.code)
 
 
-def _edited(path: Path, echoes: int) -> NDArray[np.int64]:
+def _read_points(path: Path, echoes: int) -> NDArray[np.int64]:
     """int64 (points, 7): strip, pulse, number of the return, x, y, z [mm], class."""
     source = open_las(path)
     if source.n_points != echoes:
@@ -262,7 +262,7 @@ def _at_their_place(changed: EchoLabels, note: Note, delivery: Delivery) -> NDAr
     return _code_of(changed, there) != TAKEN_BACK
 
 
-def _moved(lost: EchoLabels, note: Note, delivery: Delivery) -> InputError:
+def _lost_error(lost: EchoLabels, note: Note, delivery: Delivery) -> InputError:
     return InputError(
         "echoes that were changed are not at their place any more",
         where=delivery.path,

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from fwclass.classify.stage import classify
-from fwclass.delivery.echoes import Echoes
 from fwclass.errors import InputError
 from fwclass.model.matrix import sample_matrix
 from fwclass.run.inputs import TABLE, PartInputs
@@ -46,7 +45,7 @@ class Explanation:
         return "\n".join(lines)
 
 
-def explained(store: Store, model: Path, echoes: Echoes, row: Mapping[str, Any]) -> Explanation:
+def explain(store: Store, model: Path, row: Mapping[str, Any]) -> Explanation:
     """See `Delivery.explain`."""
     strip, pulse, number = (int(row[name]) for name in IDENTITY)
     forest = load_model(model)
@@ -55,13 +54,13 @@ def explained(store: Store, model: Path, echoes: Echoes, row: Mapping[str, Any])
     table = tile_features(store, inputs, tile, forest.features)
     X = sample_matrix(table, forest.features, tile)
     usual = np.nanmedian(np.where(np.isfinite(X), X, np.nan), axis=0)
-    asked = np.repeat(X[[place]], 1 + X.shape[1], axis=0)
+    variants = np.repeat(X[[place]], 1 + X.shape[1], axis=0)
     for k in range(X.shape[1]):
-        asked[1 + k, k] = usual[k]
-    answers = classify(np.ascontiguousarray(asked, np.float32), forest, True)
+        variants[1 + k, k] = usual[k]
+    answers = classify(np.ascontiguousarray(variants, np.float32), forest, True)
     shares = {c.name: answers[f"probability_{c.code}"] for c in forest.classes}
-    given = max(shares, key=lambda name: float(shares[name][0]))
-    effects = shares[given][0] - shares[given][1:]
+    winner = max(shares, key=lambda name: float(shares[name][0]))
+    effects = shares[winner][0] - shares[winner][1:]
     order = np.argsort(-np.abs(effects), kind="stable")
     return Explanation(
         strip,

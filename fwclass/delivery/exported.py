@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,9 +11,9 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import open_run
-from fwclass.delivery.viewed import UNSURE, ViewedRun
+from fwclass.delivery.viewed import UNSURE, ViewedRun, plain_value
 from fwclass.delivery.viewed_colours import CORRECTED
-from fwclass.publish.copc import streamed
+from fwclass.publish.copc import copc_columns
 from fwclass.publish.files import whole_directory
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.view.blocks import DRAWN, identity_block
@@ -31,7 +30,7 @@ class ExportedRun(ViewedRun):
         delivered = [
             f["name"] for f in table_fields(self.delivery.path / "parquet" / f"{next(iter(self.tiles))}.parquet")
         ]
-        left = {*delivered} - {*streamed(delivered), "strip"} | {*DRAWN}
+        left = {*delivered} - {*copc_columns(delivered), "strip"} | {*DRAWN}
         return [f["name"] for f in self.index()["columns"] if f["name"] not in left]
 
     def scale(self, part: str) -> dict[str, Any]:
@@ -61,8 +60,8 @@ class ExportedRun(ViewedRun):
         out: list[dict[int, Told]] = [{} for _ in self.work_list().places]
         for number, key in enumerate(self.tiles):
             mine = np.flatnonzero(tile[order] == number)
-            for at, told in zip(mine.tolist(), self._told(key, row[order[mine]]), strict=True):
-                out[int(place[order[at]])][at] = told
+            for at, echo in zip(mine.tolist(), self._describe(key, row[order[mine]]), strict=True):
+                out[int(place[order[at]])][at] = echo
         return [[one for _, one in sorted(echoes.items())] for echoes in out]
 
     def _unsure(self, number: int, key: str) -> dict[str, NDArray]:
@@ -77,14 +76,14 @@ class ExportedRun(ViewedRun):
         best = _first_of_each(place, order, self.params.export)
         return {"place": place[best], "tile": np.full(len(best), number), "row": row[best], "order": order[best]}
 
-    def _told(self, key: str, rows: NDArray[np.int64]) -> list[Told]:
+    def _describe(self, key: str, rows: NDArray[np.int64]) -> list[Told]:
         if not len(rows):
             return []
         path = self.delivery.path / "parquet" / f"{key}.parquet"
         columns = {n: v[rows] for n, v in table_columns(path, [f["name"] for f in self._fields]).items()}
         out = []
         for k, row in enumerate(rows.tolist()):
-            values = {n: _plain(v[k]) for n, v in columns.items()}
+            values = {n: plain_value(v[k]) for n, v in columns.items()}
             node, at, _ = self._in_blocks(key, np.array([row]))[0]
             x, y, z = (round(values[a] - o, 3) for a, o in zip("xyz", self.origin, strict=True))
             strip, pulse, number = (int(values[n]) for n in IDENTITY)
@@ -103,11 +102,6 @@ def _first_of_each(place: NDArray[np.int64], order: NDArray, most: int) -> NDArr
     sorted_ = place[rows]
     rank = np.arange(len(rows)) - np.searchsorted(sorted_, sorted_)
     return np.asarray(rows[rank < most])
-
-
-def _plain(value: Any) -> Any:
-    plain = value.item()
-    return None if isinstance(plain, float) and not math.isfinite(plain) else plain
 
 
 def export_view(

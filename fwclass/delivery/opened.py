@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.delivery.echoes import Bounds, Echoes
-from fwclass.delivery.explain import Explanation, explained
+from fwclass.delivery.explain import Explanation, explain
 from fwclass.delivery.rasters import Raster, read_raster
 from fwclass.delivery.waves import Waveform, waveform_of
 from fwclass.errors import InputError
@@ -88,7 +88,7 @@ class Delivery:
             There is no such echo.
         """
         row = echo if isinstance(echo, Mapping) else dict(zip(("strip", "pulse", "echo_number"), echo, strict=True))
-        return explained(self._store, self._part("model"), self.echoes(), row)
+        return explain(self._store, self._part("model"), row)
 
     @cached_property
     def report(self) -> dict[str, Any]:
@@ -98,7 +98,7 @@ class Delivery:
     @cached_property
     def tiles(self) -> list[dict[str, Any]]:
         """Every tile: ``tile, file, echoes, bounds`` (xmin, ymin, zmin, xmax, ymax, zmax)."""
-        made = read_json(self._part("laz") / "survey.vpc")
+        catalogue = read_json(self._part("laz") / "survey.vpc")
         return [
             {
                 "tile": item["id"],
@@ -106,7 +106,7 @@ class Delivery:
                 "echoes": item["properties"]["pc:count"],
                 "bounds": tuple(item["properties"]["proj:bbox"]),
             }
-            for item in made["features"]
+            for item in catalogue["features"]
         ]
 
     @cached_property
@@ -172,7 +172,8 @@ def open_run(run: str | os.PathLike[str]) -> Delivery:
             else "name the directory that was given as --out",
         )
     listed = generations.manifest(current)
-    gone = [name for name, facts in (listed or {}).items() if not _there(current.path / name, facts["bytes"])]
+    sizes = {name: facts["bytes"] for name, facts in (listed or {}).items()}
+    gone = [n for n, size in sizes.items() if not (f := current.path / n).is_file() or f.stat().st_size != size]
     if listed is None or gone:
         raise InputError(
             "the delivery is damaged",
@@ -182,7 +183,3 @@ def open_run(run: str | os.PathLike[str]) -> Delivery:
             do="run the survey again with --verify: what is damaged is made anew",
         )
     return Delivery(root, current.path)
-
-
-def _there(path: Path, size: int) -> bool:
-    return path.is_file() and path.stat().st_size == size

@@ -17,13 +17,22 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns, table_fields
 from fwclass.delivery.opened import Delivery, open_run
-from fwclass.delivery.viewed_colours import CORRECTED, DIFFERS, MEANING, RIGHT, accepted, compared, kinds, verdicts
+from fwclass.delivery.viewed_colours import (
+    CORRECTED,
+    DIFFERS,
+    MEANING,
+    RIGHT,
+    compare_classes,
+    compare_corrections,
+    kinds,
+    verdicts,
+)
 from fwclass.delivery.viewed_corrections import in_place
 from fwclass.delivery.viewed_echo import BehindEchoes
 from fwclass.delivery.viewed_relabel import Relabelling
 from fwclass.delivery.viewed_tile import OpenTile, by_node, positions
 from fwclass.errors import FwclassError, InputError
-from fwclass.publish.octree import drawn_by
+from fwclass.publish.octree import echo_hashes
 from fwclass.publish.palette import colours, css
 from fwclass.schema import IDENTITY, Table
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
@@ -73,10 +82,10 @@ class ViewedRun:
         return self.delivery.path.name
 
     def reopened(self) -> ViewedRun:
-        from fwclass.delivery.viewed_large import viewed  # which is made of this
+        from fwclass.delivery.viewed_large import view_run  # which is made of this
 
         current = open_run(self.delivery.root)
-        return self if current.path == self.delivery.path else viewed(current, self.params)
+        return self if current.path == self.delivery.path else view_run(current, self.params)
 
     def prepare(self) -> None:
         """Make ahead what the page asks for first; what fails will be said when it is asked for."""
@@ -134,7 +143,7 @@ class ViewedRun:
     def echo(self, node: Node, row: int) -> dict[str, Any]:
         tile, at = self._row_of(node, row)
         names = [f["name"] for f in self._fields if f["name"] not in MEANING]
-        values = {n: _plain(v[at]) for n, v in self._columns(tile, names).items()}
+        values = {n: plain_value(v[at]) for n, v in self._columns(tile, names).items()}
         if len(self._asked) >= REMEMBERED:
             self._asked.clear()
         self._asked[tuple(int(values[n]) for n in IDENTITY)] = tile, at
@@ -342,20 +351,20 @@ class ViewedRun:
         if name == CORRECTED:
             return self._accepted(self._tile(key), key)
         if name == DIFFERS and self._other is not None:
-            return compared(self._file(key), self._other / f"{key}.parquet")
+            return compare_classes(self._file(key), self._other / f"{key}.parquet")
         values = self._column(key, name)
         return (values % NO_VALUE).astype(np.uint8) if name == "strip" else self._scale(name).bytes_of(values)
 
     def _accepted(self, opened: OpenTile, key: str) -> NDArray[np.uint8]:
-        return accepted(opened.columns["classification"], *self._classes(opened, key))
+        return compare_corrections(opened.columns["classification"], *self._classes(opened, key))
 
     def _verdicts(self, key: str) -> NDArray[np.uint8]:
-        given = self._column(key, "classification")
+        classes = self._column(key, "classification")
         try:
             reference = self._behind.reference(key)
         except (FwclassError, OSError):
-            return np.zeros(len(given), np.uint8)
-        return verdicts(given, reference, self.delivery.report["config"]["survey"]["classes"])
+            return np.zeros(len(classes), np.uint8)
+        return verdicts(classes, reference, self.delivery.report["config"]["survey"]["classes"])
 
     def _skimmed_column(self, name: str) -> NDArray[np.uint8]:
         return self._open.get(("skimmed", name), lambda: self._skim_column(name), lambda v: v.nbytes)
@@ -372,10 +381,10 @@ class ViewedRun:
 
 
 def _rank(columns: Mapping[str, NDArray]) -> NDArray[np.uint64]:
-    return drawn_by(Table({n: columns[n] for n in IDENTITY}))
+    return echo_hashes(Table({n: columns[n] for n in IDENTITY}))
 
 
-def _plain(value: Any) -> Any:
+def plain_value(value: Any) -> Any:
     """For JSON: no NaN, no numpy."""
     plain = value.item() if hasattr(value, "item") else value
     return None if isinstance(plain, float) and not math.isfinite(plain) else plain

@@ -47,7 +47,7 @@ def kinds(part: str, files: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
     return [_kind(code, *kind) for code, kind in enumerate(_KINDS[part])]
 
 
-def compared(tile: Path, other: Path) -> NDArray[np.uint8]:
+def compare_classes(tile: Path, other: Path) -> NDArray[np.uint8]:
     """0 for an echo that the other run has not in this tile, 1 where the classes are the same, 2 where not."""
     mine = table_columns(tile, (*IDENTITY, "classification"))
     out = np.zeros(len(mine["strip"]), np.uint8)
@@ -70,7 +70,9 @@ def verdicts(
     return np.where(known == 0, 0, np.where(known == given, 1, 2)).astype(np.uint8)
 
 
-def accepted(given: NDArray[np.uint8], shown: NDArray[np.uint8], rows: NDArray[np.int64]) -> NDArray[np.uint8]:
+def compare_corrections(
+    given: NDArray[np.uint8], shown: NDArray[np.uint8], rows: NDArray[np.int64]
+) -> NDArray[np.uint8]:
     """0 for echoes that were not corrected; of `rows`, which were, 1 where that is the delivered class, 2 where not."""
     out = np.zeros(len(given), np.uint8)
     out[rows] = np.where(given[rows] == shown[rows], 1, 2)

@@ -183,11 +183,11 @@ def in_place(
     ----------
     columns : strip, pulse, echo_number, x, y, z [m], classification.
     """
-    given = np.asarray(columns["classification"], np.uint8)
+    classes = np.asarray(columns["classification"], np.uint8)
     if not labels.rows:
-        return given, np.empty(0, np.int64)
+        return classes, np.empty(0, np.int64)
     rows, own = matched(Table({n: columns[n] for n in COLUMNS[:-1]}), labels, reach)
-    out = given.copy()
+    out = classes.copy()
     out[rows] = labels["label_code"][own]
     return out, rows
 

@@ -58,8 +58,8 @@ class BehindEchoes:
 
         waves = self._waves(strip, pulse)
         params = DecomposeParams(**self._delivery.report["config"]["decompose"])
-        seen = see(waves, params, pulse_of(strip, self._inputs), (pulse,))
-        picture, facts = pulse_picture(seen, 0, pulse_of(strip, self._inputs))
+        view = see(waves, params, pulse_of(strip, self._inputs), (pulse,))
+        picture, facts = pulse_picture(view, 0, pulse_of(strip, self._inputs))
         residual = np.where(picture.clipped, np.nan, (picture.samples - picture.model) / picture.sigma)
         n = len(facts["echoes"])
         says = f"{n} fitted {'echo' if n == 1 else 'echoes'}, {len(picture.vendor)} of the vendor; noise "
@@ -131,26 +131,32 @@ class BehindEchoes:
         mine = X[[row]]
         shares = {c.name: float(s[0]) for c, s in self._asked(mine, forest)}
         order = sorted(shares, key=lambda name: -shares[name])
-        given, other = order[0], order[1] if len(order) > 1 else order[0]
+        winner, other = order[0], order[1] if len(order) > 1 else order[0]
         medians, of = self._medians(forest, X, tile)
-        asked = np.repeat(mine, X.shape[1], axis=0)
-        np.fill_diagonal(asked, medians[other][0.5])
-        answers = {c.name: s for c, s in self._asked(asked, forest)}
-        effects = shares[given] - answers[given]
+        variants = np.repeat(mine, X.shape[1], axis=0)
+        np.fill_diagonal(variants, medians[other][0.5])
+        answers = {c.name: s for c, s in self._asked(variants, forest)}
+        effects = shares[winner] - answers[winner]
         telling = np.argsort(-effects, kind="stable")[:TELLING].tolist()
         features = [
             {
                 "name": names[k],
                 "value": _plain(mine[0, k]),
-                "own": _plain(medians[given][0.5][k]),
-                "own_low": _plain(medians[given][0.05][k]),
-                "own_high": _plain(medians[given][0.95][k]),
+                "own": _plain(medians[winner][0.5][k]),
+                "own_low": _plain(medians[winner][0.05][k]),
+                "own_high": _plain(medians[winner][0.95][k]),
                 "others": _plain(medians[other][0.5][k]),
                 "effect": float(effects[k]),
             }
             for k in telling
         ]
-        return {"shares": {n: shares[n] for n in order}, "given": given, "other": other, "of": of, "features": features}
+        return {
+            "shares": {n: shares[n] for n in order},
+            "given": winner,
+            "other": other,
+            "of": of,
+            "features": features,
+        }
 
     def _matrix(self, tile: str, names: tuple[str, ...]) -> NDArray:
         """The model's features of a tile, (rows, features)."""

@@ -15,9 +15,9 @@ from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_tile import positions
 from fwclass.errors import InputError
 from fwclass.formats.extra_bytes import published
-from fwclass.grid import TileGrid, quantised
-from fwclass.publish.copc import streamed
-from fwclass.publish.octree import drawn_by
+from fwclass.grid import TileGrid, quantise
+from fwclass.publish.copc import copc_columns
+from fwclass.publish.octree import echo_hashes
 from fwclass.read.las import open_las
 from fwclass.read.points import PointReader, coordinates
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -33,7 +33,7 @@ TILE = 20_000
 """Echoes that are read in the time in which a tile is opened."""
 
 
-def viewed(delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> ViewedRun:
+def view_run(delivery: Delivery, params: ViewParams, other: Delivery | None = None) -> ViewedRun:
     """The run as the viewer shows it; a large one by its overview."""
     cost = sum(TILE + int(t["echoes"]) for t in delivery.tiles)
     large = cost > params.whole and (delivery.path / OVERVIEW).is_file()
@@ -49,7 +49,7 @@ class LargeRun(ViewedRun):
     def _coarsest(self) -> dict[str, NDArray]:
         echoes = self._overview()
         limit = self.pyramid.limit(self.pyramid.coarse) if self.pyramid.coarse >= 0 else 0
-        rank = drawn_by(Table({n: echoes[n] for n in IDENTITY}))
+        rank = echo_hashes(Table({n: echoes[n] for n in IDENTITY}))
         if limit > int(rank.max(initial=np.uint64(0))):
             return super()._coarsest()
         return {n: v[rank < np.uint64(limit)] for n, v in echoes.items()}
@@ -59,8 +59,10 @@ class LargeRun(ViewedRun):
         with PointReader(source) as reader:
             points = reader.read(0, source.n_points)
             there = [f["name"] for f in table_fields(self._tile_path(next(iter(self.tiles))))]
-            more = {c.name: reader.extra_byte(points, c.las) for c in published(streamed(there)) if c.name != "pulse"}
-        x, y, z = map(quantised, coordinates(source, points))
+            more = {
+                c.name: reader.extra_byte(points, c.las) for c in published(copc_columns(there)) if c.name != "pulse"
+            }
+        x, y, z = map(quantise, coordinates(source, points))
         echoes: dict[str, NDArray] = {
             **more,
             **{"x": x, "y": y, "z": z},

@@ -47,6 +47,7 @@ class Selected:
 
     @property
     def echoes(self) -> int:
+        """Number of selected echoes."""
         return sum(map(len, self.rows.values()))
 
 
@@ -75,7 +76,7 @@ class Relabelling:
             "rows": rows.all.rows,
             "standing": rows.labels.rows,
             "who": self.corrections.who,
-            "says": _not_taken(reference["kind"], reference.get("corrections")),
+            "says": _reason_unused(reference["kind"], reference.get("corrections")),
         }
 
     def select(self, selection: Selection) -> dict[str, Any]:
@@ -83,7 +84,7 @@ class Relabelling:
         tiles = [key for key, t in self._tiles.items() if selection.touches(t["bounds"])]
         searched = sum(int(self._tiles[key]["echoes"]) for key in tiles)
         _check_amount("would be searched", searched, self._params.searched, len(tiles))
-        found, echoes, classes = {}, 0, np.zeros(256, np.int64)
+        rows_by_tile, echoes, classes = {}, 0, np.zeros(256, np.int64)
         with self._lock:  # one at a time: each takes a tile's memory
             corrections = self.corrections.rows()
             for key in tiles:
@@ -91,16 +92,16 @@ class Relabelling:
                 echoes += len(rows)
                 _check_amount("or more are selected", echoes, self._params.selected, len(tiles))
                 if len(rows):
-                    found[key] = rows
+                    rows_by_tile[key] = rows
                     classes += np.bincount(codes, minlength=256)
             number = next(self._numbers)
-            self._selected[number] = Selected(found)
+            self._selected[number] = Selected(rows_by_tile)
             while len(self._selected) > KEPT:
                 self._selected.popitem(last=False)
         return {
             "selection": number,
             "echoes": echoes,
-            "tiles": len(found),
+            "tiles": len(rows_by_tile),
             "classes": {str(c): int(classes[c]) for c in np.flatnonzero(classes).tolist()},
             "rows": corrections.all.rows,
         }
@@ -124,11 +125,11 @@ class Relabelling:
             raise InputError("nothing is selected", where="the page's request", do="draw around some echoes first")
         parts = [{n: v[rows] for n, v in self._read(key, PLACE).items()} for key, rows in selected.rows.items()]
         columns = {n: np.concatenate([p[n] for p in parts]) for n in PLACE}
-        return self._told(self.corrections.add(columns, TAKEN_BACK if code is None else code))
+        return self._outcome(self.corrections.add(columns, TAKEN_BACK if code is None else code))
 
     def revert(self, time: int) -> dict[str, Any]:
         self.corrections.check_current()
-        return self._told(self.corrections.revert(time))
+        return self._outcome(self.corrections.revert(time))
 
     def changes(self, known: int) -> bytes:
         self.corrections.check_current()
@@ -146,10 +147,10 @@ class Relabelling:
             codes[key] = in_place(columns, rows.of(key), self.corrections.reach)[0][places[key]]
         return np.array([rows.all.rows, 0], "<u4").tobytes() + self._marked(places, codes)
 
-    def _told(self, written: Written) -> dict[str, Any]:
+    def _outcome(self, written: Written) -> dict[str, Any]:
         rows = self.corrections.rows()
-        told = {"time": written.time or None, "echoes": written.rows, "left": written.left}
-        return {**told, "rows": rows.all.rows, "standing": rows.labels.rows}
+        summary = {"time": written.time or None, "echoes": written.rows, "left": written.left}
+        return {**summary, "rows": rows.all.rows, "standing": rows.labels.rows}
 
     def _known(self, number: int) -> Selected:
         with self._lock:
@@ -184,7 +185,7 @@ class Relabelling:
         )
 
 
-def _not_taken(kind: str, corrections: str | bool | None) -> str:
+def _reason_unused(kind: str, corrections: str | bool | None) -> str:
     """Why the next run takes nothing of what is corrected here; "" where it does."""
     if kind == "none":
         return "This survey has no reference labels: a run takes no corrections, and trains nothing."

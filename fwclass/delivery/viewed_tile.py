@@ -22,6 +22,7 @@ class OpenTile:
 
     @property
     def size(self) -> int:
+        """Bytes of memory that the columns and their order take."""
         return int(sum(v.nbytes for v in self.columns.values()) + self.order.nbytes)
 
     @cached_property

@@ -11,7 +11,7 @@ from pathlib import Path
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_command import LastCommand
-from fwclass.delivery.viewed_large import viewed
+from fwclass.delivery.viewed_large import view_run
 from fwclass.view.params import ViewParams
 from fwclass.view.server import Server
 
@@ -20,9 +20,9 @@ def scenes_of(run: Path, against: Path | None, params: ViewParams) -> list[Viewe
     """The scene of a run, and that of another with which it is compared."""
     first = open_run(run)
     if against is None:
-        return [viewed(first, params)]
+        return [view_run(first, params)]
     second = open_run(against)
-    return [viewed(first, params, second), viewed(second, params, first)]
+    return [view_run(first, params, second), view_run(second, params, first)]
 
 
 def serve_view(
@@ -52,13 +52,13 @@ def serve_view(
         if allow_run:
             tell(f"the page may start: {again.state()['command'] or again.state()['why']}")
         tell(server.address)
-        if browser and not _opened(server.address):
+        if browser and not _open_browser(server.address):
             tell("no browser could be started: open the address above")
         with suppress(KeyboardInterrupt):
             server.serve_forever()
 
 
-def _opened(address: str) -> bool:
+def _open_browser(address: str) -> bool:
     try:
         return webbrowser.open(address)
     except webbrowser.Error:

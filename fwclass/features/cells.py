@@ -97,13 +97,13 @@ def _fill(z, order, start, kinds, amplitude, width, intensity, powers, moments, 
 
 def _of_echoes(bases: Iterable[str], z: NDArray[np.int64], sums: NDArray[np.float64]) -> dict[str, NDArray[np.float32]]:
     """Bases of `OF_THE_ECHO` of echoes of height `z` [mm] from the `sums` of their cells."""
-    made = {base: np.empty(len(z), np.float32) for base in bases}
-    for first in range(0, len(z) if made else 0, BATCH):
+    features = {base: np.empty(len(z), np.float32) for base in bases}
+    for first in range(0, len(z) if features else 0, BATCH):
         part = slice(first, min(first + BATCH, len(z)))
         n, total, low, high = sums[:, part]
         moments = np.zeros((MOMENTS, part.stop - first))
         moments[N], moments[Z] = n, total - n * (z[part] - low)
         moments[LOW], moments[HIGH] = low - z[part], high - z[part]
-        for base, values in made.items():
+        for base, values in features.items():
             measure(CODE[base], moments, np.empty((SHAPES, 0)), values[part])
-    return made
+    return features

@@ -82,7 +82,7 @@ class Crowd:
         cubes, columns = (Fullest.of_parts(p[name] for p in known) for name in ("cubes", "columns"))
         return cls(cubes, columns) if cubes or columns else None
 
-    def told(self) -> dict[str, Any]:
+    def facts(self) -> dict[str, Any]:
         """Plain data."""
         return asdict(self)
 
@@ -104,7 +104,7 @@ class Crowd:
         return "; ".join(texts)
 
 
-def thinned(chunk: Chunk, params: FeaturesParams) -> Thinned | None:
+def thin_dense(chunk: Chunk, params: FeaturesParams) -> Thinned | None:
     """`chunk` without the echoes that do not count, None where no cube and no column is dense.
 
     `Thinned` also says for every echo of the core, (core,), which row of the thinned core it takes its features
@@ -113,24 +113,24 @@ def thinned(chunk: Chunk, params: FeaturesParams) -> Thinned | None:
     place = _millimetres(chunk.table)
     owner = _owners(place, params)
     owner = _among(place, owner, params)[0]
-    kept = np.flatnonzero(owner == np.arange(len(owner)))
-    if len(kept) == len(owner):
+    counting = np.flatnonzero(owner == np.arange(len(owner)))
+    if len(counting) == len(owner):
         return None
     owners, source = np.unique(owner[chunk.core], return_inverse=True)
-    core = np.searchsorted(kept, owners)
-    return Thinned(Chunk(chunk.table.take(kept), core, chunk.tile), source)
+    core = np.searchsorted(counting, owners)
+    return Thinned(Chunk(chunk.table.take(counting), core, chunk.tile), source)
 
 
 def crowd_facts(chunk: Chunk, params: FeaturesParams) -> dict[str, Any] | None:
-    """What of the core lies in dense cubes and columns, see `Crowd.told`; None where nothing does."""
+    """What of the core lies in dense cubes and columns, see `Crowd.facts`; None where nothing does."""
     place = _millimetres(chunk.table)
     core = np.zeros(chunk.table.rows, np.bool_)
     core[chunk.core] = True
-    rows, count = _crowded(np.arange(chunk.table.rows), place, params.dense_cell, params.dense_echoes)
+    rows, count = _find_crowded(np.arange(chunk.table.rows), place, params.dense_cell, params.dense_echoes)
     cubes = _fullest(rows, count, core, place, params.dense_cell)
     _, rows, count = _among(place, _owners(place, params), params)
     columns = _fullest(rows, count, core, place[:2], params.dense_column)
-    return Crowd(cubes, columns).told() if cubes or columns else None
+    return Crowd(cubes, columns).facts() if cubes or columns else None
 
 
 def _millimetres(table: Table) -> Place:
@@ -140,10 +140,10 @@ def _millimetres(table: Table) -> Place:
 def _owners(place: Place, params: FeaturesParams) -> Rows:
     """Of every row the one that counts for it, as dense cubes have it."""
     owner = np.arange(len(place[0]))
-    dense, _ = _crowded(owner, place, params.dense_cell, params.dense_echoes)
+    dense, _ = _find_crowded(owner, place, params.dense_cell, params.dense_echoes)
     if len(dense):
         step = whole_millimetres(params.dense_step, "features.dense_step")
-        rows, first = _grouped(dense, [axis[dense] // step for axis in place])
+        rows, first = _group(dense, [axis[dense] // step for axis in place])
         owner[rows] = rows[first]
     return owner
 
@@ -153,7 +153,7 @@ def _among(place: Place, owner: Rows, params: FeaturesParams) -> tuple[Rows, Row
     edge = whole_millimetres(params.dense_column, "features.dense_column")
     step = whole_millimetres(params.dense_step, "features.dense_step")
     counting = np.flatnonzero(owner == np.arange(len(owner)))
-    dense, count = _crowded(counting, place[:2], params.dense_column, params.dense_in_column)
+    dense, count = _find_crowded(counting, place[:2], params.dense_column, params.dense_in_column)
     if len(dense) == 0:
         return owner, dense, dense
     would = np.zeros(len(owner), np.int64)
@@ -162,9 +162,9 @@ def _among(place: Place, owner: Rows, params: FeaturesParams) -> tuple[Rows, Row
     speaks = np.arange(len(owner))
     while len(dense):
         column = [axis[dense] // edge for axis in place[:2]]
-        at, first = _grouped(np.arange(len(dense)), [*column, *(axis[dense] // step for axis in place)])
+        at, first = _group(np.arange(len(dense)), [*column, *(axis[dense] // step for axis in place)])
         speaks[dense[at]] = dense[at[first]]
-        dense, _ = _crowded(np.unique(speaks[dense]), place[:2], params.dense_column, params.dense_in_column)
+        dense, _ = _find_crowded(np.unique(speaks[dense]), place[:2], params.dense_column, params.dense_in_column)
         step *= 2
     # An owner of an owner: what a first round left is thinned by the next, of twice the edge.
     while not np.array_equal(speaks, speaks[speaks]):
@@ -184,7 +184,7 @@ def _fullest(rows: Rows, count: Rows, core: NDArray[np.bool_], place: tuple[Rows
     return Fullest(int(own.sum()), int(count[own][fullest]), tuple(int(cube[fullest]) * size / 1000 for cube in cubes))
 
 
-def _crowded(rows: Rows, place: tuple[Rows, ...], edge: float, most: int) -> tuple[Rows, Rows]:
+def _find_crowded(rows: Rows, place: tuple[Rows, ...], edge: float, most: int) -> tuple[Rows, Rows]:
     """Those of `rows`, rising, whose cube (column, of two axes) of `edge` [m] holds more than `most` of them, and how
     many that are.
 
@@ -201,7 +201,7 @@ def _crowded(rows: Rows, place: tuple[Rows, ...], edge: float, most: int) -> tup
     rows = rows[np.bincount(at, minlength=slots)[at] > most]
     if len(rows) == 0:
         return rows, rows
-    rows, first = _grouped(rows, [axis[rows] // size for axis in place])
+    rows, first = _group(rows, [axis[rows] // size for axis in place])
     starts = np.flatnonzero(first == np.arange(len(first)))
     count = np.diff(np.append(starts, len(first)))[np.searchsorted(starts, first)]
     dense = count > most
@@ -209,7 +209,7 @@ def _crowded(rows: Rows, place: tuple[Rows, ...], edge: float, most: int) -> tup
     return rows[dense][order], count[dense][order]
 
 
-def _grouped(rows: Rows, cubes: Sequence[Rows]) -> tuple[Rows, Rows]:
+def _group(rows: Rows, cubes: Sequence[Rows]) -> tuple[Rows, Rows]:
     """`rows` by their `cubes`, rising within each, and the place of the first of every row's cube."""
     order = np.lexsort((rows, *cubes))
     new = np.zeros(len(rows), np.bool_)

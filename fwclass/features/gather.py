@@ -112,11 +112,11 @@ def most_in_window(start, ncols, nrows, half):  # type: ignore[no-untyped-def]
     for row in range(nrows):
         for col in range(ncols):
             if start[row * ncols + col] < start[row * ncols + col + 1]:
-                held = 0
+                count = 0
                 for r in range(max(row - reach, 0), min(row + reach + 1, nrows)):
                     wide = half[abs(r - row)]
-                    held += start[r * ncols + min(col + wide + 1, ncols)] - start[r * ncols + max(col - wide, 0)]
-                most = max(most, held)
+                    count += start[r * ncols + min(col + wide + 1, ncols)] - start[r * ncols + max(col - wide, 0)]
+                most = max(most, count)
     return most
 
 
@@ -130,17 +130,17 @@ def slices(start, ncols, nrows, half, most):  # type: ignore[no-untyped-def]
         for col in range(ncols):
             first, last = start[row * ncols + col], start[row * ncols + col + 1]
             if first < last:
-                held = 0
+                count = 0
                 for r in range(max(row - reach, 0), min(row + reach + 1, nrows)):
                     wide = half[abs(r - row)]
-                    held += start[r * ncols + min(col + wide + 1, ncols)] - start[r * ncols + max(col - wide, 0)]
-                while met + (last - first) * held > most:
-                    first += max((most - met) // held, 1)
+                    count += start[r * ncols + min(col + wide + 1, ncols)] - start[r * ncols + max(col - wide, 0)]
+                while met + (last - first) * count > most:
+                    first += max((most - met) // count, 1)
                     cuts.append(min(first, last))
                     met = 0
                     if first >= last:
                         break
-                met += max(last - first, 0) * held
+                met += max(last - first, 0) * count
     if cuts[-1] < start[-1]:
         cuts.append(start[-1])
     return np.array(cuts)

@@ -141,17 +141,17 @@ class Needs:
 
 def needs(bases: Iterable[str]) -> Needs:
     """What `bases` need besides N, Z, ZZ, LOW and HIGH, which are always there."""
-    asked = set(bases)
+    wanted = set(bases)
     return Needs(
-        shape=bool(asked & {*_EIGEN, *_NORMAL}),
-        powers=bool(asked & {"height_skewness", "height_kurtosis"}),
-        extent="plane_range" in asked,
-        kinds=bool(asked & set(_KINDS)),
-        amplitude=bool(asked & {"amplitude_mean", "amplitude_std"}),
-        width=bool(asked & {"width_mean", "width_std"}),
-        intensity=bool(asked & {"intensity_mean", "intensity_std"}),
-        cylinder="echo_ratio" in asked,
-        percentiles=bool(asked & set(_RANKS)),
+        shape=bool(wanted & {*_EIGEN, *_NORMAL}),
+        powers=bool(wanted & {"height_skewness", "height_kurtosis"}),
+        extent="plane_range" in wanted,
+        kinds=bool(wanted & set(_KINDS)),
+        amplitude=bool(wanted & {"amplitude_mean", "amplitude_std"}),
+        width=bool(wanted & {"width_mean", "width_std"}),
+        intensity=bool(wanted & {"intensity_mean", "intensity_std"}),
+        cylinder="echo_ratio" in wanted,
+        percentiles=bool(wanted & set(_RANKS)),
     )
 
 

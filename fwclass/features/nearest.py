@@ -32,9 +32,9 @@ def nearest_echoes(
     rows stand in canonical order, tiles do not matter. No row beyond ``params.nearest_reach`` is looked for: then there
     are fewer.
     """
-    made = {base: np.empty(len(chunk.core), np.float32) for base in bases}
+    features = {base: np.empty(len(chunk.core), np.float32) for base in bases}
     if len(chunk.core) == 0:
-        return made
+        return features
     table, k, needed = chunk.table, scale.size, needs(bases)
     reach = whole_millimetres(params.nearest_reach, "features.nearest_reach")
     columns = Columns.build(table["x"], table["y"], table["z"], k, params.nearest_reach)
@@ -43,11 +43,11 @@ def nearest_echoes(
     places = np.empty((table.rows, 3), np.int64)
     places[index.order] = np.stack([index.x, index.y, index.z], axis=1)
     wanted, rows = _in_order(index.order, chunk.core)
-    found, count = np.empty((BATCH, k), np.int64), np.empty(BATCH, np.int64)
+    neighbours, count = np.empty((BATCH, k), np.int64), np.empty(BATCH, np.int64)
     room = np.empty((2, table.rows), np.int64)
     for first in range(0, len(wanted), BATCH):
         part = wanted[first : first + BATCH]
-        keys, number = found[: len(part)], count[: len(part)]
+        keys, number = neighbours[: len(part)], count[: len(part)]
         nearest(
             columns.x,
             columns.y,
@@ -77,8 +77,8 @@ def nearest_echoes(
         values = np.empty(len(part), np.float32)
         for base in bases:
             measure(CODE[base], moments, shape, values)
-            made[base][rows[first : first + BATCH]] = values
-    return made
+            features[base][rows[first : first + BATCH]] = values
+    return features
 
 
 def _in_order(order: NDArray[np.int64], core: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -104,18 +104,18 @@ def _relative(places, keys, n, at, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _fill(places, found, count, kinds, amplitude, width, intensity, powers, ranks, moments):  # type: ignore[no-untyped-def]
-    """Moments of the neighbourhoods whose keys are `found`."""
-    k = found.shape[1]
+def _fill(places, keys, count, kinds, amplitude, width, intensity, powers, ranks, moments):  # type: ignore[no-untyped-def]
+    """Moments of the neighbourhoods whose keys are `keys`."""
+    k = keys.shape[1]
     at, x, y, z, m = np.empty(k, np.int64), np.empty(k), np.empty(k), np.empty(k), np.empty(MOMENTS)
     ranked, buckets = np.empty(k, np.int32), np.empty(BUCKETS + 1, np.int64)
-    for b in range(len(found)):
+    for b in range(len(keys)):
         n = count[b]
-        _relative(places, found[b], n, at, x, y, z)
+        _relative(places, keys[b], n, at, x, y, z)
         m[:] = 0.0
         add_places(x[:n], y[:n], z[:n], m)
         add_spread(z[:n], powers, m)
-        m[REACH] = math.sqrt(float((found[b, n - 1] >> ROWS) - 1)) if n > 1 else 0.0
+        m[REACH] = math.sqrt(float((keys[b, n - 1] >> ROWS) - 1)) if n > 1 else 0.0
         add_attributes(kinds, amplitude, width, intensity, at[:n], m)
         if ranks:
             percentiles(z[:n], np.int64(m[LOW]), np.int64(m[HIGH]), ranked, buckets, m)
@@ -123,13 +123,13 @@ def _fill(places, found, count, kinds, amplitude, width, intensity, powers, rank
 
 
 @kernel
-def _extents(places, found, count, shape, moments):  # type: ignore[no-untyped-def]
+def _extents(places, keys, count, shape, moments):  # type: ignore[no-untyped-def]
     """NEAR and FAR along the normals of `shape`."""
-    k = found.shape[1]
+    k = keys.shape[1]
     at, x, y, z = np.empty(k, np.int64), np.empty(k), np.empty(k), np.empty(k)
-    for b in range(len(found)):
+    for b in range(len(keys)):
         if shape[NZ, b] == shape[NZ, b]:
             n = count[b]
-            _relative(places, found[b], n, at, x, y, z)
+            _relative(places, keys[b], n, at, x, y, z)
             low, high = along_normal(x[:n], y[:n], z[:n], shape[NX, b], shape[NY, b], shape[NZ, b])
             moments[NEAR, b], moments[FAR, b] = low, high

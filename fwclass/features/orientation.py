@@ -34,8 +34,8 @@ def oriented_inclination(chunk: Chunk, scale: Scale, params: FeaturesParams) -> 
     """
     whole = Chunk(chunk.table, np.arange(chunk.table.rows), chunk.tile)
     own = params.model_copy(update={"normal_radius": scale.metres})
-    found = spheres(whole, {}, own)
-    normals = np.stack([found[name] for name in NORMAL], axis=1).astype(np.float64)
+    components = spheres(whole, {}, own)
+    normals = np.stack([components[name] for name in NORMAL], axis=1).astype(np.float64)
     side = sides(whole, normals, scale.metres, params.orientation_rounds)[chunk.core]
     upward = normals[chunk.core, 2] * np.where(side == 0, 1, side)
     return np.degrees(np.arccos(np.clip(upward, -1.0, 1.0))).astype(np.float32)

@@ -69,12 +69,12 @@ def _edge(x: NDArray[np.float64], y: NDArray[np.float64], k: int, reach: float) 
     if len(x) == 0:
         return reach
     col, row = np.floor(x / reach).astype(np.int64), np.floor(y / reach).astype(np.int64)
-    taken = len(np.unique((row - row.min()) * (col.max() - col.min() + 1) + (col - col.min())))
-    return min(reach, max(0.05, math.sqrt(0.5 * k * taken * reach * reach / len(x))))
+    occupied = len(np.unique((row - row.min()) * (col.max() - col.min() + 1) + (col - col.min())))
+    return min(reach, max(0.05, math.sqrt(0.5 * k * occupied * reach * reach / len(x))))
 
 
 @kernel
-def nearest(fx, fy, fz, x, y, z, order, start, ncols, nrows, cell, wanted, k, reach, near, keys, found, count):  # type: ignore[no-untyped-def]
+def nearest(fx, fy, fz, x, y, z, order, start, ncols, nrows, cell, wanted, k, reach, near, keys, neighbours, count):  # type: ignore[no-untyped-def]
     """The `k` nearest points of each of `wanted`, itself first.
 
     Parameters
@@ -83,7 +83,7 @@ def nearest(fx, fy, fz, x, y, z, order, start, ncols, nrows, cell, wanted, k, re
     wanted : int64, sorted points to look from.
     k, reach : how many, and how far [mm] at most.
     near, keys : int64 (n,), room to work in.
-    found : int64 (wanted, k), keys ``(distance² + 1) << ROWS | row`` of the others and `row` of the point itself,
+    neighbours : int64 (wanted, k), keys ``(distance² + 1) << ROWS | row`` of the others and `row` of the point itself,
         rising: by distance, then by input row.
     count : int64 (wanted), how many there are.
     """
@@ -97,10 +97,10 @@ def nearest(fx, fy, fz, x, y, z, order, start, ncols, nrows, cell, wanted, k, re
             if n >= k or look >= reach:
                 break
             look *= GROWTH
-        m = _lowest(keys, n, k, found[w])
+        m = _lowest(keys, n, k, neighbours[w])
         count[w] = m
         if m == k and k > 1:
-            look = FAN * math.sqrt(float((found[w, m - 1] >> ROWS) - 1)) + 1.0
+            look = FAN * math.sqrt(float((neighbours[w, m - 1] >> ROWS) - 1)) + 1.0
         look = max(look, 0.25 * cell)
 
 

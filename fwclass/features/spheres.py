@@ -34,16 +34,16 @@ POOL = 1 << 14
 """At least so many neighbours are kept for the sums of a block and its second pass."""
 
 
-def spheres(chunk: Chunk, asked: Mapping[Scale, Sequence[str]], params: FeaturesParams) -> Columns:
-    """Features `asked` (bases by scale, kinds r, c and o) and the normals of the core rows, by name."""
+def spheres(chunk: Chunk, request: Mapping[Scale, Sequence[str]], params: FeaturesParams) -> Columns:
+    """Features `request` (bases by scale, kinds r, c and o) and the normals of the core rows, by name."""
     columns: Columns = {}
     normals = Scale("r", round(params.normal_radius * 100))
-    plain = {scale: tuple(bases) for scale, bases in asked.items() if scale.kind in "rc"}
+    plain = {scale: tuple(bases) for scale, bases in request.items() if scale.kind in "rc"}
     plain[normals] = tuple(dict.fromkeys((*plain.get(normals, ()), LINEAR, *NORMAL)))
     for kind in "rc":
         for scales in size_classes({scale: bases for scale, bases in plain.items() if scale.kind == kind}):
             columns |= _walk(chunk, {scale: plain[scale] for scale in scales})
-    for scale, bases in asked.items():
+    for scale, bases in request.items():
         if scale.kind == "o":
             columns |= optimal(chunk, bases, False, params)
     return columns
@@ -64,20 +64,20 @@ def optimal(chunk: Chunk, bases: Sequence[str], wants_radius: bool, params: Feat
     return {**values, "optimal_radius": chosen} if wants_radius else values
 
 
-def size_classes(asked: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
+def size_classes(request: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
     """Scales in groups that one walk takes, each of rising size."""
     classes: list[list[Scale]] = []
-    for scale in sorted(asked, key=lambda s: s.size):
+    for scale in sorted(request, key=lambda s: s.size):
         if classes and scale.size <= CLASS * classes[-1][0].size:
             classes[-1].append(scale)
         else:
             classes.append([scale])
-    return [part for scales in classes for part in _apart(scales, asked)]
+    return [part for scales in classes for part in _apart(scales, request)]
 
 
-def _apart(scales: list[Scale], asked: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
+def _apart(scales: list[Scale], request: Mapping[Scale, Sequence[str]]) -> list[list[Scale]]:
     """`scales` one by one where all sums can be taken at once and few echoes are met twice."""
-    at_once = all(_at_once(asked[scale]) for scale in scales)
+    at_once = all(_at_once(request[scale]) for scale in scales)
     met = sum(scale.size**2 for scale in scales)
     return [[scale] for scale in scales] if at_once and met <= TWICE * scales[-1].size ** 2 else [scales]
 
@@ -87,9 +87,9 @@ def _at_once(bases: Iterable[str]) -> bool:
     return not (need.extent or need.percentiles)
 
 
-def _walk(chunk: Chunk, asked: Mapping[Scale, Sequence[str]]) -> Columns:
-    scales = list(asked)
-    jobs = [(q, base) for q, scale in enumerate(scales) for base in asked[scale]]
+def _walk(chunk: Chunk, request: Mapping[Scale, Sequence[str]]) -> Columns:
+    scales = list(request)
+    jobs = [(q, base) for q, scale in enumerate(scales) for base in request[scale]]
     out, _ = _run(chunk, [scale.size * 10 for scale in scales], scales[0].kind, jobs, optimal=False)
     names = [base if base in NORMAL else f"{base}_{scales[q].suffix}" for q, base in jobs]
     return dict(zip(names, out, strict=True))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.features.cells import cells, height_in_cell
-from fwclass.features.dense import thinned
+from fwclass.features.dense import thin_dense
 from fwclass.features.nearest import nearest_echoes
 from fwclass.features.orientation import oriented_inclination
 from fwclass.features.params import COLLINEAR, LINEAR, NORMAL, ORIENTED, Asked, FeaturesParams
@@ -40,34 +40,34 @@ def features(chunk: Chunk, names: Iterable[str], params: FeaturesParams) -> Tabl
 
     Source: the columns' own; the shape of a neighbourhood is the same for every kind of it.
     """
-    asked = Asked.of(names)
-    require(chunk.table, asked.reads, chunk.tile.key)
-    thin = thinned(chunk, params)
-    columns = _of_neighbours(thin.chunk if thin else chunk, asked, params)
+    request = Asked.of(names)
+    require(chunk.table, request.reads, chunk.tile.key)
+    thin = thin_dense(chunk, params)
+    columns = _of_neighbours(thin.chunk if thin else chunk, request, params)
     if thin:
         columns = {name: values[thin.source] for name, values in columns.items()}
-    for scale, bases in asked.of_kind("g").items():
-        columns |= named(cells(chunk, scale, bases), scale)
-    if variances := tuple(n for n in asked.plain if n in MEASURED):
+    for scale, bases in request.of_kind("g").items():
+        columns |= name_features(cells(chunk, scale, bases), scale)
+    if variances := tuple(n for n in request.plain if n in MEASURED):
         columns |= pulse_variances(chunk, variances, params)
-    if "zc" in asked.plain:
+    if "zc" in request.plain:
         columns["zc"] = height_in_cell(chunk, params)
     line = columns[f"{LINEAR}_r{round(params.normal_radius * 100)}"] > COLLINEAR
     columns |= {name: np.where(line, np.float32(np.nan), columns[name]) for name in NORMAL}
-    return Table({name: columns[name] for name in (*asked.names, *NORMAL)})
+    return Table({name: columns[name] for name in (*request.names, *NORMAL)})
 
 
-def _of_neighbours(chunk: Chunk, asked: Asked, params: FeaturesParams) -> dict[str, NDArray]:
+def _of_neighbours(chunk: Chunk, request: Asked, params: FeaturesParams) -> dict[str, NDArray]:
     """What is asked of spheres, cylinders and nearest echoes, of the core rows."""
-    columns: dict[str, NDArray] = dict(spheres(chunk, without(asked.of_kind("rc"), ORIENTED), params))
-    for scale, bases in asked.of_kind("r").items():
+    columns: dict[str, NDArray] = dict(spheres(chunk, without(request.of_kind("rc"), ORIENTED), params))
+    for scale, bases in request.of_kind("r").items():
         if ORIENTED in bases:
             columns[f"{ORIENTED}_{scale.suffix}"] = oriented_inclination(chunk, scale, params)
-    chosen, radius = [b for bases in asked.of_kind("o").values() for b in bases], "optimal_radius" in asked.plain
+    chosen, radius = [b for bases in request.of_kind("o").values() for b in bases], "optimal_radius" in request.plain
     if chosen or radius:
         columns |= optimal(chunk, chosen, radius, params)
-    for scale, bases in asked.of_kind("k").items():
-        columns |= named(nearest_echoes(chunk, scale, bases, params), scale)
+    for scale, bases in request.of_kind("k").items():
+        columns |= name_features(nearest_echoes(chunk, scale, bases, params), scale)
     return columns
 
 
@@ -77,9 +77,9 @@ def without(scales: Mapping[Scale, tuple[str, ...]], base: str) -> dict[Scale, t
     return {scale: bases for scale, bases in left.items() if bases}
 
 
-def named(made: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
+def name_features(by_base: Mapping[str, NDArray], scale: Scale) -> dict[str, NDArray]:
     """Values by base, (echoes,) each, as values by name."""
-    return {f"{base}_{scale.suffix}": values for base, values in made.items()}
+    return {f"{base}_{scale.suffix}": values for base, values in by_base.items()}
 
 
 FEATURES = Computation(name="features", version=7, writes=NORMAL)

@@ -24,9 +24,8 @@ from fwclass.assess.stage import (
 from fwclass.classify.kept import Kept
 from fwclass.conf.model import AreasSection
 from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested
-from fwclass.graph.corrections import CORRECTIONS, corrected_around, corrections_of, reach_around
-from fwclass.graph.corrections import judged as untaught
-from fwclass.graph.kept import keeping, kept_by
+from fwclass.graph.corrections import CORRECTIONS, corrections_around, corrections_of, reach_around, untaught_rows
+from fwclass.graph.kept import deciding_column, keeping
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.model import ClassDef, class_index
 from fwclass.schema import Table
@@ -41,13 +40,13 @@ FAN_2013 = ("echo_number", "amplitude", "backscatter", "width")
 beside the paper's, used by the forest or not."""
 
 
-def described(plan: Plan) -> tuple[str, ...]:
+def feature_columns(plan: Plan) -> tuple[str, ...]:
     """The classifier's features, those that are computed besides, and what else Fan 2013 has."""
     also = (n for n in FAN_2013 if n in plan.providers)
     return tuple(dict.fromkeys((*plan.names, *plan.config.features.also, *also)))
 
 
-def judged(
+def count_tile(
     here: StageInputs,
     names: tuple[str, ...],
     areas: AreasSection,
@@ -68,7 +67,7 @@ def judged(
     if reach is None or not here.parts(CORRECTIONS):
         table = table.take(tested(table, areas.boxes("train"), areas.boxes("test"), areas.gap))
     else:
-        table = table.take(untaught(table, corrections_of(here), areas, reach))
+        table = table.take(untaught_rows(table, corrections_of(here), areas, reach))
     stay = kept.rows(table["source_class"]) if kept else np.zeros(table.rows, bool)
     left_out = int((class_index(table["reference"], classes) >= 0)[stay].sum())
     table = table.take(~stay)
@@ -79,8 +78,8 @@ def judged(
     arrays = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
     write_arrays(here.directory / COUNTS, arrays)
     sure = by_confidence(table, classes).tolist()
-    made = {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist(), "sure": sure}
-    return {**made, **({"kept": left_out} if kept else {})}
+    facts = {"matrix": matrix.tolist(), "lost": lost.tolist(), "ground": filtered.tolist(), "sure": sure}
+    return {**facts, **({"kept": left_out} if kept else {})}
 
 
 PERCENT = 101
@@ -88,10 +87,10 @@ PERCENT = 101
 
 def by_confidence(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int64]:
     """(2, 101) labelled echoes: wrong and right ones (rows), by the confidence of their class [%]."""
-    reference, given = (class_index(table[n], classes) for n in ("reference", "classification"))
+    reference, answer = (class_index(table[n], classes) for n in ("reference", "classification"))
     known = (reference >= 0) & np.isfinite(table["confidence"])
     percent = np.floor(100 * table["confidence"][known].astype(np.float64) + 1e-4).astype(np.int64)
-    cells = PERCENT * (reference[known] == given[known]) + np.clip(percent, 0, PERCENT - 1)
+    cells = PERCENT * (reference[known] == answer[known]) + np.clip(percent, 0, PERCENT - 1)
     return np.bincount(cells, minlength=2 * PERCENT).reshape(2, PERCENT).astype(np.int64)
 
 
@@ -116,7 +115,7 @@ def ground_counts(table: Table, classes: tuple[ClassDef, ...]) -> NDArray[np.int
     return np.bincount(cells, minlength=4).reshape(2, 2).astype(np.int64)
 
 
-def assessed(
+def assess_survey(
     here: StageInputs,
     names: tuple[str, ...],
     areas: AreasSection,
@@ -166,7 +165,12 @@ def _learned_around(plan: Plan, tile: Any) -> Mapping[str, Any]:
 
 def _judging(plan: Plan) -> Mapping[str, Any]:
     config = plan.config
-    return {"names": described(plan), "areas": config.areas, "block": config.assess.block, "classes": config.classes}
+    return {
+        "names": feature_columns(plan),
+        "areas": config.areas,
+        "block": config.assess.block,
+        "classes": config.classes,
+    }
 
 
 _ANSWERS = ("reference", "classification", "confidence", "ground")
@@ -176,13 +180,13 @@ COUNT_CONFUSION = Stage(
     CONFUSION_VERSION,
     "tile",
     "echo",
-    judged,
+    count_tile,
     when=labelled,
     arguments=lambda plan: {**_judging(plan), **keeping(plan)},
     each=_learned_around,
-    own=lambda plan: (*IDENTITY_AND_PLACE, "z", *described(plan), *_ANSWERS, *kept_by(plan)),
+    own=lambda plan: (*IDENTITY_AND_PLACE, "z", *feature_columns(plan), *_ANSWERS, *deciding_column(plan)),
     after=(CORRECTIONS,),
-    needs=lambda plan, tile: corrected_around(plan, tile) if plan.config.survey.model is None else (),
+    needs=lambda plan, tile: corrections_around(plan, tile) if plan.config.survey.model is None else (),
     named=True,
     check=True,
 )
@@ -191,7 +195,7 @@ ASSESS = Stage(
     ASSESS_VERSION,
     "survey",
     "echo",
-    assessed,
+    assess_survey,
     when=labelled,
     arguments=lambda plan: {**_judging(plan), "quantiles": plan.config.assess.quantiles},
     after=("confusion",),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, joined
+from fwclass.decompose.deconvolution import SAMPLES, backscatter_samples, join_samples
 from fwclass.decompose.params import DecomposeParams, SampleParams
 from fwclass.graph.ground import around_block, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of
@@ -37,7 +37,7 @@ LAYERS, EDGE = 32, 128
 """Voxels of a chunk of the delivered arrays: up, and to both sides; 2 MiB."""
 
 
-def sampled(here: StageInputs, params: SampleParams, fit: DecomposeParams, block: float) -> Made:
+def sample_chunk(here: StageInputs, params: SampleParams, fit: DecomposeParams, block: float) -> Made:
     """The samples of a chunk, freed of the pulse, by block of the fixed grid."""
     strip = strip_of(here.part)
     pulse, placement = pulse_of(strip, here.inputs), placement_of(strip, here.inputs)
@@ -58,7 +58,7 @@ def samples_in(here: StageInputs, box: Box, block: float) -> Table:
     for chunk in here.parts(SAMPLES.name):
         there = here.inputs.meta(SAMPLES.name, chunk)["tiles"]
         parts += [here.inputs.fragment(SAMPLES.name, chunk, key) for key in keys if key in there]
-    table = joined(parts)
+    table = join_samples(parts)
     return table.take(box.contains(table["x"], table["y"]))
 
 
@@ -67,10 +67,10 @@ def voxel_block(here: StageInputs, params: VoxelParams, block: float) -> Made:
     window = owned(here.tile, params.size)
     echoes = around_block(here).table
     echoes = echoes.take(np.argsort(canonical_key(echoes), kind="stable"))
-    made = voxels.voxels_of(echoes, samples_in(here, window.box, block), window, params, here.part)
-    if made is None:
+    result = voxels.voxels_of(echoes, samples_in(here, window.box, block), window, params, here.part)
+    if result is None:
         return {"layers": None}
-    arrays, lattice = made
+    arrays, lattice = result
     write_arrays(here.directory / ARRAYS, arrays)
     return {
         "layers": [lattice.layer, lattice.layer + lattice.shape[0]],
@@ -93,7 +93,7 @@ def profile_block(here: StageInputs, params: ProfileParams, terrain_cell: float,
     return {"cells": int((arrays["pulses"] > 0).sum()), "samples": samples.rows}
 
 
-def delivered_samples(
+def deliver_samples(
     here: StageInputs, params: PublishParams, crs: str | None, standard_time: bool, block: float
 ) -> Made:
     """The samples of a block as LAZ and GeoParquet."""
@@ -108,7 +108,7 @@ def delivered_samples(
     return {"rows": table.rows}
 
 
-def delivered_voxels(here: StageInputs, size: float, block: float, crs: str | None) -> Made:
+def deliver_voxels(here: StageInputs, size: float, block: float, crs: str | None) -> Made:
     """The voxels of the survey as one Zarr group: z, y, x, in chunks that can be read alone."""
     parts = {k: here.inputs.meta("voxels", k)["layers"] for k in here.parts("voxels")}
     windows = {k: owned(TileGrid(block).tile(k), size) for k, layers in parts.items() if layers is not None}
@@ -120,7 +120,7 @@ def delivered_voxels(here: StageInputs, size: float, block: float, crs: str | No
         max(v[1] for v in parts.values() if v),
     )
     shape, chunks = (high - low, *whole.shape), (LAYERS, EDGE, EDGE)
-    grids = _axes({"z": (low, high - low), "y": (whole.row, whole.nrows), "x": (whole.col, whole.ncols)}, size)
+    grids = _axes({"z": (low, high - low), "y": (whole.row, whole.nrows), "x": (whole.col, whole.ncols)})
     for name, (unit, what) in voxels.NAMES.items():
         kind = "u4" if name in ("hits", "passes", "occluded") else "f4"
         about = {"units": unit, "long_name": what, "grid_mapping": "crs"}
@@ -137,7 +137,7 @@ def delivered_voxels(here: StageInputs, size: float, block: float, crs: str | No
     return {"voxels": math.prod(shape), "blocks": len(windows)}
 
 
-def delivered_profiles(here: StageInputs, params: ProfileParams, block: float, crs: str | None) -> Made:
+def deliver_profiles(here: StageInputs, params: ProfileParams, block: float, crs: str | None) -> Made:
     """The profiles of the survey as one Zarr group: height, y, x."""
     windows = {k: owned(TileGrid(block).tile(k), params.cell) for k in here.parts("profiles")}
     whole = _whole(windows.values())
@@ -145,7 +145,7 @@ def delivered_profiles(here: StageInputs, params: ProfileParams, block: float, c
     edge = min(EDGE, max(y, x))
     shapes = {"profile": ("height", params.bins), "relative_height": ("percent", len(profiles.SHARES))}
     across = {"y": (whole.row, y), "x": (whole.col, x)}
-    grids = _axes(across, params.cell)
+    grids = _axes(across)
     heights = params.lowest + params.bin * (np.arange(params.bins) + 0.5)
     grids["height"] = Grid(
         (params.bins,), (params.bins,), "f8", 0.0, ("height",), {"units": "m", "long_name": "above ground"}
@@ -181,7 +181,7 @@ def _whole(windows: Any) -> Window:
     return Window(some[0].cell, col, row, right - col, top - row)
 
 
-def _axes(axes: Mapping[str, tuple[int, int]], size: float) -> dict[str, Grid]:
+def _axes(axes: Mapping[str, tuple[int, int]]) -> dict[str, Grid]:
     named = {"x": "projection_x_coordinate", "y": "projection_y_coordinate", "z": "height"}
     return {
         n: Grid(
@@ -232,7 +232,7 @@ SAMPLE_WAVES = Stage(
     SAMPLES.version,
     "chunk",
     "pulse",
-    sampled,
+    sample_chunk,
     when=_any_product,
     parts=READ_SPAN.parts,
     waves=True,
@@ -279,7 +279,7 @@ DELIVER_SAMPLES = Stage(
     1,
     "block",
     "echo",
-    delivered_samples,
+    deliver_samples,
     when=lambda plan: plan.config.samples.write,
     parts=_blocks,
     arguments=lambda plan: {
@@ -298,7 +298,7 @@ DELIVER_VOXELS = Stage(
     1,
     "survey",
     "part",
-    delivered_voxels,
+    deliver_voxels,
     when=lambda plan: plan.config.voxels.write,
     arguments=lambda plan: {
         "size": plan.config.voxels.size,
@@ -314,7 +314,7 @@ DELIVER_PROFILES = Stage(
     1,
     "survey",
     "part",
-    delivered_profiles,
+    deliver_profiles,
     when=lambda plan: plan.config.profile.write,
     arguments=lambda plan: {"params": plan.config.profile, "block": plan.config.terrain.block, "crs": plan.survey.crs},
     after=("profiles",),

@@ -13,18 +13,18 @@ from fwclass.graph.outputs import DELIVER_TILE, NO_BYTE, TILE_ENDING, TILES, cla
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
-from fwclass.graph.vectors import layers_made
+from fwclass.graph.vectors import vector_layers
 from fwclass.grid import Box, TileGrid
-from fwclass.publish.copc import streamed, write_tile_copc
+from fwclass.publish.copc import copc_columns, write_tile_copc
 from fwclass.publish.files import whole
 from fwclass.publish.gpkg import Layer, box_wkb, write_gpkg
 from fwclass.publish.laz import NEEDED, without_reflectance
-from fwclass.publish.octree import drawn_by
+from fwclass.publish.octree import echo_hashes
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis import write_project
 from fwclass.publish.qgis_layers import cloud_styles, groups_of
 from fwclass.publish.qgis_style import style_file
-from fwclass.publish.tile_facts import point_schema, summed
+from fwclass.publish.tile_facts import point_schema, sum_tiles
 from fwclass.publish.vpc import write_vpc
 from fwclass.schema import IDENTITY, Table
 
@@ -33,7 +33,7 @@ OF_FIELDS = ("intensity", "gps_time")
 """Columns of a tile that are fields of its point format, beside those it cannot be without."""
 
 
-def delivered_overview(
+def deliver_overview(
     here: StageInputs,
     params: PublishParams,
     crs: str | None,
@@ -63,11 +63,11 @@ def _drawn(here: StageInputs, bound: np.uint64) -> Iterator[Table]:
     """Of every tile the echoes whose hash lies below `bound`."""
     identity = dict.fromkeys(IDENTITY, "tile")
     for tile in here.present:
-        rows = np.flatnonzero(drawn_by(here.inputs.rows(tile, identity)) <= bound)
+        rows = np.flatnonzero(echo_hashes(here.inputs.rows(tile, identity)) <= bound)
         yield here.inputs.rows(tile, here.columns).select(here.columns).take(rows)
 
 
-def delivered_catalogue(
+def deliver_catalogue(
     here: StageInputs,
     crs: str | None,
     standard_time: bool,
@@ -80,7 +80,7 @@ def delivered_catalogue(
 ) -> Made:
     """The list of tiles for QGIS and PDAL, and a project that shows all of the delivery."""
     tiles = _facts(here)
-    facts, system = summed(tiles), crs_of(crs)
+    facts, system = sum_tiles(tiles), crs_of(crs)
     present = _present(facts, names)
     overview = here.inputs.meta(DELIVER_OVERVIEW.name, "all")["rows"]
     (here.directory / "laz").mkdir(parents=True)
@@ -101,12 +101,12 @@ def delivered_catalogue(
     return {"tiles": listed["items"], "points": facts["points"], "classes": facts["classes"], "bounds": bounds}
 
 
-def delivered_polygons(
+def deliver_polygons(
     here: StageInputs, crs: str | None, names: Mapping[str, str], size: float, areas: Mapping[str, list[list[float]]]
 ) -> Made:
     """The tiles as polygons with their figures, and the training and test areas."""
     tiles = _facts(here)
-    layers = [_tile_layer(here, tiles, _present(summed(tiles), names), size), *_area_layers(areas)]
+    layers = [_tile_layer(here, tiles, _present(sum_tiles(tiles), names), size), *_area_layers(areas)]
     write_gpkg(layers, here.directory / "tiles.gpkg", crs_of(crs))
     return {"tiles": len(tiles)}
 
@@ -171,7 +171,7 @@ def _area_layers(areas: Mapping[str, list[list[float]]]) -> list[Layer]:
 
 def _overview_columns(plan: Plan) -> Names:
     columns = columns_of_tiles(plan)
-    return tuple(dict.fromkeys((*(c for c in columns if c in (*NEEDED, *OF_FIELDS)), *streamed(columns))))
+    return tuple(dict.fromkeys((*(c for c in columns if c in (*NEEDED, *OF_FIELDS)), *copc_columns(columns))))
 
 
 def _streamed(plan: Plan) -> Names:
@@ -204,7 +204,7 @@ DELIVER_OVERVIEW = Stage(
     1,
     "survey",
     "echo",
-    delivered_overview,
+    deliver_overview,
     arguments=lambda plan: {
         **_shared(plan),
         "params": plan.config.publish,
@@ -219,13 +219,13 @@ DELIVER_CATALOGUE = Stage(
     1,
     "survey",
     "part",
-    delivered_catalogue,
+    deliver_catalogue,
     arguments=lambda plan: {
         **_shared(plan),
         "columns": _streamed(plan),
         "title": plan.config.survey.name,
         "polygons": ("tiles", "areas") if any(_areas(plan).values()) else ("tiles",),
-        **({"vectors": layers_made(plan)} if layers_made(plan) else {}),
+        **({"vectors": vector_layers(plan)} if vector_layers(plan) else {}),
         "contours": plan.config.contours.enabled,
     },
     after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
@@ -237,7 +237,7 @@ DELIVER_POLYGONS = Stage(
     1,
     "survey",
     "part",
-    delivered_polygons,
+    deliver_polygons,
     arguments=lambda plan: {
         "crs": plan.survey.crs,
         "names": class_names(plan),

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fwclass.classify.kept import Kept, with_kept
-from fwclass.classify.stage import CLASSIFY, classify, filled, probability_columns
+from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
 from fwclass.errors import InputError
 from fwclass.graph.fine_layer import fine_layer
-from fwclass.graph.kept import NO_SOURCE, keeping, kept_by, source_of
+from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping, source_of
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
@@ -58,7 +59,7 @@ def _model(here: StageInputs, digest: str | None) -> Model:
     return model_at(here.file(), digest, True)
 
 
-def classified(
+def classify_tile(
     here: StageInputs, names: tuple[str, ...], probabilities: bool, model: str | None, kept: Kept | None = None
 ) -> Made:
     """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
@@ -75,12 +76,12 @@ def classified(
         if outside is not None:
             outside.add(X[~kept.rows(source)] if kept else X)
         tables.append(with_kept(classify(X, used, probabilities), source, kept))
-        missing += filled(X, used)
+        missing += count_filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
-    return table, {"codes": codes_of(table), "filled": missing, **seen_outside(outside)}
+    return table, {"codes": codes_of(table), "filled": missing, **outside_facts(outside)}
 
 
-def followed(
+def classify_thinned_tile(
     here: StageInputs,
     names: tuple[str, ...],
     probabilities: bool,
@@ -89,8 +90,8 @@ def followed(
     thin: int,
     kept: Kept | None = None,
 ) -> Made:
-    """As `classified`, for a thinned run (of the sample's version `thin`): the model is asked about sampled echoes, in
-    the halo too, and every other echo takes the answer to its nearest one within `reach` [m]."""
+    """As `classify_tile`, for a thinned run (of the sample's version `thin`): the model is asked about sampled echoes,
+    in the halo too, and every other echo takes the answer to its nearest one within `reach` [m]."""
     chunk = here.chunk()
     rows = np.flatnonzero(chunk.table["sampled"])
     some = chunk.table.take(rows)
@@ -106,16 +107,17 @@ def followed(
     others = tuple(core[n][~own] for n in _PLACE)
     near[~own] = follow((others[0], others[1], others[2]), (some["x"], some["y"], some["z"]), reach)
     table = with_kept(answer.take(near), source_of(here, kept), kept)
-    facts = {"codes": codes_of(table), "filled": filled(X, used), "asked": int(own.sum())}
-    return table, facts | seen_outside(outside)
+    facts = {"codes": codes_of(table), "filled": count_filled(X, used), "asked": int(own.sum())}
+    return table, facts | outside_facts(outside)
 
 
-def seen_outside(outside: Outside | None) -> dict[str, Any]:
+def outside_facts(outside: Outside | None) -> dict[str, Any]:
     """What a part's meta says of values that the model has not seen, if the model says what it has."""
     return {} if outside is None else {OUTSIDE: outside.counts()}
 
 
 def codes_of(table: Table) -> dict[str, int]:
+    """How many echoes of a table have each class code, by code as text."""
     codes, counts = np.unique(table["classification"], return_counts=True)
     return {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
 
@@ -127,14 +129,17 @@ def _asked(plan: Plan) -> Mapping[str, Any]:
 
 
 def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:
+    """The part that holds the run's own model; none where a model is given."""
     return () if plan.model else (("train", "model"),)
 
 
 def given_model(plan: Plan, part: Any) -> tuple[Location, FileDigests] | None:
+    """Where a given model is, and its digest; None for the run's own."""
     return (plan.model[0], (ExternalFile("model", plan.model[1]),)) if plan.model else None
 
 
 def classes_written(plan: Plan) -> tuple[str, ...]:
+    """The columns that classifying writes, with the share of every class where the run asks for them."""
     shares = probability_columns(c.code for c in plan.config.classes) if plan.config.classify.probabilities else ()
     return (*CLASSIFY.writes, *shares)
 
@@ -144,28 +149,21 @@ CLASSIFY_ECHOES = Stage(
     CLASSIFY.version,
     "tile",
     "echo",
-    classified,
+    classify_tile,
     when=lambda plan: not thins(plan.config) and fine_layer(plan) is None,
     arguments=_asked,
-    own=lambda plan: (*plan.names, *kept_by(plan)),
+    own=lambda plan: (*plan.names, *deciding_column(plan)),
     writes=classes_written,
     after=("train",),
     needs=own_model,
     source=given_model,
 )
-CLASSIFY_THINNED = Stage(
-    CLASSIFY.name,
-    CLASSIFY.version,
-    "tile",
-    "echo",
-    followed,
+CLASSIFY_THINNED = replace(
+    CLASSIFY_ECHOES,
+    function=classify_thinned_tile,
     when=lambda plan: thins(plan.config),
     arguments=lambda plan: {**_asked(plan), "reach": plan.config.thin.reach, "thin": THIN.version},
     reads=lambda plan: (*_PLACE, *plan.names, *THIN.writes),
-    own=kept_by,
-    writes=classes_written,
+    own=deciding_column,
     halo=lambda plan: plan.config.thin.reach,
-    after=("train",),
-    needs=own_model,
-    source=given_model,
 )

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.contours.join import Joined, Pieces, joined
+from fwclass.contours.join import Joined, Pieces, join_lines
 from fwclass.contours.lines import lines
 from fwclass.contours.params import ContourParams
-from fwclass.contours.smooth import margin, smoothed
+from fwclass.contours.smooth import margin, smooth_terrain
 from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import crs_of
 from fwclass.graph.rasters import Mosaic
@@ -50,11 +50,11 @@ def contour_block(
         here.inputs, TERRAIN.name, [grid.tile(k) for k in here.parts(TERRAIN.name)], cell, {"dtm": np.float32(np.nan)}
     )
     dtm = mosaic.laid(nodes.grown(margin(params, cell)))["dtm"]
-    made = lines(smoothed(dtm, cell, params), nodes, params.steps, params.index)
-    pieces = Pieces.of(made)
-    arrays = {"ends": pieces.ends, "measures": pieces.measures, "vertices": made.vertices}
+    drawn = lines(smooth_terrain(dtm, cell, params), nodes, params.steps, params.index)
+    pieces = Pieces.of(drawn)
+    arrays = {"ends": pieces.ends, "measures": pieces.measures, "vertices": drawn.vertices}
     write_arrays(here.directory / PIECES, arrays)
-    return {"pieces": len(pieces.ends), "vertices": len(made.vertices), "every": made.every}
+    return {"pieces": len(pieces.ends), "vertices": len(drawn.vertices), "every": drawn.every}
 
 
 def _corners(block: Tile, cell: float) -> Window:
@@ -63,17 +63,21 @@ def _corners(block: Tile, cell: float) -> Window:
     return Window(cell, own.col, own.row, own.ncols + 1, own.nrows + 1)
 
 
-def delivered_contours(here: StageInputs, params: ContourParams, crs: str | None) -> Made:
+def deliver_contours(here: StageInputs, params: ContourParams, crs: str | None) -> Made:
     """All contour lines as a GeoPackage, with a style beside it. Only where pieces begin and end is held of all of
     them; vertices are laid into a file that has no name, block by block, and written line by line."""
     blocks = here.parts(CONTOUR_BLOCKS.name)
     tables = [here.inputs.arrays(CONTOUR_BLOCKS.name, key, PIECES, ("ends", "measures"))[0] for key in blocks]
     pieces = Pieces(*(np.concatenate([t[name] for t in tables]) for name in ("ends", "measures")))
-    sizes, made = [len(t["ends"]) for t in tables], joined(pieces)
+    sizes, lines = [len(t["ends"]) for t in tables], join_lines(pieces)
     del tables
-    kept = made.length >= params.shortest
-    taken, places = _places(pieces, made, kept)
-    counts = np.add.reduceat(taken[made.order], made.first[:-1])[kept] if len(kept) else np.zeros(0, np.int64)
+    long_enough = lines.length >= params.shortest
+    written, places = _places(pieces, lines, long_enough)
+    counts = (
+        np.add.reduceat(written[lines.order], lines.first[:-1])[long_enough]
+        if len(long_enough)
+        else np.zeros(0, np.int64)
+    )
     with tempfile.TemporaryFile(dir=here.directory) as file:
         file.truncate(max(1, 16 * int(counts.sum())))
         laid = np.memmap(file, np.float64, "r+", shape=(int(counts.sum()), 2)) if counts.sum() else np.empty((0, 2))
@@ -83,15 +87,14 @@ def delivered_contours(here: StageInputs, params: ContourParams, crs: str | None
             row += size
             vertices = here.inputs.arrays(CONTOUR_BLOCKS.name, key, PIECES, ("vertices",))[0]["vertices"]
             last = np.cumsum(pieces.ends[mine, 7])  # of a piece that goes on another one the first vertex is left out
-            laid[_runs(places[mine], taken[mine])] = vertices[_runs(last - taken[mine], taken[mine])]
-        write_contours(
-            here.directory / CONTOURS, _batches(laid, counts, made.level[kept], made.depression[kept], params),
-            crs_of(crs),
-        )  # fmt: skip
+            laid[_runs(places[mine], written[mine])] = vertices[_runs(last - written[mine], written[mine])]
+        level, depression = lines.level[long_enough], lines.depression[long_enough]
+        batches = _batches(laid, counts, level, depression, params)
+        write_contours(here.directory / CONTOURS, batches, crs_of(crs))
     with whole(here.directory / Path(CONTOURS).with_suffix(".qml")) as beside:
         beside.write_bytes(style_file(contour_style(), "vector"))
     coarse = [k for k in blocks if here.inputs.meta(CONTOUR_BLOCKS.name, k)["every"] > 1]
-    return {"lines": int(kept.sum()), "vertices": int(counts.sum()), "remarks": _of_coarse(coarse, params)}
+    return {"lines": int(long_enough.sum()), "vertices": int(counts.sum()), "remarks": _of_coarse(coarse, params)}
 
 
 def _of_coarse(blocks: Sequence[str], params: ContourParams) -> list[str]:
@@ -106,15 +109,17 @@ def _of_coarse(blocks: Sequence[str], params: ContourParams) -> list[str]:
     ]
 
 
-def _places(pieces: Pieces, made: Joined, kept: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _places(
+    pieces: Pieces, lines: Joined, long_enough: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """For every piece the vertices that are written of it, and which row the first of them gets."""
-    begins = np.zeros(len(made.order), bool)
-    begins[made.first[:-1]] = True
-    there = np.repeat(kept, np.diff(made.first))
-    number = np.where(there, pieces.ends[made.order, 7] - ~begins, 0)
-    taken, places = np.empty_like(number), np.empty_like(number)
-    taken[made.order], places[made.order] = number, np.cumsum(number) - number
-    return taken, places
+    begins = np.zeros(len(lines.order), bool)
+    begins[lines.first[:-1]] = True
+    there = np.repeat(long_enough, np.diff(lines.first))
+    number = np.where(there, pieces.ends[lines.order, 7] - ~begins, 0)
+    written, places = np.empty_like(number), np.empty_like(number)
+    written[lines.order], places[lines.order] = number, np.cumsum(number) - number
+    return written, places
 
 
 def _runs(first: NDArray[np.int64], count: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -162,10 +167,10 @@ def _inside(plan: Plan, block: Tile) -> Mapping[str, Any]:
     edge share their parameters."""
     cell = plan.config.terrain.cell
     own = _corners(block, cell)
-    kept = own.common(Window.covering(plan.layout.box, cell)) or Window(cell, own.col, own.row, 1, 1)
-    if kept == own:
+    part = own.common(Window.covering(plan.layout.box, cell)) or Window(cell, own.col, own.row, 1, 1)
+    if part == own:
         return {}
-    return {"inside": (kept.col - own.col, kept.row - own.row, kept.ncols, kept.nrows)}
+    return {"inside": (part.col - own.col, part.row - own.row, part.ncols, part.nrows)}
 
 
 CONTOUR_BLOCKS = Stage(
@@ -188,7 +193,7 @@ DELIVER_CONTOURS = Stage(
     1,
     "survey",
     "cell",
-    delivered_contours,
+    deliver_contours,
     when=lambda plan: plan.config.contours.enabled,
     arguments=lambda plan: {"params": plan.config.contours, "crs": plan.survey.crs},
     after=(CONTOUR_BLOCKS.name,),

@@ -101,15 +101,15 @@ def corrections_of(here: StageInputs) -> Table:
     return labels_of(here.inputs, CORRECTIONS, here.parts(CORRECTIONS), here.part)
 
 
-def labelled(echoes: Table, labels: Table, reach: float, reference: NDArray) -> tuple[NDArray, int]:
+def apply_labels(echoes: Table, labels: Table, reach: float, reference: NDArray) -> tuple[NDArray, int]:
     """`reference` (rows,) with what `labels` say in its place, and how many of them say something."""
     rows, own = matched(echoes, labels, reach)
-    made = np.array(reference, np.uint8)
-    made[rows] = labels["label_code"][own]
-    return made, len(rows)
+    codes = np.array(reference, np.uint8)
+    codes[rows] = labels["label_code"][own]
+    return codes, len(rows)
 
 
-def learned(echoes: Table, corrections: Table, areas: AreasSection, reach: float) -> NDArray[np.bool_]:
+def corrected_training_rows(echoes: Table, corrections: Table, areas: AreasSection, reach: float) -> NDArray[np.bool_]:
     """bool (rows,): the echo is corrected, and trains wherever it lies; not within `areas.gap` of a listed test
     area."""
     trained = np.zeros(echoes.rows, bool)
@@ -122,12 +122,12 @@ def taught(corrections: Table, areas: AreasSection) -> Table:
     return corrections.take(outside(corrections, [box.grown(areas.gap) for box in areas.boxes("test")]))
 
 
-def judged(echoes: Table, corrections: Table, areas: AreasSection, reach: float) -> NDArray[np.bool_]:
+def untaught_rows(echoes: Table, corrections: Table, areas: AreasSection, reach: float) -> NDArray[np.bool_]:
     """bool (rows,): the echo is tested; it neither lies near an area or an echo that the model learns from, nor is one
     of these."""
     train, test = areas.boxes("train"), areas.boxes("test")
     rows = tested(echoes, train, test, areas.gap, taught(corrections, areas))
-    return rows & ~learned(echoes, corrections, areas, reach)
+    return rows & ~corrected_training_rows(echoes, corrections, areas, reach)
 
 
 def corrections_in(inputs: PartInputs, layout: Layout, tile: str) -> Table:
@@ -140,24 +140,24 @@ def without_corrections(plan: Plan) -> Plan:
     return replace(plan, tiled=replace(plan.layout, corrected=frozenset(), near_corrected=frozenset()))
 
 
-def corrected_here(plan: Plan, tile: Any) -> tuple[Name, ...]:
+def corrections_here(plan: Plan, tile: Any) -> tuple[Name, ...]:
     """The corrections, where one may be of an echo of the tile."""
     return ((CORRECTIONS, ALL),) if tile.key in plan.layout.corrected else ()
 
 
-def corrected_around(plan: Plan, tile: Any) -> tuple[Name, ...]:
+def corrections_around(plan: Plan, tile: Any) -> tuple[Name, ...]:
     """The corrections, where one lies so near that an echo of the tile may not be tested."""
     return ((CORRECTIONS, ALL),) if tile.key in plan.layout.near_corrected else ()
 
 
 def reach_here(plan: Plan, tile: Any) -> Mapping[str, Any]:
     """What a stage gets besides where corrections are in its tile; nothing elsewhere, so that its key stays."""
-    return {"reach": plan.config.label.max_move} if corrected_here(plan, tile) else {}
+    return {"reach": plan.config.label.max_move} if corrections_here(plan, tile) else {}
 
 
 def reach_around(plan: Plan, tile: Any) -> Mapping[str, Any]:
     """As `reach_here`, where corrections are around its tile."""
-    return {"reach": plan.config.label.max_move} if corrected_around(plan, tile) else {}
+    return {"reach": plan.config.label.max_move} if corrections_around(plan, tile) else {}
 
 
 @dataclass(frozen=True)
@@ -174,10 +174,6 @@ def _corrections(plan: Plan) -> list[_File]:
     return [_File(ALL, *file)] if file is not None else []
 
 
-def _label_files(plan: Plan) -> list[_File]:
-    return [_File(f"{number:03d}", *file) for number, file in enumerate(plan.survey.echo_labels)]
-
-
 def _cutting(plan: Plan, margin: float) -> Mapping[str, Any]:
     return {"size": plan.config.tile.size, "reach": plan.config.label.max_move, "margin": margin}
 
@@ -187,7 +183,7 @@ def _hidden(plan: Plan) -> float:
     return plan.config.areas.gap if plan.config.survey.model is None else 0.0
 
 
-def laid_out(layout: Layout, receipts: Mapping[Name, Any]) -> dict[str, Any]:
+def label_parts(layout: Layout, receipts: Mapping[Name, Any]) -> dict[str, Any]:
     """What a layout says of labels by echo, by the receipts of the stages that read them."""
     labels: dict[str, list[str]] = {}
     for name in sorted(receipts):
@@ -210,7 +206,7 @@ READ_ECHO_LABELS = Stage(
     "part",
     echo_labels_read,
     when=lambda plan: plan.config.survey.reference.kind == "echoes",
-    parts=_label_files,
+    parts=lambda plan: [_File(f"{number:03d}", *file) for number, file in enumerate(plan.survey.echo_labels)],
     arguments=lambda plan: {**_cutting(plan, 0.0), "field": plan.config.survey.reference.field or FIELD},
     source=lambda plan, file: (file.path, file.digests),
 )

@@ -40,11 +40,11 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def judge_drift(found: Mapping[str, Any] | None, params: ClassifyParams, where: object) -> None:
+def judge_drift(drift: Mapping[str, Any] | None, params: ClassifyParams, where: object) -> None:
     """`QualityError` where a feature leaves the model's range further than `classify.max_outside`."""
-    if not found or params.accept_drift:
+    if not drift or params.accept_drift:
         return
-    name, share = next(iter(found["outside"].items()), ("", 0.0))
+    name, share = next(iter(drift["outside"].items()), ("", 0.0))
     if share > params.max_outside:
         raise QualityError(
             "the model has not seen such data",

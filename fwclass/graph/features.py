@@ -13,12 +13,12 @@ from fwclass.graph.thin import features_of_some, sampled_columns
 from fwclass.schema import Table
 
 
-def asked_of(plan: Plan) -> Asked:
+def neighbourhood_features(plan: Plan) -> Asked:
     """The features of a neighbourhood that a run computes; who asks in another order gets the same part."""
     return Asked.of(sorted(n for n in plan.computed if is_feature(n)))
 
 
-def featured(here: StageInputs, params: FeaturesParams, names: tuple[str, ...]) -> Made:
+def compute_features(here: StageInputs, params: FeaturesParams, names: tuple[str, ...]) -> Made:
     """Neighbourhood features of a tile's echoes; of a thinned run's, of the sampled ones."""
     sampled = here.own_rows()["sampled"] if here.own else None
     tables, rows, crowds = [], [], []
@@ -28,7 +28,7 @@ def featured(here: StageInputs, params: FeaturesParams, names: tuple[str, ...]) 
         rows.append(these)
         crowds.append(crowd_facts(chunk, params))
     crowded = Crowd.of_parts(crowds)
-    return tile_table(tables, rows), ({"dense": crowded.told()} if crowded else {})
+    return tile_table(tables, rows), ({"dense": crowded.facts()} if crowded else {})
 
 
 def tile_table(pieces: list[Table], rows: list[NDArray[np.int64]]) -> Table:
@@ -43,12 +43,12 @@ COMPUTE_FEATURES = Stage(
     FEATURES.version,
     "tile",
     "echo",
-    featured,
-    arguments=lambda plan: {"params": plan.config.features, "names": asked_of(plan).names},
+    compute_features,
+    arguments=lambda plan: {"params": plan.config.features, "names": neighbourhood_features(plan).names},
     silent=frozenset({"also"}),
-    reads=lambda plan: asked_of(plan).reads,
+    reads=lambda plan: neighbourhood_features(plan).reads,
     own=sampled_columns,
-    writes=lambda plan: (*asked_of(plan).names, *NORMAL),
-    halo=lambda plan: asked_of(plan).halo(plan.config.features),
+    writes=lambda plan: (*neighbourhood_features(plan).names, *NORMAL),
+    halo=lambda plan: neighbourhood_features(plan).halo(plan.config.features),
     cells=True,
 )

@@ -28,7 +28,7 @@ class Digests:
         self._store = store
         self._known = _remembered(store)
         self._read_only, self._changed, self._saved = store.read_only, False, time.monotonic()
-        self._sizes = {(Path(path).name, seen[0]) for path, seen in self._known.items()}
+        self._sizes = {(Path(path).name, facts[0]) for path, facts in self._known.items()}
 
     def of(self, paths: Iterable[Path], place: Location | None = None) -> tuple[ExternalFile, ...]:
         """Every path with the digest of its bytes; files that look unchanged are not read again.
@@ -38,15 +38,15 @@ class Digests:
         files = []
         for path in paths:
             name, now = seen_as(path, place)
-            seen = self._known.get(name)
-            if seen is None or seen[:-1] != now:
-                seen = [*now, self._digest(path, int(now[0]))]
-                self._known[name], self._changed = seen, True
+            facts = self._known.get(name)
+            if facts is None or facts[:-1] != now:
+                facts = [*now, self._digest(path, int(now[0]))]
+                self._known[name], self._changed = facts, True
             if isinstance(place, RemoteFile):
-                files.append(ExternalFile(path.name, str(seen[-1])))
+                files.append(ExternalFile(path.name, str(facts[-1])))
             else:
                 size, changed, entered = (int(n) for n in now)
-                files.append(ExternalFile(path.name, str(seen[-1]), path, (size, changed, entered)))
+                files.append(ExternalFile(path.name, str(facts[-1]), path, (size, changed, entered)))
         if time.monotonic() - self._saved > _SAVED_EVERY:
             self.save()
         return tuple(files)

@@ -15,7 +15,7 @@ from fwclass.store.remote_file import Location, found_outside
 from fwclass.store.url import Url
 
 
-def found_files(
+def find_files(
     patterns: Iterable[str], directory: Path | Url, setting: str, where: Path, params: StoreParams
 ) -> list[Location]:
     """Files that match, sorted by name; a pattern without a match is an error.
@@ -69,14 +69,14 @@ def _files(paths: Iterable[Path]) -> list[Location]:
 
 def _below(directory: Path) -> Iterator[Path]:
     """Every file below `directory`, also through links, but no directory twice: links may lead back."""
-    waiting, seen = [directory], set()
+    waiting, visited = [directory], set()
     while waiting:
         path = waiting.pop()
         try:
             facts = path.stat()
-            if (facts.st_dev, facts.st_ino) in seen:
+            if (facts.st_dev, facts.st_ino) in visited:
                 continue
-            seen.add((facts.st_dev, facts.st_ino))
+            visited.add((facts.st_dev, facts.st_ino))
             entries = sorted(path.iterdir(), reverse=True)
         except OSError:  # as `glob` does: what cannot be read holds nothing
             continue
@@ -85,9 +85,11 @@ def _below(directory: Path) -> Iterator[Path]:
 
 
 def joint_bounds(bounds: Iterable[tuple[float, ...]]) -> Box:
+    """The box [m] around all `bounds` (xmin, ymin, zmin, xmax, ymax, zmax)."""
     rows = list(bounds)
     return Box(min(b[0] for b in rows), min(b[1] for b in rows), max(b[3] for b in rows), max(b[4] for b in rows))
 
 
 def box_text(box: Box) -> str:
+    """A box [m] as text, to a decimetre."""
     return "[" + ", ".join(f"{v:.1f}" for v in box.bounds) + "]"

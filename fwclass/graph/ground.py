@@ -20,7 +20,7 @@ from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
-from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filtered
+from fwclass.ground.stage import GROUND_FILTER, TERRAIN, filter_ground
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import FLATTENED, Points, terrain
 from fwclass.memory import give_back
@@ -52,10 +52,10 @@ class Surroundings:
     own: NDArray[np.bool_]
     pieces: tuple[tuple[str, int], ...]
 
-    def facts(self, made: Table) -> dict[str, Any]:
-        """For the receipt of a block that `made` this of its own echoes: whose they are, a digest for every tile."""
+    def facts(self, results: Table) -> dict[str, Any]:
+        """For the receipt of a block that `results` this of its own echoes: whose they are, a digest for every tile."""
         offsets = np.cumsum([0, *(rows for _, rows in self.pieces)])
-        cells = by_name(made, (key for key, _ in self.pieces), offsets.tolist())
+        cells = by_name(results, (key for key, _ in self.pieces), offsets.tolist())
         return {"pieces": [list(p) for p in self.pieces], CELLS: cells}
 
 
@@ -85,10 +85,10 @@ def around_block(here: StageInputs) -> Surroundings:
     return surroundings(here.inputs, here.tile, here.halo, here.tile_size, here.columns, here.present)
 
 
-def filtered_block(here: StageInputs, params: GroundParams) -> Made:
+def filter_block(here: StageInputs, params: GroundParams) -> Made:
     """Ground and noise flags of a block's echoes, tile after tile."""
     around = around_block(here)
-    return of_flags(around, filtered(around.table, params))
+    return of_flags(around, filter_ground(around.table, params))
 
 
 def of_flags(around: Surroundings, flags: Flags) -> Made:
@@ -148,7 +148,7 @@ def _knots(here: StageInputs, water: Water | None, box: Box) -> Points | None:
     return x, y, z
 
 
-def gathered_columns(here: StageInputs, source: str, columns: tuple[str, ...], block: float) -> Made:
+def gather_columns(here: StageInputs, source: str, columns: tuple[str, ...], block: float) -> Made:
     """Columns that blocks of edge `block` [m] wrote about a tile's echoes, in the tile's row order."""
     places = here.inputs.rows(here.part, {"x": "tile", "y": "tile"})
     out = {n: np.zeros(places.rows, np.dtype(column(n).dtype)) for n in columns}
@@ -170,7 +170,7 @@ def gathered_columns(here: StageInputs, source: str, columns: tuple[str, ...], b
     return Table(out), {"rows": places.rows}
 
 
-def measured_seams(
+def measure_seams(
     here: StageInputs, ground: GroundParams, terrain: TerrainParams, most_cells: int, bounds: tuple[float, ...]
 ) -> Made:
     """The survey filtered once more as a single block, against what its blocks say.
@@ -184,7 +184,7 @@ def measured_seams(
     blocks = [cut.tile(key) for key in here.parts(TERRAIN.name)]
     mosaic = Mosaic(here.inputs, TERRAIN.name, blocks, terrain.cell, {"dtm": np.float32(np.nan)})
     parts = groups(Tile(*place, ground.block) for place in owned)
-    seen, left_out, water = _Seams(), 0, water_of(here)
+    differences, left_out, water = _Seams(), 0, water_of(here)
     for k, part in enumerate(parts, 1):
         inside = box if len(parts) == 1 else joint_box(t.box for t in part).common(box)
         window = Window.covering(inside or box, terrain.cell)
@@ -192,12 +192,12 @@ def measured_seams(
         if math.prod(window.shape) > most_cells or (len(part) == 1 < len(parts)):
             left_out += echoes.rows
             continue
-        points = seen.add_flags(echoes, ground)
+        points = differences.add_flags(echoes, ground)
         echoes = echoes.select(())  # what is not needed any more makes room for the triangles of all
         table = table if k < len(parts) else echoes
         knots = _knots(here, water, window.box.grown(terrain.block_halo))
-        seen.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water, knots)
-    return {**seen.facts(), "left_out": left_out}
+        differences.add_terrain(points, mosaic.laid(window)["dtm"], window, terrain, water, knots)
+    return {**differences.facts(), "left_out": left_out}
 
 
 def _every_echo(here: StageInputs, edge: float) -> tuple[Table, set[tuple[int, int]]]:
@@ -237,7 +237,7 @@ class _Seams:
     def add_flags(self, table: Table, params: GroundParams) -> Points:
         """Filter the echoes of one place as one block, and hold the answer against their flags; the ground."""
         give_back(None)  # the whole survey at once: what was freed on the way here is not needed beside it
-        whole = filtered(table, params)
+        whole = filter_ground(table, params)
         differs = (table["ground"] != whole.ground) | (table["noise"] != whole.noise)
         self.counts.update(echoes=table.rows, flags_differ=int(differs.sum()))
         rows = np.flatnonzero(whole.ground & ~whole.noise)
@@ -309,7 +309,7 @@ def _gathers(name: str, source: Stage, columns: Names, block: Any) -> Stage:
         1,
         "tile",
         "echo",
-        gathered_columns,
+        gather_columns,
         arguments=lambda plan: {"source": source.name, "columns": columns, "block": block(plan)},
         own=("x", "y"),
         writes=columns,
@@ -325,7 +325,7 @@ FILTER_GROUND = Stage(
     GROUND_FILTER.version,
     "block",
     "echo",
-    filtered_block,
+    filter_block,
     edge=lambda plan: plan.config.ground.block,
     arguments=lambda plan: {"params": plan.config.ground},
     reads=GROUND_FILTER.reads,
@@ -355,7 +355,7 @@ CHECK_SEAMS = Stage(
     3,
     "survey",
     "echo",
-    measured_seams,
+    measure_seams,
     when=lambda plan: plan.tiled is None or plan.layout.echoes <= plan.config.run.seam_check_echoes,
     arguments=lambda plan: {
         "ground": plan.config.ground,

@@ -12,7 +12,7 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
 from fwclass.conf.model import ClassSection, ReferenceSection
 from fwclass.graph.classify import codes_of
-from fwclass.graph.kept import keeping, kept_by
+from fwclass.graph.kept import deciding_column, keeping
 from fwclass.graph.stage import Made, Stage, StageInputs
 from fwclass.schema import Table
 
@@ -52,9 +52,9 @@ def by_ground(here: StageInputs, kept: Kept | None = None) -> Made:
     noise = np.where(table["height_above_ground"] > 0.0, HIGH_NOISE, LOW_NOISE)
     codes = np.where(table["noise"], noise, np.where(table["ground"], GROUND, UNCLASSIFIED)).astype(np.uint8)
     nothing = np.full(table.rows, np.nan, np.float32)
-    made = Table({"classification": codes, "confidence": nothing, "entropy": nothing})
-    made = with_kept(made, table["source_class"], kept) if kept else made
-    return made, {"codes": codes_of(made)}
+    classes = Table({"classification": codes, "confidence": nothing, "entropy": nothing})
+    classes = with_kept(classes, table["source_class"], kept) if kept else classes
+    return classes, {"codes": codes_of(classes)}
 
 
 CLASSIFY_GROUND = Stage(
@@ -65,6 +65,6 @@ CLASSIFY_GROUND = Stage(
     by_ground,
     when=lambda plan: not plan.names,  # a classifier decides by some features
     arguments=keeping,
-    own=lambda plan: ("ground", "noise", "height_above_ground", *kept_by(plan)),
+    own=lambda plan: ("ground", "noise", "height_above_ground", *deciding_column(plan)),
     writes=CLASSIFY.writes,
 )

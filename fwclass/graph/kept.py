@@ -27,7 +27,7 @@ def keeping(plan: Plan) -> Mapping[str, Any]:
     return {"kept": kept} if kept else {}
 
 
-def kept_by(plan: Plan) -> tuple[str, ...]:
+def deciding_column(plan: Plan) -> tuple[str, ...]:
     """The column that tells which echoes stay."""
     return ("source_class",) if Kept.of(plan.config.classify) else ()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,9 @@ from pyproj import CRS
 from fwclass.graph.corrections import (
     CORRECTIONS,
     ECHO_LABELS,
-    corrected_here,
+    apply_labels,
+    corrections_here,
     corrections_of,
-    labelled,
     labels_of,
     reach_here,
 )
@@ -90,13 +90,13 @@ def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
     return _loaded[key]
 
 
-def labelled_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+def label_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
     """Reference classes from the source's own classification; corrections lie within `reach` [m] of their echo."""
     chunk = here.chunk()
     return _counted(*_corrected(here, chunk, from_source(chunk, params), reach))
 
 
-def labelled_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
     """Reference classes from the nearest point of another cloud."""
     box, clouds = here.tile.box.grown(here.halo), here.parts("reference")
     cloud = here.inputs.inside(box, here.tile_size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
@@ -105,17 +105,17 @@ def labelled_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0
     return _counted(*_corrected(here, chunk, from_cloud(chunk, cloud.take(order), params), reach))
 
 
-def labelled_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
     """Reference classes by strip, pulse and number of the echo."""
     chunk = here.chunk()
     echoes = chunk.table.take(chunk.core)
     labels = labels_of(here.inputs, ECHO_LABELS, here.parts(ECHO_LABELS), here.part)
-    reference, known = labelled(echoes, labels, params.max_move, np.zeros(echoes.rows, np.uint8))
+    reference, known = apply_labels(echoes, labels, params.max_move, np.zeros(echoes.rows, np.uint8))
     table, facts = _counted(*_corrected(here, chunk, Table({"reference": reference}), reach))
     return table, {**facts, "by_echo": known}
 
 
-def labelled_by_polygons(here: StageInputs, reach: float = 0.0) -> Made:
+def label_by_polygons(here: StageInputs, reach: float = 0.0) -> Made:
     """Reference classes from the polygons that the echoes lie in; implausible echoes have none, whatever is above."""
     chunk = here.chunk()
     table, ambiguous = from_polygons(chunk, polygons_at(here.parts("polygons"), here.inputs).within(here.tile.box))
@@ -129,7 +129,7 @@ def _corrected(here: StageInputs, chunk: Chunk, table: Table, reach: float) -> t
     """`table` with the corrections of the tile's echoes, and how many there are; None where nothing is corrected."""
     if not here.parts(CORRECTIONS):
         return table, None
-    reference, number = labelled(chunk.table.take(chunk.core), corrections_of(here), reach, table["reference"])
+    reference, number = apply_labels(chunk.table.take(chunk.core), corrections_of(here), reach, table["reference"])
     return Table({"reference": reference}), number
 
 
@@ -147,13 +147,14 @@ class _Polygons:
     file: PolygonFile
 
 
-def _files(plan: Plan) -> list[_Polygons]:
-    return [_Polygons(f"{number:03d}", file) for number, file in enumerate(plan.survey.polygons)]
-
-
 def _field(plan: Plan) -> Mapping[str, Any]:
-    asked = plan.config.survey.reference
-    return {"field": asked.field or "", "values": asked.values, "classes": plan.config.classes, "crs": plan.survey.crs}
+    reference = plan.config.survey.reference
+    return {
+        "field": reference.field or "",
+        "values": reference.values,
+        "classes": plan.config.classes,
+        "crs": plan.survey.crs,
+    }
 
 
 def _of_kind(kind: str) -> Any:
@@ -171,20 +172,16 @@ def _only_judges(plan: Plan) -> bool:
 
 def _clouds(plan: Plan, tile: Any) -> list[Name]:
     box = tile.box.grown(LABEL.halo(plan.config.label))
-    return [*(("reference", c) for c in plan.layout.around(box, plan.layout.clouds)), *corrected_here(plan, tile)]
+    return [*(("reference", c) for c in plan.layout.around(box, plan.layout.clouds)), *corrections_here(plan, tile)]
 
 
 def _label_parts(plan: Plan, tile: Any) -> list[Name]:
-    return [*((ECHO_LABELS, p) for p in plan.layout.echo_labels.get(tile.key, ())), *corrected_here(plan, tile)]
+    return [*((ECHO_LABELS, p) for p in plan.layout.echo_labels.get(tile.key, ())), *corrections_here(plan, tile)]
 
 
 def _moved(plan: Plan) -> float:
     """How far around a tile corrections are read that may be of its echoes [m]."""
     return plan.config.label.max_move if plan.tiled is not None and plan.tiled.corrected else 0.0
-
-
-def _cloud_halo(plan: Plan) -> float:
-    return max(LABEL.halo(plan.config.label), _moved(plan))
 
 
 READ_POLYGONS = Stage(
@@ -194,7 +191,7 @@ READ_POLYGONS = Stage(
     "part",
     polygons_read,
     when=_of_kind("polygons"),
-    parts=_files,
+    parts=lambda plan: [_Polygons(f"{number:03d}", file) for number, file in enumerate(plan.survey.polygons)],
     arguments=_field,
     each=lambda plan, part: {"layer": part.file.layer, "own_crs": part.file.crs},
     source=lambda plan, part: (part.file.path, part.file.digests),
@@ -204,7 +201,7 @@ LABEL_BY_SOURCE = Stage(
     LABEL.version,
     "tile",
     "echo",
-    labelled_by_source,
+    label_by_source,
     when=_of_kind("source"),
     arguments=_params,
     each=reach_here,
@@ -213,55 +210,40 @@ LABEL_BY_SOURCE = Stage(
     writes=_CLASSES,
     halo=_moved,
     after=(CORRECTIONS,),
-    needs=corrected_here,
+    needs=corrections_here,
     check=_only_judges,
 )
-LABEL_BY_CLOUD = Stage(
-    LABEL.name,
-    LABEL.version,
-    "tile",
-    "echo",
-    labelled_by_cloud,
+LABEL_BY_CLOUD = replace(
+    LABEL_BY_SOURCE,
+    function=label_by_cloud,
     when=_of_kind("cloud"),
-    arguments=_params,
-    each=reach_here,
-    silent=_OF_ECHOES,
     own=("x", "y", "z", "gps_time"),
-    writes=_CLASSES,
-    halo=_cloud_halo,
+    halo=lambda plan: max(LABEL.halo(plan.config.label), _moved(plan)),
     after=("reference", CORRECTIONS),
     needs=_clouds,
-    check=_only_judges,
 )
-LABEL_BY_ECHOES = Stage(
-    LABEL.name,
-    LABEL.version,
-    "tile",
-    "echo",
-    labelled_by_echoes,
+LABEL_BY_ECHOES = replace(
+    LABEL_BY_SOURCE,
+    function=label_by_echoes,
     when=_of_kind("echoes"),
-    arguments=_params,
-    each=reach_here,
     silent=frozenset({"max_distance"}),
     own=("x", "y", "z"),
-    writes=_CLASSES,
     halo=lambda plan: plan.config.label.max_move,
     after=(ECHO_LABELS, CORRECTIONS),
     needs=_label_parts,
-    check=_only_judges,
 )
 LABEL_BY_POLYGONS = Stage(
     LABEL.name,
     LABEL.version,
     "tile",
     "echo",
-    labelled_by_polygons,
+    label_by_polygons,
     when=_of_kind("polygons"),
     each=reach_here,
     own=("x", "y", "z", "fit_flags"),
     writes=_CLASSES,
     halo=_moved,
     after=("polygons", CORRECTIONS),
-    needs=lambda plan, tile: [*(("polygons", p) for p in plan.layout.polygons), *corrected_here(plan, tile)],
+    needs=lambda plan, tile: [*(("polygons", p) for p in plan.layout.polygons), *corrections_here(plan, tile)],
     check=_only_judges,
 )

@@ -35,6 +35,7 @@ class Strip:
 
     @property
     def key(self) -> str:
+        """The strip's number as part of the names of its parts."""
         return f"{self.number:05d}"
 
 
@@ -100,9 +101,10 @@ class Layout:
     near_corrected: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, config: Config, done: Mapping[Name, Receipt]) -> Layout:
+    def of(cls, config: Config, receipts: Mapping[Name, Receipt]) -> Layout:
+        """The layout by the receipts of the tiles that are done; `InputError` where there is none."""
         grid = TileGrid(config.tile.size)
-        mine = [part for stage, part in done if stage == "tile"]
+        mine = [part for stage, part in receipts if stage == "tile"]
         if not mine:
             raise InputError(
                 "there is no echo to classify",
@@ -114,7 +116,7 @@ class Layout:
         occupied: dict[float, set[str]] = {}
         passes, bounds, rows = {}, [], 0
         for key in mine:  # one receipt at a time: a large survey has many
-            meta = done["tile", key].meta
+            meta = receipts["tile", key].meta
             for size, blocks in meta["blocks"].items():
                 occupied.setdefault(float(size), set()).update(blocks)
             passes[key] = tuple((a, b) for _, a, b in meta["times"])
@@ -127,17 +129,18 @@ class Layout:
             config,
             tuple(sorted(grid.tile(k) for k in mine)),
             {size: frozenset(blocks) for size, blocks in occupied.items()},
-            frozenset(part for stage, part in done if stage == "reference"),
+            frozenset(part for stage, part in receipts if stage == "reference"),
             Box(low[0], low[1], high[0] + 0.001, high[1] + 0.001),
             (min((t[0] for t in times), default=math.nan), max((t[1] for t in times), default=math.nan)),
             passes,
             low[2],
             rows,
-            tuple(sorted(part for stage, part in done if stage == "polygons")),
+            tuple(sorted(part for stage, part in receipts if stage == "polygons")),
         )
 
     @cached_property
     def keys(self) -> frozenset[str]:
+        """The keys of all tiles."""
         return frozenset(t.key for t in self.tiles)
 
     def around(self, box: Box, among: AbstractSet[str]) -> tuple[str, ...]:
@@ -172,8 +175,10 @@ def plain(params: Any) -> Any:
 
 
 def plain_classes(config: Config) -> list[dict[str, Any]]:
+    """The survey's classes as plain data for a key."""
     return [c.model_dump(mode="json") for c in config.survey.classes]
 
 
 def needs_of(columns: Mapping[str, str], parts: Iterable[str]) -> tuple[Name, ...]:
+    """The parts that hold `columns` (stage by column) of the tiles `parts`, and the tiles themselves."""
     return tuple((stage, part) for part in parts for stage in sorted({*columns.values(), "tile"}))

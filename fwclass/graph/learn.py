@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from fwclass.conf.model import AreasSection
 from fwclass.errors import InputError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
-from fwclass.graph.corrections import CORRECTIONS, corrected_here, corrections_of, learned, reach_here
+from fwclass.graph.corrections import CORRECTIONS, corrected_training_rows, corrections_here, corrections_of, reach_here
 from fwclass.graph.fine_layer import fine_layer
-from fwclass.graph.machine_search import MACHINE_SEARCH, gathered, judge, searches, spatial, trials
+from fwclass.graph.machine_search import MACHINE_SEARCH, gather_trials, judge, searches, spatial, trials
 from fwclass.graph.model_fit import computed
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.graph.thin import sampled_columns
@@ -48,7 +48,7 @@ TREES_PER_PART = 5
 """Trees that one task grows; a forest does not depend on it."""
 
 
-def sampled(
+def draw_tile(
     here: StageInputs,
     names: tuple[str, ...],
     areas: tuple[Box, ...],
@@ -73,12 +73,12 @@ def taught_rows(here: StageInputs, table: Table, judging: AreasSection | None, r
     """bool (rows,): echoes of a tile that train because they are corrected; `judging` None: there is no correction."""
     if judging is None:
         return np.zeros(table.rows, bool)
-    return learned(table, corrections_of(here), judging, reach)
+    return corrected_training_rows(table, corrections_of(here), judging, reach)
 
 
 def taught_here(plan: Plan, tile: Any) -> Mapping[str, Any]:
     """What a stage that draws rows gets besides where echoes of its tile are corrected."""
-    return {"judging": plan.config.areas, **reach_here(plan, tile)} if corrected_here(plan, tile) else {}
+    return {"judging": plan.config.areas, **reach_here(plan, tile)} if corrections_here(plan, tile) else {}
 
 
 def places(table: Table) -> NDArray[np.int64]:
@@ -86,7 +86,9 @@ def places(table: Table) -> NDArray[np.int64]:
     return np.stack([millimetres(table["x"]), millimetres(table["y"])], axis=1).astype(np.int64)
 
 
-def merged(here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...]) -> Made:
+def merge_samples(
+    here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...]
+) -> Made:
     """The survey's sample; refused where a forest cannot be trained on it."""
     tiles = here.parts(TRAIN_SAMPLE.name)
     if not tiles:
@@ -109,7 +111,7 @@ def merged_sample(inputs: PartInputs, names: tuple[str, ...]) -> Sample:
     return load_sample(inputs, "training", "all", names)
 
 
-def grown(
+def grow_part(
     here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...], count: int
 ) -> Made:
     """Some of the forest's trees, from that on which the part is named after."""
@@ -127,7 +129,7 @@ def _load_trees(inputs: PartInputs, batch: str) -> list[Tree]:
     return [(arrays[f"{n}-feature"], arrays[f"{n}-threshold"], arrays[f"{n}-child"]) for n in numbers]
 
 
-def weighed(here: StageInputs, names: tuple[str, ...], params: TrainParams, count: int, repeats: int) -> Made:
+def permute_features(here: StageInputs, names: tuple[str, ...], params: TrainParams, count: int, repeats: int) -> Made:
     """What some of the forest's trees lose when a feature is permuted."""
     sample, trees = merged_sample(here.inputs, names), _load_trees(here.inputs, here.part)
     lost, judged = drops(sample, trees, int(here.part), params, repeats)
@@ -135,7 +137,7 @@ def weighed(here: StageInputs, names: tuple[str, ...], params: TrainParams, coun
     return {"rows": int(judged.sum())}
 
 
-def trained(
+def deliver_forest(
     here: StageInputs,
     names: tuple[str, ...],
     params: TrainParams,
@@ -148,12 +150,12 @@ def trained(
     if params.importance_repeats:
         parts = [here.inputs.arrays("importance", b, DROPS)[0] for b in here.parts("importance")]
         lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
-    forest = stamped(train(merged_sample(here.inputs, names), trees, params, classes, lost), computed)
+    forest = stamp(train(merged_sample(here.inputs, names), trees, params, classes, lost), computed)
     save_model(here.directory / MODEL, forest)
     return {"card": dict(forest.card), "trees": forest.trees, "nodes": len(forest.feature)}
 
 
-def fitted(
+def train_baseline(
     here: StageInputs,
     names: tuple[str, ...],
     params: TrainParams,
@@ -165,16 +167,14 @@ def fitted(
 ) -> Made:
     """The classifier that ``train.method`` names where it is no forest, delivered as the run's model."""
     sample, places = merged_sample(here.inputs, names), spatial(block, gap)
-    found, parts = None, here.parts(MACHINE_SEARCH)
-    if parts:
-        found = gathered(here.inputs, parts, sample, compare.rbf_svm, places)
-    made = train_other(sample, params, compare, classes, params.method, places, found)
-    model: Model = stamped(made, computed)
+    parts = here.parts(MACHINE_SEARCH)
+    search = gather_trials(here.inputs, parts, sample, compare.rbf_svm, places) if parts else None
+    model: Model = stamp(train_other(sample, params, compare, classes, params.method, places, search), computed)
     save_model(here.directory / MODEL, model)
     return {"card": dict(model.card), "trees": None}
 
 
-def tried(
+def try_machine(
     here: StageInputs,
     names: tuple[str, ...],
     params: TrainParams,
@@ -191,7 +191,7 @@ def tried(
     return judge(here, sample, trial, machine, scaling, weights, places)
 
 
-def stamped(model: Any, computed: Mapping[str, Any]) -> Any:
+def stamp(model: Any, computed: Mapping[str, Any]) -> Any:
     """`model` with what its features were computed with in its card."""
     return replace(model, card={**model.card, "computed": dict(computed)})
 
@@ -208,10 +208,6 @@ def forest_learns(plan: Plan) -> bool:
 
 def _one_layer(plan: Plan) -> bool:
     return trains(plan) and fine_layer(plan) is None
-
-
-def _importances(plan: Plan) -> bool:
-    return forest_learns(plan) and bool(plan.config.train.importance_repeats)
 
 
 @dataclass(frozen=True)
@@ -256,7 +252,7 @@ DRAW_SAMPLE = Stage(
     TRAIN_SAMPLE.version,
     "tile",
     "echo",
-    sampled,
+    draw_tile,
     when=trains,
     parts=training_tiles,
     arguments=lambda plan: {**growing(plan), "areas": plan.config.areas.boxes("train")},
@@ -264,7 +260,7 @@ DRAW_SAMPLE = Stage(
     silent=NOT_OF_THE_SAMPLE,
     own=lambda plan: (*IDENTITY_AND_PLACE, "z", *plan.config.features_asked, *sampled_columns(plan), "reference"),
     after=(CORRECTIONS,),
-    needs=corrected_here,
+    needs=corrections_here,
     named=True,
 )
 MERGE_SAMPLE = Stage(
@@ -272,7 +268,7 @@ MERGE_SAMPLE = Stage(
     TRAIN_SAMPLE.version,
     "survey",
     "row",
-    merged,
+    merge_samples,
     when=trains,
     arguments=growing,
     silent=NOT_OF_THE_SAMPLE,
@@ -284,7 +280,7 @@ GROW_TREES = Stage(
     TRAIN_TREES.version,
     "survey",
     "tree_row",
-    grown,
+    grow_part,
     when=forest_learns,
     parts=_batches,
     arguments=growing,
@@ -298,8 +294,8 @@ WEIGH_FEATURES = Stage(
     TRAIN_IMPORTANCE.version,
     "survey",
     "tree_row",
-    weighed,
-    when=_importances,
+    permute_features,
+    when=lambda plan: forest_learns(plan) and bool(plan.config.train.importance_repeats),
     parts=_batches,
     arguments=lambda plan: {
         "names": plan.config.features_asked,
@@ -316,7 +312,7 @@ TRAIN_FOREST = Stage(
     TRAIN.version,
     "survey",
     "tree_row",
-    trained,
+    deliver_forest,
     when=lambda plan: _one_layer(plan) and forest_learns(plan),
     parts=lambda plan: ("model",),
     arguments=lambda plan: {**growing(plan), "computed": _computed(plan)},
@@ -333,7 +329,7 @@ TRY_MACHINES = Stage(
     BASELINE_VERSION,
     "survey",
     "row",
-    tried,
+    try_machine,
     when=lambda plan: trains(plan) and searches(plan),
     parts=trials,
     arguments=lambda plan: {
@@ -352,7 +348,7 @@ TRAIN_BASELINE = Stage(
     BASELINE_VERSION,
     "survey",
     "row",
-    fitted,
+    train_baseline,
     when=lambda plan: _one_layer(plan) and not forest_learns(plan),
     parts=lambda plan: ("model",),
     arguments=lambda plan: {

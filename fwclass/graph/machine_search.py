@@ -12,7 +12,7 @@ from fwclass.graph.stage import Made, Plan, StageInputs
 from fwclass.run.inputs import PartInputs
 from fwclass.select.folds import spatial_folds
 from fwclass.train.baselines.params import RbfSvmParams
-from fwclass.train.baselines.search import Folding, Places, by_pulses, looked_at, pairs_of, right, searched
+from fwclass.train.baselines.search import Folding, Places, by_pulses, pairs_of, right, search_rows, search_summary
 from fwclass.train.sample import Sample
 
 MACHINE_SEARCH = "machine-search"
@@ -41,20 +41,20 @@ def searches(plan: Plan) -> bool:
 
 def spatial(block: float, gap: float) -> Places:
     """Squares of `block` [m], folds of which lie `gap` [m] apart."""
-    return Places(block, partial(folded, block, gap))
+    return Places(block, partial(make_folds, block, gap))
 
 
-def folded(block: float, gap: float, sample: Sample, folds: int) -> Folding:
+def make_folds(block: float, gap: float, sample: Sample, folds: int) -> Folding:
     """Folds of whole squares; of consecutive pulses where the training areas have too few squares, which is noted."""
     if len(sample.place) == 0:
         return by_pulses(sample, folds)
     x, y = sample.place[:, 0].astype(np.float64) * 0.001, sample.place[:, 1].astype(np.float64) * 0.001
     try:
-        made = spatial_folds(x, y, sample.y, block, gap, folds)
+        division = spatial_folds(x, y, sample.y, block, gap, folds)
     except InputError as fault:
         note = f"C and gamma were searched in pieces of consecutive pulses: {fault.got} (select.block)"
         return by_pulses(sample, folds, note)
-    return Folding(made.fold, ~made.near, blocks=made.blocks)
+    return Folding(division.fold, ~division.near, blocks=division.blocks)
 
 
 def judge(
@@ -67,17 +67,17 @@ def judge(
     places: Places,
 ) -> Made:
     """What one trial has right."""
-    looked = looked_at(sample, svm, places.edge)
+    looked = search_rows(sample, svm, places.edge)
     c, gamma, fold = trial
     return right(looked, places.folding(looked, svm.folds), fold, c, gamma, svm, scaling, weights)
 
 
-def gathered(
+def gather_trials(
     inputs: PartInputs, parts: tuple[str, ...], sample: Sample, svm: RbfSvmParams, places: Places
 ) -> dict[str, object]:
-    """What all trials together say; see `searched`."""
-    looked = looked_at(sample, svm, places.edge)
+    """What all trials together say; see `search_summary`."""
+    looked = search_rows(sample, svm, places.edge)
     pairs = pairs_of(svm)
     metas = [{n: int(inputs.meta(MACHINE_SEARCH, p)[n]) for n in ("right", "judged")} for p in parts]
     counts = [metas[k * svm.folds : (k + 1) * svm.folds] for k in range(len(pairs))]
-    return searched(looked.rows, places.folding(looked, svm.folds), pairs, counts)
+    return search_summary(looked.rows, places.folding(looked, svm.folds), pairs, counts)

@@ -37,14 +37,14 @@ def numbers(names: Iterable[str]) -> dict[str, int]:
             do="classify it in several pieces",
         )
     numbered: dict[str, int] = {}
-    taken: set[int] = set()
+    used: set[int] = set()
     for name in waiting:
         choice, tries = _first_choice(name), 0
-        while choice in taken:
+        while choice in used:
             tries += 1
             choice = (_hash(f"{name}/{tries}") if tries < NUMBERS else choice + 1) % NUMBERS
         numbered[name] = choice
-        taken.add(choice)
+        used.add(choice)
     return numbered
 
 

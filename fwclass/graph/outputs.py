@@ -13,14 +13,14 @@ from pyproj import CRS
 from fwclass.classify.kept import Kept
 from fwclass.errors import StoreError
 from fwclass.graph.classify import classes_written
-from fwclass.graph.kept import keeping, kept_by, kept_names
-from fwclass.graph.layout import FileDigests, Strip
+from fwclass.graph.kept import deciding_column, keeping, kept_names
+from fwclass.graph.layout import Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
 from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
 from fwclass.graph.tiling import source_codes, tiles_of_strips
 from fwclass.publish.copc import write_tile_copc
-from fwclass.publish.geoparquet import about_delivery, rounded, write_geoparquet
+from fwclass.publish.geoparquet import about_delivery, round_floats, write_geoparquet
 from fwclass.publish.laz import without_reflectance
 from fwclass.publish.params import PublishParams
 from fwclass.publish.strips import write_strip_laz
@@ -28,7 +28,6 @@ from fwclass.publish.tile_facts import tile_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table
-from fwclass.store.remote_file import Location
 
 DELIVERED = (
     "x",
@@ -72,10 +71,11 @@ MAX_CELLS = 1 << 35
 
 
 def crs_of(text: str | None) -> CRS | None:
+    """The coordinate system that `text` (WKT) describes; None for none."""
     return CRS.from_user_input(text) if text else None
 
 
-def delivered_tile(
+def deliver_tile(
     here: StageInputs,
     params: PublishParams,
     columns: Names,
@@ -92,16 +92,14 @@ def delivered_tile(
     path = directory / TILES / f"{here.part}{TILE_ENDING}"
     shown = table if calibrated else without_reflectance(table)
     called = {int(code): name for code, name in names.items()}
-    made = write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
+    copc = write_tile_copc(shown, path, crs_of(crs), params, called, standard_time=standard_time)
     about = about_delivery(called, params.parquet_bits)
-    plain = rounded(table, params.parquet_bits, EXACT)
+    plain = round_floats(table, params.parquet_bits, EXACT)
     write_geoparquet(plain, directory / "parquet" / f"{here.part}.parquet", crs_of(crs), params, about)
-    return {"rows": table.rows, "beyond": made["beyond"], "facts": tile_facts(table)}
+    return {"rows": table.rows, "beyond": copc["beyond"], "facts": tile_facts(table)}
 
 
-def delivered_strip(
-    here: StageInputs, params: PublishParams, codes: Mapping[str, int], kept: Kept | None = None
-) -> Made:
+def deliver_strip(here: StageInputs, params: PublishParams, codes: Mapping[str, int], kept: Kept | None = None) -> Made:
     """A source strip in its own order with every point's class: that of its nearest echo of the same pulse, or its own
     where that is `kept`.
 
@@ -164,9 +162,9 @@ class _Strip:
 
 
 def _strips(plan: Plan) -> list[_Strip]:
-    held = tiles_of_strips(plan)
+    tiles_by_strip = tiles_of_strips(plan)
     return [
-        _Strip(s.path.stem, s, tuple(span.key for span in spans_of(plan, s)), held.get(s.number, ()))
+        _Strip(s.path.stem, s, tuple(span.key for span in spans_of(plan, s)), tiles_by_strip.get(s.number, ()))
         for s in plan.survey.strips
         if s.point_format >= 0 and spans_of(plan, s)  # a file of pulses only, or without any points, is no strip
     ]
@@ -181,12 +179,8 @@ def _legacy_codes(plan: Plan, part: _Strip) -> Mapping[str, Any]:
 
 def _read_again(plan: Plan, part: _Strip) -> list[Name]:
     """The chunks whose returns are asked for their own class."""
-    waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if kept_by(plan) else ()
+    waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if deciding_column(plan) else ()
     return [("read", c) for c in part.chunks if c in waves]
-
-
-def _strip_file(plan: Plan, part: _Strip) -> tuple[Location, FileDigests]:
-    return part.strip.path, part.strip.digests
 
 
 def columns_of_tiles(plan: Plan) -> Names:
@@ -209,7 +203,7 @@ DELIVER_TILE = Stage(
     4,
     "tile",
     "echo",
-    delivered_tile,
+    deliver_tile,
     arguments=lambda plan: {
         "params": plan.config.publish,
         "columns": columns_of_tiles(plan),
@@ -227,7 +221,7 @@ DELIVER_STRIP = Stage(
     1,
     "strip",
     "point",
-    delivered_strip,
+    deliver_strip,
     parts=_strips,
     arguments=lambda plan: {"params": plan.config.publish, **keeping(plan)},
     each=_legacy_codes,
@@ -238,6 +232,6 @@ DELIVER_STRIP = Stage(
         *_read_again(plan, part),
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
     ],
-    source=_strip_file,
+    source=lambda plan, part: (part.strip.path, part.strip.digests),
     where="deliver",
 )

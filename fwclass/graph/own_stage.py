@@ -85,12 +85,12 @@ def ground_filter_stage(
     ``function(table, **settings)`` gives two flags for every row, ground and noise; `table` has x, y, z, echo number,
     number of echoes and fit flags of a block of ``ground.block`` and what lies within `halo` [m] around it.
     """
-    given = _constant(FILTER_GROUND.name, settings)
+    arguments = _constant(FILTER_GROUND.name, settings)
     return replace(
         FILTER_GROUND,
         version=version,
         function=OfBlock(FILTER_GROUND.name, function),
-        arguments=lambda plan: {**given(plan), "block": plan.config.ground.block},
+        arguments=lambda plan: {**arguments(plan), "block": plan.config.ground.block},
         halo=_halo(FILTER_GROUND.name, halo),
     )
 
@@ -103,13 +103,13 @@ def classifier_stage(
     ``function(table, **settings)`` gives ``classification`` (codes of ``survey.classes``), ``confidence`` (0 to 1) and
     ``entropy`` for every row of a tile; `table` has the columns `reads`.
     """
-    given = _constant(CLASSIFY.name, settings)
+    arguments = _constant(CLASSIFY.name, settings)
     return replace(
         CLASSIFY_ECHOES,
         version=version,
         function=OfRows(CLASSIFY.name, function),
         when=always,
-        arguments=lambda plan: {**given(plan), "classes": plan.config.classes},
+        arguments=lambda plan: {**arguments(plan), "classes": plan.config.classes},
         own=_read(CLASSIFY.name, reads),
         writes=CLASSIFY.writes,
         after=(),
@@ -144,6 +144,7 @@ class Adapter:
     function: Function
 
     def fault(self, what: str, expected: object, got: object, do: str) -> InputError:
+        """The error of a function that does not keep what its stage declares."""
         return InputError(what, where=f"stage {self.stage}", expected=expected, got=got, do=do)
 
     def columns(self, values: Any, rows: int, names: tuple[str, ...]) -> Table:
@@ -156,8 +157,8 @@ class Adapter:
             raise self.fault("a function gives other columns than its stage writes", ", ".join(names), got, "name them")
         return Table({n: self._checked(n, v, rows) for n, v in values.items()})
 
-    def _checked(self, name: str, given: Any, rows: int) -> NDArray:
-        values = np.asarray(given)
+    def _checked(self, name: str, value: Any, rows: int) -> NDArray:
+        values = np.asarray(value)
         if values.shape != (rows,):
             raise self.fault(
                 f"a function gives a wrong number of values of {name!r}",
@@ -296,8 +297,8 @@ def _halo(name: str, halo: float) -> float:
 
 def _constant(name: str, settings: Settings) -> Callable[[Any], Mapping[str, Any]]:
     """The settings as a stage's arguments; `ConfigError` for one that cannot enter a key."""
-    given = dict(settings or {})
-    for key, value in given.items():
+    arguments = dict(settings or {})
+    for key, value in arguments.items():
         try:
             plain = plain_values({"value": value})["value"]
             sound = isinstance(key, str) and key.isidentifier() and not _not_finite(plain)
@@ -310,7 +311,7 @@ def _constant(name: str, settings: Settings) -> Callable[[Any], Mapping[str, Any
                 expected="a name, and a text, a truth value, a finite number, or lists and dicts of these",
                 got=f"{type(value).__name__} {value!r}"[:120],
             )
-    return lambda plan: given
+    return lambda plan: arguments
 
 
 def _not_finite(value: Any) -> bool:

@@ -85,10 +85,10 @@ def _by_file(stage: Stage, path: Path, digest: str, module: ModuleType) -> Stage
         if vars(module).get(inner.__name__) != inner:
             raise _no_function(stage, path, inner.__qualname__)
         named = FunctionOfFile(str(path), digest, inner.__name__, stage.name)
-    given = stage.arguments
+    own_arguments = stage.arguments
 
     def arguments(plan: Plan) -> Mapping[str, Any]:
-        return {**given(plan), "code": digest[:16]}
+        return {**own_arguments(plan), "code": digest[:16]}
 
     work = replace(adapter, function=named) if adapter else named
     return replace(stage, function=_WithoutCode(work), arguments=arguments)

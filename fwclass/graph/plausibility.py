@@ -47,7 +47,7 @@ NAMED = 3
 
 def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     """What the receipt of a strip's pulse says of its noise, and of every channel's pulse (`channel_pulses`)."""
-    return {name: meta[name] for name in (*UNKNOWN.noise.told, "channels")}
+    return {name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}
 
 
 def of_strip(
@@ -84,8 +84,7 @@ def of_strip(
 def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
     """What is worth telling of `of_strip`s, in words; one line for each kind, whatever the number of strips."""
     lines = []
-    some = [s for s in strips if s["implausible"] > RARE * s["fitted"]]
-    if some:
+    if some := [s for s in strips if s["implausible"] > RARE * s["fitted"]]:
         n = {key: sum(s[key] for s in some) for key in ("implausible", "fitted", "below", "weak")}
         share = _percent(n["implausible"] / n["fitted"])
         lines.append(
@@ -94,44 +93,38 @@ def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> lis
             f"{n['weak']:,} after all else of their pulse, or above all returns, and no stronger than the noise "
             f"({_names(some)})"
         )
-    some = [s for s in strips if (s["unexplained_share"] or 0.0) >= TOLD_FROM]
-    if some:
+    if some := [s for s in strips if (s["unexplained_share"] or 0.0) >= TOLD_FROM]:
         lone, checked = _sums(some, "unexplained", "checked")
         lines.append(
             f"{lone:,} of {checked:,} echoes ({_percent(lone / checked)}) have no return within "
             f"{params.vendor_tolerance:g} ns, {sum(s['outside'] for s in some):,} of them lie outside of the returns' "
             f"heights ({_names(some)})"
         )
-    some = [s for s in strips if (s["unmatched_returns_share"] or 0.0) >= TOLD_FROM]
-    if some:
+    if some := [s for s in strips if (s["unmatched_returns_share"] or 0.0) >= TOLD_FROM]:
         lone, returns = _sums(some, "returns_without_echo", "returns")
         lines.append(
             f"{lone:,} of {returns:,} returns ({_percent(lone / returns)}) have no echo within "
             f"{params.vendor_tolerance:g} ns ({_names(some)})"
         )
-    some = [s for s in strips if (s["unreadable_share"] or 0.0) > TOLD_FROM]
-    if some:
+    if some := [s for s in strips if (s["unreadable_share"] or 0.0) > TOLD_FROM]:
         lines += [
             _unreadable_words([s for s in some if s["returns"]], "returns"),
             _unreadable_words([s for s in some if not s["returns"]], "pulses"),
         ]
-    some = [s for s in strips if (s["blank_share"] or 0.0) > RARE]
-    if some:
-        blank, seen = _sums(some, "blank", "waveforms")
+    if some := [s for s in strips if (s["blank_share"] or 0.0) > RARE]:
+        blank, pulses = _sums(some, "blank", "waveforms")
         lines.append(
-            f"{blank:,} of {seen:,} pulses ({_percent(blank / seen)}) have nothing but zeros for a waveform, which no "
-            f"receiver records: is the packet file whole? ({_names(some)})"
+            f"{blank:,} of {pulses:,} pulses ({_percent(blank / pulses)}) have nothing but zeros for a waveform, which "
+            f"no receiver records: is the packet file whole? ({_names(some)})"
         )
-    some = [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]
-    if some:
+    if some := [s for s in strips if (s["poor_share"] or 0.0) > TOLD_FROM]:
         poor, fitted = _sums(some, "poor", "fitted")
         lines.append(
             f"{poor:,} of {fitted:,} echoes ({_percent(poor / fitted)}) are poorly fitted, misfit above "
             f"{params.poor_misfit:g}: the samples are not what the pulse and the noise explain ({_names(some)})"
         )
     lines += pulse_remarks(strips)
-    some = [s for s in strips if (s["lag1"] or 0.0) > params.white_noise and s["inflation"] >= INFLATED]
-    if some:
+    if some := [s for s in strips if (s["lag1"] or 0.0) > params.white_noise and s["inflation"] >= INFLATED]:
         worst = max(some, key=lambda s: s["lag1"])
         lines.append(
             f"the noise is correlated (neighbouring samples by {worst['lag1']:.2f}): decompose.detection of "

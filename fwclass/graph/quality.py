@@ -15,7 +15,7 @@ from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Made, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole
@@ -44,14 +44,16 @@ PIECES = tuple(Pieces.__dataclass_fields__)
 def quality_of_block(here: StageInputs, params: QualityParams) -> Made:
     """Counts by cell, pieces of strips and pairs of planes of one block."""
     box = here.tile.box
-    made = block_quality(here.inputs.inside(box, here.tile_size, here.columns, here.present), box, params)
-    write_rasters(here.directory, {"echoes": made.echoes, "pulses": made.pulses}, Window.covering(box, params.cell))
-    write_arrays(here.directory / COMPARED, made.arrays())
-    files, lines = made.between()
+    quality = block_quality(here.inputs.inside(box, here.tile_size, here.columns, here.present), box, params)
+    write_rasters(
+        here.directory, {"echoes": quality.echoes, "pulses": quality.pulses}, Window.covering(box, params.cell)
+    )
+    write_arrays(here.directory / COMPARED, quality.arrays())
+    files, lines = quality.between()
     return {
-        "echoes": int(made.echoes.sum()),
-        "noise": made.noise,
-        "pairs": len(made.pairs.dz),
+        "echoes": int(quality.echoes.sum()),
+        "noise": quality.noise,
+        "pairs": len(quality.pairs.dz),
         "between_files": files,
         "between_lines": lines,
     }
@@ -70,11 +72,11 @@ class _Differences(Mosaic):
     def _read(self, key: str) -> tuple[dict[str, NDArray], Window]:
         arrays, _ = self._inputs.arrays(self._stage, key, COMPARED)
         window = self._windows[key]
-        made = largest_differences(pairs_from(arrays), self._number[key], self._params.max_step, window.shape)
-        return {"dz": made}, window
+        largest = largest_differences(pairs_from(arrays), self._number[key], self._params.max_step, window.shape)
+        return {"dz": largest}, window
 
 
-def delivered_quality(
+def deliver_quality(
     here: StageInputs,
     params: QualityParams,
     publish: PublishParams,
@@ -103,8 +105,8 @@ def delivered_quality(
         target.mkdir(parents=True)
         empty.append(_density_raster(counted, Box(*bounds), density, target, system, publish))
         _difference_raster(differences, Box(*bounds), target, system, publish)
-    told = density.facts()
-    least = (params.void_spacings * (told["spacing"] or 0.0)) ** 2
+    density_facts = density.facts()
+    least = (params.void_spacings * (density_facts["spacing"] or 0.0)) ** 2
     voids = sorted((v for one in empty for v in one.voids(least)), key=lambda v: (-v.area, v.box.bounds))
     if voids:
         areas = np.array([v.area for v in voids[:LISTED]])
@@ -117,8 +119,8 @@ def delivered_quality(
         "noise": noise,
         "noise_share": noise / (echoes + noise) if echoes + noise else None,
         "pulses": density.pulses,
-        "density": told,
-        "voids": void_facts(voids, least, told["area"]),
+        "density": density_facts,
+        "voids": void_facts(voids, least, density_facts["area"]),
         "strips": strips,
         "remarks": [*(["all echoes are noise"] if not echoes else []), *strip_remarks(strips)],
     }
@@ -146,8 +148,8 @@ def _strips(
         window = Window.covering(b.box, params.planes.cell)
         pairs = pairs_from(inputs.arrays(stage, b.key, COMPARED)[0])
         compared.add(pairs, number, (window.col, window.row))
-    told = compared.facts(strips, files, by)
-    return told, {b.key: n for b, n in zip(blocks, numbers, strict=True)}
+    facts = compared.facts(strips, files, by)
+    return facts, {b.key: n for b, n in zip(blocks, numbers, strict=True)}
 
 
 def _density_raster(
@@ -195,18 +197,14 @@ def _pictures(counted: Mosaic, differences: _Differences, box: Box, publish: Pub
     pulses, dz = (m.thinned(w, s) for m, w, s in zip((counted, differences), windows, steps, strict=True))
     views = [View.of(window, step) for window, step in zip(windows, steps, strict=True)]
     density = np.where(pulses["echoes"] > 0, pulses["pulses"] / counted.cell**2, np.nan).astype(np.float32)
-    made = density_picture(density, views[0], publish), difference_picture(dz["dz"], views[1], publish)
-    return [picture for picture in made if picture is not None]
+    pictures = density_picture(density, views[0], publish), difference_picture(dz["dz"], views[1], publish)
+    return [picture for picture in pictures if picture is not None]
 
 
 def _style(path: Path, spread: Spread, unit: str) -> None:
     low, high = spread.shown()
     with whole(path) as beside:
         beside.write_bytes(style_file(ramp_raster_style(MANY, low, high, unit), "raster"))
-
-
-def _every_block(plan: Plan, part: object) -> list[tuple[str, str]]:
-    return [(MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)]
 
 
 MEASURE_QUALITY = Stage(
@@ -226,7 +224,7 @@ DELIVER_QUALITY = Stage(
     1,
     "survey",
     "cell",
-    delivered_quality,
+    deliver_quality,
     arguments=lambda plan: {
         "params": plan.config.quality,
         "publish": plan.config.publish,
@@ -238,6 +236,6 @@ DELIVER_QUALITY = Stage(
     },
     silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS,
     after=(MEASURE_QUALITY.name,),
-    needs=_every_block,
+    needs=lambda plan, part: [(MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)],
     where="deliver",
 )

@@ -20,13 +20,13 @@ By = dict[str, dict[str, str]]
 
 def quantities_by_feature(names: Iterable[str], quantities: Quantities) -> By:
     """For a model's card: the quantity that every one of its features is made of; features of neither are left out."""
-    made: By = {}
+    by_feature: By = {}
     for name in names:
         kind = depends(name)
         if kind:
             quantity = str(getattr(quantities, kind))
-            made[name] = {"of": kind, "quantity": quantity, "unit": UNITS[quantity]}
-    return made
+            by_feature[name] = {"of": kind, "quantity": quantity, "unit": UNITS[quantity]}
+    return by_feature
 
 
 def depends(name: str) -> str:

@@ -78,11 +78,11 @@ def flown(here: StageInputs, crs: str | None, undulation: float, times: tuple[fl
     return {"fixes": table.rows, "begins": at[::FIXES].tolist(), "ends": float(at[-1])}
 
 
-def flown_by(plan: Plan, done: Mapping[Name, Receipt]) -> Flown:
+def flown_by(plan: Plan, receipts: Mapping[Name, Receipt]) -> Flown:
     """When each trajectory was flown; (-inf, inf) for one that could not be read."""
     known = {}
     for part in READ_TRAJECTORY.all_parts(plan):
-        receipt = done.get((READ_TRAJECTORY.name, part.key))
+        receipt = receipts.get((READ_TRAJECTORY.name, part.key))
         known[part.key] = (receipt.meta["begins"][0], receipt.meta["ends"]) if receipt else (-math.inf, math.inf)
     return known
 
@@ -113,7 +113,7 @@ def _around(here: StageInputs, flight: str, times: Any) -> Table:
     return here.inputs.groups("trajectory", flight, sorted(g for g in groups if 0 <= g < len(begins)))
 
 
-def compared(here: StageInputs, params: RadiometryParams) -> Made:
+def compare_strips(here: StageInputs, params: RadiometryParams) -> Made:
     """What a tile says about the gains of its strips."""
     chunk = here.chunk()
     trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None
@@ -121,7 +121,7 @@ def compared(here: StageInputs, params: RadiometryParams) -> Made:
     return {}
 
 
-def calibrated(here: StageInputs, params: RadiometryParams) -> Made:
+def calibrate_strips(here: StageInputs, params: RadiometryParams) -> Made:
     """The gains of the strips and the constant of the survey."""
     tiles = here.parts("overlap")
     calibration = calibrate((Overlap.from_arrays(here.inputs.arrays("overlap", t, COUNTS)[0]) for t in tiles), params)
@@ -130,7 +130,7 @@ def calibrated(here: StageInputs, params: RadiometryParams) -> Made:
     return {"calibration": facts}
 
 
-def measured(here: StageInputs, params: RadiometryParams) -> Made:
+def measure_radiometry(here: StageInputs, params: RadiometryParams) -> Made:
     """Radiometric columns of a tile's echoes."""
     chunk = here.chunk()
     trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None
@@ -150,10 +150,6 @@ class _Flight:
     key: str
     path: Location
     digests: FileDigests
-
-
-def _flights(plan: Plan) -> list[_Flight]:
-    return [_Flight(path.stem, path, digests) for path, digests in plan.survey.trajectory]
 
 
 def _params(plan: Plan) -> Mapping[str, Any]:
@@ -190,10 +186,6 @@ def has_pointing(plan: Plan) -> bool:
     return has_range(plan.config) and bool(plan.flown) and bool(_over(plan, _probes(plan)))
 
 
-def _points(plan: Plan) -> bool:
-    return bool(plan.config.survey.trajectory.files) if plan.tiled is None else plan.pointing
-
-
 def _checked(plan: Plan) -> list[Name]:
     return [("pointing", "all")] if plan.pointing else []
 
@@ -210,7 +202,7 @@ READ_TRAJECTORY = Stage(
     "part",
     flown,
     when=lambda plan: bool(plan.config.survey.trajectory.files),
-    parts=_flights,
+    parts=lambda plan: [_Flight(path.stem, path, digests) for path, digests in plan.survey.trajectory],
     after=("tile",),
     arguments=lambda plan: {
         "crs": plan.survey.crs,
@@ -225,7 +217,7 @@ CHECK_POINTING = Stage(
     "survey",
     "part",
     pointing,
-    when=_points,
+    when=lambda plan: bool(plan.config.survey.trajectory.files) if plan.tiled is None else plan.pointing,
     arguments=_params,
     after=("tile", "trajectory"),
     needs=lambda plan, part: [*(("tile", key) for key in _probes(plan)), *_over(plan, _probes(plan))],
@@ -235,7 +227,7 @@ COMPARE_STRIPS = Stage(
     OVERLAP.version,
     "tile",
     "echo",
-    compared,
+    compare_strips,
     when=_compares,
     arguments=_params,
     reads=OVERLAP.reads,
@@ -248,7 +240,7 @@ CALIBRATE_STRIPS = Stage(
     CALIBRATE.version,
     "survey",
     "part",
-    calibrated,
+    calibrate_strips,
     when=_ranged,
     arguments=_params,
     after=("overlap",),
@@ -259,7 +251,7 @@ MEASURE_RADIOMETRY = Stage(
     RADIOMETRY.version,
     "tile",
     "echo",
-    measured,
+    measure_radiometry,
     when=_ranged,
     arguments=_params,
     own=RADIOMETRY.reads,

@@ -14,8 +14,8 @@ from fwclass.errors import InputError
 from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import MAX_CELLS, NO_BYTE, class_names, crs_of
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
-from fwclass.graph.sites import WHOLE, Site, sites
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.sites import WHOLE, sites
+from fwclass.graph.stage import Made, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.ground.terrain.terrain import NO_TERRAIN
@@ -34,12 +34,14 @@ def class_block(here: StageInputs, params: PublishParams) -> Made:
     """Class and confidence of the highest echo, and the echoes, of every cell of one block of the fixed grid."""
     window = Window.covering(here.tile.box, params.class_cell)
     points = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
-    made = class_rasters(points["x"], points["y"], points["z"], points["classification"], points["confidence"], window)
-    write_rasters(here.directory, made._asdict(), window)
-    return {"cells": int((made.classes > 0).sum())}
+    rasters = class_rasters(
+        points["x"], points["y"], points["z"], points["classification"], points["confidence"], window
+    )
+    write_rasters(here.directory, rasters._asdict(), window)
+    return {"cells": int((rasters.classes > 0).sum())}
 
 
-def delivered_rasters(
+def deliver_rasters(
     here: StageInputs,
     params: PublishParams,
     crs: str | None,
@@ -62,7 +64,7 @@ def delivered_rasters(
     system, blocks = crs_of(crs), tuple(grid.tile(key) for key in here.parts(TERRAIN.name))
     called = {int(code): name for code, name in names.items()}
     spreads: dict[str, Spread] = {}
-    told = {
+    cell_counts = {
         "dtm_cells": _terrain_rasters(windows[0], blocks, system, params, here.inputs, target, spreads),
         "class_cells": _class_rasters(windows[1], blocks, called, system, params, here.inputs, target, spreads),
     }
@@ -70,7 +72,7 @@ def delivered_rasters(
     for name in STYLED:
         with whole(target / f"{name}.qml") as beside:
             beside.write_bytes(style_file(raster_style(name, ranges, called), "raster"))
-    return {**told, "ranges": ranges}
+    return {**cell_counts, "ranges": ranges}
 
 
 def check_cells(window: Window, box: Box) -> None:
@@ -136,7 +138,7 @@ def _terrain_rasters(
             dtm = heights["dtm"]
             there = np.isfinite(dtm)
             tone = np.where(there, 1 + 254 * hillshade(wide, window.cell, params)[inner], 0).astype(np.uint8)
-            made = {
+            rasters = {
                 "dtm": dtm,
                 "dsm": heights["dsm"],
                 "ndsm": heights["dsm"] - dtm,
@@ -144,7 +146,7 @@ def _terrain_rasters(
                 "slope": slope(wide, window.cell),
                 "roughness": heights["roughness"],
             }
-            for name, raster in made.items():
+            for name, raster in rasters.items():
                 put[name](stripe, raster)
                 spreads[name].add(raster)
             shade(stripe, tone)
@@ -194,14 +196,6 @@ def _class_rasters(
     return cells
 
 
-def _terrain_and_classes(plan: Plan, site: Site) -> list[tuple[str, str]]:
-    return [(stage, b.key) for stage in (TERRAIN.name, "class-block") for b in site.blocks]
-
-
-def _box_of_cells(plan: Plan, block: Tile) -> Box:
-    return Window.covering(block.box, plan.config.publish.class_cell).box
-
-
 MAP_CLASSES = Stage(
     "class-block",
     2,
@@ -214,14 +208,14 @@ MAP_CLASSES = Stage(
     silent=NO_BYTE,
     reads=("z", "classification", "confidence"),
     halo=0.0,
-    area=_box_of_cells,
+    area=lambda plan, block: Window.covering(block.box, plan.config.publish.class_cell).box,
 )
 DELIVER_RASTERS = Stage(
     "publish-rasters",
     6,
     "survey",
     "cell",
-    delivered_rasters,
+    deliver_rasters,
     parts=lambda plan: sites(plan.layout),
     key=lambda site: site.name,
     arguments=lambda plan: {
@@ -234,6 +228,6 @@ DELIVER_RASTERS = Stage(
     each=lambda plan, site: {"bounds": site.box.bounds},
     silent=NO_BYTE,
     after=("terrain", "class-block"),
-    needs=_terrain_and_classes,
+    needs=lambda plan, site: [(stage, b.key) for stage in (TERRAIN.name, "class-block") for b in site.blocks],
     where="deliver",
 )

@@ -14,7 +14,7 @@ from fwclass.errors import InputError
 from fwclass.formats.echo_labels import FIELD, check_echo_labels, read_echo_labels
 from fwclass.graph.area_of_interest import edges, shares_area
 from fwclass.graph.file_digests import Digests
-from fwclass.graph.files import box_text, found_files, joint_bounds
+from fwclass.graph.files import box_text, find_files, joint_bounds
 from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.grid import Box
 from fwclass.label.corrections import reference_codes
@@ -42,7 +42,7 @@ def reference_clouds(
     """The reference's clouds, with their digests and points; `InputError` where they lie elsewhere than `box`."""
     if config.survey.reference.kind != "cloud":
         return ()
-    files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
+    files = find_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
     opened = [open_source(local(p)) for p in files]
     place = joint_bounds([s.bounds for s in opened])
     if not place.grown(config.label.max_distance).touches(box):
@@ -57,21 +57,21 @@ def reference_clouds(
 
 
 def reference_polygons(
-    config: Config, directory: Path | Url, digests: Digests, crs: str | None, given: CRS | None
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None
 ) -> tuple[PolygonFile, ...]:
     """The reference's files of polygons, each with its class field, in a system that is known."""
-    asked = config.survey.reference
-    if asked.kind != "polygons":
+    reference = config.survey.reference
+    if reference.kind != "polygons":
         return ()
     survey = CRS.from_wkt(crs) if crs is not None else None
     files = []
-    for place in found_files(asked.files, directory, "survey.reference.files", config.path, config.store):
+    for place in find_files(reference.files, directory, "survey.reference.files", config.path, config.store):
         path = local(place)
-        opened = open_polygons(path, asked.layer)
-        field = asked.field or ""
+        opened = open_polygons(path, reference.layer)
+        field = reference.field or ""
         check_field(opened, field)
-        codes_of(values_of(opened, field), asked.values, config.classes, f"{path}: field {field}")
-        system = source_crs(opened, given, survey)
+        codes_of(values_of(opened, field), reference.values, config.classes, f"{path}: field {field}")
+        system = source_crs(opened, user_crs, survey)
         files.append(
             PolygonFile(
                 place, digests.of(opened.files, place), opened.layer, system.to_wkt() if system is not None else None
@@ -81,41 +81,41 @@ def reference_polygons(
 
 
 def water_polygons(
-    config: Config, directory: Path | Url, digests: Digests, crs: str | None, given: CRS | None, box: Box
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None, box: Box
 ) -> PolygonFile | None:
     """The file of the water that is flattened; `InputError` where none of it lies in the survey's `box` [m]."""
-    return _file_of_terrain("water", config.water, config, directory, digests, crs, given, box)
+    return _file_of_terrain("water", config.water, config, directory, digests, crs, user_crs, box)
 
 
 def breakline_file(
-    config: Config, directory: Path | Url, digests: Digests, crs: str | None, given: CRS | None, box: Box
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None, box: Box
 ) -> PolygonFile | None:
     """The file of the breaklines; `InputError` for lines without heights, and where none lies in the survey's `box`
     [m]."""
-    return _file_of_terrain("breaklines", config.breaklines, config, directory, digests, crs, given, box)
+    return _file_of_terrain("breaklines", config.breaklines, config, directory, digests, crs, user_crs, box)
 
 
 def _file_of_terrain(
     section: Literal["water", "breaklines"],
-    asked: WaterParams | BreaklineParams,
+    section_params: WaterParams | BreaklineParams,
     config: Config,
     directory: Path | Url,
     digests: Digests,
     crs: str | None,
-    given: CRS | None,
+    user_crs: CRS | None,
     box: Box,
 ) -> PolygonFile | None:
-    if asked.file is None:
+    if section_params.file is None:
         return None
     survey = CRS.from_wkt(crs) if crs is not None else None
-    places = found_files([asked.file], directory, f"{section}.file", config.path, config.store)
+    places = find_files([section_params.file], directory, f"{section}.file", config.path, config.store)
     if len(places) > 1:
         raise InputError(
             f"{section}.file is one file", where=config.path, got=f"{len(places)} files match", do="name one"
         )
     path = local(places[0])
-    opened = open_polygons(path, asked.layer, f"{section}.layer")
-    system = source_crs(opened, given, survey, f"--set {section}.crs=EPSG:<code>")
+    opened = open_polygons(path, section_params.layer, f"{section}.layer")
+    system = source_crs(opened, user_crs, survey, f"--set {section}.crs=EPSG:<code>")
     shapes = read_polygons(opened, None)[1] if section == "water" else read_lines(opened)[0]
     if system is not None and survey is not None:
         shapes, _ = reprojected(shapes, system, survey, path)
@@ -138,12 +138,12 @@ def reference_echo_labels(
     config: Config, directory: Path | Url, digests: Digests
 ) -> tuple[tuple[Location, FileDigests], ...]:
     """The reference's files of labels by echo."""
-    asked = config.survey.reference
-    if asked.kind != "echoes":
+    reference = config.survey.reference
+    if reference.kind != "echoes":
         return ()
-    places = found_files(asked.files, directory, "survey.reference.files", config.path, config.store)
+    places = find_files(reference.files, directory, "survey.reference.files", config.path, config.store)
     for place in places:
-        check_echo_labels(local(place), asked.field or FIELD)
+        check_echo_labels(local(place), reference.field or FIELD)
     return tuple((place, digests.of([local(place)], place)) for place in places)
 
 
@@ -151,11 +151,13 @@ def reference_corrections(
     config: Config, directory: Path | Url, digests: Digests, run: Path | Url
 ) -> tuple[Location, FileDigests] | None:
     """What corrects the labels: the file that the configuration names, or that of the `run`; None for nothing."""
-    asked = config.survey.reference
-    if asked.kind == "none" or asked.corrections is False:
+    reference = config.survey.reference
+    if reference.kind == "none" or reference.corrections is False:
         return None
-    if asked.corrections:
-        places = found_files([asked.corrections], directory, "survey.reference.corrections", config.path, config.store)
+    if reference.corrections:
+        places = find_files(
+            [reference.corrections], directory, "survey.reference.corrections", config.path, config.store
+        )
     elif isinstance(run, Url):
         places = list(found_outside(CORRECTIONS, run, config.store))
     else:

@@ -11,18 +11,18 @@ import numpy as np
 
 from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.params import RefineParams
-from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refined
-from fwclass.classify.stage import CLASSIFY, classify, filled
+from fwclass.classify.refine import BOUNDARY, COARSE, REFINE, at_boundary, refine_boundary
+from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.conf.model import AreasSection
 from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
 from fwclass.features.stage import FEATURES, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
-from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, own_model, seen_outside
-from fwclass.graph.corrections import CORRECTIONS, corrected_here
+from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, outside_facts, own_model
+from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
-from fwclass.graph.kept import NO_SOURCE, keeping, kept_by
+from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping
 from fwclass.graph.learn import (
     MODEL,
     NOT_OF_THE_SAMPLE,
@@ -33,7 +33,7 @@ from fwclass.graph.learn import (
     load_sample,
     parameters_of,
     places,
-    stamped,
+    stamp,
     taught_here,
     taught_rows,
     trains,
@@ -42,7 +42,6 @@ from fwclass.graph.machine_search import spatial
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.model.ranges import Outside
-from fwclass.run.part import Name
 from fwclass.schema import Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import write_arrays
@@ -59,7 +58,7 @@ DRAWN, MERGED = "refine-sample", "refine-training"
 _PLACE = ("x", "y", "z")
 
 
-def answered(here: StageInputs, names: tuple[str, ...], model: str | None) -> Made:
+def answer_coarse(here: StageInputs, names: tuple[str, ...], model: str | None) -> Made:
     """The first layer's answers of a tile."""
     if model is None:
         used = model_at(
@@ -74,30 +73,30 @@ def answered(here: StageInputs, names: tuple[str, ...], model: str | None) -> Ma
         X = sample_matrix(rows, used.features, here.part)
         if outside is not None:
             outside.add(X)
-        made = classify(X, used)
-        tables.append(Table(dict(zip(COARSE, (made[n] for n in CLASSIFY.writes), strict=True))))
-        missing += filled(X, used)
+        answers = classify(X, used)
+        tables.append(Table(dict(zip(COARSE, (answers[n] for n in CLASSIFY.writes), strict=True))))
+        missing += count_filled(X, used)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
-    return table, {"filled": missing, **seen_outside(outside)}
+    return table, {"filled": missing, **outside_facts(outside)}
 
 
-def widened(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Made:
+def widen_features(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Made:
     """Which echoes of a tile are at the boundary, and wide features of those alone, NaN for the others."""
     tables, rows = [], []
     for these, chunk in here.chunks():
         at = at_boundary(chunk, layer.pair, layer.within)
-        made = {name: np.full(len(at), np.nan, np.float32) for name in layer.wide}
+        columns = {name: np.full(len(at), np.nan, np.float32) for name in layer.wide}
         if at.any() and layer.wide:
             some = features(Chunk(chunk.table, chunk.core[at], chunk.tile), layer.wide, params)
             for name in layer.wide:
-                made[name][at] = some[name]
-        tables.append(Table({BOUNDARY: at, **made}))
+                columns[name][at] = some[name]
+        tables.append(Table({BOUNDARY: at, **columns}))
         rows.append(these)
     table = tile_table(tables, rows)
     return table, {"rows": table.rows, "boundary": int(table[BOUNDARY].sum())}
 
 
-def drawn(
+def draw_fine_tile(
     here: StageInputs,
     layer: FineLayer,
     areas: Any,
@@ -119,18 +118,20 @@ def drawn(
     sample = candidates(known, own["reference"], key, inside, drawing, classes, places(own), corrected)
     order = np.argsort(key)
     chosen = order[np.searchsorted(key[order], sample.key)]
-    made = own.take(chosen)
+    table = own.take(chosen)
     if layer.wide:
-        made = made.with_columns(
+        table = table.with_columns(
             features(Chunk(chunk.table, chunk.core[chosen], chunk.tile), layer.wide, params).select(layer.wide)
         )
-    X = sample_matrix(made, layer.names, here.part)
+    X = sample_matrix(table, layer.names, here.part)
     sample = Sample(layer.names, X, sample.y, sample.key, sample.hash, sample.eligible, sample.bare, sample.place)
     write_arrays(here.directory / SAMPLE, sample.arrays())
     return {"rows": sample.rows}
 
 
-def merged(here: StageInputs, layer: FineLayer, rows: str, drawing: TrainParams, classes: tuple[ClassDef, ...]) -> Made:
+def merge_fine_samples(
+    here: StageInputs, layer: FineLayer, rows: str, drawing: TrainParams, classes: tuple[ClassDef, ...]
+) -> Made:
     """The sample of all tiles; refused where the two classes do not meet in the training areas."""
     tiles = here.parts(DRAWN)
     parts = (load_sample(here.inputs, DRAWN, t, layer.names) for t in tiles)
@@ -151,7 +152,7 @@ def merged(here: StageInputs, layer: FineLayer, rows: str, drawing: TrainParams,
     return {"rows": sample.rows, "counts": sample.counts.tolist()}
 
 
-def fitted(
+def train_fine(
     here: StageInputs,
     layer: FineLayer,
     params: TrainParams,
@@ -169,7 +170,7 @@ def fitted(
     fine: Any = fit_layer(sample, params, compare, classes, block, gap)
     if without:
         fine.card["notes"].append(f"no training row has a value of {', '.join(without)}: left out")
-    fine = stamped(fine, computed)
+    fine = stamp(fine, computed)
     card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
     both = TwoLayer(coarse, fine, {**card, "kind": TwoLayer.kind, "refine": refine.model_dump(mode="json")})
     both.check("a newly trained model")
@@ -181,8 +182,8 @@ def _with_values(sample: Sample) -> tuple[Sample, list[str]]:
     """The sample without features that no row has a value of, and these."""
     some = [bool(np.isfinite(values).any()) for values in sample.X.T]
     names = tuple(n for n, one in zip(sample.features, some, strict=True) if one)
-    kept = (sample.X[:, some], sample.y, sample.key, sample.hash, sample.eligible, sample.bare, sample.place)
-    return Sample(names, *kept), [n for n in sample.features if n not in names]
+    columns = (sample.X[:, some], sample.y, sample.key, sample.hash, sample.eligible, sample.bare, sample.place)
+    return Sample(names, *columns), [n for n in sample.features if n not in names]
 
 
 def fit_layer(
@@ -214,8 +215,10 @@ def both_answered(
     for rows in here.cuts():
         X = sample_matrix(rows.take(np.flatnonzero(rows[BOUNDARY])), used.fine.features, here.part)
         coarse = classify(sample_matrix(rows, used.features, here.part), used.coarse, True) if probabilities else None
-        tables.append(with_kept(refined(rows, X, used, coarse), rows["source_class"] if kept else NO_SOURCE, kept))
-        missing += filled(X, used.fine)
+        tables.append(
+            with_kept(refine_boundary(rows, X, used, coarse), rows["source_class"] if kept else NO_SOURCE, kept)
+        )
+        missing += count_filled(X, used.fine)
     table = tables[0] if len(tables) == 1 else Table.concat(tables)
     return table, {"codes": codes_of(table), "filled": missing}
 
@@ -240,10 +243,6 @@ def _pair(plan: Plan) -> tuple[ClassDef, ...]:
     return tuple(next(c for c in plan.config.classes if c.code == code) for code in codes)
 
 
-def _coarse_model(plan: Plan, part: Any) -> tuple[Name, ...]:
-    return () if plan.model else ((TRAIN_COARSE, "model"),)
-
-
 def _wide_reads(plan: Plan) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*_PLACE, COARSE[0], *Asked.of(_layer(plan).wide).reads)))
 
@@ -265,13 +264,13 @@ ANSWER_COARSE = Stage(
     CLASSIFY.version,
     "tile",
     "echo",
-    answered,
+    answer_coarse,
     when=_has,
     arguments=lambda plan: {"names": plan.names, "model": plan.model[1] if plan.model else None},
     own=lambda plan: plan.names,
     writes=COARSE,
     after=(TRAIN_COARSE,),
-    needs=_coarse_model,
+    needs=lambda plan, part: () if plan.model else ((TRAIN_COARSE, "model"),),
     source=given_model,
     cells=True,
 )
@@ -280,7 +279,7 @@ DRAW_BOUNDARY = Stage(
     1000 * FEATURES.version + TRAIN_SAMPLE.version,
     "tile",
     "echo",
-    drawn,
+    draw_fine_tile,
     when=_learns,
     parts=training_tiles,
     arguments=lambda plan: {
@@ -301,14 +300,14 @@ DRAW_BOUNDARY = Stage(
     ),
     halo=lambda plan: _layer(plan).halo(plan),
     after=(CORRECTIONS,),
-    needs=corrected_here,
+    needs=corrections_here,
 )
 MERGE_BOUNDARY = Stage(
     MERGED,
     TRAIN_SAMPLE.version,
     "survey",
     "row",
-    merged,
+    merge_fine_samples,
     when=_learns,
     arguments=lambda plan: {"layer": _layer(plan), "classes": _pair(plan), **_drawn_by(plan)},
     silent=NOT_OF_THE_SAMPLE,
@@ -320,7 +319,7 @@ TRAIN_FINE = Stage(
     1000 * BASELINE_VERSION + TRAIN.version,
     "survey",
     "row",
-    fitted,
+    train_fine,
     when=_learns,
     parts=lambda plan: ("model",),
     arguments=lambda plan: {
@@ -342,7 +341,7 @@ WIDEN_BOUNDARY = Stage(
     1000 * FEATURES.version + REFINE.version,
     "tile",
     "echo",
-    widened,
+    widen_features,
     when=_has,
     arguments=lambda plan: {"layer": _layer(plan), "params": plan.config.features},
     silent=frozenset({"also"}),
@@ -366,7 +365,7 @@ CLASSIFY_REFINED = Stage(
         **keeping(plan),
     },
     own=lambda plan: (
-        *kept_by(plan),
+        *deciding_column(plan),
         *COARSE,
         BOUNDARY,
         *_layer(plan).names,

@@ -11,7 +11,7 @@ from fwclass import __version__
 from fwclass.assess.stage import caution
 from fwclass.classify.kept import Kept
 from fwclass.conf import Config
-from fwclass.decompose.plausible import added
+from fwclass.decompose.plausible import add_counts
 from fwclass.errors import visible
 from fwclass.features.dense import Crowd
 from fwclass.graph.accuracy_remarks import accuracy_remarks
@@ -22,7 +22,7 @@ from fwclass.graph.drift import drift
 from fwclass.graph.kept import class_remarks, kept_codes, kept_names, known_codes
 from fwclass.graph.layout import Layout, Survey
 from fwclass.graph.plausibility import UNREADABLE, of_strip, receiver_facts, remarks
-from fwclass.graph.report_facts import made_in_run, place_of, some_waves, sureness
+from fwclass.graph.report_facts import place_of, receipts_of_run, some_waves, sureness
 from fwclass.graph.report_figures import report_figures
 from fwclass.graph.sampling import LABELS, SAMPLES
 from fwclass.graph.sampling_summary import sampling
@@ -70,7 +70,7 @@ def write_report(
         return standing
     from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
 
-    source = source_codes({(SPLIT.name, r.part): r for r in made_in_run(runner, SPLIT.name)})
+    source = source_codes({(SPLIT.name, r.part): r for r in receipts_of_run(runner, SPLIT.name)})
     kept = Kept.of(config.classify)
     report = {
         "survey": config.survey.name,
@@ -84,21 +84,23 @@ def write_report(
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(runner, names),
         "place": place_of(
-            (tiles := made_in_run(runner, "publish-tile")),
+            (tiles := receipts_of_run(runner, "publish-tile")),
             survey.crs,
             survey.standard_time,
-            sum(r.meta["class_cells"] for r in made_in_run(runner, "publish-rasters")),
+            sum(r.meta["class_cells"] for r in receipts_of_run(runner, "publish-rasters")),
             config.publish.class_cell,
         ),
         "sureness": sureness(tiles, classes),
-        "automation": next((r.meta["automation"] for r in made_in_run(runner, "assess")), []),
+        "automation": next((r.meta["automation"] for r in receipts_of_run(runner, "assess")), []),
         "waves": some_waves(
-            made_in_run(runner, "read"), {r.part for r in made_in_run(runner, "decompose")}, PartInputs(runner.store)
+            receipts_of_run(runner, "read"),
+            {r.part for r in receipts_of_run(runner, "decompose")},
+            PartInputs(runner.store),
         ),
         "sampling": (
             counted := sampling(
                 config,
-                *(made_in_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS)),
+                *(receipts_of_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS)),
                 whole_run=runner.whole,
             )
         ),
@@ -117,8 +119,8 @@ def write_report(
         ],
         "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
         "ground": _ground(runner, config),
-        "water": [body for r in made_in_run(runner, LEVELS) for body in r.meta["bodies"]],
-        "quality": next((r.meta["quality"] for r in made_in_run(runner, "publish-quality")), None),
+        "water": [body for r in receipts_of_run(runner, LEVELS) for body in r.meta["bodies"]],
+        "quality": next((r.meta["quality"] for r in receipts_of_run(runner, "publish-quality")), None),
         "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
         "outputs": _outputs(runner),
         "lost_workers": [
@@ -169,7 +171,7 @@ def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
     faults: Counter[str] = Counter()
     for meta in _read(runner):
         faults.update(meta["faults"])
-    indexed = {r.part: r.meta for r in made_in_run(runner, "index")}
+    indexed = {r.part: r.meta for r in receipts_of_run(runner, "index")}
     files = []
     for strip in survey.strips:
         meta = indexed.get(f"{strip.number:05d}", {})
@@ -181,8 +183,10 @@ def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
 def _of_parts(runner: Runner) -> list[str]:
     """What the parts of water, contour lines and vectors say."""
     stages = (LEVELS, DELIVER_CONTOURS.name)
-    remarks = [line for stage in stages for receipt in made_in_run(runner, stage) for line in receipt.meta["remarks"]]
-    return [*remarks, *(line for r in made_in_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]
+    remarks = [
+        line for stage in stages for receipt in receipts_of_run(runner, stage) for line in receipt.meta["remarks"]
+    ]
+    return [*remarks, *(line for r in receipts_of_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]
 
 
 def _empty(files: Mapping[str, Any]) -> list[str]:
@@ -194,18 +198,18 @@ def _empty(files: Mapping[str, Any]) -> list[str]:
 
 def _read(runner: Runner) -> list[Mapping[str, Any]]:
     """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
-    return [r.meta for stage in ("read", "decompose") for r in made_in_run(runner, stage) if "returns" in r.meta]
+    return [r.meta for stage in ("read", "decompose") for r in receipts_of_run(runner, stage) if "returns" in r.meta]
 
 
 def _counts(runner: Runner) -> dict[str, int]:
     reads = _read(runner)
-    tiles = made_in_run(runner, "tile")
+    tiles = receipts_of_run(runner, "tile")
     return {
-        "pulses": sum(r.meta["pulses"] for r in made_in_run(runner, "index")),
+        "pulses": sum(r.meta["pulses"] for r in receipts_of_run(runner, "index")),
         "returns": sum(m["returns"] for m in reads),
-        "returns_without_packet": sum(r.meta["kept_returns"] for r in made_in_run(runner, "decompose")),
-        "returns_without_echo": sum(r.meta["returns_without_echo"] for r in made_in_run(runner, "decompose")),
-        "echoes_decomposed": sum(r.meta["echoes"] for r in made_in_run(runner, "decompose")),
+        "returns_without_packet": sum(r.meta["kept_returns"] for r in receipts_of_run(runner, "decompose")),
+        "returns_without_echo": sum(r.meta["returns_without_echo"] for r in receipts_of_run(runner, "decompose")),
+        "echoes_decomposed": sum(r.meta["echoes"] for r in receipts_of_run(runner, "decompose")),
         "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
         "tiles": len(tiles),
     }
@@ -214,22 +218,22 @@ def _counts(runner: Runner) -> dict[str, int]:
 def _drift(runner: Runner) -> dict[str, Any] | None:
     """How much lies outside of what the model has seen; None where nothing was classified, or it does not say."""
     counts = [
-        r.meta[OUTSIDE] for stage in ("coarse", "classify") for r in made_in_run(runner, stage) if OUTSIDE in r.meta
+        r.meta[OUTSIDE] for stage in ("coarse", "classify") for r in receipts_of_run(runner, stage) if OUTSIDE in r.meta
     ]
     if not counts:
         return None
-    cards = [r.meta["card"] for stage in ("train-coarse", "train") for r in made_in_run(runner, stage)]
+    cards = [r.meta["card"] for stage in ("train-coarse", "train") for r in receipts_of_run(runner, stage)]
     return drift(cards[0] if cards else {RANGES: {}}, counts)
 
 
 def _crowded(runner: Runner, config: Config) -> list[str]:
     """That some places are too dense for all echoes of a neighbourhood to count."""
-    crowd = Crowd.of_parts(r.meta.get("dense") for r in made_in_run(runner, "features"))
+    crowd = Crowd.of_parts(r.meta.get("dense") for r in receipts_of_run(runner, "features"))
     return [crowd.text(config.features)] if crowd else []
 
 
 def _stage(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:
-    receipts = made_in_run(runner, name)
+    receipts = receipts_of_run(runner, name)
     return {
         "name": name,
         "parts": tally.parts,
@@ -243,7 +247,7 @@ def _stage(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:
 
 
 def _accuracy(runner: Runner, config: Config) -> dict[str, Any] | None:
-    receipt = next(iter(made_in_run(runner, "assess")), None)
+    receipt = next(iter(receipts_of_run(runner, "assess")), None)
     if receipt is None or receipt.meta["accuracy"] is None:
         return None
     gap = config.areas.gap
@@ -267,7 +271,7 @@ def _of_accuracy(
 
 
 def _training(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | None:
-    receipt = next(iter(made_in_run(runner, "train")), None)
+    receipt = next(iter(receipts_of_run(runner, "train")), None)
     if receipt is None:
         return None
     card = receipt.meta["card"]
@@ -284,7 +288,7 @@ def _training(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | None:
 
 
 def _distribution(runner: Runner) -> dict[str, Any] | None:
-    receipt = next(iter(made_in_run(runner, "assess")), None)
+    receipt = next(iter(receipts_of_run(runner, "assess")), None)
     if receipt is None:
         return None
     distribution = receipt.meta["distribution"]
@@ -300,8 +304,10 @@ def _distribution(runner: Runner) -> dict[str, Any] | None:
 
 def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
     """The system's pulse of every strip with waveforms, and how radiometry was calibrated."""
-    pulses = {r.part: r.meta for r in made_in_run(runner, "pulse") if r.meta["sampled"]}
-    calibration: dict[str, Any] | None = next((r.meta["calibration"] for r in made_in_run(runner, "calibrate")), None)
+    pulses = {r.part: r.meta for r in receipts_of_run(runner, "pulse") if r.meta["sampled"]}
+    calibration: dict[str, Any] | None = next(
+        (r.meta["calibration"] for r in receipts_of_run(runner, "calibrate")), None
+    )
     balanced = {s["strip"]: s["gain"] for s in (calibration or {}).get("strips", ()) if s["error"] is not None}
     strips = [
         {"name": s.path.stem, **pulses[f"{s.number:05d}"], "gain": balanced.get(s.number)}
@@ -310,7 +316,7 @@ def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
     ]
     if not strips:
         return None
-    metas = [r.meta for r in made_in_run(runner, "radiometry")]
+    metas = [r.meta for r in receipts_of_run(runner, "radiometry")]
     angles = [m["pointing_error"] for m in metas if m["pointing_error"] is not None]
     return {
         "strips": strips,
@@ -322,13 +328,13 @@ def _waveforms(runner: Runner, survey: Survey) -> dict[str, Any] | None:
 
 def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, Any] | None:
     """What the echoes of every strip with waveforms look like beside its returns; None without waveforms."""
-    noise = {r.part: r.meta for r in made_in_run(runner, "pulse") if r.meta["sampled"]}
-    places = {r.part: r.meta["places"] for r in made_in_run(runner, "places")}
+    noise = {r.part: r.meta for r in receipts_of_run(runner, "pulse") if r.meta["sampled"]}
+    places = {r.part: r.meta["places"] for r in receipts_of_run(runner, "places")}
     counts: dict[str, list[dict[str, int]]] = {}
-    for receipt in made_in_run(runner, "decompose"):
+    for receipt in receipts_of_run(runner, "decompose"):
         counts.setdefault(receipt.part.split("-")[0], []).append(receipt.meta["plausibility"])
     returns, pulses, faults = Counter[str](), Counter[str](), dict[str, Counter[str]]()
-    for receipt in made_in_run(runner, "read"):
+    for receipt in receipts_of_run(runner, "read"):
         part = receipt.part.split("-")[0]
         returns[part] += receipt.meta["returns"]
         pulses[part] += receipt.meta["waveforms"] + sum(receipt.meta["faults"].get(name, 0) for name in UNREADABLE)
@@ -338,7 +344,7 @@ def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, A
         of_strip(
             name,
             returns[part],
-            added(counts[part]),
+            add_counts(counts[part]),
             receiver_facts(noise[part]),
             places.get(part),
             faults.get(part),
@@ -354,15 +360,15 @@ def _plausibility(runner: Runner, survey: Survey, config: Config) -> dict[str, A
 
 def _ground(runner: Runner, config: Config) -> dict[str, Any]:
     """The filter, what it found, and what cutting the survey into blocks changed."""
-    blocks = [r.meta for r in made_in_run(runner, "ground-filter")]
-    seams = next((r.meta for r in made_in_run(runner, "seams")), None)
-    judged = next((r.meta["ground"] for r in made_in_run(runner, "assess")), None)
+    blocks = [r.meta for r in receipts_of_run(runner, "ground-filter")]
+    seams = next((r.meta for r in receipts_of_run(runner, "seams")), None)
+    judged = next((r.meta["ground"] for r in receipts_of_run(runner, "assess")), None)
     return {
         "method": config.ground.method,
         "echoes": sum(m["rows"] for m in blocks),
         "ground": sum(m["ground"] for m in blocks),
         "noise": sum(m["noise"] for m in blocks),
-        "without_terrain": sum(r.meta["without_terrain"] for r in made_in_run(runner, "terrain")),
+        "without_terrain": sum(r.meta["without_terrain"] for r in receipts_of_run(runner, "terrain")),
         "block": config.ground.block,
         "accuracy": judged,
         "seams": dict(seams) if seams else None,
@@ -382,7 +388,7 @@ def _outputs(runner: Runner) -> dict[str, list[str]]:
         DELIVER_VECTORS.name,
         "train",
     )
-    names = [n for stage in stages for r in made_in_run(runner, stage) for n in r.outputs]
+    names = [n for stage in stages for r in receipts_of_run(runner, stage) for n in r.outputs]
     kinds: dict[str, str | tuple[str, ...]] = {
         "laz": "laz/",
         "parquet": "parquet/",
@@ -409,8 +415,8 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
     if "words" in report:  # of a workflow that has no echoes
         return "\n".join([*report["words"], *(f"{'page':<11} {root / name}" for name in report["outputs"])])
     counts = report["counts"]
-    decomposed, kept = counts["echoes_decomposed"], counts["echoes_in_tiles"]
-    balance = "all of them in tiles" if decomposed == kept else f"{kept:,} of them in the tiles of this run"
+    decomposed, in_tiles = counts["echoes_decomposed"], counts["echoes_in_tiles"]
+    balance = "all of them in tiles" if decomposed == in_tiles else f"{in_tiles:,} of them in the tiles of this run"
     lost = sorted({f["part"] for f in report["failed"] if f["stage"] in SOURCES})
     if lost:
         more = f" and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""

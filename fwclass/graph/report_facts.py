@@ -23,7 +23,7 @@ SHOWN_SAMPLES = 400
 """Of a long waveform so many are drawn."""
 
 
-def made_in_run(runner: Runner, stage: str) -> list[Receipt]:
+def receipts_of_run(runner: Runner, stage: str) -> list[Receipt]:
     """Receipts of a stage's parts that are done in this run; what an earlier run left is not this run's result."""
     parts = sorted(part for name, part in runner.outcomes if name == stage and runner.made(stage, part))
     return [r for r in (runner.store.receipt(stage, part) for part in parts) if r is not None]
@@ -85,7 +85,7 @@ def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> 
     return {"classes": rows, "tiles": listed, "stage": DELIVER_TILE.name}
 
 
-def some_waves(reads: Sequence[Receipt], done: set[str], inputs: PartInputs) -> list[dict[str, Any]]:
+def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInputs) -> list[dict[str, Any]]:
     """A few pulses of the first chunk with waveforms, from simple ones to those with most echoes.
 
     Returns
@@ -93,7 +93,7 @@ def some_waves(reads: Sequence[Receipt], done: set[str], inputs: PartInputs) -> 
     dicts with ``strip, pulse``; ``start, spacing`` of the samples [ns]; ``samples`` [DN]; ``baseline`` [DN];
     ``echoes``: (time [ns], amplitude [DN], width [ns]) each.
     """
-    chunk = next((r.part for r in reads if r.meta.get("waveforms") and r.part in done), None)
+    chunk = next((r.part for r in reads if r.meta.get("waveforms") and r.part in decomposed), None)
     if chunk is None:
         return []
     waves = waveforms_of(chunk, inputs, returns=False)
@@ -107,12 +107,12 @@ def some_waves(reads: Sequence[Receipt], done: set[str], inputs: PartInputs) -> 
     if not len(order):
         return []
     places = np.unique(np.linspace(0, len(order) - 1, WAVES).round().astype(int))
-    made = []
+    pulses = []
     for pulse in known[order[places]].tolist():
         row = int(np.searchsorted(waves.pulses["pulse"], pulse))
         mine = fitted[echoes["pulse"][fitted] == pulse]
         samples = waves.samples[waves.offsets[row] : waves.offsets[row + 1]][:SHOWN_SAMPLES]
-        made.append(
+        pulses.append(
             {
                 "strip": int(chunk.split("-")[0]),
                 "pulse": pulse,
@@ -123,4 +123,4 @@ def some_waves(reads: Sequence[Receipt], done: set[str], inputs: PartInputs) -> 
                 "echoes": [[round(float(echoes[c][k]), 3) for c in ("time", "amplitude", "width")] for k in mine],
             }
         )
-    return made
+    return pulses

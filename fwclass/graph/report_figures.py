@@ -13,7 +13,7 @@ from fwclass.conf import Config
 from fwclass.graph.assess import COUNTS
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic
-from fwclass.graph.report_facts import made_in_run
+from fwclass.graph.report_facts import receipts_of_run
 from fwclass.graph.sources import pulse_of
 from fwclass.grid import TileGrid, Window
 from fwclass.publish.class_raster import NO_CONFIDENCE
@@ -37,7 +37,9 @@ def report_figures(config: Config, runner: Runner, layout: Layout, report: Mappi
     terrain = Window.covering(layout.box, config.terrain.cell)
     window = Window.covering(layout.box, params.class_cell)
     grid = TileGrid(config.terrain.block)
-    surfaces, blocks = ([grid.tile(r.part) for r in made_in_run(runner, stage)] for stage in ("terrain", "class-block"))
+    surfaces, blocks = (
+        [grid.tile(r.part) for r in receipts_of_run(runner, stage)] for stage in ("terrain", "class-block")
+    )
 
     def cells(name: str, empty: np.generic) -> tuple[NDArray, Any]:
         return drawable(Mosaic(inputs, "class-block", blocks, window.cell, {name: empty}), window, config)
@@ -59,7 +61,7 @@ def report_figures(config: Config, runner: Runner, layout: Layout, report: Mappi
 def _errors(runner: Runner, config: Config, window: Window) -> NDArray[np.float32] | None:
     """Share of wrong test echoes in the blocks that accuracy is drawn from, as cells of `window`; None where there are
     none, or the map is too large to be drawn in full."""
-    if not made_in_run(runner, "assess") or math.prod(window.shape) > MAP_CELLS:
+    if not receipts_of_run(runner, "assess") or math.prod(window.shape) > MAP_CELLS:
         return None
     arrays, _ = PartInputs(runner.store).arrays("assess", "all", COUNTS)
     counts, edge = arrays["blocks"].astype(np.float64), config.assess.block / window.cell
@@ -90,7 +92,7 @@ def _pulse_figure(runner: Runner, report: Mapping[str, Any]) -> dict[str, bytes]
     """The system's pulse of the first strip that has one."""
     from fwclass.graph.pulse_picture import pulse_picture
 
-    receipts = [r for r in made_in_run(runner, "pulse") if r.meta["sampled"]]
+    receipts = [r for r in receipts_of_run(runner, "pulse") if r.meta["sampled"]]
     if not receipts:
         return {}
     pulse = pulse_of(int(receipts[0].part), PartInputs(runner.store))

@@ -10,7 +10,14 @@ import numpy as np
 from fwclass.conf.model import AreasSection
 from fwclass.errors import ConfigError
 from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested, training_tiles
-from fwclass.graph.corrections import CORRECTIONS, corrected_around, corrections_of, judged, learned, reach_around
+from fwclass.graph.corrections import (
+    CORRECTIONS,
+    corrected_training_rows,
+    corrections_around,
+    corrections_of,
+    reach_around,
+    untaught_rows,
+)
 from fwclass.graph.learn import SAMPLE, trains
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.label.census import census, lacking, taken, total
@@ -28,8 +35,8 @@ def labels_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassD
     if not here.parts(CORRECTIONS):
         return census(table, tested(table, train, areas.boxes("test"), areas.gap), train, classes)
     corrections = corrections_of(here)
-    corrected = learned(table, corrections, areas, reach)
-    return census(table, judged(table, corrections, areas, reach), train, classes, corrected)
+    corrected = corrected_training_rows(table, corrections, areas, reach)
+    return census(table, untaught_rows(table, corrections, areas, reach), train, classes, corrected)
 
 
 def samples_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Made:
@@ -77,7 +84,7 @@ COUNT_LABELS = Stage(
     each=reach_around,
     own=(*IDENTITY_AND_PLACE, "z", "reference"),
     after=(CORRECTIONS,),
-    needs=corrected_around,
+    needs=corrections_around,
     named=True,
 )
 COUNT_SAMPLES = Stage(

@@ -37,8 +37,8 @@ def sampling(
     by_tile = {r.part: r.meta for r in drawn}
     ambiguous = sum(int(r.meta.get("ambiguous", 0)) for r in labelled)
     notes = remarks(whole, rows, by_tile, classes, train, test, config.areas.gap)
-    taken = rows["train"] if rows else [0] * len(classes)
-    taken_boxes = rows["boxes"] if rows else [[0] * len(classes) for _ in train]
+    drawn_by_class = rows["train"] if rows else [0] * len(classes)
+    drawn_by_box = rows["boxes"] if rows else [[0] * len(classes) for _ in train]
     corrected = _corrections(corrections, labelled)
     return {
         "reference": config.survey.reference.kind,
@@ -49,11 +49,13 @@ def sampling(
         "ambiguous": ambiguous,
         "classes": [
             {"name": c.name, "code": c.code, "labelled": a, "train": b, "taken": t, "test": d}
-            for c, a, b, t, d in zip(classes, whole["labelled"], whole["train"], taken, whole["test"], strict=True)
+            for c, a, b, t, d in zip(
+                classes, whole["labelled"], whole["train"], drawn_by_class, whole["test"], strict=True
+            )
         ],
         "boxes": [
             {"box": list(b.bounds), "labelled": n, "taken": t}
-            for b, n, t in zip(train, whole["boxes"], taken_boxes, strict=True)
+            for b, n, t in zip(train, whole["boxes"], drawn_by_box, strict=True)
         ],
         "test_boxes": [list(b.bounds) for b in test],
         "tiles": [_tile(config, r, by_tile.get(r.part)) for r in counted],

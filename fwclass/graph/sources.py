@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -56,14 +56,17 @@ class StripSpan:
 
     @property
     def key(self) -> str:
+        """The name of its parts."""
         return chunk_name(self.strip.number, self.number)
 
 
 def chunk_name(strip: int, span: int) -> str:
+    """The name of a part for the `span`-th span of a strip."""
     return f"{strip:05d}-{span:05d}"
 
 
 def index_name(strip: Strip) -> Name:
+    """The part that indexes a strip."""
     return "index", strip.key
 
 
@@ -80,14 +83,6 @@ def _spans(plan: Plan) -> list[StripSpan]:
 
 def _with_waves(plan: Plan) -> list[StripSpan]:
     return [s for s in _spans(plan) if s.waves]
-
-
-def _without_waves(plan: Plan) -> list[StripSpan]:
-    return [s for s in _spans(plan) if not s.waves]
-
-
-def _strips(plan: Plan) -> Sequence[Strip]:
-    return plan.survey.strips
 
 
 def _strips_with_waves(plan: Plan) -> list[Strip]:
@@ -111,7 +106,7 @@ def index(here: StageInputs, params: ReadParams) -> Made:
     }
 
 
-def read(here: StageInputs, params: ReadParams, span: Span) -> Made:
+def read_chunk(here: StageInputs, params: ReadParams, span: Span) -> Made:
     """Pulses, returns and waveforms of one span."""
     waves = read_span(open_source(here.file()), span, params)
     write_table(here.directory / RETURNS, waves.returns)
@@ -148,7 +143,7 @@ def waveforms_of(part: str, inputs: PartInputs, returns: bool = True) -> Wavefor
     )
 
 
-def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) -> Made:
+def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) -> Made:
     """The system's pulse and the receiver of a strip, from a sample of its waveforms; the envelope of its returns."""
     parts, inputs, directory = here.parts("read"), here.inputs, here.directory
     strip, pulses = int(here.part), int(inputs.meta("index", here.part)["pulses"])
@@ -178,16 +173,16 @@ def measured_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams)
         "noise": max((c.noise for c in pulse.channels), default=None),
         "channels": channel_pulses(pulse, recorded),
         "sampled": sampled,
-        **noise.told,
+        **noise.facts,
     }
 
 
 def pulse_of(strip: int, inputs: PartInputs) -> SystemPulse:
-    """The system's pulse of a strip, as `measured_pulse` stored it."""
+    """The system's pulse of a strip, as `measure_pulse` stored it."""
     return SystemPulse.from_json(read_json(inputs.path("pulse", f"{strip:05d}", PULSE_FILE)))
 
 
-def measured_places(here: StageInputs, params: DecomposeParams, sample: int) -> Made:
+def measure_places(here: StageInputs, params: DecomposeParams, sample: int) -> Made:
     """What a strip tells of its places, from runs of about `sample` of its pulses."""
     inputs, index = here.inputs, here.inputs.meta("index", here.part)
     parts = here.parts("read")
@@ -198,12 +193,12 @@ def measured_places(here: StageInputs, params: DecomposeParams, sample: int) -> 
 
 
 def placement_of(strip: int, inputs: PartInputs) -> Placement:
-    """How the echoes of a strip are placed, as `measured_places` stored it."""
+    """How the echoes of a strip are placed, as `measure_places` stored it."""
     return Placement.from_json(read_json(inputs.path("places", f"{strip:05d}", PLACES_FILE)))
 
 
 def surroundings_of(strip: int, inputs: PartInputs) -> Surroundings:
-    """What the echoes of a strip are held against, as `measured_pulse` stored it."""
+    """What the echoes of a strip are held against, as `measure_pulse` stored it."""
     part = f"{strip:05d}"
     if not inputs.meta("pulse", part)["sampled"]:
         return UNKNOWN
@@ -218,7 +213,7 @@ def strip_of(chunk: str) -> int:
     return int(chunk.split("-")[0])
 
 
-def decomposed(here: StageInputs, params: DecomposeParams) -> Made:
+def decompose_chunk(here: StageInputs, params: DecomposeParams) -> Made:
     """Echoes of a chunk, and the echo of every return."""
     strip = strip_of(here.part)
     waves = waveforms_of(here.part, here.inputs)
@@ -226,8 +221,8 @@ def decomposed(here: StageInputs, params: DecomposeParams) -> Made:
     return _write_echoes(here, decompose(waves, strip, params, pulse, around, placement_of(strip, here.inputs)))
 
 
-def returned(here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span) -> Made:
-    """`read` and `decomposed` of a span without waveforms: its returns are its echoes, and nothing is kept in between.
+def read_returns(here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span) -> Made:
+    """As `read_chunk` and `decompose_chunk`, of a span without waveforms: its returns are its echoes.
 
     `width`: of a pulse [ns] that nothing is fitted with.
     """
@@ -263,7 +258,7 @@ INDEX = Stage(
     "strip",
     "point",
     index,
-    parts=_strips,
+    parts=lambda plan: plan.survey.strips,
     source=_file,
     arguments=lambda plan: {"params": plan.config.read},
 )
@@ -272,7 +267,7 @@ READ_SPAN = Stage(
     READ.version,
     "chunk",
     "pulse",
-    read,
+    read_chunk,
     parts=_with_waves,
     waves=True,
     source=_file,
@@ -285,7 +280,7 @@ MEASURE_PULSE = Stage(
     PULSE.version,
     "strip",
     "pulse",
-    measured_pulse,
+    measure_pulse,
     parts=_strips_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.pulse, "fit": plan.config.decompose},
@@ -297,7 +292,7 @@ MEASURE_PLACES = Stage(
     PLACES.version,
     "strip",
     "pulse",
-    measured_places,
+    measure_places,
     parts=_strips_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.decompose, "sample": plan.config.pulse.sample},
@@ -313,7 +308,7 @@ DECOMPOSE_WAVES = Stage(
     DECOMPOSE.version,
     "chunk",
     "pulse",
-    decomposed,
+    decompose_chunk,
     parts=_with_waves,
     waves=True,
     arguments=lambda plan: {"params": plan.config.decompose},
@@ -325,8 +320,8 @@ DECOMPOSE_RETURNS = Stage(
     DECOMPOSE.version,
     "chunk",
     "pulse",
-    returned,
-    parts=_without_waves,
+    read_returns,
+    parts=lambda plan: [s for s in _spans(plan) if not s.waves],
     waves=False,
     source=_file,
     arguments=lambda plan: {

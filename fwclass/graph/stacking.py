@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fwclass.decompose.params import DecomposeParams, StackParams
-from fwclass.decompose.stacking import STACK, STACK_COLUMNS, Candidates, Surface, candidates, roughness_of, stacked
+from fwclass.decompose.stacking import STACK, STACK_COLUMNS, Candidates, Surface, candidates, roughness_of, stack
 from fwclass.graph.ground import around_block, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.rasters import Mosaic, write_rasters
@@ -33,12 +33,12 @@ def first_terrain_block(here: StageInputs, params: TerrainParams) -> Made:
     core = Window.covering(here.tile.box, params.cell)
     t = around_block(here).table
     nobody = np.zeros(t.rows, bool)
-    made = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], nobody, core, params)
-    write_rasters(here.directory, {"dtm": made.dtm}, core)
+    first = terrain(t["x"], t["y"], t["z"], t["ground"], t["noise"], nobody, core, params)
+    write_rasters(here.directory, {"dtm": first.dtm}, core)
     return {}
 
 
-def stacked_block(here: StageInputs, params: StackParams, fit: DecomposeParams, cell: float, block: float) -> Made:
+def stack_block(here: StageInputs, params: StackParams, fit: DecomposeParams, cell: float, block: float) -> Made:
     """The ground echoes that the pulses of a block show together."""
     box = here.tile.box
     reach = box.grown(params.radius)
@@ -53,17 +53,17 @@ def stacked_block(here: StageInputs, params: StackParams, fit: DecomposeParams, 
     parts = []
     for chunk in here.parts("read"):
         strip, inputs = strip_of(chunk), here.inputs
-        told = pulse_of(strip, inputs), placement_of(strip, inputs)
-        one = candidates(waveforms_of(chunk, inputs), strip, surface, reach, params, fit, *told)
-        parts += [one] if one is not None else []
+        pulse, placement = pulse_of(strip, inputs), placement_of(strip, inputs)
+        part = candidates(waveforms_of(chunk, inputs), strip, surface, reach, params, fit, pulse, placement)
+        parts += [part] if part is not None else []
     if not parts:
         return Table.empty(STACK_COLUMNS), {"roughness": roughness}
     known = np.stack([ground["x"], ground["y"]], axis=1)
-    table, counts = stacked(Candidates.joined(parts), known, box, roughness, params)
+    table, counts = stack(Candidates.joined(parts), known, box, roughness, params)
     return table, {**counts, "roughness": roughness}
 
 
-def delivered_stack(here: StageInputs, params: PublishParams, crs: str | None, standard_time: bool) -> Made:
+def deliver_stack(here: StageInputs, params: PublishParams, crs: str | None, standard_time: bool) -> Made:
     """The stacked echoes of a block as LAZ and GeoParquet, where it has some."""
     table = here.inputs.table(STACK.name, here.part)
     if table.rows:
@@ -84,9 +84,9 @@ def _blocks(plan: Plan) -> tuple[Tile, ...]:
 
 def chunks_near(plan: Plan, box: Box) -> Names:
     """Chunks with waveforms that have an echo in a tile that `box`, grown by `ASIDE`, touches."""
-    held = _chunks_of_tiles(plan)
+    chunks = _chunks_of_tiles(plan)
     tiles = TileGrid(plan.config.tile.size).touching(box.grown(ASIDE))
-    return tuple(sorted({chunk for tile in tiles for chunk in held.get(tile.key, ())}))
+    return tuple(sorted({chunk for tile in tiles for chunk in chunks.get(tile.key, ())}))
 
 
 _known: list[tuple[Plan, dict[str, list[str]]]] = []
@@ -96,12 +96,12 @@ _known: list[tuple[Plan, dict[str, list[str]]]] = []
 def _chunks_of_tiles(plan: Plan) -> dict[str, list[str]]:
     """For every tile the chunks with waveforms that have an echo in it."""
     if not _known or _known[0][0] is not plan:
-        held: dict[str, list[str]] = {}
+        chunks: dict[str, list[str]] = {}
         for stage, part in plan.splits:
             if stage == SPLIT_ECHOES.name and plan.indexed["index", part.split("-")[0]].meta["pulses"]:
                 for key in plan.splits[stage, part].meta["tiles"]:
-                    held.setdefault(key, []).append(part)
-        _known[:] = [(plan, held)]
+                    chunks.setdefault(key, []).append(part)
+        _known[:] = [(plan, chunks)]
     return _known[0][1]
 
 
@@ -134,7 +134,7 @@ STACK_PULSES = Stage(
     STACK.version,
     "block",
     "pulse",
-    stacked_block,
+    stack_block,
     when=_enabled,
     parts=_blocks,
     arguments=lambda plan: {
@@ -154,7 +154,7 @@ DELIVER_STACK = Stage(
     1,
     "block",
     "part",
-    delivered_stack,
+    deliver_stack,
     when=_enabled,
     parts=_blocks,
     arguments=lambda plan: {

@@ -73,12 +73,14 @@ class Plan:
 
     @property
     def survey(self) -> Survey:
+        """The survey's files; `FwclassError` before they are known."""
         if self.files is None:
             raise FwclassError("a stage is planned by the survey's files before they are known")
         return self.files
 
     @property
     def layout(self) -> Layout:
+        """The tiles; `FwclassError` before they are known."""
         if self.tiled is None:
             raise FwclassError("a stage is planned by the tiles before they are known")
         return self.tiled
@@ -117,6 +119,7 @@ class StageInputs:
 
     @property
     def tile(self) -> Tile:
+        """The part's tile or block; `FwclassError` for a part without one."""
         if self.place is None:
             raise FwclassError("this part has no place", where=self.part)
         return self.place
@@ -221,31 +224,8 @@ class Work:
 
 
 def always(plan: Plan) -> bool:
+    """True: the stage is part of every run."""
     return True
-
-
-def _no_arguments(plan: Plan) -> Mapping[str, Any]:
-    return {}
-
-
-def _no_more(plan: Plan, part: Any) -> Mapping[str, Any]:
-    return {}
-
-
-def _no_needs(plan: Plan, part: Any) -> Iterable[Name]:
-    return ()
-
-
-def _no_source(plan: Plan, part: Any) -> None:
-    return None
-
-
-def _name_of(part: Any) -> str:
-    return str(getattr(part, "key", part))
-
-
-def _own_box(plan: Plan, place: Tile) -> Box:
-    return place.box
 
 
 Columns = Names | Callable[[Plan], Iterable[str]]
@@ -298,18 +278,18 @@ class Stage:
     waves: bool | None = None
     edge: Callable[[Plan], float] | None = None
     margin: int = 0
-    key: Callable[[Any], str] = _name_of
-    arguments: Callable[[Plan], Mapping[str, Any]] = _no_arguments
-    each: Callable[[Plan, Any], Mapping[str, Any]] = _no_more
+    key: Callable[[Any], str] = lambda part: str(getattr(part, "key", part))
+    arguments: Callable[[Plan], Mapping[str, Any]] = lambda plan: {}
+    each: Callable[[Plan, Any], Mapping[str, Any]] = lambda plan, part: {}
     silent: frozenset[str] = frozenset()
     reads: Columns = ()
     own: Columns = ()
     writes: Columns = ()
     halo: float | Callable[[Plan], float] | None = None
-    area: Callable[[Plan, Tile], Box] = _own_box
+    area: Callable[[Plan, Tile], Box] = lambda plan, place: place.box
     after: Names = ()
-    needs: Callable[[Plan, Any], Iterable[Name]] = _no_needs
-    source: Callable[[Plan, Any], tuple[Location, FileDigests] | None] = _no_source
+    needs: Callable[[Plan, Any], Iterable[Name]] = lambda plan, part: ()
+    source: Callable[[Plan, Any], tuple[Location, FileDigests] | None] = lambda plan, part: None
     named: bool = False
     declares: tuple[Column, ...] = ()
     cells: bool = False
@@ -345,15 +325,15 @@ class Stage:
 
     def columns_read(self, plan: Plan) -> dict[str, str]:
         """The columns that it reads under this plan, and the stage that writes each, as far as a record tells."""
-        names = (*named(self.reads, plan), *named(self.own, plan)) if self.when(plan) else ()
+        names = (*names_under(self.reads, plan), *names_under(self.own, plan)) if self.when(plan) else ()
         return {n: plan.providers[n] for n in names if n in plan.providers}
 
     def columns(self, plan: Plan) -> Names:
         """The columns that it writes under this plan."""
-        return named(self.writes, plan) if self.when(plan) else ()
+        return names_under(self.writes, plan) if self.when(plan) else ()
 
 
-def named(columns: Columns, plan: Plan) -> Names:
+def names_under(columns: Columns, plan: Plan) -> Names:
     """The columns that a record names, under this plan, each once."""
     return tuple(dict.fromkeys(columns(plan) if callable(columns) else columns))
 
@@ -363,7 +343,7 @@ class _Maker:
 
     def __init__(self, stage: Stage, plan: Plan) -> None:
         self.stage, self.plan = stage, plan
-        self.reads, self.own = named(stage.reads, plan), named(stage.own, plan)
+        self.reads, self.own = names_under(stage.reads, plan), names_under(stage.own, plan)
         self.of_reads, self.of_own = self._stages(self.reads), self._stages(self.own)
         self.arguments = stage.arguments(plan)
         self.params = plain_values(self.arguments, stage.silent)

@@ -59,7 +59,7 @@ from fwclass.graph.refine import (
 from fwclass.graph.sampling import COUNT_LABELS, COUNT_SAMPLES
 from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
 from fwclass.graph.stacking import DELIVER_STACK, MAKE_FIRST_TERRAIN, STACK_PULSES
-from fwclass.graph.stage import Plan, Stage, named
+from fwclass.graph.stage import Plan, Stage, names_under
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.thin import THIN_ECHOES
 from fwclass.graph.tiling import SPLIT_ECHOES, SPLIT_REFERENCE, TILE_ECHOES, TILE_REFERENCE
@@ -170,7 +170,7 @@ def graph_of(plan: Plan, stages: Iterable[Stage] = STAGES) -> list[dict[str, Any
     nodes: dict[str, dict[str, Any]] = {}
     names = {s.name for s in stages}
     for stage in stages:
-        columns = (*named(stage.reads, plan), *named(stage.own, plan))
+        columns = (*names_under(stage.reads, plan), *names_under(stage.own, plan))
         sources = {known.get(c, COMPUTE_FEATURES.name) for c in columns} | set(stage.after)
         if columns:
             sources.add(TILE_ECHOES.name)
@@ -187,7 +187,7 @@ def check_reads(plan: Plan, stages: Iterable[Stage]) -> list[str]:
     column that nobody writes."""
     more = []
     for stage in stages:
-        for column in (*named(stage.reads, plan), *named(stage.own, plan)):
+        for column in (*names_under(stage.reads, plan), *names_under(stage.own, plan)):
             if column in plan.providers:
                 continue
             if not is_feature(column):

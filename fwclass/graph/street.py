@@ -16,8 +16,8 @@ from fwclass.assess.intervals import DRAWS, LEVEL, SEED, intervals
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
-from fwclass.hashing import hashed
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
+from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, Model, assemble, class_index
 from fwclass.schema import Table
 from fwclass.street.frames import Track
@@ -110,20 +110,22 @@ class Rows:
 def rows_of(paths: Sequence[Path], params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Iterator[Rows]:
     """All returns of the recordings, by blocks of frames."""
     for number, path in enumerate(paths):
-        held: list[Rows] = []
-        for at, one in enumerate(seen_frames(path, params, trajectory)):
-            held.append(_rows(number, at, one))
-            if len(held) == BLOCK:
-                yield joined(held)
-                held = []
-        if held:
-            yield joined(held)
+        parts: list[Rows] = []
+        for at, one in enumerate(frames_with_features(path, params, trajectory)):
+            parts.append(_rows(number, at, one))
+            if len(parts) == BLOCK:
+                yield join_rows(parts)
+                parts = []
+        if parts:
+            yield join_rows(parts)
 
 
-def seen_frames(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Iterator[Seen]:
+def frames_with_features(
+    path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY
+) -> Iterator[Seen]:
     """The frames of a recording with their features."""
     track, ring = Track(params), None
-    for frame in opened(path, params, trajectory).frames():
+    for frame in open_on_trajectory(path, params, trajectory).frames():
         placed = track.take(frame)
         if placed is None:
             continue
@@ -149,7 +151,7 @@ def _rows(recording: int, at: int, one: Seen) -> Rows:
     )
 
 
-def joined(parts: Sequence[Rows]) -> Rows:
+def join_rows(parts: Sequence[Rows]) -> Rows:
     """The rows of all parts, in order."""
     return Rows(
         np.concatenate([p.X for p in parts]),
@@ -180,7 +182,7 @@ class Split:
     def trains(self, rows: Rows) -> NDArray[np.bool_]:
         """bool (rows,): which train."""
         if self.kind == "random":
-            return hashed(self.seed, rows.key) < np.uint64(min(self.share * 2.0**64, 2.0**64 - 2048))
+            return hash_keys(self.seed, rows.key) < np.uint64(min(self.share * 2.0**64, 2.0**64 - 2048))
         inside = np.zeros(len(rows.place), bool)
         for x0, y0, x1, y1 in self.boxes:
             inside |= (rows.place >= x0) & (rows.place < x1) & (rows.depth >= y0) & (rows.depth < y1)
@@ -219,7 +221,7 @@ def sample_of(
     return join(parts, per_class)
 
 
-def fitted(
+def fit_model(
     sample: Sample, params: StreetParams, train: TrainParams, compare: CompareParams, classes: Sequence[ClassDef]
 ) -> Model:
     """A model of the method that `train` names, whose card says how its features were computed."""
@@ -230,7 +232,7 @@ def fitted(
     return replace(model, card={**model.card, "computed": computed(params)})
 
 
-def judged(
+def judge_answers(
     blocks: Iterable[Rows],
     answers: Callable[[Rows], NDArray[np.uint8]],
     split: Split | None,

@@ -21,8 +21,8 @@ from fwclass.read.las import LasSource, open_las
 from fwclass.read.points import PointReader, coordinates, gps_times
 from fwclass.read.trajectory import in_survey_time, read_trajectory
 from fwclass.schema import Table
-from fwclass.street.frames import Frame, Recording, Scan, turned
-from fwclass.street.line_scans import Cutter, Turning, check_times, measured
+from fwclass.street.frames import Frame, Recording, Scan, rotation
+from fwclass.street.line_scans import Cutter, Turning, check_times, measure_scanner
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_columns import MOST_BEAMS
 from fwclass.street.recordings import open_recording
@@ -134,7 +134,7 @@ class OnTrajectory:
             yield replace(frame, place=float(way.place(frame.time)))
 
 
-def opened(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Recording:
+def open_on_trajectory(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJECTORY) -> Recording:
     """The recording at `path`, placed along a trajectory where there is one."""
     if path.suffix.lower() in LAS_SUFFIXES and path.is_file():
         return LasRecording(path, params, trajectory)
@@ -203,7 +203,7 @@ class LasRecording:
                 f"{100 * share:.0f} %, half of them within {float(np.median(off)) if len(off) else math.nan:.1f}°",
                 "check street.mounting (side, yaw, pitch) and the trajectory's clock; a scanner of many lines is none",
             )
-        return measured(time, self._angle(plane), MOST_BEAMS, self.path)
+        return measure_scanner(time, self._angle(plane), MOST_BEAMS, self.path)
 
     @property
     def about(self) -> Mapping[str, Any]:
@@ -254,7 +254,7 @@ class LasRecording:
         course = self._way.course(time)
         ahead = away[:, 0] * course[:, 0] + away[:, 1] * course[:, 1]
         aside = away[:, 1] * course[:, 0] - away[:, 0] * course[:, 1]
-        return time, np.stack([ahead, aside, away[:, 2]], axis=1) @ turned(self.params.mounting), codes
+        return time, np.stack([ahead, aside, away[:, 2]], axis=1) @ rotation(self.params.mounting), codes
 
     def _angle(self, plane: NDArray[np.float64]) -> NDArray[np.float64]:
         """Of each point from where the scanner looks, upwards, roll taken off [rad]."""

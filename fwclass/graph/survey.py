@@ -17,7 +17,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
 from fwclass.formats.projected import project
 from fwclass.graph.file_digests import Digests
-from fwclass.graph.files import box_text, found_files, joint_bounds
+from fwclass.graph.files import box_text, find_files, joint_bounds
 from fwclass.graph.layout import Strip, Survey
 from fwclass.graph.numbering import numbers
 from fwclass.graph.reference import (
@@ -55,7 +55,7 @@ LOOKED_AT = 100_000
 """Points at the start of a file that its header is held against."""
 
 
-def simulated(here: StageInputs, params: SimulateParams, prefix: str) -> Made:
+def simulate_part(here: StageInputs, params: SimulateParams, prefix: str) -> Made:
     """A strip of the simulated survey, or its trajectory, in the directory `prefix`."""
     from fwclass.simulate.stage import plan_strips, simulate_strip, write_trajectory  # other surveys need not load it
 
@@ -91,7 +91,7 @@ def simulation(prefix: str) -> Stage:
         1,
         "file",
         "pulse",
-        simulated,
+        simulate_part,
         when=lambda plan: plan.config.simulate is not None,
         parts=parts,
         arguments=lambda plan: {"params": plan.config.simulate, "prefix": prefix},
@@ -133,8 +133,8 @@ def gather(config: Config, runner: Runner) -> Survey:
             raise InputError("the survey could not be simulated", where=runner.root, do="see the failed parts above")
     directory = directory_of(config, runner.root)
     digests = Digests(runner.store)
-    places = found_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = opened_all(places, config)
+    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    opened = open_all(places, config)
     _distinct([s.path for s in opened])
     full = [s for s in opened if s.n_records]
     if not full:
@@ -143,11 +143,11 @@ def gather(config: Config, runner: Runner) -> Survey:
             where=", ".join(str(s.path) for s in opened[:3]),
             do="check the delivery; there is nothing to classify",
         )
-    given, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
+    user_crs, crs = given_crs(config.survey.crs, "survey.crs"), common_crs(config, full, runner)
     numbered = numbers(s.path.stem for s in opened)
     bounds = {s.path: flat_bounds(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
     for source in full:
-        own, ends = given or system_of(source), bounds[source.path]
+        own, ends = user_crs or system_of(source), bounds[source.path]
         refuse_unless_flat(own, ends[:3], ends[3:], source.path, max(source.scales[:2]))
     box = joint_bounds(bounds.values())
     check_areas(config, box)  # before all files are read for their digests
@@ -157,7 +157,7 @@ def gather(config: Config, runner: Runner) -> Survey:
     )
     _different(strips)
     standard = all(s.standard_gps_time for s in opened)
-    flown = found_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
+    flown = find_files(config.survey.trajectory.files, directory, "survey.trajectory.files", config.path, config.store)
     _distinct([local(p) for p in flown])
     trajectory = tuple((p, digests.of([local(p)], p)) for p in flown)
     of_labels = given_crs(config.survey.reference.crs, "survey.reference.crs")
@@ -175,7 +175,7 @@ def gather(config: Config, runner: Runner) -> Survey:
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **of_terrain)
 
 
-def opened_all(places: Sequence[Location], config: Config) -> list[Source]:
+def open_all(places: Sequence[Location], config: Config) -> list[Source]:
     """Every source, opened and checked; `InputError` naming all that cannot be used."""
     opened, faults = [], []
     for place in places:
@@ -233,14 +233,16 @@ def _distinct(paths: list[Path]) -> None:
 
 def _different(strips: tuple[Strip, ...]) -> None:
     """Refuse a file that is listed under two names: its echoes would count twice."""
-    seen: dict[str, Location] = {}
+    by_digest: dict[str, Location] = {}
     for strip in strips:
         digest = strip.digests[0].digest
-        if digest in seen:
+        if digest in by_digest:
             raise InputError(
-                "two source files are the same file", where=f"{seen[digest]}, {strip.path}", do="remove one of them"
+                "two source files are the same file",
+                where=f"{by_digest[digest]}, {strip.path}",
+                do="remove one of them",
             )
-        seen[digest] = strip.path
+        by_digest[digest] = strip.path
 
 
 def header_box(path: Path) -> Box | None:
@@ -252,8 +254,8 @@ def header_box(path: Path) -> Box | None:
 def _true_bounds(source: Source) -> tuple[float, ...]:
     """The header's bounds, or the points' own where the first points disagree: some writers leave them empty."""
     if isinstance(source, PulseSource):
-        given = np.array(source.bounds)
-        return source.bounds if np.isfinite(given).all() and (given[3:5] > given[:2]).any() else pulse_bounds(source)
+        bounds = np.array(source.bounds)
+        return source.bounds if np.isfinite(bounds).all() and (bounds[3:5] > bounds[:2]).any() else pulse_bounds(source)
     if isinstance(source, BeamSource):
         return source.bounds
     low, high = source.bounds[:3], source.bounds[3:]
@@ -289,12 +291,12 @@ def flat_bounds(source: Source) -> tuple[float, ...]:
 
 def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str | None:
     """The survey's CRS as text (WKT), None where the configuration says `none`; what the user names wins."""
-    given = given_crs(config.survey.crs, "survey.crs")
+    user_crs = given_crs(config.survey.crs, "survey.crs")
     for source in opened:
         if source.target is None:
-            refuse_source(source, given or source.crs)
-            refuse_other_system(source, given)
-        elif given is not None and not given.equals(system_of(source), ignore_axis_order=True):
+            refuse_source(source, user_crs or source.crs)
+            refuse_other_system(source, user_crs)
+        elif user_crs is not None and not user_crs.equals(system_of(source), ignore_axis_order=True):
             raise ConfigError(
                 "the files are brought into another system than the survey's",
                 where=f"{config.path}: read.project_to, survey.crs",
@@ -302,13 +304,13 @@ def common_crs(config: Config, opened: Sequence[Source], runner: Runner) -> str 
                 got=f"{source.target} and {config.survey.crs}",
                 do="name one system",
             )
-    if config.survey.crs is not None and given is None:
+    if config.survey.crs is not None and user_crs is None:
         return None
     systems: dict[str, Path] = {}
     for path, crs in ((source.path, system_of(source)) for source in opened):
-        if given is not None and crs is not None and not crs.equals(given, ignore_axis_order=True):
-            runner.display.say(f"note: survey.crs ({given.name}) is used for {path.name}, which names {crs.name}")
-        crs = given or crs
+        if user_crs is not None and crs is not None and not crs.equals(user_crs, ignore_axis_order=True):
+            runner.display.say(f"note: survey.crs ({user_crs.name}) is used for {path.name}, which names {crs.name}")
+        crs = user_crs or crs
         if crs is None:
             raise InputError(
                 "the coordinate system is unknown",

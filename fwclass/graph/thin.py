@@ -25,7 +25,7 @@ def sampled_columns(plan: Plan) -> tuple[str, ...]:
     return THIN.writes if thins(plan.config) else ()
 
 
-def thinned(here: StageInputs, params: ThinParams) -> Made:
+def sample_tile(here: StageInputs, params: ThinParams) -> Made:
     """Which echoes of a tile are sampled."""
     table = thin(here.chunk(), params)
     return table, {"rows": table.rows, "sampled": int(table["sampled"].sum())}
@@ -49,7 +49,7 @@ THIN_ECHOES = Stage(
     THIN.version,
     "tile",
     "echo",
-    thinned,
+    sample_tile,
     when=lambda plan: thins(plan.config),
     arguments=lambda plan: {"params": plan.config.thin},
     reads=tuple(dict.fromkeys((*THIN.reads, "z"))),

@@ -12,9 +12,9 @@ import numpy as np
 from fwclass.decompose.stage import DECOMPOSE
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.numbering import numbers
-from fwclass.graph.sources import StripSpan, chunk_name, spans_of, strip_of
+from fwclass.graph.sources import chunk_name, spans_of, strip_of
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
-from fwclass.grid import TileGrid, quantised
+from fwclass.grid import TileGrid, quantise
 from fwclass.read.stage import read_cloud
 from fwclass.run.inputs import TABLE
 from fwclass.run.part import Name
@@ -54,10 +54,6 @@ def _pieces(plan: Plan) -> list[CloudPiece]:
     ]
 
 
-def _spans(plan: Plan) -> list[StripSpan]:
-    return [span for strip in plan.survey.strips for span in spans_of(plan, strip)]
-
-
 @dataclass(frozen=True)
 class _Pieces:
     """A tile that is still to be put together, and the chunks that hold rows of it, in their order."""
@@ -82,14 +78,14 @@ def _cut(stage: str) -> Callable[[Plan], list[_Pieces]]:
 
 def tiles_of_strips(plan: Plan) -> dict[int, tuple[str, ...]]:
     """For every strip the tiles that hold its echoes."""
-    held: dict[int, set[str]] = {}
+    tiles: dict[int, set[str]] = {}
     for stage, part in plan.splits:
         if stage == SPLIT.name:
-            held.setdefault(strip_of(part), set()).update(plan.splits[stage, part].meta["tiles"])
-    return {strip: tuple(sorted(keys)) for strip, keys in held.items()}
+            tiles.setdefault(strip_of(part), set()).update(plan.splits[stage, part].meta["tiles"])
+    return {strip: tuple(sorted(keys)) for strip, keys in tiles.items()}
 
 
-def scattered(here: StageInputs, params: TileParams) -> Made:
+def scatter(here: StageInputs, params: TileParams) -> Made:
     """Echoes of a chunk in tile order, one row group a tile; tells how many the source has of every class."""
     echoes = here.inputs.table("decompose", here.part)
     codes, counts = np.unique(echoes["source_class"], return_counts=True)
@@ -106,10 +102,10 @@ def source_codes(splits: Mapping[Name, Receipt]) -> Counter[int]:
     return counted
 
 
-def scattered_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Made:
+def scatter_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Made:
     """Reference points of part of a file, in tile order."""
     cloud = read_cloud(here.file(), *rows)
-    return _write_split(here, cloud.with_columns({n: quantised(cloud[n]) for n in "xyz"}), params)
+    return _write_split(here, cloud.with_columns({n: quantise(cloud[n]) for n in "xyz"}), params)
 
 
 def _write_split(here: StageInputs, table: Table, params: TileParams) -> dict[str, Any]:
@@ -128,7 +124,7 @@ def _fragments(here: StageInputs, stage: str) -> list[Table]:
     return [here.inputs.fragment(stage, part, here.part) for part in here.parts(stage)]
 
 
-def tiled(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Made:
+def gather_tile(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Made:
     """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them."""
     table = assemble(_fragments(here, "split"), f"tile {here.part}")
     return table, {
@@ -157,14 +153,16 @@ def _passes(table: Table) -> list[list[float]]:
 
 
 def min_of(values: Any) -> float:
+    """The least of `values`, for a receipt."""
     return float(values.min())
 
 
 def max_of(values: Any) -> float:
+    """The greatest of `values`, for a receipt."""
     return float(values.max())
 
 
-def tiled_cloud(here: StageInputs, params: TileParams) -> Made:
+def gather_cloud(here: StageInputs, params: TileParams) -> Made:
     """A tile's reference points."""
     table = assemble_points(_fragments(here, "reference-split"))
     return table, {"rows": table.rows}
@@ -187,8 +185,8 @@ SPLIT_ECHOES = Stage(
     SPLIT.version,
     "chunk",
     "pulse",
-    scattered,
-    parts=_spans,
+    scatter,
+    parts=lambda plan: [span for strip in plan.survey.strips for span in spans_of(plan, strip)],
     arguments=_sizes,
     after=("decompose",),
     needs=lambda plan, part: ((DECOMPOSE.name, part.key),),
@@ -198,7 +196,7 @@ SPLIT_REFERENCE = Stage(
     SPLIT.version,
     "file",
     "reference",
-    scattered_cloud,
+    scatter_cloud,
     when=_has_cloud,
     parts=_pieces,
     arguments=_sizes,
@@ -210,7 +208,7 @@ TILE_ECHOES = Stage(
     TILE.version,
     "tile",
     "echo",
-    tiled,
+    gather_tile,
     parts=_cut("split"),
     arguments=lambda plan: {"params": plan.config.tile, "blocks": _blocks(plan)},
     after=("split",),
@@ -224,7 +222,7 @@ TILE_REFERENCE = Stage(
     REFERENCE.version,
     "tile",
     "reference",
-    tiled_cloud,
+    gather_cloud,
     when=_has_cloud,
     parts=_cut("reference-split"),
     arguments=_sizes,

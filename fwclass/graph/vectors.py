@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from fwclass.schema import Table
 from fwclass.store.tables import write_table
 from fwclass.vectors.buildings import COLUMNS as BUILDING_COLUMNS
 from fwclass.vectors.buildings import OUTLINES, footprints
-from fwclass.vectors.cells import CELL_COLUMNS, MARGIN, Counts, by_piece, counted, joined, pieces, roofs
+from fwclass.vectors.cells import CELL_COLUMNS, MARGIN, Counts, by_piece, count_cells, join_cells, pieces, roofs
 from fwclass.vectors.density import cell_of, median_density, pulses_by_square
 from fwclass.vectors.params import VectorParams
 from fwclass.vectors.shapes import CORNERS, Shapes
@@ -39,7 +40,7 @@ VECTORS = "vectors.gpkg"
 UNITS = {"height": "m", "height_median": "m", "area": "m2", "crown_area": "m2"}
 
 
-def counted_pulses(here: StageInputs, square: float) -> Made:
+def count_pulses(here: StageInputs, square: float) -> Made:
     """How many squares of a block hold how many pulses."""
     window = owned(here.tile, square)
     table = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
@@ -47,7 +48,7 @@ def counted_pulses(here: StageInputs, square: float) -> Made:
     return {"squares": {str(n): k for n, k in pulses_by_square(table["x"], table["y"], window).items()}}
 
 
-def chosen_cell(here: StageInputs, params: VectorParams) -> Made:
+def choose_cell(here: StageInputs, params: VectorParams) -> Made:
     """The density of the survey's pulses, and the cell that vectors are made in."""
     squares: Counter[int] = Counter()
     for block in here.parts(COUNT_PULSES.name):
@@ -63,10 +64,10 @@ def building_block(here: StageInputs, params: VectorParams) -> Made:
     counts = _counted(here, core.grown(MARGIN), params.buildings.codes, params.buildings.low)
     inner = core.within(core.grown(MARGIN))
     whole, beyond = pieces(roofs(counts)[inner], counts.within(inner), core)
-    made = footprints(by_piece(whole), cell, params.buildings)
-    _write(here, made)
+    shapes = footprints(by_piece(whole), cell, params.buildings)
+    _write(here, shapes)
     write_table(here.directory / BEYOND, beyond)
-    return {"buildings": made.rows.rows, "beyond": beyond.rows}
+    return {"buildings": shapes.rows.rows, "beyond": beyond.rows}
 
 
 def tree_block(here: StageInputs, params: VectorParams) -> Made:
@@ -74,17 +75,17 @@ def tree_block(here: StageInputs, params: VectorParams) -> Made:
     cell = max(here.inputs.meta(CELL, "all")["cell"], params.trees.cell)
     core = owned(here.tile, cell)
     window = core.grown(math.ceil(params.trees.halo(cell) / cell))
-    made = trees(_counted(here, window, params.trees.codes, 0.0), window, core, params.trees)
-    _write(here, made)
-    return {"trees": made.rows.rows}
+    shapes = trees(_counted(here, window, params.trees.codes, 0.0), window, core, params.trees)
+    _write(here, shapes)
+    return {"trees": shapes.rows.rows}
 
 
 def _counted(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
-    return counted(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
+    return count_cells(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
 
 
-def _write(here: StageInputs, made: Shapes) -> None:
-    for name, rows in ((ROWS, made.rows), (RINGS, made.corners)):
+def _write(here: StageInputs, shapes: Shapes) -> None:
+    for name, rows in ((ROWS, shapes.rows), (RINGS, shapes.corners)):
         write_table(here.directory / name, rows)
 
 
@@ -95,27 +96,27 @@ def _read(here: StageInputs, stage: Stage, columns: Names) -> list[Shapes]:
     return [Shapes(tables(stage.name, b, columns, ROWS), tables(stage.name, b, CORNERS, RINGS)) for b in blocks]
 
 
-def delivered_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Made:
+def deliver_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Made:
     """All buildings and trees as GeoParquet and GeoPackage; buildings that cross blocks are put together first."""
     facts, layers = dict(here.inputs.meta(CELL, "all")), []
     if here.parts(FIND_BUILDINGS.name):
         cells = (
             here.inputs.table(FIND_BUILDINGS.name, b, CELL_COLUMNS, BEYOND) for b in here.parts(FIND_BUILDINGS.name)
         )
-        across = footprints(by_piece(joined(Table.concat(cells))), facts["cell"], params.buildings)
-        made = Shapes.together([*_read(here, FIND_BUILDINGS, BUILDING_COLUMNS), across])
-        made = made.ordered(np.lexsort((made.rows["cell_column"], made.rows["cell_row"])))
-        layers.append((made, Layer("buildings", _wkb(made), building_fields(made.rows))))
-        outlines = {OUTLINES[k]: int((made.rows["outline"] == k).sum()) for k in OUTLINES}
-        facts |= {"buildings": made.rows.rows, "across_blocks": across.rows.rows, "outlines": outlines}
+        across = footprints(by_piece(join_cells(Table.concat(cells))), facts["cell"], params.buildings)
+        buildings = Shapes.together([*_read(here, FIND_BUILDINGS, BUILDING_COLUMNS), across])
+        buildings = buildings.ordered(np.lexsort((buildings.rows["cell_column"], buildings.rows["cell_row"])))
+        layers.append((buildings, Layer("buildings", _wkb(buildings), building_fields(buildings.rows))))
+        outlines = {OUTLINES[k]: int((buildings.rows["outline"] == k).sum()) for k in OUTLINES}
+        facts |= {"buildings": buildings.rows.rows, "across_blocks": across.rows.rows, "outlines": outlines}
     if here.parts(FIND_TREES.name):
-        made = Shapes.together(_read(here, FIND_TREES, TREE_COLUMNS))
-        made = made.ordered(np.lexsort((made.rows["x"], made.rows["y"])))
-        x, y, fields = made.rows["x"], made.rows["y"], tree_fields(made.rows)
-        places = Shapes.of(made.rows, [[np.array([place])] for place in np.stack([x, y], axis=1)])
-        layers.append((made, Layer("crowns", _wkb(made), fields)))
+        crowns = Shapes.together(_read(here, FIND_TREES, TREE_COLUMNS))
+        crowns = crowns.ordered(np.lexsort((crowns.rows["x"], crowns.rows["y"])))
+        x, y, fields = crowns.rows["x"], crowns.rows["y"], tree_fields(crowns.rows)
+        places = Shapes.of(crowns.rows, [[np.array([place])] for place in np.stack([x, y], axis=1)])
+        layers.append((crowns, Layer("crowns", _wkb(crowns), fields)))
         layers.append((places, Layer("trees", point_wkb(x, y), fields, "Point")))
-        facts |= {"trees": made.rows.rows}
+        facts |= {"trees": crowns.rows.rows}
     for shapes, layer in layers:
         path = here.directory / "vectors" / f"{layer.name}.parquet"
         boxes = _bounds(shapes)
@@ -166,8 +167,8 @@ def _bounds(shapes: Shapes) -> NDArray[np.float64]:
     return out
 
 
-def layers_made(plan: Plan) -> Names:
-    """The layers of ``vectors.gpkg`` that a run makes: of what is asked for, where there is a class of it."""
+def vector_layers(plan: Plan) -> Names:
+    """The layers of a run's ``vectors.gpkg``: of what is asked for, where there is a class of it."""
     wanted, there = plan.config.vectors, class_names(plan)
     if not wanted.write:
         return ()
@@ -178,22 +179,22 @@ def layers_made(plan: Plan) -> Names:
 
 def lacking(plan: Plan) -> str:
     """What a user should know of vectors that a survey's classes do not give; nothing of others."""
-    wanted, made = plan.config.vectors, layers_made(plan)
+    wanted, layers = plan.config.vectors, vector_layers(plan)
     codes = {"buildings": wanted.buildings.codes, "trees": wanted.trees.codes}
     return "\n".join(
         f"note: vectors have no {name}: no class has code {', '.join(map(str, some))} (vectors.{name}.codes)"
         for name, some in codes.items()
-        if wanted.write and name not in made
+        if wanted.write and name not in layers
     )
 
 
-def vector_remarks(made: Mapping[str, Any]) -> list[str]:
+def vector_remarks(facts: Mapping[str, Any]) -> list[str]:
     """What a user should know of delivered vectors, by the facts of their part."""
-    if not made["sparse"]:
+    if not facts["sparse"]:
         return []
     return [
-        f"{made['density']:.2g} pulses per m² are few for footprints: their outlines, of cells of {made['cell']:g} m, "
-        "are rough, and small buildings are missing"
+        f"{facts['density']:.2g} pulses per m² are few for footprints: their outlines, of cells of {facts['cell']:g} m"
+        ", are rough, and small buildings are missing"
     ]
 
 
@@ -227,8 +228,8 @@ COUNT_PULSES = Stage(
     1,
     "block",
     "echo",
-    counted_pulses,
-    when=lambda plan: bool(layers_made(plan)),
+    count_pulses,
+    when=lambda plan: bool(vector_layers(plan)),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"square": plan.config.vectors.square},
@@ -241,52 +242,42 @@ CHOOSE_CELL = Stage(
     1,
     "survey",
     "part",
-    chosen_cell,
-    when=lambda plan: bool(layers_made(plan)),
+    choose_cell,
+    when=lambda plan: bool(vector_layers(plan)),
     arguments=_given,
     after=(COUNT_PULSES.name,),
     needs=_of_blocks(COUNT_PULSES.name),
 )
-_READ = ("classification", "confidence", "height_above_ground")
 FIND_BUILDINGS = Stage(
     "buildings",
     1,
     "block",
     "echo",
     building_block,
-    when=lambda plan: "buildings" in layers_made(plan),
+    when=lambda plan: "buildings" in vector_layers(plan),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
     arguments=_given,
-    reads=_READ,
+    reads=("classification", "confidence", "height_above_ground"),
     halo=lambda plan: MARGIN * plan.config.vectors.cells[-1],
     area=_largest_cells,
     after=(CELL,),
     needs=lambda plan, part: [(CELL, "all")],
 )
-FIND_TREES = Stage(
-    "tree-tops",
-    1,
-    "block",
-    "echo",
-    tree_block,
-    when=lambda plan: "trees" in layers_made(plan),
-    parts=_blocks,
-    edge=lambda plan: plan.config.terrain.block,
-    arguments=_given,
-    reads=_READ,
+FIND_TREES = replace(
+    FIND_BUILDINGS,
+    name="tree-tops",
+    function=tree_block,
+    when=lambda plan: "trees" in vector_layers(plan),
     halo=lambda plan: plan.config.vectors.trees.halo(_largest(plan)) + _largest(plan),
-    area=_largest_cells,
-    after=(CELL,),
-    needs=lambda plan, part: [(CELL, "all")],
 )
 DELIVER_VECTORS = Stage(
     "publish-vectors",
     1,
     "survey",
     "part",
-    delivered_vectors,
-    when=lambda plan: bool(layers_made(plan)),
+    deliver_vectors,
+    when=lambda plan: bool(vector_layers(plan)),
     arguments=lambda plan: {"params": plan.config.vectors, "publish": plan.config.publish, "crs": plan.survey.crs},
     silent=NO_BYTE,
     after=(CELL, FIND_BUILDINGS.name, FIND_TREES.name),

@@ -10,7 +10,7 @@ from fwclass.conf import Config
 from fwclass.conf.model import ClassSection
 from fwclass.errors import ConfigError
 from fwclass.graph.area_of_interest import Area
-from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS, laid_out
+from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS, label_parts
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.label import READ_POLYGONS
 from fwclass.graph.layout import Layout, Strip
@@ -114,7 +114,7 @@ def until_tiles(plan: Plan, runner: Runner, stages: Iterable[Stage] = STAGES) ->
     tiled = runner.do(TILE_ECHOES.tasks(plan) + TILE_REFERENCE.tasks(plan))
     stop_if_nothing(runner, {name: receipt for name, receipt in tiled.items() if name[0] == "tile"})
     layout = replace(Layout.of(config, {**tiled, **polygons}), quantities=quantities, providers=providers(plan, stages))
-    layout = replace(layout, **laid_out(layout, by_echo))
+    layout = replace(layout, **label_parts(layout, by_echo))
     check_polygons(config, polygons.values(), layout.box)
     plan = replace(plan, tiled=layout)
     plan = replace(plan, flown=flown_by(plan, runner.do(READ_TRAJECTORY.tasks(plan))))
@@ -174,8 +174,8 @@ def until_report(
         tasks = Tasks.held(ancestors(tasks, _wanted(layout, keys)))
     elif COUNT_LABELS in stages:  # before anything is computed that the labels may not be worth
         first = [stage for stage in stages if stage.name in LABELLING]
-        done = runner.do(tasks_of(plan, first))
-        counted = {name: receipt for name, receipt in done.items() if name[0] == COUNT_LABELS.name}
+        receipts = runner.do(tasks_of(plan, first))
+        counted = {name: receipt for name, receipt in receipts.items() if name[0] == COUNT_LABELS.name}
         if not runner.failures:  # what failed may hold the labels that are lacking
             runner.tell(lambda: check_labels(plan, counted))
         tasks = tasks_of(plan, [stage for stage in stages if stage not in first])

@@ -125,8 +125,8 @@ def shore_measured(here: StageInputs, reach: float) -> Made:
     body[rows] = -1
     inside = np.flatnonzero(body >= 0)
     cells, counts = np.unique(np.stack([body[inside], millimetres(table["z"][inside])]), axis=1, return_counts=True)
-    made = {"inside_body": cells[0], "inside_height": cells[1], "inside_count": counts}
-    write_arrays(here.directory / FILE, {"place": place, "z": table["z"][rows], **made})
+    inside_heights = {"inside_body": cells[0], "inside_height": cells[1], "inside_count": counts}
+    write_arrays(here.directory / FILE, {"place": place, "z": table["z"][rows], **inside_heights})
     return {"echoes": len(rows), "inside": len(inside)}
 
 
@@ -146,16 +146,16 @@ def water_levelled(here: StageInputs, params: WaterParams) -> Made:
     flat = np.array([b.level_enough for b in bodies], bool)
     level = np.array([np.nan if b.level is None else b.level for b in bodies])
     shore = flat[line.body]
-    made = {
+    flat_bodies = {
         **polygons.take(flat).arrays(),
         "level": level[flat],
         "knot_x": line.x[shore],
         "knot_y": line.y[shore],
         "knot_z": level[line.body[shore]],
     }
-    write_arrays(here.directory / FILE, made)
-    told = [{"feature": int(f) + 1, **b.facts()} for f, b in zip(arrays["feature"], bodies, strict=True)]
-    return {"bodies": told, "remarks": _remarks(told, bodies, params)}
+    write_arrays(here.directory / FILE, flat_bodies)
+    facts = [{"feature": int(f) + 1, **b.facts()} for f, b in zip(arrays["feature"], bodies, strict=True)]
+    return {"bodies": facts, "remarks": _remarks(facts, bodies, params)}
 
 
 def _rows_of(body: NDArray[np.int64], bodies: int) -> list[NDArray[np.int64]]:
@@ -165,10 +165,10 @@ def _rows_of(body: NDArray[np.int64], bodies: int) -> list[NDArray[np.int64]]:
     return [order[a:b] for a, b in zip(first[:-1], first[1:], strict=True)]
 
 
-def _remarks(told: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params: WaterParams) -> list[str]:
+def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params: WaterParams) -> list[str]:
     """Bodies that are not flattened, and why."""
-    lines, all_of = [], f"of {len(told)} polygons of water"
-    pairs = list(zip(told, bodies, strict=True))
+    lines, all_of = [], f"of {len(facts)} polygons of water"
+    pairs = list(zip(facts, bodies, strict=True))
     sloping = [t for t, b in pairs if b.lowest is not None and t["highest"] - t["lowest"] > params.most_spread]
     if sloping:
         some = _named([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")

@@ -81,8 +81,8 @@ class Workflow:
                 got=name,
                 do=nearest(name, [s.name for s in self.stages]),
             )
-        kept = [s for s in self.stages if s.name != name]
-        return replace(self, stages=(*kept[: places[0]], stage, *kept[places[0] :]))
+        others = [s for s in self.stages if s.name != name]
+        return replace(self, stages=(*others[: places[0]], stage, *others[places[0] :]))
 
     def without_training(self) -> Workflow:
         """This workflow without the stages that learn: for a classifier that needs no model."""
@@ -92,7 +92,7 @@ class Workflow:
     def check(self, where: object) -> None:
         """`ConfigError` for a list of stages that no run can go through: two with the same parts, or one that comes
         before what it reads."""
-        seen: set[str] = set()
+        names: set[str] = set()
         every = {s.name for s in self.stages}
         ours = {id(stage) for stage in STAGES}
         written: dict[str, str] = {}
@@ -113,7 +113,7 @@ class Workflow:
                     )
                 written[column] = stage.name
         for stage in self.stages:
-            late = [name for name in stage.after if name in every and name not in seen and name != stage.name]
+            late = [name for name in stage.after if name in every and name not in names and name != stage.name]
             if late:
                 raise ConfigError(
                     "a stage comes before what it reads", where=where, got=f"{stage.name} before {late[0]}"
@@ -126,7 +126,7 @@ class Workflow:
                     got=f"{stage.name} reads {missing[0]}",
                     do=nearest(missing[0], every),
                 )
-            seen.add(stage.name)
+            names.add(stage.name)
 
 
 def after_tiles(stages: tuple[Stage, ...]) -> tuple[Stage, ...]:

@@ -38,7 +38,7 @@ PRINCIPLES: dict[Method, set[str]] = {
 """What a filter rests on; who shares a principle shares its errors, and is no referee."""
 
 
-def adapted(
+def adapt_filter(
     points: Points, last: NDArray[np.bool_], base: GroundParams, rules: GroundAutoParams, method: Method | None = None
 ) -> tuple[GroundParams, Measured]:
     """`base` with a filter and parameters that suit the points, and what was measured.
@@ -52,11 +52,11 @@ def adapted(
     measured = measure(*points, last)
     chosen = method if method is not None else rules.method
     sized = base.model_copy(update={"method": chosen, "max_building_size": building_size(measured, base, rules)})
-    tried = [changed(sized, update) for update in rules.updates(chosen)]
+    tried = [with_values(sized, update) for update in rules.updates(chosen)]
     if not tried:
         return sized, measured
     rows = np.flatnonzero(last) if base.last_returns and last.any() else np.arange(len(last))
-    agreement = sum(_agreement(part, tried, rules) for part in _sample(_thinned(points, rows, rules), rules))
+    agreement = sum(_agreement(part, tried, rules) for part in _sample(_thin(points, rows, rules), rules))
     kappas = [_kappa(matrix) for matrix in np.asarray(agreement).reshape(len(tried), 2, 2)]
     return tried[int(np.argmax(kappas))], measured
 
@@ -67,7 +67,7 @@ def building_size(measured: Measured, base: GroundParams, rules: GroundAutoParam
     return float(max(base.max_building_size, min(size, rules.building_most)))
 
 
-def changed(params: GroundParams, update: dict[str, float]) -> GroundParams:
+def with_values(params: GroundParams, update: dict[str, float]) -> GroundParams:
     """`params` with other values, [name in its section: number in that setting's unit], for its method.
 
     pydantic's `ValidationError` for a value that cannot be.
@@ -81,7 +81,7 @@ def changed(params: GroundParams, update: dict[str, float]) -> GroundParams:
     return params.model_copy(update={section: type(own).model_validate(values)})
 
 
-def _thinned(points: Points, rows: NDArray[np.int64], rules: GroundAutoParams) -> Points:
+def _thin(points: Points, rows: NDArray[np.int64], rules: GroundAutoParams) -> Points:
     """The points of `rows`; of dense clouds the lowest of every cell, of equally low ones the most south-western."""
     x, y, z = (np.ascontiguousarray(a[rows]) for a in points)
     window = window_over(x, y, rules.cell, "ground_auto.cell")
@@ -109,8 +109,8 @@ def _sample(points: Points, rules: GroundAutoParams) -> Iterator[Points]:
 
 def _agreement(points: Points, tried: list[GroundParams], rules: GroundAutoParams) -> NDArray[np.int64]:
     """(tried, 4) counts of the points where the referees agree: both ground, only they, only the filter, none."""
-    kept = ~noise(*points, tried[0].noise)
-    x, y, z = (np.ascontiguousarray(a[kept]) for a in points)
+    clean = ~noise(*points, tried[0].noise)
+    x, y, z = (np.ascontiguousarray(a[clean]) for a in points)
     last = np.ones(len(x), bool)
     off = tried[0].noise.model_copy(update={"low": False, "high": False, "sigma_rule": False})
 

@@ -29,9 +29,9 @@ def blocks_of(
         block = Tile(cx, cy, size)
         box = block.box.grown(halo)
         near = [rows[t.ix, t.iy] for t in grid.touching(box) if (t.ix, t.iy) in rows]
-        found = np.sort(np.concatenate(near))
-        found = found[box.contains(x[found], y[found])]
-        yield block, found, (ix[found] == cx) & (iy[found] == cy)
+        members = np.sort(np.concatenate(near))
+        members = members[box.contains(x[members], y[members])]
+        yield block, members, (ix[members] == cx) & (iy[members] == cy)
 
 
 def ground_by_blocks(
@@ -51,8 +51,8 @@ def ground_by_blocks(
     for k, (_, rows, own) in enumerate(blocks_of(x, y, params.block, params.halo), 1):
         if tell is not None:
             tell(k, blocks)
-        found = ground_points(x[rows], y[rows], z[rows], last[rows], params)
-        flags.ground[rows[own]], flags.noise[rows[own]] = found.ground[own], found.noise[own]
+        block_flags = ground_points(x[rows], y[rows], z[rows], last[rows], params)
+        flags.ground[rows[own]], flags.noise[rows[own]] = block_flags.ground[own], block_flags.noise[own]
     return flags
 
 

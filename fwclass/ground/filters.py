@@ -78,11 +78,11 @@ def ground_points(
     ground = np.zeros(len(x), bool)
     if len(rows):
         height = millimetres(z[rows])
-        ground[rows] = _asked(x[rows], y[rows], (height - height.min()) * QUANTUM, params)
+        ground[rows] = _ask(x[rows], y[rows], (height - height.min()) * QUANTUM, params)
     return Flags(ground, dropped)
 
 
-def _asked(
+def _ask(
     x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], params: GroundParams
 ) -> NDArray[np.bool_]:
     """What the named filter says, or what enough of the filters of a consensus say."""

@@ -11,9 +11,9 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.grid import Window, whole_millimetres
-from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import window_over
-from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.opening import disk_opening
 from fwclass.ground.raster.surface import gradient, low_limit
 from fwclass.kernel import kernel
 from fwclass.units import QUANTUM
@@ -129,8 +129,8 @@ def measure(
     x, y, z : (n,) finite coordinates [m], at least one, in any order, which does not matter.
     last : (n,) the point is the last, or only, echo of its pulse; if none is, all are looked at.
     """
-    points, seen = len(x), float(np.mean(last))
-    if 0 < seen < 1:
+    points, last_share = len(x), float(np.mean(last))
+    if 0 < last_share < 1:
         x, y, z = x[last], y[last], z[last]
     spacing, area, density = _density(x, y)
     cell = _cell(spacing, area)
@@ -138,15 +138,15 @@ def measure(
     flat = _cells(x, y, QUANTUM, whole_millimetres(cell, "cell"), window.col, window.row, window.ncols)
     low, outliers = _lowest(flat, z, window)
     known = np.isfinite(low)
-    surface = filled(low)
+    surface = fill_gaps(low)
     cut = known & _standing(surface, cell, LEVEL, FIRST_WINDOW)
-    first = filled(np.where(known & ~cut, low, np.nan)) if (known & ~cut).any() else surface
+    first = fill_gaps(np.where(known & ~cut, low, np.nan)) if (known & ~cut).any() else surface
     slope = _slope(first, cell)
     bare, n = slope[known & ~cut], int(known.sum())
     height = surface - first
     return Measured(
         points=points,
-        last=seen,
+        last=last_share,
         width=float(np.ptp(x)),
         height=float(np.ptp(y)),
         area=area,
@@ -159,7 +159,7 @@ def measure(
         standing=float(cut.sum()) / n,
         building=_widest(low, cell, _quantile(bare, 0.9)),
         ground=_near(flat, z, (first + NEAR + 0.5 * cell * slope).reshape(-1)) / len(x),
-        vegetation=1.0 - seen,
+        vegetation=1.0 - last_share,
         roughness=_quantile(np.abs(first - scipy.ndimage.uniform_filter(first, 3, mode="nearest"))[known & ~cut], 0.5),
         outliers=outliers,
     )
@@ -231,7 +231,7 @@ def _lowest(flat: NDArray[np.int64], z: NDArray[np.float64], window: Window) -> 
     low, outliers = np.full(window.shape, np.inf), 0
     _lowest_over(flat, z, np.full(low.size, -np.inf), low.reshape(-1))
     low[np.isinf(low)] = np.nan
-    limit = low_limit(filled(low), 1.0, DEEP)
+    limit = low_limit(fill_gaps(low), 1.0, DEEP)
     if (low < limit).any():
         low = np.full(window.shape, np.inf)
         outliers = _lowest_over(flat, z, limit.reshape(-1), low.reshape(-1))
@@ -252,7 +252,7 @@ def _standing(surface: NDArray[np.float64], cell: float, slope: float, window: f
     standing = np.zeros(surface.shape, bool)
     last = surface
     for radius in _radii(max(1, math.ceil(window / cell))):
-        this = opened(last, radius)
+        this = disk_opening(last, radius)
         standing |= last - this > slope * cell * radius
         last = this
     return standing
@@ -269,8 +269,8 @@ def _widest(low: NDArray[np.float64], cell: float, slope: float) -> float:
     Measured on cells twice as wide. A width is that of the largest circle within the region. Steep is what no terrain
     of `slope` explains.
     """
-    surface, edge = filled(_halved(low)), 2.0 * cell
-    terrain = filled(np.where(_standing(surface, edge, OPEN_SLOPE, WIDEST), np.nan, surface))
+    surface, edge = fill_gaps(_halve(low)), 2.0 * cell
+    terrain = fill_gaps(np.where(_standing(surface, edge, OPEN_SLOPE, WIDEST), np.nan, surface))
     if not np.isfinite(terrain).all():
         return 0.0
     high = surface - terrain > HIGH
@@ -293,7 +293,7 @@ def _border_steps(
     return np.nan_to_num(known)
 
 
-def _halved(low: NDArray[np.float64]) -> NDArray[np.float64]:
+def _halve(low: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lowest of every 2 × 2 cells, NaN where none is known."""
     rows, cols = (-(-n // 2) * 2 for n in low.shape)
     whole = np.full((rows, cols), np.inf)

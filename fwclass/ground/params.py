@@ -383,8 +383,8 @@ class GroundParams(Params):
                 f"the filter would read {self.halo:,.0f} m around a block, more than {MAX_HALO:,.0f} m: "
                 "choose a smaller max_building_size, window, radius or cell of the filter"
             )
-        asked = self.consensus.methods if self.method == "consensus" else (self.method,)
-        cell = min(self.of(m).finest for m in asked)
+        methods = self.consensus.methods if self.method == "consensus" else (self.method,)
+        cell = min(self.of(m).finest for m in methods)
         if self.block + 2.0 * self.halo > MOST_CELLS * cell:
             raise ValueError(
                 f"a block of {self.block:g} m and {self.halo:g} m around it would be more than {MOST_CELLS:,} cells of "
@@ -400,8 +400,8 @@ class GroundParams(Params):
     @property
     def halo(self) -> float:
         """What is read around a block [m]."""
-        asked = self.consensus.methods if self.method == "consensus" else (self.method,)
-        return max(self.block_halo, *(self.noise.reach + self.of(m).reach for m in asked))
+        methods = self.consensus.methods if self.method == "consensus" else (self.method,)
+        return max(self.block_halo, *(self.noise.reach + self.of(m).reach for m in methods))
 
 
 def section_of(method: Method) -> str:

@@ -64,11 +64,11 @@ def curves(
 
 def _grid(ranges: Mapping[str, Values], start: Setting, params: GroundSearchParams) -> list[Setting]:
     """Every combination of a few values of the leading parameters, the others as in `start`."""
-    leading = [thinned(values, params.coarse) for values in list(ranges.values())[: params.leading]]
+    leading = [pick_evenly(values, params.coarse) for values in list(ranges.values())[: params.leading]]
     return [(*some, *start[len(some) :]) for some in itertools.product(*leading)]
 
 
-def thinned(values: Values, most: int) -> Values:
+def pick_evenly(values: Values, most: int) -> Values:
     """At most `most` of the values, evenly from the first to the last, the ends left out where there are enough."""
     if len(values) <= most:
         return values

@@ -13,7 +13,7 @@ from fwclass.stage import Computation
 from fwclass.waveforms import IMPLAUSIBLE
 
 
-def filtered(table: Table, params: GroundParams) -> Flags:
+def filter_ground(table: Table, params: GroundParams) -> Flags:
     """Flags of the echoes of a block and its halo; those near the edge of the halo see too little to be right.
 
     Parameters

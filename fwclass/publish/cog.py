@@ -112,7 +112,7 @@ def cog(
         "sparse_ok": True,
         "bigtiff": "IF_SAFER",
     }
-    finished = {
+    cog_profile = {
         "driver": "COG",
         "compress": params.cog_compression,
         "blocksize": params.cog_block,
@@ -141,12 +141,12 @@ def cog(
 
                 yield put
             _know_grids()
-            copy(raw, beside, **finished)
+            copy(raw, beside, **cog_profile)
         except OSError as fault:  # before the cells go, and the disk has room again
-            found = full_or(fault, path.parent)
-            if found is fault:
+            error = full_or(fault, path.parent)
+            if error is fault:
                 raise
-            raise found from fault
+            raise error from fault
         finally:
             raw.unlink(missing_ok=True)
     if known:
@@ -164,9 +164,14 @@ def _know_grids() -> None:
     data = os.environ.get("GDAL_DATA") or GDALDataFinder().search()
     names = [path.stem.removeprefix("tms_") for path in Path(data).glob("tms_*.json")] if data else []
     if any(map(os.path.lexists, names)):
-        with away_from(*names), MemoryFile() as plain, MemoryFile() as made, warnings.catch_warnings(action="ignore"):
-            plain.open(driver="GTiff", width=1, height=1, count=1, dtype="uint8").close()
-            copy(plain.name, made.name, driver="COG")
+        with (
+            away_from(*names),
+            MemoryFile() as source,
+            MemoryFile() as target,
+            warnings.catch_warnings(action="ignore"),
+        ):
+            source.open(driver="GTiff", width=1, height=1, count=1, dtype="uint8").close()
+            copy(source.name, target.name, driver="COG")
 
 
 def _predictor(dtype: np.dtype, codes: bool) -> str:

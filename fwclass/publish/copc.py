@@ -49,7 +49,7 @@ PARQUET_ALONE = frozenset(
 """Columns with a name as an extra byte that would be floating-point here, and nobody colours a map by."""
 
 
-def streamed(names: Iterable[str]) -> tuple[str, ...]:
+def copc_columns(names: Iterable[str]) -> tuple[str, ...]:
     """Those of `names` that become extra bytes; a user's own columns are among them."""
     return tuple(c.name for c in published(names) if _base(c.name) not in PARQUET_ALONE)
 
@@ -74,7 +74,7 @@ def write_tile_copc(
 ) -> dict[str, Any]:
     """Write echoes as COPC 1.0; the same echoes give the same bytes, in whatever order they come.
 
-    Point format, coordinates and extra bytes are those of `laz.write_tile_laz`, of the columns `streamed` alone. Which
+    Point format, coordinates and extra bytes are those of `laz.write_tile_laz`, of `copc_columns` alone. Which
     level an echo is in follows from a hash of its strip, pulse and number.
 
     Parameters
@@ -93,7 +93,7 @@ def write_tile_copc(
         A column is missing, or coordinates do not fit the format's 32 bits.
     """
     require(table, NEEDED, path)
-    extras = extra_bytes(published(streamed(table)), table)
+    extras = extra_bytes(published(copc_columns(table)), table)
     offset, units = local_millimetres(table, path)
     points, counts = point_records(table, units)
     tree = octree(np.stack(units, axis=1), table, params.copc_leaf)

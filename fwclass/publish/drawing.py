@@ -53,14 +53,17 @@ class View:
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Rows, columns."""
         return self.nrows, self.ncols
 
     @property
     def width(self) -> float:
+        """From west to east [m]."""
         return self.ncols * self.cell
 
     @property
     def height(self) -> float:
+        """From south to north [m]."""
         return self.nrows * self.cell
 
 
@@ -77,6 +80,7 @@ def frame(view: View, aside: bool = True) -> tuple[Figure, Any]:
 
 
 def draw(axes: Any, image: NDArray, view: View) -> None:
+    """Lay `image` (rows, columns, 3), 0 to 255, row 0 in the south, on a map with coordinates, scale bar and north."""
     edges = (view.xmin, view.xmin + view.width, view.ymin, view.ymin + view.height)
     axes.imshow(np.clip(image, 0, 255).astype(np.uint8), origin="lower", extent=edges, interpolation="nearest")
     axes.set_xlim(edges[0], edges[1])
@@ -179,11 +183,11 @@ def area_edges(boxes: Sequence[tuple[float, ...]], inset: float) -> list[list[tu
     times = Counter(edge for four in sides for edge in four)
     lines = []
     for four in sides:
-        kept = [times[edge] == 1 for edge in four]
+        outer = [times[edge] == 1 for edge in four]
         for k, ((x0, y0), (x1, y1)) in enumerate(four):
-            if kept[k]:
+            if outer[k]:
                 i, j = INWARD[k]
-                ends = (inset * kept[SIDES_AT[k][0]], inset * kept[SIDES_AT[k][1]])
+                ends = (inset * outer[SIDES_AT[k][0]], inset * outer[SIDES_AT[k][1]])
                 along = (1, 0) if y0 == y1 else (0, 1)
                 start = (x0 + i * inset + along[0] * ends[0], y0 + j * inset + along[1] * ends[0])
                 stop = (x1 + i * inset - along[0] * ends[1], y1 + j * inset - along[1] * ends[1])
@@ -203,6 +207,7 @@ SIDES_AT = ((2, 3), (2, 3), (0, 1), (0, 1))
 
 
 def legend(axes: Any, handles: list[Any], title: str) -> None:
+    """Put a legend at the right of a map."""
     axes.legend(
         handles=handles,
         title=title,

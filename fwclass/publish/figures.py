@@ -39,16 +39,16 @@ def class_map(
     areas : ``{"train": [[xmin, ymin, xmax, ymax]], "test": [...]}``, or None.
     aside : with a legend inside the picture; without one it stands beside it as text.
     """
-    part, view = thinned(classes, window, params.figure_pixels)
+    part, view = downsample(classes, window, params.figure_pixels)
     table = np.full((256, 3), 165, np.float32)
     table[0] = NO_CLASS
     palette = colours(names)
     for code, colour in palette.items():
         table[code] = colour
-    part = filled(part)
+    part = fill_gaps(part)
     image = table[part]
     if dtm is not None:
-        light = _sampled(hillshade(dtm[0], dtm[1].cell, params), View.of(dtm[1]), view, flat_light(params))
+        light = _sample(hillshade(dtm[0], dtm[1].cell, params), View.of(dtm[1]), view, flat_light(params))
         image = np.where((part > 0)[..., None], image * (0.62 + 0.48 * light[..., None]), image)
     figure, axes = frame(view, aside)
     draw(axes, image, view)
@@ -78,7 +78,7 @@ def relief(
     heights : lowest and highest tint [m]; None takes them from `dtm`.
     aside : as for `class_map`.
     """
-    part, view = thinned(dtm, window, params.figure_pixels)
+    part, view = downsample(dtm, window, params.figure_pixels)
     low, high = heights if heights is not None else tint_range(part)
     share = np.clip((np.nan_to_num(part, nan=low) - low) / max(high - low, 1e-9), 0, 1)
     tint = _tint(share)
@@ -112,7 +112,7 @@ def share_map(
     areas: Areas | None = None,
 ) -> bytes:
     """Shares of 0 to 1 in colours of `ramp`, without a legend; NaN stays blank."""
-    part, view = thinned(shares, window, params.figure_pixels)
+    part, view = downsample(shares, window, params.figure_pixels)
     stops = [stop for stop, _ in ramp]
     known = np.nan_to_num(part)
     image = np.stack([np.interp(known, stops, [c[i] for _, c in ramp]) for i in range(3)], axis=-1)
@@ -140,13 +140,13 @@ def step_of(window: Window | View, pixels: int) -> int:
     return max(1, math.ceil(max(window.shape) / pixels))
 
 
-def thinned(array: NDArray, window: Window | View, pixels: int) -> tuple[NDArray, View]:
+def downsample(array: NDArray, window: Window | View, pixels: int) -> tuple[NDArray, View]:
     """Every k-th cell from the south-west, so that the longer edge has at most `pixels`."""
     step = step_of(window, pixels)
     return array[::step, ::step], View.of(window, step)
 
 
-def filled(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def fill_gaps(codes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """For display: an empty cell takes the commonest class around it where three neighbours of four have one.
 
     The smallest code wins a tie. Larger gaps in the data stay blank.
@@ -170,12 +170,12 @@ def _around(padded: NDArray[np.uint8], shape: tuple[int, ...], shifts: list[tupl
     return np.sum([padded[i : i + rows, j : j + cols] for i, j in shifts], axis=0, dtype=np.uint8)
 
 
-def _sampled(light: NDArray[np.float32], own: View, view: View, flat: float) -> NDArray[np.float32]:
+def _sample(light: NDArray[np.float32], own: View, view: View, flat: float) -> NDArray[np.float32]:
     """`light` of the cells of `own` at the middles of the view's cells; `flat` outside."""
     x = view.xmin + (np.arange(view.ncols) + 0.5) * view.cell
     y = view.ymin + (np.arange(view.nrows) + 0.5) * view.cell
     col = np.floor((x - own.xmin) / own.cell).astype(int)
     row = np.floor((y - own.ymin) / own.cell).astype(int)
     inside = ((row >= 0) & (row < own.nrows))[:, None] & ((col >= 0) & (col < own.ncols))[None, :]
-    taken = light[np.clip(row, 0, own.nrows - 1)[:, None], np.clip(col, 0, own.ncols - 1)[None, :]]
-    return np.where(inside, taken, np.float32(flat))
+    nearest = light[np.clip(row, 0, own.nrows - 1)[:, None], np.clip(col, 0, own.ncols - 1)[None, :]]
+    return np.where(inside, nearest, np.float32(flat))

@@ -23,10 +23,10 @@ def _host() -> str:
 
 def _sweep(path: Path) -> None:
     """Remove what processes of this host that are gone have left beside `path` of an output of its name."""
-    left = re.compile(re.escape(f".{path.name}.{_host()}-") + r"(\d+)\.part")
+    pattern = re.compile(re.escape(f".{path.name}.{_host()}-") + r"(\d+)\.part")
     with os.scandir(path.parent) as entries:
-        found = [(entry.path, match) for entry in entries if (match := left.match(entry.name))]
-    for name, match in found:
+        leftovers = [(entry.path, match) for entry in entries if (match := pattern.match(entry.name))]
+    for name, match in leftovers:
         if not psutil.pid_exists(int(match[1])):
             Path(name).unlink(missing_ok=True)
 

@@ -179,7 +179,7 @@ def _outwards(values: NDArray[np.float64], towards: float) -> NDArray[np.float32
     return np.where(beyond, np.nextafter(near, np.float32(towards)), near).astype(np.float32)
 
 
-def rounded(table: Table, bits: int, exact: Iterable[str] = ()) -> Table:
+def round_floats(table: Table, bits: int, exact: Iterable[str] = ()) -> Table:
     """`table` with every float32 column, besides those that are `exact`, rounded to a relative step of 2^-`bits`.
 
     What is dropped is no information where it lies below the value's standard error, and it does not compress. NaN and
@@ -187,10 +187,10 @@ def rounded(table: Table, bits: int, exact: Iterable[str] = ()) -> Table:
     """
     kept = set(exact)
     names = [n for n in table if table[n].dtype == np.float32 and n not in kept]
-    return table.with_columns({n: _rounded(table[n], bits) for n in names}) if names else table
+    return table.with_columns({n: _round_to_bits(table[n], bits) for n in names}) if names else table
 
 
-def _rounded(values: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
+def _round_to_bits(values: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
     """To the nearest number with `bits` bits behind the leading one, half to even."""
     drop = 23 - bits
     if drop <= 0:
@@ -198,8 +198,8 @@ def _rounded(values: NDArray[np.float32], bits: int) -> NDArray[np.float32]:
     whole = values.view(np.uint32)
     half = np.uint32((1 << (drop - 1)) - 1)
     near = (whole + half + ((whole >> np.uint32(drop)) & np.uint32(1))) & np.uint32(~((1 << drop) - 1) & 0xFFFFFFFF)
-    made = near.view(np.float32)
-    return np.where(np.isfinite(values) & np.isfinite(made), made, values).astype(np.float32)
+    result = near.view(np.float32)
+    return np.where(np.isfinite(values) & np.isfinite(result), result, values).astype(np.float32)
 
 
 def _field(col: Column) -> pa.Field:

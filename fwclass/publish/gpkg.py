@@ -48,15 +48,11 @@ def write_gpkg(layers: Sequence[Layer], path: Path, crs: pyproj.CRS | None) -> d
     with whole(path) as beside:
         beside.unlink(missing_ok=True)
         for layer in layers:
-            fields = {name: np.asarray(v, object if _texts(v) else None) for name, v in layer.fields.items()}
+            fields = {n: np.asarray(v, None if isinstance(v, np.ndarray) else object) for n, v in layer.fields.items()}
             system = wkt(crs) if crs is not None else None
             write_shapes(beside, layer.name, layer.geometry, fields, system, layer.kind)
         size = beside.stat().st_size
     return {"path": str(path), "layers": [layer.name for layer in layers], "bytes": size}
-
-
-def _texts(values: NDArray[Any] | Sequence[str]) -> bool:
-    return not isinstance(values, np.ndarray)
 
 
 def box_wkb(boxes: Sequence[Box]) -> list[bytes]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,11 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window
 from fwclass.publish.drawing import PAPER, draw, frame, legend, png
-from fwclass.publish.figures import thinned
+from fwclass.publish.figures import downsample
 from fwclass.publish.files import whole
 from fwclass.publish.palette import css
 from fwclass.publish.params import PublishParams
-from fwclass.publish.report import TEMPLATE as REPORT
-from fwclass.publish.report import data_uri, environment
+from fwclass.publish.report import data_uri, environment, report_style
 from fwclass.publish.sections import number, percent, quantity, seconds
 
 TEMPLATE = "ground.html.j2"
@@ -41,7 +39,7 @@ def disagreement_map(
     verdict : 0 no point, 1 all points are other by the majority, 2 at least one is ground.
     filters : how many were asked.
     """
-    stacked, view = thinned(
+    stacked, view = downsample(
         np.where(verdict > 0, split.astype(np.int16) * 4 + verdict, 0), window, params.figure_pixels
     )
     most = max(filters // 2, 1)
@@ -69,61 +67,56 @@ def _colours(most: int) -> dict[int, tuple[int, int, int]]:
     return {k + 1: (int(c[0]), int(c[1]), int(c[2])) for k, c in enumerate(mixed)}
 
 
-def render_comparison(made: Mapping[str, Any], pictures: Mapping[str, bytes], path: Path) -> dict[str, Any]:
+def render_comparison(comparison: Mapping[str, Any], pictures: Mapping[str, bytes], path: Path) -> dict[str, Any]:
     """Write the comparison as one HTML file: styles inside, images as data, every text escaped.
 
     Parameters
     ----------
-    made : what `run.ground.compare.compare` tells.
+    comparison : what `run.ground.compare.compare` tells.
     pictures : PNG by filter, and ``disagreement``.
 
     Returns
     -------
     dict with ``path, bytes``.
     """
-    page = environment().get_template(TEMPLATE).render(_view(made, pictures))
+    page = environment().get_template(TEMPLATE).render(_view(comparison, pictures))
     with whole(path) as beside:
         beside.write_text(page, encoding="utf-8", newline="\n")
         size = beside.stat().st_size
     return {"path": str(path), "bytes": size}
 
 
-def _view(made: Mapping[str, Any], pictures: Mapping[str, bytes]) -> dict[str, Any]:
-    names = list(made["methods"])
-    rows = [_row(one) for one in made["filters"]]
+def _view(comparison: Mapping[str, Any], pictures: Mapping[str, bytes]) -> dict[str, Any]:
+    names = list(comparison["methods"])
+    rows = [_row(one) for one in comparison["filters"]]
     known = [r for r in rows if r["kappa_value"] is not None]
     best = max(known, key=lambda r: r["kappa_value"])["name"] if known else ""
     return {
         "style": report_style(),
-        "name": Path(made["input"]).name,
-        "version": made["fwclass"],
-        "facts": _facts(made, len(names)),
-        "summary": _summary(made, names, known, best),
-        "labelled": made["labelled"],
+        "name": Path(comparison["input"]).name,
+        "version": comparison["fwclass"],
+        "facts": _facts(comparison, len(names)),
+        "summary": _summary(comparison, names, known, best),
+        "labelled": comparison["labelled"],
         "rows": rows,
         "best": best,
         "names": names,
-        "agreement": [[_cell(v, i == j) for j, v in enumerate(line)] for i, line in enumerate(made["agreement"])],
-        "votes": _votes(made["votes"]),
+        "agreement": [[_cell(v, i == j) for j, v in enumerate(line)] for i, line in enumerate(comparison["agreement"])],
+        "votes": _votes(comparison["votes"]),
         "disagreement": data_uri(pictures[DISAGREEMENT]) if DISAGREEMENT in pictures else "",
         "reliefs": [{"name": n, "uri": data_uri(p)} for n, p in pictures.items() if n != DISAGREEMENT],
         "without": [r["name"] for r in rows if r["name"] not in pictures],
-        "parameters": [(one["method"], _parameters(one["parameters"])) for one in made["filters"] if one["parameters"]],
+        "parameters": [
+            (one["method"], _parameters(one["parameters"])) for one in comparison["filters"] if one["parameters"]
+        ],
     }
 
 
-def report_style() -> str:
-    """The style of the run's report."""
-    text = (Path(__file__).parent / REPORT).read_text(encoding="utf-8")
-    found = re.search(r"<style>(.*?)</style>", text, re.S)
-    return found[1] if found else ""
-
-
-def _facts(made: Mapping[str, Any], n: int) -> list[tuple[str, str]]:
-    measured, votes = made["measured"], made["votes"]
+def _facts(comparison: Mapping[str, Any], n: int) -> list[tuple[str, str]]:
+    measured, votes = comparison["measured"], comparison["votes"]
     same = (votes[0] + votes[-1]) / max(sum(votes), 1)
     return [
-        ("points", quantity(made["points"])),
+        ("points", quantity(comparison["points"])),
         ("points per m²", f"{measured['density']:.2f}"),
         ("slope, 90 % below", f"{measured['slope_steep']:.2f}"),
         ("widest building", f"{measured['building']:.0f} m"),
@@ -132,17 +125,17 @@ def _facts(made: Mapping[str, Any], n: int) -> list[tuple[str, str]]:
     ]
 
 
-def _summary(made: Mapping[str, Any], names: list[str], known: list[dict[str, Any]], best: str) -> str:
-    text = f"{len(names)} filters on {number(made['shown'])} points: {', '.join(names)}."
+def _summary(comparison: Mapping[str, Any], names: list[str], known: list[dict[str, Any]], best: str) -> str:
+    text = f"{len(names)} filters on {number(comparison['shown'])} points: {', '.join(names)}."
     if known:
         text += f" Measured by the labels of the input, {best} has the greatest kappa."
     return text
 
 
 def _row(one: Mapping[str, Any]) -> dict[str, Any]:
-    told = one.get("accuracy") or {}
+    accuracy = one.get("accuracy") or {}
     speed = one["points_per_second"]
-    kappa = told.get("kappa")
+    kappa = accuracy.get("kappa")
     return {
         "name": one["method"],
         "seconds": "–"
@@ -155,7 +148,7 @@ def _row(one: Mapping[str, Any]) -> dict[str, Any]:
         "noise": number(one["noise"]),
         "kappa_value": kappa,
         "kappa": f"{kappa:.3f}" if kappa is not None else "–",
-        **{k: _error(told.get(k)) for k in ("type_i", "type_ii", "total_error")},
+        **{k: _error(accuracy.get(k)) for k in ("type_i", "type_ii", "total_error")},
     }
 
 

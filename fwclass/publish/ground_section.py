@@ -15,32 +15,32 @@ CELLS_LIMIT = 1e-3
 """Share of terrain cells that may differ by more than a centimetre."""
 
 
-def ground(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def ground(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """Rows (what, figure) and sentences, or None without a ground filter."""
-    if not made or not made.get("echoes"):
+    if not facts or not facts.get("echoes"):
         return None
-    echoes = made["echoes"]
+    echoes = facts["echoes"]
     rows = [
-        ("filter", str(made["method"])),
-        ("ground", f"{number(made['ground'])} echoes, {percent(made['ground'] / echoes)} %"),
-        ("noise", f"{number(made['noise'])} echoes"),
-        ("without terrain", f"{number(made['without_terrain'])} echoes"),
+        ("filter", str(facts["method"])),
+        ("ground", f"{number(facts['ground'])} echoes, {percent(facts['ground'] / echoes)} %"),
+        ("noise", f"{number(facts['noise'])} echoes"),
+        ("without terrain", f"{number(facts['without_terrain'])} echoes"),
     ]
-    told = made.get("accuracy")
-    if told:
-        rows.append(("against the reference", _errors(told)))
-    return {"rows": rows, "notes": _seams(made)}
+    accuracy = facts.get("accuracy")
+    if accuracy:
+        rows.append(("against the reference", _errors(accuracy)))
+    return {"rows": rows, "notes": _seams(facts)}
 
 
-def _errors(told: Mapping[str, Any]) -> str:
+def _errors(accuracy: Mapping[str, Any]) -> str:
     """Ground lost, other taken for ground, both, and kappa, of all echoes with a reference class."""
-    parts = [f"{label} {percent(told[key])} %" for label, key in ERRORS if told.get(key) is not None]
-    kappa = told.get("kappa")
+    parts = [f"{label} {percent(accuracy[key])} %" for label, key in ERRORS if accuracy.get(key) is not None]
+    kappa = accuracy.get("kappa")
     return ", ".join([*parts, *([f"kappa {kappa:.3f}"] if kappa is not None else [])])
 
 
-def _seams(made: Mapping[str, Any]) -> list[str]:
-    seams = made.get("seams")
+def _seams(facts: Mapping[str, Any]) -> list[str]:
+    seams = facts.get("seams")
     if not seams:
         return ["The seams between blocks were not measured: the survey is larger than run.seam_check_echoes."]
     left_out = seams.get("left_out", 0)
@@ -52,7 +52,7 @@ def _seams(made: Mapping[str, Any]) -> list[str]:
     share = seams["flags_differ"] / max(seams["echoes"], 1)
     off = (seams["cells_off"] + seams["cells_one_sided"]) / max(seams["cells"], 1)
     notes = [
-        f"The filter works in blocks of {made['block']:g} m. Run once more over the whole survey as one block, it "
+        f"The filter works in blocks of {facts['block']:g} m. Run once more over the whole survey as one block, it "
         f"changes {number(seams['flags_differ'])} flags ({100 * share:.4f} % of the echoes) and moves the terrain by "
         f"more than {100 * seams['within']:g} cm in {100 * off:.3f} % of the cells."
     ]
@@ -61,6 +61,6 @@ def _seams(made: Mapping[str, Any]) -> list[str]:
             f"{number(left_out)} echoes took no part: they lie in places of a single block, or in places with more "
             "cells than run.seam_check_cells."
         )
-    if share > FLAGS_LIMIT.get(made["method"], RASTER_LIMIT) or off > CELLS_LIMIT:
+    if share > FLAGS_LIMIT.get(facts["method"], RASTER_LIMIT) or off > CELLS_LIMIT:
         notes.append("That is more than it should be: choose larger blocks or a wider halo (ground.block, block_halo).")
     return notes

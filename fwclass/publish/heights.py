@@ -34,7 +34,7 @@ class Heights:
         points[:, AT_Z : AT_Z + 4] = values.view(np.uint8).reshape(-1, 4)
 
 
-def stored_heights(head: LasHead, z: NDArray[np.float64]) -> Heights:
+def store_heights(head: LasHead, z: NDArray[np.float64]) -> Heights:
     """`z` in whole steps of the file's own scale, or of the next power of ten times it that can hold all of them.
 
     Raises

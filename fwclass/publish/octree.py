@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.kernel import kernel
 from fwclass.schema import Table, canonical_key
 
@@ -42,9 +42,9 @@ class Octree:
     counts: NDArray[np.int64]
 
 
-def drawn_by(table: Table) -> NDArray[np.uint64]:
+def echo_hashes(table: Table) -> NDArray[np.uint64]:
     """A random number for every echo, by strip, pulse and echo alone: the lowest ones are a fair sample of any area."""
-    return hashed(SEED, canonical_key(table))
+    return hash_keys(SEED, canonical_key(table))
 
 
 def octree(units: NDArray[np.int64], table: Table, leaf: int) -> Octree:
@@ -66,10 +66,10 @@ def octree(units: NDArray[np.int64], table: Table, leaf: int) -> Octree:
     bits = max(1, int((units.max(axis=0) - low).max()).bit_length())
     shift = max(0, bits - MAX_BITS)
     code = np.empty(len(units), np.uint64)
-    _interleaved(units[:, 0], units[:, 1], units[:, 2], low, shift, code)
+    _interleave(units[:, 0], units[:, 1], units[:, 2], low, shift, code)
     by_code = np.argsort(code, kind="stable")
     level = np.full(len(units), -1, np.int8)
-    _levels(code[by_code], drawn_by(table)[by_code], min(bits, MAX_BITS), leaf, level)
+    _levels(code[by_code], echo_hashes(table)[by_code], min(bits, MAX_BITS), leaf, level)
     depth = np.empty(len(units), np.int8)
     depth[by_code] = level
     return _nodes(low, bits, shift, code, depth, canonical_key(table))
@@ -103,7 +103,7 @@ def _every_third(code: NDArray[np.uint64], axis: int) -> NDArray[np.int64]:
 
 
 @kernel
-def _interleaved(x, y, z, low, shift, out):  # type: ignore[no-untyped-def]
+def _interleave(x, y, z, low, shift, out):  # type: ignore[no-untyped-def]
     """Bits of three coordinates in turn, x lowest."""
     for i in range(len(out)):
         code = np.uint64(0)
@@ -126,7 +126,7 @@ def _levels(code, rank, bits, leaf, level):  # type: ignore[no-untyped-def]
     for depth in range(bits + 1):
         node_shift = np.uint64(3 * (bits - depth))
         cell_shift = np.uint64(max(0, 3 * (bits - depth - GRID_BITS)))
-        kept, start = 0, 0
+        count, start = 0, 0
         while start < len(rest):
             node = code[rest[start]] >> node_shift
             end = start
@@ -147,9 +147,9 @@ def _levels(code, rank, bits, leaf, level):  # type: ignore[no-untyped-def]
                 level[rest[best]] = depth
                 for k in range(start, stop):
                     if k != best:
-                        rest[kept] = rest[k]
-                        kept += 1
+                        rest[count] = rest[k]
+                        count += 1
                 start = stop
-        rest = rest[:kept]
-        if kept == 0:
+        rest = rest[:count]
+        if count == 0:
             return

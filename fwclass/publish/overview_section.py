@@ -55,30 +55,32 @@ def _steps(ramp: Sequence[tuple[float, tuple[int, int, int]]], texts: Sequence[s
 
 def verdict(report: Mapping[str, Any]) -> list[str]:
     """What the figures say, in sentences."""
-    made, told = report.get("accuracy") or {}, []
-    overall, sure = made.get("overall_accuracy"), (report.get("sureness") or {}).get("classes") or []
+    accuracy, sentences = report.get("accuracy") or {}, []
+    overall, sure = accuracy.get("overall_accuracy"), (report.get("sureness") or {}).get("classes") or []
     if overall is not None:
         text = f"{percent(overall)} % of the test echoes have the right class"
-        span = (made.get("intervals") or {}).get("overall_accuracy")
+        span = (accuracy.get("intervals") or {}).get("overall_accuracy")
         if span:
-            level = f"{100 * made['intervals']['level']:.0f} %"
+            level = f"{100 * accuracy['intervals']['level']:.0f} %"
             text += f" ({level} interval {percent(span[0])} to {percent(span[1])} %)"
-        told.append(f"{text}, tested on {made.get('area') or 'the test areas'}.")
+        sentences.append(f"{text}, tested on {accuracy.get('area') or 'the test areas'}.")
         named = [
-            (i, n) for i, n in zip(made.get("iou") or (), made.get("classes") or (), strict=False) if i is not None
+            (i, n)
+            for i, n in zip(accuracy.get("iou") or (), accuracy.get("classes") or (), strict=False)
+            if i is not None
         ]
         if named:
             iou, name = min(named)
-            told.append(f"The weakest class is {_name(name)}: IoU {percent(iou)} %.")
+            sentences.append(f"The weakest class is {_name(name)}: IoU {percent(iou)} %.")
     elif sure:
-        told.append(
+        sentences.append(
             "Nothing was tested: no reference lies in a test area. Confidence is how sure the model is, not how right."
         )
     unsure = [c for c in sure if c.get("confidence") is not None]
     if unsure:
         least = min(unsure, key=lambda c: c["confidence"])
-        told.append(f"The model is least sure of {least['name']}: {percent(least['confidence'])} % on average.")
-    return told
+        sentences.append(f"The model is least sure of {least['name']}: {percent(least['confidence'])} % on average.")
+    return sentences
 
 
 def _name(item: Any) -> str:
@@ -103,7 +105,7 @@ def next_steps(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     return steps
 
 
-def surveyed(report: Mapping[str, Any]) -> list[tuple[str, str]]:
+def survey_rows(report: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Where, when, how large, by what: (label, text) of what is known."""
     place, model = report.get("place") or {}, report.get("model") or {}
     rows = []
@@ -131,8 +133,8 @@ def surveyed(report: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def sure_rows(report: Mapping[str, Any]) -> list[dict[str, str]]:
     """Echoes and mean confidence by class."""
-    made = (report.get("sureness") or {}).get("classes") or ()
-    shown = colours(made)
+    classes = (report.get("sureness") or {}).get("classes") or ()
+    shown = colours(classes)
     return [
         {
             "dot": css(shown[int(c["code"])]),
@@ -140,19 +142,19 @@ def sure_rows(report: Mapping[str, Any]) -> list[dict[str, str]]:
             "echoes": number(c["echoes"]),
             "confidence": percent(c["confidence"]) or "–",
         }
-        for c in made
+        for c in classes
     ]
 
 
-def curve(made: Sequence[Sequence[float]] | None) -> dict[str, Any] | None:
+def curve(levels: Sequence[Sequence[float]] | None) -> dict[str, Any] | None:
     """Accuracy of the echoes that are left to the model, over their share: a path, ends of the scale, a small table."""
-    if not made or len(made) < 2:
+    if not levels or len(levels) < 2:
         return None
-    low = min(0.99, min(right for _, _, right in made))
-    points = [(WIDTH * share, HEIGHT * (1 - (right - low) / (1 - low))) for _, share, right in made]
+    low = min(0.99, min(right for _, _, right in levels))
+    points = [(WIDTH * share, HEIGHT * (1 - (right - low) / (1 - low))) for _, share, right in levels]
     rows = []
     for step in STEPS:
-        reached = [row for row in made if row[0] >= step - 1e-9]
+        reached = [row for row in levels if row[0] >= step - 1e-9]
         if reached:
             rows.append({"least": f"{step:.2f}", "share": percent(reached[0][1]), "right": percent(reached[0][2])})
     path = "M" + " L".join(f"{x:.1f} {y:.1f}" for x, y in points)
@@ -161,10 +163,10 @@ def curve(made: Sequence[Sequence[float]] | None) -> dict[str, Any] | None:
 
 def importance(training: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """The ten most important features with bars; the others by name."""
-    made = (training or {}).get("importance")
-    if not made:
+    values = (training or {}).get("importance")
+    if not values:
         return None
-    pairs = _pairs(made, list((training or {}).get("features") or ()))
+    pairs = _pairs(values, list((training or {}).get("features") or ()))
     if not pairs:
         return None
     pairs.sort(key=lambda item: (-item[1], item[0]))
@@ -173,21 +175,20 @@ def importance(training: Mapping[str, Any] | None) -> dict[str, Any] | None:
     return {"rows": rows, "more": [n for n, _ in pairs[10:]]}
 
 
-def _pairs(made: Any, features: list[str]) -> list[tuple[str, float]]:
+def _pairs(values: Any, features: list[str]) -> list[tuple[str, float]]:
     """(feature, importance) of whatever form a model's card has."""
-    if isinstance(made, Mapping):
-        values = made.get("mean", made.get("drop", made.get("values", made)))
-        if isinstance(values, Mapping):
-            return [(str(k), float(v)) for k, v in values.items() if isinstance(v, (int, float))]
-        made = values
-    if isinstance(made, Sequence) and len(made) == len(features):
-        return [(n, float(v)) for n, v in zip(features, made, strict=True) if isinstance(v, (int, float))]
-    return []
+    if isinstance(values, Mapping):
+        values = values.get("mean", values.get("drop", values.get("values", values)))
+    if isinstance(values, Sequence) and len(values) == len(features):
+        values = dict(zip(features, values, strict=True))
+    if not isinstance(values, Mapping):
+        return []
+    return [(str(k), float(v)) for k, v in values.items() if isinstance(v, (int, float))]
 
 
-def waves(made: Sequence[Mapping[str, Any]] | None) -> list[dict[str, Any]]:
+def waves(pulses: Sequence[Mapping[str, Any]] | None) -> list[dict[str, Any]]:
     """A panel a pulse: the samples, the fitted sum, a line at every echo."""
-    return [_wave(one) for one in made or ()]
+    return [_wave(pulse) for pulse in pulses or ()]
 
 
 def _wave(one: Mapping[str, Any], wide: float = 300.0, tall: float = 130.0) -> dict[str, Any]:

@@ -48,8 +48,8 @@ def find_packets(head: LasHead) -> Packets:
     if head.point_format not in WAVE_FORMATS:
         return Packets()
     inside = head.encoding & INTERNAL or not head.encoding & EXTERNAL  # a start beside the external bit is stale
-    if inside and (found := _internal(head)) is not None:
-        return found
+    if inside and (internal := _internal(head)) is not None:
+        return internal
     endings = packet_endings(head.records)
     sidecar = _beside(head.path, endings)
     if sidecar is None:
@@ -81,7 +81,7 @@ def _internal(head: LasHead) -> Packets | None:
     return Packets(True, record.start, min(end, head.file_size) - record.start, None, truncated, notes)
 
 
-def carried(record: Record, packets: Packets) -> bool:
+def is_copied(record: Record, packets: Packets) -> bool:
     """Whether an extended record goes into the copy: neither packets nor an octree."""
     return record.user != "copc" and not (packets.internal and record.start == packets.start)
 

@@ -11,9 +11,9 @@ COUNTED = ("unexplained", "outside", "below", "weak", "implausible", "returns_wi
 """Counts of a strip that the table shows beside its echoes."""
 
 
-def plausibility(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def plausibility(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """One row for every strip with waveforms; None without any."""
-    if not made or not made.get("strips"):
+    if not facts or not facts.get("strips"):
         return None
     rows = [
         {
@@ -24,6 +24,6 @@ def plausibility(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
             "lag1": measure(strip["lag1"]),
             "inflation": measure(strip["inflation"]),
         }
-        for strip in made["strips"]
+        for strip in facts["strips"]
     ]
-    return {"rows": rows, "accepted": bool(made.get("accepted")) and bool(made.get("remarks"))}
+    return {"rows": rows, "accepted": bool(facts.get("accepted")) and bool(facts.get("remarks"))}

@@ -80,9 +80,9 @@ def _key(number: int) -> str:
 
 
 def _text(parent: Xml.Element, tag: str, text: str) -> Xml.Element:
-    made = Xml.SubElement(parent, tag)
-    made.text = plain_text(text)
-    return made
+    element = Xml.SubElement(parent, tag)
+    element.text = plain_text(text)
+    return element
 
 
 def _tree(groups: Groups) -> Xml.Element:
@@ -111,30 +111,30 @@ def _tree(groups: Groups) -> Xml.Element:
 
 def _layer(layer: MapLayer, number: int, crs: pyproj.CRS | None) -> Xml.Element:
     kind = {"pointcloud": "point-cloud", "copc": "point-cloud"}.get(layer.kind, layer.kind)
-    made = Xml.Element("maplayer", {"type": kind, "hasScaleBasedVisibilityFlag": "0"})
+    element = Xml.Element("maplayer", {"type": kind, "hasScaleBasedVisibilityFlag": "0"})
     if layer.kind == "vector":
-        made.set("geometry", layer.geometry)
-        made.set("labelsEnabled", str(int(any(part.tag == "labeling" for part in layer.style))))
-    _text(made, "id", _key(number))
-    _text(made, "datasource", f"./{layer.source}")
-    _text(made, "layername", layer.name)
-    made.append(_system("srs", crs))
-    provider = _text(made, "provider", PROVIDERS[layer.kind])
+        element.set("geometry", layer.geometry)
+        element.set("labelsEnabled", str(int(any(part.tag == "labeling" for part in layer.style))))
+    _text(element, "id", _key(number))
+    _text(element, "datasource", f"./{layer.source}")
+    _text(element, "layername", layer.name)
+    element.append(_system("srs", crs))
+    provider = _text(element, "provider", PROVIDERS[layer.kind])
     if layer.kind == "vector":
         provider.set("encoding", "UTF-8")
-    made.extend(layer.style)
-    return made
+    element.extend(layer.style)
+    return element
 
 
 def _system(tag: str, crs: pyproj.CRS | None) -> Xml.Element:
-    made = Xml.Element(tag)
-    system = Xml.SubElement(made, "spatialrefsys", {"nativeFormat": "Wkt"})
+    element = Xml.Element(tag)
+    system = Xml.SubElement(element, "spatialrefsys", {"nativeFormat": "Wkt"})
     if crs is not None:
         authority = crs.to_authority()
         _text(system, "wkt", crs.to_wkt("WKT2_2019"))
         _text(system, "authid", ":".join(authority) if authority else "")
         _text(system, "description", crs.name)
-    return made
+    return element
 
 
 def _canvas(bounds: Sequence[float], crs: pyproj.CRS | None) -> Xml.Element:

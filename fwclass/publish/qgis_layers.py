@@ -96,25 +96,27 @@ def groups_of(
     if contours:
         source = f"{CONTOURS}|layername={LAYER}"
         groups["Terrain"].append(MapLayer("contours", "vector", source, contour_style(), True, "Line"))
-    for site, made in ranges.items():
+    for site, site_ranges in ranges.items():
         where, more = ("rasters", "") if site == whole else (f"rasters/{site}", f", {site}")
         for name, (title, group) in _RASTERS.items():
-            style = raster_style(name, made, names, multiply=group == "Maps")
+            style = raster_style(name, site_ranges, names, multiply=group == "Maps")
             shown = name in ("classes", "hillshade")
             groups[group].append(MapLayer(title + more, "raster", f"{where}/{name}.tif", style, shown))
     return groups
 
 
 def _polygons(layers: Sequence[str]) -> list[MapLayer]:
-    made = []
+    map_layers = []
     if "areas" in layers:
-        made.append(MapLayer("training and test areas", "vector", _source("areas"), outline_style((220, 30, 90), 0.6)))
+        map_layers.append(
+            MapLayer("training and test areas", "vector", _source("areas"), outline_style((220, 30, 90), 0.6))
+        )
     work = f'{_source("tiles")}|subset="rank" <= {WORK}'
-    made.append(
+    map_layers.append(
         MapLayer("work list: least sure tiles", "vector", work, graduated_style("confidence", SURE, LEAST_SURE))
     )
-    made.append(MapLayer("tile grid", "vector", _source("tiles"), outline_style((70, 70, 70), 0.3), shown=True))
-    return made
+    map_layers.append(MapLayer("tile grid", "vector", _source("tiles"), outline_style((70, 70, 70), 0.3), shown=True))
+    return map_layers
 
 
 def _source(layer: str) -> str:

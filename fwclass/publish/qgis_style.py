@@ -46,49 +46,33 @@ def rgba(colour: RGB) -> str:
 
 def class_raster_style(names: Mapping[int, str], multiply: bool = False) -> list[Xml.Element]:
     """One colour a class, of the classes that there are."""
-    pipe = Xml.Element("pipe")
-    renderer = add(pipe, "rasterrenderer", type="paletted", band=1, opacity=1, alphaBand=-1, nodataColor="")
+    pipe, renderer = _raster("paletted")
     palette = add(renderer, "colorPalette")
-    for code, colour in _coloured(names).items():
+    for code, colour in _class_colours(names).items():
         add(palette, "paletteEntry", value=code, color=css(colour), label=_label(code, names), alpha=255)
     return [pipe, _blend(multiply)]
 
 
 def ramp_raster_style(ramp: Ramp, low: float, high: float, unit: str = "", multiply: bool = False) -> list[Xml.Element]:
     """Colours between two values, the ends' beyond them."""
-    pipe = Xml.Element("pipe")
-    renderer = add(
-        pipe,
-        "rasterrenderer",
-        type="singlebandpseudocolor",
-        band=1,
-        opacity=1,
-        alphaBand=-1,
-        nodataColor="",
-        classificationMin=low,
-        classificationMax=high,
-    )
+    pipe, renderer = _raster("singlebandpseudocolor", classificationMin=low, classificationMax=high)
     _shader(add(renderer, "rastershader"), ramp, low, high, unit)
     return [pipe, _blend(multiply)]
 
 
 def grey_raster_style(low: float, high: float) -> list[Xml.Element]:
     """Black to white between two values."""
-    pipe = Xml.Element("pipe")
-    renderer = add(
-        pipe,
-        "rasterrenderer",
-        type="singlebandgray",
-        grayBand=1,
-        opacity=1,
-        alphaBand=-1,
-        nodataColor="",
-        gradient="BlackToWhite",
-    )
+    pipe, renderer = _raster("singlebandgray", "grayBand", gradient="BlackToWhite")
     stretch = add(renderer, "contrastEnhancement")
     for tag, value in (("minValue", low), ("maxValue", high), ("algorithm", "StretchToMinimumMaximum")):
         add(stretch, tag).text = str(value)
     return [pipe, _blend(False)]
+
+
+def _raster(kind: str, band: str = "band", **attributes: Any) -> tuple[Xml.Element, Xml.Element]:
+    """The pipe of a raster's one band, and its renderer."""
+    pipe, shared = Xml.Element("pipe"), {band: 1, "opacity": 1, "alphaBand": -1, "nodataColor": ""}
+    return pipe, add(pipe, "rasterrenderer", type=kind, **shared, **attributes)
 
 
 def _blend(multiply: bool) -> Xml.Element:
@@ -117,7 +101,7 @@ def class_cloud_style(names: Mapping[int, str]) -> list[Xml.Element]:
     """Echoes by class; one that is not named is not drawn, and none is left unnamed."""
     renderer = _cloud("classified", "Classification")
     categories = add(renderer, "categories")
-    for code, colour in _coloured(names).items():
+    for code, colour in _class_colours(names).items():
         add(categories, "category", value=code, color=rgba(colour), label=_label(code, names), render=1)
     return [renderer]
 
@@ -206,7 +190,7 @@ def _symbol(parent: Xml.Element, name: str, fill: RGB | None, line: RGB, width: 
         add(options, "Option", name=key, value=value, type="QString")
 
 
-def _coloured(names: Mapping[int, str]) -> dict[int, RGB]:
+def _class_colours(names: Mapping[int, str]) -> dict[int, RGB]:
     known = colours({"name": name, "code": code} for code, name in names.items())
     return dict(sorted(known.items()))
 

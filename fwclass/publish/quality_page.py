@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from fwclass.publish.drawing import View
 from fwclass.publish.figures import share_map
 from fwclass.publish.files import whole
-from fwclass.publish.ground_page import report_style
 from fwclass.publish.palette import RGB, css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import HEIGHTS
 from fwclass.publish.quality_section import quality
-from fwclass.publish.report import data_uri, environment
+from fwclass.publish.report import data_uri, environment, report_style
 from fwclass.publish.sections import quantity
 
 TEMPLATE = "quality.html.j2"
@@ -69,28 +68,28 @@ def _gradient(ramp: Sequence[tuple[float, RGB]]) -> str:
     return ", ".join(f"{css(colour)} {100 * stop:g}%" for stop, colour in ramp)
 
 
-def render_quality(made: Mapping[str, Any], pictures: Sequence[Picture], version: str, path: Path) -> None:
+def render_quality(summary: Mapping[str, Any], pictures: Sequence[Picture], version: str, path: Path) -> None:
     """Write the page: styles inside, images as data, every text escaped.
 
     Parameters
     ----------
-    made : what ``quality.json`` has (docs/quality.md).
+    summary : what ``quality.json`` has (docs/quality.md).
     """
-    density, strips = made["density"], made["strips"]
+    density, strips = summary["density"], summary["strips"]
     facts = [
-        ("echoes", quantity(made["echoes"])),
+        ("echoes", quantity(summary["echoes"])),
         ("pulses per m²", f"{density['pulses']:.2f}" if density["pulses"] is not None else ""),
         ("strips", quantity(len(strips["strips"]))),
         ("strips apart, rms", f"{100 * strips['rms']:.1f} cm" if strips["rms"] is not None else ""),
-        ("noise", f"{100 * made['noise_share']:.2g} %" if made["noise_share"] is not None else ""),
+        ("noise", f"{100 * summary['noise_share']:.2g} %" if summary["noise_share"] is not None else ""),
     ]
     page = environment().get_template(TEMPLATE)
     text = page.render(
         style=report_style(),
-        survey=made["survey"],
+        survey=summary["survey"],
         version=version,
         facts=[f for f in facts if f[1]],
-        quality=quality(made),
+        quality=quality(summary),
         pictures=[{**vars(p), "uri": data_uri(p.png)} for p in pictures],
     )
     with whole(path) as beside:

@@ -19,16 +19,16 @@ NOTE = (
 )
 
 
-def quality(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def quality(summary: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """Rows (what, figure), remarks, and the tables of strips and of their pairs; None where it was not measured."""
-    if not made:
+    if not summary:
         return None
-    density, strips = made["density"], made["strips"]
+    density, strips = summary["density"], summary["strips"]
     worst = sorted(strips["between"], key=lambda b: -b["rms"])
     names = [s["name"] for s in strips["strips"]]
     return {
-        "rows": _rows(made, density, strips),
-        "remarks": list(made["remarks"]),
+        "rows": _rows(summary, density, strips),
+        "remarks": list(summary["remarks"]),
         "strips": [_strip(s) for s in strips["strips"][:LISTED]],
         "more_strips": max(0, len(names) - LISTED),
         "between": [
@@ -44,11 +44,11 @@ def quality(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
     }
 
 
-def _rows(made: Mapping[str, Any], density: Mapping[str, Any], strips: Mapping[str, Any]) -> list[tuple[str, str]]:
-    share = made["noise_share"]
+def _rows(summary: Mapping[str, Any], density: Mapping[str, Any], strips: Mapping[str, Any]) -> list[tuple[str, str]]:
+    share = summary["noise_share"]
     rows = [
-        ("echoes", f"{number(made['echoes'])}, of {number(made['pulses'])} pulses"),
-        ("noise", f"{number(made['noise'])} echoes" + (f", {_share(share)}" if share is not None else "")),
+        ("echoes", f"{number(summary['echoes'])}, of {number(summary['pulses'])} pulses"),
+        ("noise", f"{number(summary['noise'])} echoes" + (f", {_share(share)}" if share is not None else "")),
         ("area with echoes", f"{density['area'] / 1e6:.3f} km², by cells of {density['cell']:g} m"),
     ]
     if density["pulses"] is not None:
@@ -62,7 +62,7 @@ def _rows(made: Mapping[str, Any], density: Mapping[str, Any], strips: Mapping[s
         ]
     if density["spacing"] is not None:
         rows.append(("pulse spacing", f"{density['spacing']:.2f} m"))
-    voids = made["voids"]
+    voids = summary["voids"]
     text = f"{number(voids['count'])} from {voids['least']:.3g} m² on"
     if voids["count"]:
         text += f", {number(voids['area'])} m² together ({_share(voids['share'])}), the largest "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from fwclass.publish.overview_section import (
     layers,
     next_steps,
     sure_rows,
-    surveyed,
+    survey_rows,
     verdict,
     waves,
 )
@@ -99,15 +100,23 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
 
 
 def environment() -> Environment:
-    made = Environment(
+    """Jinja's environment of the pages: it escapes every text, and a name that is not given is an error."""
+    env = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(number=number, percent=percent, quantity=quantity, seconds=seconds)
-    return made
+    env.filters.update(number=number, percent=percent, quantity=quantity, seconds=seconds)
+    return env
+
+
+def report_style() -> str:
+    """The style sheet of a run's report, for the other pages."""
+    text = (Path(__file__).parent / TEMPLATE).read_text(encoding="utf-8")
+    match = re.search(r"<style>(.*?)</style>", text, re.S)
+    return match[1] if match else ""
 
 
 def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, Any]:
@@ -124,7 +133,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "summary": _summary(report, classes, counts),
         "facts": _facts(report, counts),
         "verdict": verdict(report),
-        "surveyed": surveyed(report),
+        "surveyed": survey_rows(report),
         "layers": layers({n: data_uri(f) for n, f in figures.items() if n in LAYERS}, classes),
         "framed": bool((report.get("areas") or {}).get("train")),
         "key": class_key(classes),
@@ -133,7 +142,11 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "curve": curve(report.get("automation")),
         "importance": importance(report.get("training")),
         "waves": waves(report.get("waves")),
-        "maps": _images({n: f for n, f in figures.items() if n not in (PULSE, SAMPLING, *LAYERS)}),
+        "maps": [
+            {"title": n.replace("_", " ").capitalize(), "uri": data_uri(f)}
+            for n, f in figures.items()
+            if n not in (PULSE, SAMPLING, *LAYERS)
+        ],
         "remarks": [str(text) for text in report.get("remarks") or ()],
         "waveforms": waveforms(report.get("waveforms")),
         "plausibility": plausibility(report.get("plausibility")),
@@ -152,7 +165,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "stages": stages(report.get("stages") or ()),
         "graph": stage_graph(report.get("graph") or ()),
         "outputs": _outputs(report.get("outputs") or {}),
-        "config": _yaml(config) if config else "",
+        "config": yaml.safe_dump(config, sort_keys=False, allow_unicode=True, width=100) if config else "",
     }
 
 
@@ -184,11 +197,11 @@ def _summary(report: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], co
 
 def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The figures at the top: (label, value), those that are known."""
-    made = report.get("accuracy") or {}
+    accuracy = report.get("accuracy") or {}
     wanted = (
-        ("overall accuracy", percent(made.get("overall_accuracy")), " %"),
-        ("kappa", f"{made['kappa']:.3f}" if made.get("kappa") is not None else "", ""),
-        ("mean IoU", percent(made.get("mean_iou")), " %"),
+        ("overall accuracy", percent(accuracy.get("overall_accuracy")), " %"),
+        ("kappa", f"{accuracy['kappa']:.3f}" if accuracy.get("kappa") is not None else "", ""),
+        ("mean IoU", percent(accuracy.get("mean_iou")), " %"),
         ("pulses", quantity(counts.get("pulses") or None), ""),
         ("echoes", quantity(counts.get("echoes_in_tiles")), ""),
         ("tiles", quantity(counts.get("tiles")), ""),
@@ -198,18 +211,20 @@ def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[s
 
 
 def _balance(counts: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Whether every echo that was made lies in a tile."""
-    made, kept = counts.get("echoes_decomposed"), counts.get("echoes_in_tiles")
-    if made is None or kept is None:
+    """Whether every decomposed echo lies in a tile."""
+    decomposed, in_tiles = counts.get("echoes_decomposed"), counts.get("echoes_in_tiles")
+    if decomposed is None or in_tiles is None:
         return None
-    return {"made": number(made), "kept": number(kept), "equal": made == kept, "lost": number(abs(made - kept))}
-
-
-def _images(figures: Mapping[str, bytes]) -> list[dict[str, str]]:
-    return [{"title": n.replace("_", " ").capitalize(), "uri": data_uri(f)} for n, f in figures.items()]
+    return {
+        "made": number(decomposed),
+        "kept": number(in_tiles),
+        "equal": decomposed == in_tiles,
+        "lost": number(abs(decomposed - in_tiles)),
+    }
 
 
 def data_uri(picture: bytes) -> str:
+    """A PNG as an address that stands in the page itself."""
     return f"data:image/png;base64,{base64.b64encode(picture).decode()}"
 
 
@@ -240,16 +255,3 @@ def _link(path: str) -> str:
     """A link that can only lead to a file beside the report; "" for any other path."""
     inside = not path.startswith(("/", "\\")) and ".." not in path.split("/") and ":" not in path.split("/")[0]
     return "./" + quote(path.replace("\\", "/")) if inside else ""
-
-
-def _yaml(config: Any) -> str:
-    return str(yaml.safe_dump(_plain(config), sort_keys=False, allow_unicode=True, width=100))
-
-
-def _plain(value: Any) -> Any:
-    """Only what YAML writes plainly."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return value if isinstance(value, (str, int, float, bool)) or value is None else str(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from fwclass.publish.palette import colours, css
@@ -19,50 +19,47 @@ KINDS = {
 }
 
 
-def sampling(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def sampling(census: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """Rows of classes and training boxes, facts and remarks; None without a census."""
-    if not made or not made.get("classes"):
+    if not census or not census.get("classes"):
         return None
-    classes = made["classes"]
+    classes = census["classes"]
     dots = colours(classes)
     return {
-        "kind": KINDS.get(made["reference"], made["reference"]),
-        "facts": _facts(made),
+        "kind": KINDS.get(census["reference"], census["reference"]),
+        "facts": _facts(census),
         "rows": [
             {"name": c["name"], "dot": css(dots[int(c["code"])])}
             | {key: number(c[key]) for key in ("labelled", "train", "taken", "test")}
             for c in classes
         ],
-        "boxes": [_box(i + 1, b, classes) for i, b in enumerate(made["boxes"][:LISTED])],
-        "more": max(len(made["boxes"]) - LISTED, 0),
+        "boxes": [_box(i + 1, b) for i, b in enumerate(census["boxes"][:LISTED])],
+        "more": max(len(census["boxes"]) - LISTED, 0),
         "names": [c["name"] for c in classes],
-        "remarks": list(made["remarks"]),
+        "remarks": list(census["remarks"]),
     }
 
 
-def _facts(made: Mapping[str, Any]) -> list[tuple[str, str]]:
-    echoes = max(int(made["echoes"]), 1)
-    gap = made["gap"]
-    found = "no tested echo" if gap["found"] is None else f"{gap['found']:.2f} m from a training area at least"
+def _facts(census: Mapping[str, Any]) -> list[tuple[str, str]]:
+    labelled, share = census["labelled"], percent(census["labelled"] / max(int(census["echoes"]), 1))
+    gap = census["gap"]
+    nearest = "no tested echo" if gap["found"] is None else f"{gap['found']:.2f} m from a training area at least"
     rows = [
-        (
-            "labelled",
-            f"{number(made['labelled'])} of {number(made['echoes'])} echoes, {percent(made['labelled'] / echoes)} %",
-        ),
-        ("tested echoes", f"{found} (areas.gap {gap['asked']:g} m)"),
+        ("labelled", f"{number(labelled)} of {number(census['echoes'])} echoes, {share} %"),
+        ("tested echoes", f"{nearest} (areas.gap {gap['asked']:g} m)"),
     ]
-    if made["other_codes"]:
-        others = ", ".join(f"{code}: {number(n)}" for code, n in made["other_codes"].items())
+    if census["other_codes"]:
+        others = ", ".join(f"{code}: {number(n)}" for code, n in census["other_codes"].items())
         rows.append(("codes of no class", others))
-    if made["ambiguous"]:
-        rows.append(("in polygons of different classes", f"{number(made['ambiguous'])} echoes, not labelled"))
-    if corrected := made.get("corrections"):
+    if census["ambiguous"]:
+        rows.append(("in polygons of different classes", f"{number(census['ambiguous'])} echoes, not labelled"))
+    if corrected := census.get("corrections"):
         back = f", {number(corrected['taken_back'])} taken back" if corrected["taken_back"] else ""
         rows.append(("corrections", f"{number(corrected['applied'])} of {number(corrected['standing'])} applied{back}"))
     return rows
 
 
-def _box(place: int, box: Mapping[str, Any], classes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _box(place: int, box: Mapping[str, Any]) -> dict[str, Any]:
     corners = ", ".join(f"{v:.0f}" for v in box["box"])
     cells = [f"{number(t)} of {number(n)}" for t, n in zip(box["taken"], box["labelled"], strict=True)]
     return {"place": place, "corners": corners, "cells": cells, "empty": not any(box["labelled"])}

@@ -32,8 +32,8 @@ def draw_curves(
     rows = math.ceil(len(curves) / ACROSS)
     figure = Figure(figsize=(8.4, 2.5 * rows + 0.5), dpi=DPI, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
-    told = [k for line in curves.values() for _, k in line]
-    low, high = min(told), max([*told, held_out or -1.0])
+    kappas = [k for line in curves.values() for _, k in line]
+    low, high = min(kappas), max([*kappas, held_out or -1.0])
     room = max(0.06 * (high - low), 0.005)
     for place, (name, line) in enumerate(curves.items()):
         axes = figure.add_subplot(rows, ACROSS, place + 1)

@@ -93,54 +93,57 @@ def measure(value: Any) -> str:
     return f"{value:.{min(digits, 3)}f}"
 
 
-def accuracy(made: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+def accuracy(assessment: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     """The confusion matrix with a colour per cell, and the figures per class; None without an assessment."""
-    if not made or not made.get("confusion"):
+    if not assessment or not assessment.get("confusion"):
         return None
-    names = [str(c["name"] if isinstance(c, Mapping) else c) for c in made["classes"]]
-    lost = made.get("unclassified") or [0] * len(names)
+    names = [str(c["name"] if isinstance(c, Mapping) else c) for c in assessment["classes"]]
+    lost = assessment.get("unclassified") or [0] * len(names)
     dots = _dots(names, classes)
     rows = []
-    for i, (name, counts) in enumerate(zip(names, made["confusion"], strict=True)):
+    for i, (name, counts) in enumerate(zip(names, assessment["confusion"], strict=True)):
         total = sum(counts) + lost[i]
         cells = [_cell(n, total, i == j) for j, n in enumerate(counts)]
         rows.append(
             {"name": name, "dot": dots[name], "cells": cells, "total": number(total), "lost": number(lost[i])}
-            | {key: percent(_of(made.get(key), i, name)) or "–" for key in PER_CLASS}
+            | {key: percent(_of(assessment.get(key), i, name)) or "–" for key in PER_CLASS}
         )
     two = {"type I error": "type_i", "type II error": "type_ii", "total error": "total_error"}
     totals = (
-        [("overall accuracy", percent(made.get("overall_accuracy")) + " %")]
-        if made.get("overall_accuracy") is not None
+        [("overall accuracy", percent(assessment.get("overall_accuracy")) + " %")]
+        if assessment.get("overall_accuracy") is not None
         else []
     )
-    totals += [("kappa", f"{made['kappa']:.3f}")] if made.get("kappa") is not None else []
-    totals += [("mean IoU", percent(made["mean_iou"]) + " %")] if made.get("mean_iou") is not None else []
-    totals += [(label, percent(made[key]) + " %") for label, key in two.items() if made.get(key) is not None]
+    totals += [("kappa", f"{assessment['kappa']:.3f}")] if assessment.get("kappa") is not None else []
+    totals += [("mean IoU", percent(assessment["mean_iou"]) + " %")] if assessment.get("mean_iou") is not None else []
+    totals += [
+        (label, percent(assessment[key]) + " %") for label, key in two.items() if assessment.get(key) is not None
+    ]
     return {
         "names": names,
         "rows": rows,
         "totals": totals,
-        "intervals": _intervals(made.get("intervals")),
-        "area": made.get("area") or "",
+        "intervals": _intervals(assessment.get("intervals")),
+        "area": assessment.get("area") or "",
         "any_lost": any(lost),
-        "remarks": list(made.get("remarks") or ()),
-        "count": number(sum(map(sum, made["confusion"])) + sum(lost)),
+        "remarks": list(assessment.get("remarks") or ()),
+        "count": number(sum(map(sum, assessment["confusion"])) + sum(lost)),
     }
 
 
-def _intervals(made: Mapping[str, Any] | None) -> str:
+def _intervals(intervals: Mapping[str, Any] | None) -> str:
     """One sentence about how sure the figures are; empty without intervals."""
-    if not made:
+    if not intervals:
         return ""
-    told = []
+    parts = []
     for label, key in (("overall accuracy", "overall_accuracy"), ("kappa", "kappa"), ("mean IoU", "mean_iou")):
-        if made.get(key) is not None:
-            low, high = made[key]
+        if intervals.get(key) is not None:
+            low, high = intervals[key]
             share = f"{percent(low)} to {percent(high)} %"
-            told.append(f"{label} {low:.3f} to {high:.3f}" if key == "kappa" else f"{label} {share}")
-    text = f"{100 * made['level']:.0f} % intervals from {made['blocks']} blocks drawn at random: {', '.join(told)}."
-    return f"{text} Caution: {made['caution']}." if made.get("caution") else text
+            parts.append(f"{label} {low:.3f} to {high:.3f}" if key == "kappa" else f"{label} {share}")
+    level, blocks = f"{100 * intervals['level']:.0f} %", intervals["blocks"]
+    text = f"{level} intervals from {blocks} blocks drawn at random: {', '.join(parts)}."
+    return f"{text} Caution: {intervals['caution']}." if intervals.get("caution") else text
 
 
 def _of(values: Any, index: int, name: str) -> Any:
@@ -168,12 +171,14 @@ def _dots(names: Iterable[str], classes: Sequence[Mapping[str, Any]]) -> dict[st
     return {n: known.get(n, "#b8c1c9") for n in names}
 
 
-def distribution(made: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]] | None:
+def distribution(
+    quantiles: Mapping[str, Any] | None, classes: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]] | None:
     """Per feature and class: quantiles, a box to draw [% of the feature's range], Fan 2013's words."""
-    if not made:
+    if not quantiles:
         return None
     out = []
-    for feature, per_class in made.items():
+    for feature, per_class in quantiles.items():
         low, high = _range(per_class.values())
         dots = _dots(per_class, classes)
         base = _base(feature)
@@ -192,33 +197,33 @@ def distribution(made: Mapping[str, Any] | None, classes: Sequence[Mapping[str, 
     return out or None
 
 
-def classifier(made: Mapping[str, Any]) -> str:
+def classifier(facts: Mapping[str, Any]) -> str:
     """What learned, in words; "" where the report does not say."""
-    if made.get("trees"):
-        return f"random forest of {number(made['trees'])} trees"
-    return CLASSIFIERS.get(str(made.get("method")), "")
+    if facts.get("trees"):
+        return f"random forest of {number(facts['trees'])} trees"
+    return CLASSIFIERS.get(str(facts.get("method")), "")
 
 
-def training(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def training(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """What learned, from how many samples per class, the features in words."""
-    if not made:
+    if not facts:
         return None
-    features = [_title(str(f)) for f in made.get("features") or ()]
+    features = [_title(str(f)) for f in facts.get("features") or ()]
     return {
-        "classifier": classifier(made),
-        "samples": dict(made.get("samples") or {}),
+        "classifier": classifier(facts),
+        "samples": dict(facts.get("samples") or {}),
         "features": features,
-        "out_of_bag": percent(made.get("out_of_bag")),
-        "notes": [str(n) for n in made.get("notes") or ()],
+        "out_of_bag": percent(facts.get("out_of_bag")),
+        "notes": [str(n) for n in facts.get("notes") or ()],
     }
 
 
-def waveforms(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
+def waveforms(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """The system's pulse and gain of every strip in words, and where the calibration comes from."""
-    if not made or not made.get("strips"):
+    if not facts or not facts.get("strips"):
         return None
     rows = []
-    for strip in made["strips"]:
+    for strip in facts["strips"]:
         pulse = strip["pulse"]
         measured = pulse["shape"] == "measured"
         echoes = number(pulse["echoes"]) if pulse["echoes"] else "not measured"
@@ -236,27 +241,33 @@ def waveforms(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
                 "gain": f"{gain:.3f}" if gain is not None else "–",
             }
         )
-    return {"rows": rows, "gains": any(r["gain"] != "–" for r in rows), "notes": _calibration_notes(made)}
+    return {"rows": rows, "gains": any(r["gain"] != "–" for r in rows), "notes": _calibration_notes(facts)}
 
 
-def _calibration_notes(made: Mapping[str, Any]) -> list[str]:
+def _calibration_notes(facts: Mapping[str, Any]) -> list[str]:
     """How ranges and radiometry came about, in sentences."""
     notes = []
-    found = made.get("calibration")
-    if found:
-        source = found["source"]
+    calibration = facts.get("calibration")
+    if calibration:
+        source = calibration["source"]
         if source == "none":
             notes.append("Cross-section and backscatter are relative: no calibration constant is given or measured.")
         else:
-            error = f", standard error {percent(found['error'])} %" if found.get("error") is not None else ""
-            origin = f"{number(found['target_echoes'])} echoes on the target" if source == "target" else "configuration"
-            notes.append(f"Calibration constant {found['constant']:.4g} per m² DN ns, from {origin}{error}.")
-    if made.get("without_range"):
-        notes.append(f"{number(made['without_range'])} echoes have no range, and no radiometry.")
-    angle = made.get("pointing_error")
+            error = (
+                f", standard error {percent(calibration['error'])} %" if calibration.get("error") is not None else ""
+            )
+            origin = (
+                f"{number(calibration['target_echoes'])} echoes on the target"
+                if source == "target"
+                else "configuration"
+            )
+            notes.append(f"Calibration constant {calibration['constant']:.4g} per m² DN ns, from {origin}{error}.")
+    if facts.get("without_range"):
+        notes.append(f"{number(facts['without_range'])} echoes have no range, and no radiometry.")
+    angle = facts.get("pointing_error")
     if angle is not None:
-        told = f"{angle:.3f}°" if angle >= LEAST_ANGLE else f"less than {LEAST_ANGLE}°"
-        notes.append(f"Beams and trajectory agree to {told} (median of the worst tile).")
+        text = f"{angle:.3f}°" if angle >= LEAST_ANGLE else f"less than {LEAST_ANGLE}°"
+        notes.append(f"Beams and trajectory agree to {text} (median of the worst tile).")
         if angle > POINTING_LIMIT:
             notes.append("That is too much: check the trajectory's time scale, height system and coordinate system.")
     return notes
@@ -294,9 +305,9 @@ def _box(stats: Mapping[str, Any], low: float, high: float) -> dict[str, float] 
     return {p: round(2 + 96 * (float(v or 0) - low) / span, 2) for p, v in zip(PERCENTILES, values, strict=True)}
 
 
-def stages(made: Iterable[Mapping[str, Any]]) -> dict[str, Any] | None:
+def stages(timings: Iterable[Mapping[str, Any]]) -> dict[str, Any] | None:
     """Rows of the time table, with the length of each bar [% of the longest]."""
-    rows = [dict(s) for s in made]
+    rows = [dict(s) for s in timings]
     if not rows:
         return None
     longest = max((float(r.get("seconds") or 0) for r in rows), default=0) or 1.0

@@ -68,12 +68,12 @@ def _costs(axes: Any, steps: Sequence[Mapping[str, Any]], front: Sequence[int], 
     for a, b, step in zip(x, y, steps, strict=True):
         if list(step["features"]) == list(chosen):
             axes.plot([a], [b], "o", color=CHOSEN, markersize=7, zorder=3)
-    seen = set()
+    names = set()
     for k in front:
         size = steps[k]["size"]
-        if size not in seen:
+        if size not in names:
             axes.annotate(str(size), (x[k], y[k]), textcoords="offset points", xytext=(4, -9), fontsize=7, color=INK)
-            seen.add(size)
+            names.add(size)
     axes.set_xlim(0.0, 1.08 * max(x))
     axes.set_xlabel("processor time, µs per echo (numbers: features)", fontsize=8.5, color=INK)
     axes.set_ylabel("accuracy, %", fontsize=8.5, color=INK)

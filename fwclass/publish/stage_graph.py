@@ -19,15 +19,15 @@ COLOURS = {
 """Of a stage by what a part of it is."""
 
 
-def reduced(edges: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+def drop_implied(edges: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     """`edges` (stages that each reads) without those that follow from others; stages in the order of the run."""
     reach: dict[str, set[str]] = {}
-    kept: dict[str, list[str]] = {}
+    direct: dict[str, list[str]] = {}
     for name, sources in edges.items():
         behind = set().union(*(reach.get(s, set()) for s in sources)) if sources else set()
-        kept[name] = [s for s in sources if s not in behind]
+        direct[name] = [s for s in sources if s not in behind]
         reach[name] = behind | set(sources)
-    return kept
+    return direct
 
 
 def stage_graph(stages: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
@@ -41,7 +41,7 @@ def stage_graph(stages: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
         return None
     row = {str(s["name"]): k for k, s in enumerate(stages)}
     colours = [COLOURS.get(str(s["over"]), "#5b6a77") for s in stages]
-    edges = reduced({str(s["name"]): [str(r) for r in s["reads"] if str(r) in row] for s in stages})
+    edges = drop_implied({str(s["name"]): [str(r) for r in s["reads"] if str(r) in row] for s in stages})
     furthest = max((abs(row[n] - row[s]) for n, some in edges.items() for s in some), default=1)
     arcs = []
     for name, some in edges.items():

@@ -21,9 +21,9 @@ def draw_prescription(segments: Sequence[Any]) -> bytes:
 
     figure = Figure(figsize=(12, 6), dpi=100, layout="constrained")
     axes = figure.subplots(2, 1, sharex=True)
-    held = [s for s in segments if s.begin - segments[0].begin < LONGEST]
-    dense = max((s.density for s in held), default=1.0)
-    for s in held:
+    drawn = [s for s in segments if s.begin - segments[0].begin < LONGEST]
+    dense = max((s.density for s in drawn), default=1.0)
+    for s in drawn:
         colour = to_rgba(SIDES[s.side], 0.25 + 0.75 * s.density / dense)
         turn = 1.0 if s.side == "left" else -1.0
         axes[0].add_patch(_patch(s.begin, s.low, s.end - s.begin, s.high - s.low, colour))
@@ -31,10 +31,10 @@ def draw_prescription(segments: Sequence[Any]) -> bytes:
     for axis, label in zip(axes, ("m above the road", "m from the track, left is up"), strict=True):
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
-    if held:
-        axes[0].set_xlim(held[0].begin, held[-1].end)
-        axes[0].set_ylim(0, 1.05 * max(s.high for s in held))
-        far = 1.05 * max(s.far for s in held)
+    if drawn:
+        axes[0].set_xlim(drawn[0].begin, drawn[-1].end)
+        axes[0].set_ylim(0, 1.05 * max(s.high for s in drawn))
+        far = 1.05 * max(s.far for s in drawn)
         axes[1].set_ylim(-far, far)
     axes[1].axhline(0, color="#555555", lw=1)
     axes[1].set_xlabel("m along the road")

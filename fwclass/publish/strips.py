@@ -31,8 +31,8 @@ from fwclass.formats.las_bytes import (
 )
 from fwclass.formats.laz_writer import assemble, point_writer
 from fwclass.publish.files import whole
-from fwclass.publish.heights import Heights, stored_heights, with_heights
-from fwclass.publish.packets import Packets, carried, find_packets, publish_packets
+from fwclass.publish.heights import Heights, store_heights, with_heights
+from fwclass.publish.packets import Packets, find_packets, is_copied, publish_packets
 from fwclass.publish.params import PublishParams
 from fwclass.publish.verify import verify
 from fwclass.schema import column
@@ -88,7 +88,7 @@ def write_strip_laz(
     _check(head, output, classes, extra or {})
     extras = extra_bytes(map(column, extra or {}), extra or {}, names_of(kept_records(head)))
     packets = find_packets(head)
-    heights = None if z is None else stored_heights(head, z)
+    heights = None if z is None else store_heights(head, z)
     head = head if heights is None else with_heights(head, heights)
     chunk = chunk_rows(params.chunk_points, head.point_size + extra_size(extras))
     with whole(output) as beside:
@@ -97,7 +97,7 @@ def write_strip_laz(
         verify(head, beside, classes, extras, extra or {}, packets, chunk, heights)
         size = beside.stat().st_size
         waveforms, wdp = publish_packets(head, packets, output)
-    copc = _is_copc(head)
+    copc = any(r.user == "copc" for r in head.records)
     kind = "LAS" if output.suffix.lower() == ".las" else "LAZ"
     notes = list(packets.notes)
     if packets.internal and wdp is not None:
@@ -157,7 +157,8 @@ def _copy(
     heights: Heights | None,
 ) -> int:
     """Write head, points and extended records; the number of points whose class differs."""
-    writer = point_writer(output, file, _new_head(head, extras, packets))
+    block = _block(head, extras, packets)
+    writer = point_writer(output, file, assemble(block, extended(kept_records(head), extras), head.gap))
     changed = first = 0
     for part in point_chunks(head, chunk):
         rows = slice(first, first + len(part))
@@ -169,7 +170,7 @@ def _copy(
             part = np.concatenate([part, added], axis=1)
         writer.write(part)
         first = rows.stop
-    end = writer.finish(_block(head, extras, packets))
+    end = writer.finish(block)
     start, count = _copy_extended(head, file, end, packets)
     if head.minor >= 4:
         file.seek(AT_EVLRS)
@@ -184,14 +185,6 @@ def _reclassify(point_format: int, part: NDArray[np.uint8], classes: NDArray[np.
     changed = int(np.count_nonzero(part[:, at] != new))
     part[:, at] = new
     return changed
-
-
-def _new_head(head: LasHead, extras: tuple[ExtraByte, ...], packets: Packets) -> bytes:
-    return assemble(_block(head, extras, packets), extended(kept_records(head), extras), head.gap)
-
-
-def _is_copc(head: LasHead) -> bool:
-    return any(r.user == "copc" for r in head.records)
 
 
 def _block(head: LasHead, extras: tuple[ExtraByte, ...], packets: Packets) -> bytes:
@@ -214,7 +207,7 @@ def _copy_extended(head: LasHead, file: BinaryIO, end: int, packets: Packets) ->
     file.seek(end)
     with head.path.open("rb") as source:
         for rec in extended_records(source, head):
-            if carried(rec, packets):
+            if is_copied(rec, packets):
                 copy_bytes(source, file, rec.start, rec.end - rec.start)
                 count += 1
     return (end if count else 0), count

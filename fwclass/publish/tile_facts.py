@@ -9,7 +9,7 @@ import numpy as np
 
 from fwclass.formats.extra_bytes import published
 from fwclass.grid import millimetres
-from fwclass.publish.copc import streamed
+from fwclass.publish.copc import copc_columns
 from fwclass.schema import Table
 
 MEASURED = ("z", "height_above_ground", "confidence")
@@ -50,7 +50,7 @@ def tile_facts(table: Table) -> dict[str, Any]:
         "sure": _sure(table),
         "confidence": (figures.get("confidence") or {}).get("mean"),
         "times": [float(time.min()), float(time.max())] if len(time) else None,
-        "figures": {name: made for name, made in figures.items() if made is not None},
+        "figures": {name: figure for name, figure in figures.items() if figure is not None},
     }
 
 
@@ -81,7 +81,7 @@ def _figures(table: Table, name: str) -> dict[str, float] | None:
 
 def point_schema(columns: tuple[str, ...]) -> list[dict[str, Any]]:
     """Dimensions of a delivered tile with `columns`, as PDAL names and types them."""
-    extras = published(streamed(columns))
+    extras = published(copc_columns(columns))
     kinds = {"u": "unsigned", "i": "signed", "f": "floating", "b": "unsigned"}
     more = []
     for col in extras:
@@ -90,7 +90,7 @@ def point_schema(columns: tuple[str, ...]) -> list[dict[str, Any]]:
     return [{"name": name, "size": size, "type": kind} for name, size, kind in (*_FIELDS, *more)]
 
 
-def summed(tiles: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def sum_tiles(tiles: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Box, points and counts by class of several tiles."""
     bounds = np.array([t["bounds"] for t in tiles.values()])
     classes: dict[str, int] = {}

@@ -29,7 +29,7 @@ from fwclass.formats.las_bytes import (
     read_head,
 )
 from fwclass.publish.heights import Heights
-from fwclass.publish.packets import Packets, carried
+from fwclass.publish.packets import Packets, is_copied
 
 
 def verify(
@@ -43,18 +43,18 @@ def verify(
     heights: Heights | None = None,
 ) -> None:
     """`StoreError` naming the first thing in `copy` that is neither the source's nor meant to differ."""
-    made = replace(read_head(copy), path=copy)
-    _same(copy, "the header", _fixed(head), _fixed(made))
-    _storage(head, made, packets, copy)
+    copy_head = replace(read_head(copy), path=copy)
+    _same(copy, "the header", _unchanged_header(head), _unchanged_header(copy_head))
+    _storage(head, copy_head, packets, copy)
     wanted = b"".join(extended(kept_records(head), extras))
-    _same(copy, "the variable length records", wanted, b"".join(r.raw for r in kept_records(made).records))
-    _same(copy, "the bytes before the points", head.gap, made.gap)
-    _verify_extended(head, made, packets)
+    _same(copy, "the variable length records", wanted, b"".join(r.raw for r in kept_records(copy_head).records))
+    _same(copy, "the bytes before the points", head.gap, copy_head.gap)
+    _verify_extended(head, copy_head, packets)
     first = 0
-    pairs = zip_longest(point_chunks(head, chunk), point_chunks(made, chunk))
+    pairs = zip_longest(point_chunks(head, chunk), point_chunks(copy_head, chunk))
     for old, new in pairs:
         if old is None or new is None or len(old) != len(new):
-            raise differs(copy, "the number of points", head.points, made.points)
+            raise differs(copy, "the number of points", head.points, copy_head.points)
         rows = slice(first, first + len(old))
         if heights is not None:
             heights.put(old, rows)
@@ -65,7 +65,7 @@ def verify(
         first = rows.stop
 
 
-def _fixed(head: LasHead) -> bytes:
+def _unchanged_header(head: LasHead) -> bytes:
     """The header block without what a copy sets anew: places, counts of records, sizes, storage of packets."""
     fixed = bytearray(head.block)
     struct.pack_into("<H", fixed, AT_ENCODING, head.encoding & ~(INTERNAL | EXTERNAL))
@@ -77,13 +77,13 @@ def _fixed(head: LasHead) -> bytes:
     return bytes(fixed)
 
 
-def _storage(head: LasHead, made: LasHead, packets: Packets, copy: Path) -> None:
+def _storage(head: LasHead, copy_head: LasHead, packets: Packets, copy: Path) -> None:
     """The header of the copy tells where its packets and extended records are."""
     wanted = head.encoding & ~INTERNAL | EXTERNAL if packets.internal else head.encoding
-    if made.encoding != wanted:
-        raise differs(copy, "the global encoding", wanted, made.encoding)
-    if made.packets_start:
-        raise differs(copy, "the start of the packet record", 0, made.packets_start)
+    if copy_head.encoding != wanted:
+        raise differs(copy, "the global encoding", wanted, copy_head.encoding)
+    if copy_head.packets_start:
+        raise differs(copy, "the start of the packet record", 0, copy_head.packets_start)
 
 
 def _verify_points(
@@ -97,25 +97,25 @@ def _verify_points(
         row = wrong[0]
         raise differs(copy, f"the class of point {first + row}", classes[row], new[row, at] & mask)
     old[:, at] = new[:, at] & mask | old[:, at] & ~np.uint8(mask)
-    kept = new[:, : head.point_size]
-    if not np.array_equal(old, kept):
-        row, column = np.argwhere(old != kept)[0]
+    own = new[:, : head.point_size]
+    if not np.array_equal(old, own):
+        row, column = np.argwhere(old != own)[0]
         raise differs(copy, f"byte {column} of point {first + row}", old[row, column], new[row, column])
 
 
-def _verify_extended(head: LasHead, made: LasHead, packets: Packets) -> None:
-    with head.path.open("rb") as source, made.path.open("rb") as copy:
-        wanted = [r for r in extended_records(source, head) if carried(r, packets)]
-        got = extended_records(copy, made)
+def _verify_extended(head: LasHead, copy_head: LasHead, packets: Packets) -> None:
+    with head.path.open("rb") as source, copy_head.path.open("rb") as copy:
+        wanted = [r for r in extended_records(source, head) if is_copied(r, packets)]
+        got = extended_records(copy, copy_head)
         if len(wanted) != len(got):
-            raise differs(made.path, "the number of extended records", len(wanted), len(got))
+            raise differs(copy_head.path, "the number of extended records", len(wanted), len(got))
         for a, b in zip(wanted, got, strict=True):
             source.seek(a.start)
             copy.seek(b.start)
             for at in range(0, a.end - a.start, BLOCK):
                 size = min(BLOCK, a.end - a.start - at)
                 part = source.read(size)
-                _same(made.path, f"extended record {a.user} {a.number}", part, copy.read(size))
+                _same(copy_head.path, f"extended record {a.user} {a.number}", part, copy.read(size))
                 if not part:  # it states more bytes than the file has
                     break
 

@@ -141,12 +141,12 @@ def _statistics(
     return [
         {
             "name": name,
-            "count": int(made["count"]),
-            "minimum": _short(made["minimum"]),
-            "maximum": _short(made["maximum"]),
-            "average": _short(made["mean"]),
+            "count": int(figure["count"]),
+            "minimum": _short(figure["minimum"]),
+            "maximum": _short(figure["maximum"]),
+            "average": _short(figure["mean"]),
         }
-        for name, made in figures.items()
+        for name, figure in figures.items()
         if name in names
     ]
 

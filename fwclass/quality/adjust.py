@@ -57,7 +57,7 @@ class Adjusted:
     left: float
 
 
-def adjusted(strips: Sequence[Strip], pairs: Pairs, max_tilt_error: float) -> Adjusted:
+def adjust(strips: Sequence[Strip], pairs: Pairs, max_tilt_error: float) -> Adjusted:
     """The residuals that explain `pairs` best, the smallest of those that do so equally well.
 
     Each strip is lifted by ``h + r u + p v``, u and v its places across and along the line, -1 to 1 from edge to edge.

@@ -9,21 +9,21 @@ from fwclass.errors import QualityError
 from fwclass.quality.params import QualityParams
 
 
-def judge_quality(made: Mapping[str, Any], params: QualityParams) -> None:
+def judge_quality(summary: Mapping[str, Any], params: QualityParams) -> None:
     """`QualityError` naming the first figure of ``quality.json`` that misses its threshold, or that has no value."""
-    density, strips = made["density"], made["strips"]
+    density, strips = summary["density"], summary["strips"]
     least = (
         ("min_density", "echoes per m²", density["echoes"], params.min_density),
         ("min_pulse_density", "pulses per m²", density["pulses"], params.min_pulse_density),
     )
-    largest = max((v["area"] for v in made["voids"]["largest"]), default=0.0)
+    largest = max((v["area"] for v in summary["voids"]["largest"]), default=0.0)
     most = (
         ("max_void", "the largest void [m²]", largest, params.max_void),
         ("max_dz", "the root mean square difference of strips [m]", strips["rms"], params.max_dz),
-        ("max_noise", "the share of noise", made["noise_share"], params.max_noise),
+        ("max_noise", "the share of noise", summary["noise_share"], params.max_noise),
     )
-    for sign, words, asked in ((1, "at least", least), (-1, "at most", most)):
-        for setting, what, value, bound in asked:
+    for sign, words, bounds in ((1, "at least", least), (-1, "at most", most)):
+        for setting, what, value, bound in bounds:
             if bound is not None and (value is None or sign * value < sign * bound):
                 raise QualityError(
                     f"{what} misses its threshold" if value is not None else f"nothing tells {what}",

@@ -132,7 +132,7 @@ def strips_of(
     files: list[set[int]] = [set() for _ in range(strips)]
     for block, corner, n in zip(blocks, corners, number, strict=True):
         begin = np.where(block.span == NO_TIME, 0, block.span - np.where(last[n] == NO_TIME, 0, first[n])) * gap
-        np.add.at(total, n, _moved(block.sums, corner[0] - middle[0], corner[1] - middle[1], begin))
+        np.add.at(total, n, _shift(block.sums, corner[0] - middle[0], corner[1] - middle[1], begin))
         for k, f in zip(n.tolist(), block.file.tolist(), strict=True):
             files[k].add(f)
     return [
@@ -147,7 +147,7 @@ def strips_of(
     ]
 
 
-def _moved(sums: NDArray[np.float64], dx: float, dy: float, dt: NDArray[np.float64]) -> NDArray[np.float64]:
+def _shift(sums: NDArray[np.float64], dx: float, dy: float, dt: NDArray[np.float64]) -> NDArray[np.float64]:
     """`sums` in metres and seconds, of places and times moved by so much."""
     n = sums[:, 0]
     scale = np.array([1, UNIT, UNIT, TICK, UNIT**2, UNIT**2, UNIT**2, UNIT * TICK, UNIT * TICK, TICK**2])

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.quality.adjust import Adjusted, Pairs, adjusted
+from fwclass.quality.adjust import Adjusted, Pairs, adjust
 from fwclass.quality.params import PlaneParams
 from fwclass.quality.pieces import Pieces, Strip, groups_of, lines
 from fwclass.quality.planes import PlanePairs
@@ -78,14 +78,14 @@ class Comparison:
         values = np.stack([np.bincount(at.reshape(-1), v, minlength=len(both)) for v in (np.ones(len(dz)), dz, dz**2)])
         for (a, b), one in zip(both.tolist(), values.T, strict=True):
             self._sums[a, b] = self._sums.get((a, b), np.zeros(3)) + one
-        kept = _drawn(col, row, self.share)
-        x, y = ((v[kept].astype(np.float64) + 0.5) * self.params.cell for v in (col, row))
-        self._sample.append(Pairs(first[kept], second[kept], x, y, dz[kept], weight[kept]))
+        sampled = _draw(col, row, self.share)
+        x, y = ((v[sampled].astype(np.float64) + 0.5) * self.params.cell for v in (col, row))
+        self._sample.append(Pairs(first[sampled], second[sampled], x, y, dz[sampled], weight[sampled]))
 
     def facts(self, strips: Sequence[Strip], files: Mapping[int, str], by: By) -> dict[str, Any]:
         """What `report.json` tells of the strips (docs/quality.md); `files`: names of the source files by number."""
         sample = Pairs(*(np.concatenate([getattr(s, n) for s in self._sample]) for n in Pairs.__dataclass_fields__))
-        made = adjusted(strips, sample, self.params.max_tilt_error)
+        adjustment = adjust(strips, sample, self.params.max_tilt_error)
         n, _, square = np.sum(list(self._sums.values()), axis=0) if self._sums else np.zeros(3)
         group = groups_of(len(strips), *(np.array([k[i] for k in self._sums], np.int64) for i in (0, 1)))
         return {
@@ -94,9 +94,9 @@ class Comparison:
             "adjusted": len(sample.dz),
             "apart": self.apart,
             "rms": math.sqrt(square / n) if n else None,
-            "left": _known(made.left),
-            "sigma": _known(made.sigma),
-            "strips": [_strip(k, s, files, by, made, int(group[k])) for k, s in enumerate(strips)],
+            "left": _finite_or_none(adjustment.left),
+            "sigma": _finite_or_none(adjustment.sigma),
+            "strips": [_strip(k, s, files, by, adjustment, int(group[k])) for k, s in enumerate(strips)],
             "between": [
                 {"first": a, "second": b, "pairs": int(c), "mean": float(m / c), "rms": math.sqrt(q / c)}
                 for (a, b), (c, m, q) in sorted(self._sums.items())
@@ -104,7 +104,7 @@ class Comparison:
         }
 
 
-def _drawn(col: NDArray[np.int64], row: NDArray[np.int64], share: float) -> NDArray[np.bool_]:
+def _draw(col: NDArray[np.int64], row: NDArray[np.int64], share: float) -> NDArray[np.bool_]:
     """About `share` of the cells, by their place, the same whatever the blocks and their order."""
     if share >= 1:
         return np.ones(len(col), bool)
@@ -114,11 +114,13 @@ def _drawn(col: NDArray[np.int64], row: NDArray[np.int64], share: float) -> NDAr
     return np.asarray((mixed >> np.uint64(11)) < np.uint64(share * 2**53))
 
 
-def _known(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _strip(number: int, strip: Strip, files: Mapping[int, str], by: By, made: Adjusted, group: int) -> dict[str, Any]:
+def _strip(
+    number: int, strip: Strip, files: Mapping[int, str], by: By, adjustment: Adjusted, group: int
+) -> dict[str, Any]:
     names = sorted(files.get(f, str(f)) for f in strip.files)
     facts = {
         "name": names[0] if by == "files" else f"line {number + 1}",
@@ -130,11 +132,13 @@ def _strip(number: int, strip: Strip, files: Mapping[int, str], by: By, made: Ad
         "centre": list(strip.centre),
         "width": 2 * strip.half[0],
         "length": 2 * strip.half[1],
-        "pairs": int(made.pairs[number]),
+        "pairs": int(adjustment.pairs[number]),
         "group": group,
     }
     for k, name in enumerate(("height", "roll", "pitch")):
-        facts[name], facts[f"{name}_error"] = (_known(v[number, k]) for v in (made.values, made.errors))
+        facts[name], facts[f"{name}_error"] = (
+            _finite_or_none(v[number, k]) for v in (adjustment.values, adjustment.errors)
+        )
     return facts
 
 

@@ -143,7 +143,9 @@ def calibrate(statistics: Iterable[Overlap], params: RadiometryParams) -> Calibr
         source = "target"
     echoes = dict(zip(total.strip.tolist(), total.echoes.tolist(), strict=True))
     gains = tuple(
-        StripGain(s, float(np.exp(log_gain[k])), _known(error[k]), int(group[k]), bool(tied[k]), echoes.get(s, 0))
+        StripGain(
+            s, float(np.exp(log_gain[k])), _finite_or_none(error[k]), int(group[k]), bool(tied[k]), echoes.get(s, 0)
+        )
         for k, s in enumerate(strips.tolist())
     )
     compared = tuple(
@@ -154,7 +156,7 @@ def calibrate(statistics: Iterable[Overlap], params: RadiometryParams) -> Calibr
     return Calibration(constant, constant_error, source, hits, unit, gains, compared, others)
 
 
-def _known(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return None if np.isnan(value) else float(value)
 
 

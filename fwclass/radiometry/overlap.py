@@ -164,12 +164,12 @@ def _pairs(
     good = (count >= params.overlap.least_echoes) & (square <= params.overlap.max_spread**2 * (count - 1))
     cell, strip, middle = cell[begin][good], strip[begin][good], middle[good]
     shared = np.bincount(cell)[cell] if len(cell) else cell
-    found, parts = [_NONE.reshape(0, 3)], [_NONE]
+    pairs, parts = [_NONE.reshape(0, 3)], [_NONE]
     for ahead in range(1, len(cell)):
         a = np.flatnonzero(cell[ahead:] == cell[:-ahead])
         if len(a) == 0:
             break
         difference = np.floor((middle[a] - middle[a + ahead]) / STEP).astype(np.int64)
-        found.append(np.stack([strip[a], strip[a + ahead], difference], axis=1))
+        pairs.append(np.stack([strip[a], strip[a + ahead], difference], axis=1))
         parts.append(2 * PARTS // shared[a])
-    return _count(*np.concatenate(found).T, weight=np.concatenate(parts))
+    return _count(*np.concatenate(pairs).T, weight=np.concatenate(parts))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_unless_flat
 from fwclass.formats.linear_units import LinearUnits, linear_units
-from fwclass.grid import quantised
+from fwclass.grid import quantise
 from fwclass.read.las import LasSource
 from fwclass.read.packets import FAULTS, References, judge
 from fwclass.read.points import PointReader, coordinates
@@ -167,7 +167,7 @@ def _cloud(
             got=f"{int((~finite).sum())} of {len(finite)} are not finite, the others are larger",
             do="check the file's scale and offset (fwclass info), or its columns",
         )
-    x, y, z = (np.where(usable, quantised(np.where(usable, a, 0.0)), np.nan) for a in xyz)
+    x, y, z = (np.where(usable, quantise(np.where(usable, a, 0.0)), np.nan) for a in xyz)
     return PointCloud(
         path,
         source,

@@ -85,7 +85,7 @@ def _at_worker(
     if libraries != _digest_here():
         raise OtherLibraries(worker.address, dict(fingerprint()))
     worker_directory(Path(worker.local_directory))
-    compiling.tellers[:] = [lambda begins: worker.log_event(topic, {"worker": worker.address, "compiling": begins})]
+    compiling.listeners[:] = [lambda begins: worker.log_event(topic, {"worker": worker.address, "compiling": begins})]
     with ended_after(seconds) if math.isfinite(seconds) else nullcontext():
         outcome = execute(location, task, tuple(upstream), split)
     give_back(worker.memory_manager.memory_limit)

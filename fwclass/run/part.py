@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from fwclass.errors import FwclassError, full_or, interrupted, system_error
+from fwclass.errors import FwclassError, full_or, is_interrupt, system_error
 from fwclass.memory import keep_freed
 from fwclass.run.inputs import Declared, PartInputs
 from fwclass.run.logs import Value, attempted, log_path
@@ -153,7 +153,7 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
             task.params,
         )
     except Exception as fault:
-        if interrupted(fault):
+        if is_interrupt(fault):
             raise KeyboardInterrupt from fault
         outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_message(location, task, fault))
         trace = "" if isinstance(fault, (FwclassError, OSError)) else "".join(traceback.format_exception(fault))

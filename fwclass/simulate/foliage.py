@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from fwclass.kernel import kernel
-from fwclass.simulate.noise import mixed, uniform
+from fwclass.simulate.noise import mix, uniform
 from fwclass.simulate.scene import BOX, CONE
 
 _VOXEL = 0.35
@@ -35,7 +35,7 @@ def _foliage(crown, clump, stream, c, x, y, z):  # type: ignore[no-untyped-def]
     if z <= crown[c, 3] or z >= crown[c, 4]:
         return 0.0
     vx, vy, vz = int(x / _VOXEL), int(y / _VOXEL), int((z + 1000.0) / _VOXEL)
-    bits = mixed(stream ^ (np.uint64(vx) * _PX) ^ (np.uint64(vy) * _PY) ^ (np.uint64(vz) * _PZ))
+    bits = mix(stream ^ (np.uint64(vx) * _PX) ^ (np.uint64(vy) * _PY) ^ (np.uint64(vz) * _PZ))
     ragged = 1.0 - 0.5 * np.float64((bits >> _S8) & _BYTE) / 255.0
     dx, dy, share = x - crown[c, 1], y - crown[c, 2], 1.0
     if crown[c, 0] == BOX:
@@ -81,6 +81,6 @@ def herb(stream, key, number, tall, x, y, far, rz):  # type: ignore[no-untyped-d
     """Distance [m] at which a ray bound for the ground at `far` [m] ends in a ragged herb layer of mean height `tall`
     [m], by random number `number` of the stream `key`."""
     vx, vy = int(x / _VOXEL), int(y / _VOXEL)
-    bits = mixed(stream ^ (np.uint64(vx) * _PY) ^ (np.uint64(vy) * _PX))
+    bits = mix(stream ^ (np.uint64(vx) * _PY) ^ (np.uint64(vy) * _PX))
     way = tall * (0.3 + 1.4 * np.float64(bits >> _S56) / 255.0) / -rz
     return min(far - way - math.log(uniform(key, number)) / _HERB_EXTINCTION, far)

@@ -23,7 +23,7 @@ SHOT_STREAM, CLOCK_STREAM, NOISE_STREAM = (1 << 24) - 1, (1 << 24) - 2, 1 << 24
 
 
 @kernel
-def mixed(value):  # type: ignore[no-untyped-def]
+def mix(value):  # type: ignore[no-untyped-def]
     """uint64 of 64 well-mixed bits of a uint64, any shape: the finaliser of SplitMix64 (Steele 2014)."""
     value = (value ^ (value >> _S30)) * _MIX_A
     value = (value ^ (value >> _S27)) * _MIX_B
@@ -33,7 +33,7 @@ def mixed(value):  # type: ignore[no-untyped-def]
 @kernel
 def draw(key, counter):  # type: ignore[no-untyped-def]
     """64 random bits, number `counter` (any integer) of the stream `key` (uint64)."""
-    return mixed(key + np.uint64(counter) * GOLDEN)
+    return mix(key + np.uint64(counter) * GOLDEN)
 
 
 @kernel
@@ -45,8 +45,8 @@ def uniform(key, counter):  # type: ignore[no-untyped-def]
 @kernel
 def pulse_key(seed, strip, pulse):  # type: ignore[no-untyped-def]
     """The stream (uint64) that belongs to one pulse of one strip."""
-    first = mixed(np.uint64(seed) * GOLDEN + np.uint64(strip))
-    return mixed(first ^ (np.uint64(pulse) * GOLDEN) ^ (np.uint64(strip) << _S40))
+    first = mix(np.uint64(seed) * GOLDEN + np.uint64(strip))
+    return mix(first ^ (np.uint64(pulse) * GOLDEN) ^ (np.uint64(strip) << _S40))
 
 
 def normal_table() -> NDArray[np.float64]:

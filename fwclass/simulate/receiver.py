@@ -254,8 +254,8 @@ def fly_chunk(scene, rays, rx, normal, seed, strip, first_pulse, origins, direct
                 add_pulse(wave, work.range[k] - begin, work.energy[k], rx.sigma)
         samples = out.samples[n_samples : n_samples + length]
         digitise(wave, key, normal, rx.noise, rx.baseline, rx.top, samples)
-        found = detect(samples, rx.baseline, rx.detection, rx.dip, out.location[n_returns:], out.height[n_returns:])
-        if found == 0:
+        detected = detect(samples, rx.baseline, rx.detection, rx.dip, out.location[n_returns:], out.height[n_returns:])
+        if detected == 0:
             out.fate[p] = SILENT
             continue
         out.fate[p] = RECORDED
@@ -265,7 +265,7 @@ def fly_chunk(scene, rays, rx, normal, seed, strip, first_pulse, origins, direct
             out.echo_height[n_echoes + k] = peak(work.echo[k, 1], work.echo[k, 2], rx.sigma)
             out.echo_sigma[n_echoes + k] = math.sqrt(rx.sigma * rx.sigma + work.echo[k, 2])
             out.echo_class[n_echoes + k] = work.echo_code[k]
-        n_samples, n_returns, n_echoes = n_samples + length, n_returns + found, n_echoes + count
+        n_samples, n_returns, n_echoes = n_samples + length, n_returns + detected, n_echoes + count
         out.sample_start[p + 1] = n_samples
         out.return_start[p + 1] = n_returns
         out.echo_start[p + 1] = n_echoes
@@ -292,7 +292,7 @@ class Recorded(NamedTuple):
     echo_class: np.ndarray
 
 
-def recorded(pulses: int, rays: int, long: int) -> Recorded:
+def empty_record(pulses: int, rays: int, long: int) -> Recorded:
     """Room, all zero, for what a chunk of this many pulses [count] records, whatever they meet; `long` [samples] the
     longest wave."""
     return Recorded(

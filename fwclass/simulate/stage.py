@@ -33,9 +33,9 @@ from fwclass.simulate.receiver import (
     Receiver,
     Recorded,
     Workspace,
+    empty_record,
     fly_chunk,
     pulse_shape,
-    recorded,
     workspace,
 )
 from fwclass.simulate.scene import Scene
@@ -81,7 +81,7 @@ class _Flyer:
         self.normal = normal_table()
         long = params.sensor.long_segment
         self.work: Workspace = workspace(len(self.rays), long, MAX_CANDIDATES)
-        self.out: Recorded = recorded(min(params.chunk, strip.pulses), len(self.rays), long)
+        self.out: Recorded = empty_record(min(params.chunk, strip.pulses), len(self.rays), long)
 
     def fly(self, first: int, count: int) -> tuple[Pulses, Recorded]:
         """Pulses `first` to `first + count`, and what came of them (views of the room, cut to size)."""
@@ -116,7 +116,7 @@ class _Flyer:
         )
 
 
-def _numbered(start: NDArray[np.int64]) -> tuple[NDArray, NDArray, NDArray]:
+def _number_in_pulse(start: NDArray[np.int64]) -> tuple[NDArray, NDArray, NDArray]:
     """For items grouped by pulse: pulse, number in the pulse from 1, and the pulse's count."""
     count = np.diff(start)
     pulse = np.repeat(np.arange(len(count)), count)
@@ -130,7 +130,7 @@ def _at(pulses: Pulses, pulse: NDArray, time_ns: NDArray) -> dict[str, NDArray]:
 
 
 def _return_columns(strip: StripPlan, short: int, pulses: Pulses, got: Recorded, first_byte: int) -> dict[str, NDArray]:
-    pulse, number, of = _numbered(got.return_start)
+    pulse, number, of = _number_in_pulse(got.return_start)
     samples = np.diff(got.sample_start)[pulse]
     width = strip.recording.bits // 8
     extended = strip.recording.point_format >= 6
@@ -160,7 +160,7 @@ def _return_columns(strip: StripPlan, short: int, pulses: Pulses, got: Recorded,
 
 
 def _reference_columns(strip: StripPlan, pulses: Pulses, got: Recorded) -> dict[str, NDArray]:
-    pulse, number, of = _numbered(got.echo_start)
+    pulse, number, of = _number_in_pulse(got.echo_start)
     return _at(pulses, pulse, got.echo_time) | {
         "intensity": np.minimum(got.echo_height * INTENSITY_SCALE, 65535).astype(np.uint16),
         "return_number": np.minimum(number, 15).astype(np.uint8),
@@ -197,7 +197,7 @@ def simulate_strip(params: SimulateParams, strip: StripPlan, out: Path) -> dict[
 
     Returns
     -------
-    Facts for JSON: name, pulses fired, and of these `recorded`, `silent` (seen, but no return), `cut` (outside the
+    Facts for JSON: name, pulses fired, and of these `empty_record`, `silent` (seen, but no return), `cut` (outside the
     area or in the gap) and `unseen`; returns; echoes; echoes per class code; bytes; seconds.
     """
     begun = time.perf_counter()

@@ -60,10 +60,10 @@ def trees_of(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     crown = scene.crown[[min(rows) for rows in at]] if len(place) else scene.crown[:0]
     ground = [terrain(scene.height, scene.margin, scene.step, x, y) for x, y in place]
     trees = np.column_stack([place, crown[:, 4], crown[:, 4] - np.array(ground), 2.0 * crown[:, 5]])
-    return trees, np.array([_overtopped(one, crown) for one in crown], bool)
+    return trees, np.array([_is_overtopped(one, crown) for one in crown], bool)
 
 
-def _overtopped(one: NDArray[np.float64], crowns: NDArray[np.float64]) -> bool:
+def _is_overtopped(one: NDArray[np.float64], crowns: NDArray[np.float64]) -> bool:
     """Whether one of `crowns` (rows of `Scene.crown`) is higher above the top of `one` than that."""
     shape, x, y, bottom, top, reach = crowns.T[:6]
     share = np.hypot(x - one[1], y - one[2]) / reach
@@ -86,19 +86,19 @@ def write_truth(params: SimulateParams, out: Path) -> Path:
     beside = path.with_name(f".{path.stem}.part.gpkg")
     beside.unlink(missing_ok=True)
     crs = CRS.from_user_input(params.crs).to_wkt("WKT1_GDAL")
-    seen = np.array([_seen(scene, part) for part in corners], bool)
-    whole = np.bincount(building, ~seen)[building] == 0 if len(seen) else seen
+    inside = np.array([_is_inside(scene, part) for part in corners], bool)
+    whole = np.bincount(building, ~inside)[building] == 0 if len(inside) else inside
     fields: dict[str, Any] = {"building": building, "top": top + params.base_height, "whole": whole}
     write_shapes(beside, "buildings", [polygon_wkb([part + move]) for part in corners], fields, crs)
     trees, overtopped = trees_of(scene)
-    seen = np.array([_seen(scene, one[None, :2]) for one in trees], bool)
-    fields = {"top": trees[:, 2] + params.base_height, "height": trees[:, 3], "crown": trees[:, 4], "whole": seen}
+    inside = np.array([_is_inside(scene, one[None, :2]) for one in trees], bool)
+    fields = {"top": trees[:, 2] + params.base_height, "height": trees[:, 3], "crown": trees[:, 4], "whole": inside}
     fields["overtopped"] = overtopped
     write_shapes(beside, "trees", point_wkb(trees[:, 0] + move[0], trees[:, 1] + move[1]), fields, crs, "Point")
     return beside.replace(path)
 
 
-def _seen(scene: Scene, points: NDArray[np.float64]) -> bool:
+def _is_inside(scene: Scene, points: NDArray[np.float64]) -> bool:
     """Whether all points (n, 2) [m] lie in the survey area and none in its gap."""
     x, y, cos, sin, half_length, half_width = scene.gap
     dx, dy = (points - (x, y)).T

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.assess.stage import confusion, figures, unclassified
 from fwclass.errors import ConfigError, InputError
-from fwclass.grid import quantised
+from fwclass.grid import quantise
 from fwclass.model import ClassDef
 from fwclass.read.cloud import FAR
 from fwclass.read.source import open_source
@@ -32,7 +32,7 @@ def _cloud(path: Path) -> Table:
     if source.n_points == 0:
         raise InputError("the file has no points", where=path, do="there is nothing to assess")
     table = read_cloud(path, 0, source.n_points)
-    return table.with_columns({n: quantised(table[n]) for n in "xyz"})
+    return table.with_columns({n: quantise(table[n]) for n in "xyz"})
 
 
 def _of_text(path: Path) -> Table:
@@ -46,7 +46,7 @@ def _of_text(path: Path) -> Table:
             got="x y z",
             do="give a file with labels",
         )
-    columns = {n: quantised(np.where(np.abs(a) < FAR, a, np.nan)) for n, a in zip("xyz", text.xyz, strict=True)}
+    columns = {n: quantise(np.where(np.abs(a) < FAR, a, np.nan)) for n, a in zip("xyz", text.xyz, strict=True)}
     return Table({**columns, "source_class": codes})
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass import conf
 from fwclass.classes import standard_name
 from fwclass.classify.kept import Kept, with_kept
-from fwclass.classify.stage import classify, filled
+from fwclass.classify.stage import classify, count_filled
 from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import Asked, is_feature
@@ -306,7 +306,7 @@ def _classified(
         for name, values in classify(X, model, shares).items():
             results.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
         without += np.isnan(X).sum(axis=0)
-        done, replaced = done + len(core), replaced + filled(X, model)
+        done, replaced = done + len(core), replaced + count_filled(X, model)
     crowd = Crowd.of_parts(crowds)
     lacking = {n: int(k) for n, k in zip(model.features, without, strict=True) if k}
     return results, lacking, replaced, [crowd.text(params)] if crowd else []

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.classify.refine import BOUNDARY, COARSE, at_boundary, refined
-from fwclass.classify.stage import filled, probability_columns
+from fwclass.classify.refine import BOUNDARY, COARSE, at_boundary, refine_boundary
+from fwclass.classify.stage import count_filled, probability_columns
 from fwclass.features.params import Asked, FeaturesParams, is_feature
 from fwclass.features.stage import features
 from fwclass.ground.blocks import blocks_of
@@ -48,7 +48,7 @@ def refine(
         X = sample_matrix(some, model.fine.features, tile.key)
         some = some.with_columns(Table({BOUNDARY: np.ones(len(core), bool)}))
         before = Table({n: coarse[n][rows[core]] for n in shares}) if shares[0] in coarse else None
-        for name, values in refined(some, X, model, before).items():
+        for name, values in refine_boundary(some, X, model, before).items():
             made[name][rows[core]] = values
-        count, gaps = count + len(core), gaps + filled(X, model.fine)
+        count, gaps = count + len(core), gaps + count_filled(X, model.fine)
     return made, {"boundary": count, "filled": gaps}

@@ -11,7 +11,7 @@ from typing import Any
 
 from fwclass import conf
 from fwclass.decompose.params import DecomposeParams
-from fwclass.decompose.plausible import UNKNOWN, added
+from fwclass.decompose.plausible import UNKNOWN, add_counts
 from fwclass.decompose.pulse_estimate import PulseParams
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.layout import Strip, Survey
@@ -106,7 +106,7 @@ class FileStrip:
     def noise(self) -> Mapping[str, Any]:
         """What its noise is like, see `receiver_facts`."""
         if not self.source.has_waves:
-            return UNKNOWN.noise.told
+            return UNKNOWN.noise.facts
         return receiver_facts(self._measure().meta)
 
     def places(self) -> Mapping[str, Any] | None:
@@ -142,7 +142,7 @@ class FileStrip:
 
     def counts(self) -> dict[str, int]:
         """What the plausibility of all echoes was found to be."""
-        return added([self._decomposed(span).meta["plausibility"] for span in self.spans])
+        return add_counts([self._decomposed(span).meta["plausibility"] for span in self.spans])
 
     def faults(self) -> dict[str, int]:
         """Faults of packets, by name."""

@@ -121,10 +121,10 @@ def _box(line: int, row: list[str]) -> Box | str:
 
 def overlaps(boxes: Sequence[Box]) -> list[tuple[Box, Box]]:
     """Pairs that give one place two classes: the later one wins."""
-    given = sorted((b for b in boxes if b.kind == "include"), key=lambda b: b.begin)
+    includes = sorted((b for b in boxes if b.kind == "include"), key=lambda b: b.begin)
     pairs = []
-    for k, one in enumerate(given):
-        for other in given[k + 1 :]:
+    for k, one in enumerate(includes):
+        for other in includes[k + 1 :]:
             if other.begin >= one.end:
                 break
             if one.code != other.code and one.meets(other):
@@ -165,6 +165,6 @@ class Labeller:
         return codes
 
 
-def ended(boxes: Sequence[Box]) -> float | None:
+def annotated_end(boxes: Sequence[Box]) -> float | None:
     """Where the annotation ends [m along the road]: at the end of the last slice that has a `rest`; None of none."""
     return max((b.end for b in boxes if b.kind == "rest"), default=None)

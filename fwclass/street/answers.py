@@ -46,7 +46,7 @@ class Answer:
 LISTS = {"classification": pa.uint8(), "confidence": pa.uint8(), "y": pa.float32(), "z": pa.float32()}
 
 
-def answered(frame: Placed, codes: NDArray[np.uint8], shares: NDArray[np.float64]) -> Answer:
+def make_answer(frame: Placed, codes: NDArray[np.uint8], shares: NDArray[np.float64]) -> Answer:
     """The answer to a frame from codes and shares of its returns, in the order of the beams."""
     here = ~np.isnan(frame.r)
     classification, confidence = np.zeros(len(here), np.uint8), np.zeros(len(here), np.uint8)

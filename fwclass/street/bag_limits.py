@@ -49,7 +49,7 @@ class BagPath(type(Path())):  # type: ignore[misc]
         return BoundedFile(Path(self)) if mode == "rb" else super().open(mode, *more, **named)
 
 
-def _bounded(opened: Callable[[], Any], most: Callable[[bytes], int]) -> Callable[..., bytes]:
+def _limit_output(opened: Callable[[], Any], most: Callable[[bytes], int]) -> Callable[..., bytes]:
     """A decompressor of no more than `most` bytes; `opened` gives one that takes `max_length`."""
 
     def decompress(data: bytes, size: int = CHUNK) -> bytes:
@@ -80,9 +80,9 @@ def limit_library() -> None:
     if isinstance(two.zstd, SimpleNamespace):
         return
     zstd = two.zstd
-    one.decompressors.update(bz2=_bounded(BZ2Decompressor, chunk), lz4=_bounded(LZ4FrameDecompressor, chunk))
-    frame = _bounded(zstd.ZstdDecompressor, chunk)
-    mcap.DECOMPRESSORS.update(lz4=_bounded(LZ4FrameDecompressor, chunk), zstd=frame)
+    one.decompressors.update(bz2=_limit_output(BZ2Decompressor, chunk), lz4=_limit_output(LZ4FrameDecompressor, chunk))
+    frame = _limit_output(zstd.ZstdDecompressor, chunk)
+    mcap.DECOMPRESSORS.update(lz4=_limit_output(LZ4FrameDecompressor, chunk), zstd=frame)
 
     def whole(file: Any, mode: str) -> Any:
         return _Swelling(zstd.open(file, mode), CHUNK + SWOLLEN * file.seek(0, io.SEEK_END), file.seek(0))
@@ -144,8 +144,8 @@ def check_chunks(chunks: Sequence[Any]) -> None:
     """`ValueError` where more than `TOGETHER` bytes of an MCAP's chunks overlap in time."""
     ends = [(c.message_start_time, 1, c.uncompressed_size) for c in chunks]
     ends += [(c.message_end_time, 2, -c.uncompressed_size) for c in chunks]
-    held = 0
+    total = 0
     for _, _, size in sorted(ends):
-        held += size
-        if held > TOGETHER:
+        total += size
+        if total > TOGETHER:
             raise ValueError(f"chunks of more than {TOGETHER} bytes overlap in time")

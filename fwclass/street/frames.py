@@ -110,7 +110,7 @@ class Placed:
     labels: NDArray[np.uint8] | None = None
 
 
-def turned(mounting: MountingParams) -> NDArray[np.float64]:
+def rotation(mounting: MountingParams) -> NDArray[np.float64]:
     """(3, 3): turns a vector of the scan plane (x across it, y, z in it) onto the vehicle, by pitch and yaw."""
     p, w = math.radians(mounting.pitch), math.radians(mounting.yaw)
     about_y = np.array([[math.cos(p), 0, math.sin(p)], [0, 1, 0], [-math.sin(p), 0, math.cos(p)]])
@@ -133,7 +133,7 @@ class Geometry:
         angle = scan.first + scan.step * np.arange(scan.beams) + math.radians(mounting.roll)
         side = 1.0 if mounting.side == "left" else -1.0
         plane = np.stack([np.zeros(scan.beams), side * np.cos(angle), np.sin(angle)], axis=1)
-        turn = turned(mounting)
+        turn = rotation(mounting)
         normal = turn[:, 0]
         tilted = mounting.pitch != 0 or mounting.yaw != 0
         return cls(scan, np.ascontiguousarray(plane @ turn.T), tilted, math.sqrt(max(0.0, 1.0 - normal[0] ** 2)))

@@ -71,10 +71,10 @@ class Turning:
 def check_times(time: NDArray[np.float64], where: object) -> None:
     """`InputError` for too few points, for times [s] that are all one, or in no order."""
     if len(time) < FEWEST:
-        raise _refused("too few points to tell how a scanner turned", where, f"at least {FEWEST}", len(time))
+        raise _refusal("too few points to tell how a scanner turned", where, f"at least {FEWEST}", len(time))
     steps = np.diff(time)
     if not (steps != 0).any():
-        raise _refused(
+        raise _refusal(
             "all points have one time", where, "GPS times of every beam, or of every frame", f"{time[0]:g} s"
         )
     back = float(np.mean(steps < 0))
@@ -88,7 +88,7 @@ def check_times(time: NDArray[np.float64], where: object) -> None:
         )
 
 
-def measured(time: NDArray[np.float64], angle: NDArray[np.float64], most_beams: int, where: object) -> Turning:
+def measure_scanner(time: NDArray[np.float64], angle: NDArray[np.float64], most_beams: int, where: object) -> Turning:
     """The scanner of some consecutive points, whose times `check_times` let pass.
 
     Parameters
@@ -104,11 +104,11 @@ def measured(time: NDArray[np.float64], angle: NDArray[np.float64], most_beams: 
     low, high = float(angle.min()), float(angle.max())
     turn = np.diff(angle)
     sense = float(np.sign(np.median(turn)))
-    edges = np.flatnonzero(steps != 0 if _stamped(time) else sense * turn < -BACK * (high - low)) + 1
-    slope = 0.0 if _stamped(time) else _slope(time, angle, edges)
+    edges = np.flatnonzero(steps != 0 if _is_stamped(time) else sense * turn < -BACK * (high - low)) + 1
+    slope = 0.0 if _is_stamped(time) else _slope(time, angle, edges)
     begin = time - slope * (angle - low)
     if len(edges) < FEWEST / 20:
-        raise _refused("too few frames to tell how a scanner turned", where, f"at least {FEWEST // 20}", len(edges))
+        raise _refusal("too few frames to tell how a scanner turned", where, f"at least {FEWEST // 20}", len(edges))
     period = float(np.median(np.diff([np.median(part) for part in np.split(begin, edges)])))
     edges = np.flatnonzero(np.abs(np.diff(begin)) > 0.5 * period) + 1
     starts = np.array([np.median(part) for part in np.split(begin, edges)])
@@ -125,11 +125,11 @@ def measured(time: NDArray[np.float64], angle: NDArray[np.float64], most_beams: 
     step = _step(angle, edges)
     beams = round((high - low) / step) + 1 if step > 0 else 0
     if not 2 <= beams <= most_beams:
-        raise _refused("no step between beams can be measured", where, f"2 to {most_beams} beams", beams)
+        raise _refusal("no step between beams can be measured", where, f"2 to {most_beams} beams", beams)
     return Turning(slope, low, step, beams, period, even)
 
 
-def _stamped(time: NDArray[np.float64]) -> bool:
+def _is_stamped(time: NDArray[np.float64]) -> bool:
     runs = np.diff(np.flatnonzero(np.concatenate([[True], np.diff(time) != 0, [True]])))
     return float(np.median(runs)) >= STAMPED
 
@@ -192,8 +192,8 @@ class Cutter:
 
     def rest(self) -> list[tuple[NDArray[Any], ...]]:
         """The last frame."""
-        held, self._held = self._held, []
-        return [tuple(held)] if held and len(held[0]) else []
+        frames, self._held = self._held, []
+        return [tuple(frames)] if frames and len(frames[0]) else []
 
     def _cuts(self, now: list[NDArray[Any]]) -> NDArray[np.int64]:
         begin = self.turning.begin(now[0], now[1])
@@ -220,7 +220,7 @@ class Cutter:
         return float(np.median(turning.begin(time, angle))), ranges, labels
 
 
-def _refused(what: str, where: object, expected: str, got: object) -> InputError:
+def _refusal(what: str, where: object, expected: str, got: object) -> InputError:
     return InputError(
         what,
         where=where,

@@ -67,10 +67,14 @@ class BagRecording:
             return scans[0]
         if asked in scans:
             return str(asked)
-        held = ", ".join(f"{t} ({kind})" for t, kind in sorted(kinds)) or "nothing"
+        topics = ", ".join(f"{t} ({kind})" for t, kind in sorted(kinds)) or "nothing"
         if not scans:
             raise InputError(
-                "the bag has no laser scans", where=self.path, expected=SCAN, got=held, do="record the scanner's topic"
+                "the bag has no laser scans",
+                where=self.path,
+                expected=SCAN,
+                got=topics,
+                do="record the scanner's topic",
             )
         if asked is None:
             raise InputError(

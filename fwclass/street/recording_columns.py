@@ -26,8 +26,8 @@ range_max [m]; ranges [m] per beam; labels: class codes per beam, 0 none; intens
 
 def check_columns(names: Iterable[str], path: Path) -> None:
     """`InputError` for a column that is none of `COLUMNS`, or one that is missing."""
-    held = list(names)
-    for name in held:
+    present = list(names)
+    for name in present:
         if name not in COLUMNS:
             raise InputError(
                 "a column is unknown",
@@ -36,10 +36,10 @@ def check_columns(names: Iterable[str], path: Path) -> None:
                 got=name,
                 do=f"{nearest(name, COLUMNS)}, or leave it out",
             )
-    lacking = [n for n in ("time", "ranges") if n not in held]
+    lacking = [n for n in ("time", "ranges") if n not in present]
     if lacking:
         raise InputError(
-            "a column is missing", where=path, expected="time, ranges", got=", ".join(held), do=f"write {lacking[0]}"
+            "a column is missing", where=path, expected="time, ranges", got=", ".join(present), do=f"write {lacking[0]}"
         )
 
 

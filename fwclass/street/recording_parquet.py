@@ -39,7 +39,7 @@ class ParquetRecording:
                 rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
             values = values_told(path)
         except (pa.ArrowException, OSError, ValueError) as fault:
-            raise damaged(path, fault) from None
+            raise damage_error(path, fault) from None
         check_columns(schema.names, path)
         for name in schema.names:
             kind = schema.field(name).type
@@ -88,7 +88,7 @@ class ParquetRecording:
                         yield frame_of(at, here, ranges, labels, self._scan, self.path)
                         at += 1
         except (pa.ArrowException, OSError) as fault:
-            raise damaged(self.path, fault) from None
+            raise damage_error(self.path, fault) from None
 
 
 def _numbers(column: pa.Array) -> NDArray[np.float64]:
@@ -106,7 +106,7 @@ def _list(batch: pa.RecordBatch, name: str, row: int, kind: Any) -> NDArray:
     return np.asarray(values.to_numpy(zero_copy_only=False))
 
 
-def damaged(path: Path, fault: Exception) -> InputError:
+def damage_error(path: Path, fault: Exception) -> InputError:
     """The words for a file that Arrow refuses."""
     return InputError(
         "the Parquet file cannot be read",
@@ -120,23 +120,23 @@ def damaged(path: Path, fault: Exception) -> InputError:
 def write_recording(path: Path, frames: Iterable[Frame]) -> int:
     """Write frames, of one scan each like the first, as `ParquetRecording` reads them; return their number."""
     writer: pq.ParquetWriter | None = None
-    held: list[Frame] = []
+    waiting: list[Frame] = []
     count = 0
 
     def flush() -> None:
-        nonlocal writer, held
-        if not held:
+        nonlocal writer, waiting
+        if not waiting:
             return
-        table = _table(held)
+        table = _table(waiting)
         writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")
         writer.write_table(table)
-        held = []
+        waiting = []
 
     try:
         for frame in frames:
-            held.append(frame)
+            waiting.append(frame)
             count += 1
-            if len(held) == ROWS:
+            if len(waiting) == ROWS:
                 flush()
         flush()
     finally:

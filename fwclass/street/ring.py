@@ -64,14 +64,14 @@ class Ring:
         self._place = np.zeros(self.size, np.int64)
         self._frames: list[Placed | None] = [None] * self.size
         self._reach = max(params.radii) * geometry.reach / UNIT
-        self._taken = self._answered = 0
+        self._received = self._answered = 0
         self._sums = np.zeros((beams, SUMS), np.int64)
         self._out = np.empty((len(params.radii), beams, len(BASES)), np.float32)
 
     @property
     def waiting(self) -> int:
         """Frames taken and not yet given back."""
-        return self._taken - self._answered
+        return self._received - self._answered
 
     def take(self, frame: Placed) -> Iterator[Seen]:
         """Put a frame in; frames whose neighbourhood is complete, in order. Ask for all before the next frame.
@@ -79,26 +79,26 @@ class Ring:
         One is given for one that comes, two as long as more than two are complete: a speed that wavers, or a vehicle
         that starts again, makes no burst.
         """
-        row = self._taken % self.size
+        row = self._received % self.size
         if self.geometry.tilted:
             self._x[row] = frame.x
         self._y[row], self._z[row], self._r[row] = frame.y, frame.z, frame.r
         self._place[row], self._frames[row] = frame.place, frame
-        self._taken += 1
-        given = 0
+        self._received += 1
+        released = 0
         while self._complete(self._answered):
             late = self.waiting > 2 * self.params.most_frames
-            if given and not late and (given == 2 or not self._complete(self._answered + 1)):
+            if released and not late and (released == 2 or not self._complete(self._answered + 1)):
                 return
             yield from self._given(self._end(self._answered))
-            given += 1
+            released += 1
 
     def _complete(self, middle: int) -> bool:
         """No frame that is still to come can be of the run after `middle`."""
-        if middle >= self._taken:
+        if middle >= self._received:
             return False
         last = self._end(middle)
-        return last < self._taken - 1 or last - middle >= self.params.most_frames
+        return last < self._received - 1 or last - middle >= self.params.most_frames
 
     def rest(self) -> Iterator[Seen]:
         """The frames that are still waiting when no other will come."""
@@ -117,14 +117,14 @@ class Ring:
     def _end(self, middle: int) -> int:
         """Last frame of the run that begins with `middle`, of those that are there."""
         last = middle
-        while last + 1 < self._taken and last - middle < self.params.most_frames and self._near(middle, last + 1):
+        while last + 1 < self._received and last - middle < self.params.most_frames and self._near(middle, last + 1):
             last += 1
         return last
 
     def _begin(self, middle: int) -> int:
         first = middle
-        held = max(0, self._taken - self.size, middle - self.params.most_frames)
-        while first > held and self._near(middle, first - 1):
+        oldest = max(0, self._received - self.size, middle - self.params.most_frames)
+        while first > oldest and self._near(middle, first - 1):
             first -= 1
         return first
 
@@ -155,7 +155,7 @@ class Ring:
         return np.ascontiguousarray(np.concatenate(list(self._out), axis=1))
 
 
-def seen(frames: Iterable[Placed], geometry: Geometry, params: StreetParams) -> Iterator[Seen]:
+def with_features(frames: Iterable[Placed], geometry: Geometry, params: StreetParams) -> Iterator[Seen]:
     """Every frame of a recording with its features, in order."""
     ring = Ring(geometry, params)
     for frame in frames:

@@ -17,7 +17,7 @@ MOST_FRAMES = 2_000_000
 """Of a drive: fourteen hours."""
 
 
-def simulated(params: StreetSceneParams, scanner: ScannerParams, mounting: MountingParams) -> Iterator[Frame]:
+def simulate_frames(params: StreetSceneParams, scanner: ScannerParams, mounting: MountingParams) -> Iterator[Frame]:
     """Frames with labels; the same for the same parameters.
 
     Pitch and roll of the vehicle and noise of the speed are not told to the reader of the frames, as on a road.

@@ -25,7 +25,7 @@ _BEFORE = HEAD.size - 4
 FAULTS = ("garbage bytes", "bad sum", "impossible frame", "cut frame")
 
 
-def encoded(frame: Frame) -> bytes:
+def encode_frame(frame: Frame) -> bytes:
     """A frame as it is sent."""
     scan = frame.scan
     head = HEAD.pack(

@@ -12,7 +12,7 @@ from fwclass.assess.stage import confusion, figures
 from fwclass.classify.shares import answer
 from fwclass.conf import Config
 from fwclass.graph.corrections import corrections_in
-from fwclass.graph.corrections import judged as judged_rows
+from fwclass.graph.corrections import untaught_rows as judged_rows
 from fwclass.graph.layout import Layout
 from fwclass.graph.learn import merged_sample
 from fwclass.graph.machine_search import spatial

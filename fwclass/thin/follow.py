@@ -13,7 +13,7 @@ DOUBLINGS = 5
 """The search begins at reach / 2^5 and doubles: most echoes are near to a sampled one, and a narrow search is quick."""
 
 
-def taken_from(points: Places, sampled: NDArray[np.bool_], reach: float) -> NDArray[np.int64]:
+def index_of_followed(points: Places, sampled: NDArray[np.bool_], reach: float) -> NDArray[np.int64]:
     """For each of `points` the place, among the sampled ones, of the one that it follows: a sampled one itself.
 
     -1 where none is within `reach` [m].

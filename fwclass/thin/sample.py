@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import millimetres, whole_millimetres
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.schema import Table, canonical_key, require
 from fwclass.stage import Chunk, Computation
 from fwclass.thin.follow import follow
@@ -42,14 +42,14 @@ def uniform(
     mm = whole_millimetres(params.cell, "thin.cell")
     mx, my, mz = millimetres(x), millimetres(y), millimetres(z)
     col, row = mx // mm, my // mm
-    place = _interleaved(_steps(mx - col * mm, mm), _steps(my - row * mm, mm), _steps(mz, mm) + (1 << 20))
+    place = _interleave(_steps(mx - col * mm, mm), _steps(my - row * mm, mm), _steps(mz, mm) + (1 << 20))
     order = np.lexsort((key, place, row, col))
     first = np.ones(len(order), bool)
     first[1:] = (col[order][1:] != col[order][:-1]) | (row[order][1:] != row[order][:-1])
     begin = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
     rank = np.arange(len(order)) - begin
     cell = (col[order].astype(np.uint64) << np.uint64(32)) ^ (row[order].astype(np.uint64) & np.uint64(0xFFFFFFFF))
-    start = (hashed(params.seed, cell) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    start = (hash_keys(params.seed, cell) >> np.uint64(11)).astype(np.float64) * 2.0**-53
     chosen = np.floor((rank + 1) * params.rate + start) > np.floor(rank * params.rate + start)
     kept = np.zeros(len(order), bool)
     kept[order] = chosen
@@ -61,7 +61,7 @@ def _steps(mm: NDArray[np.int64], edge: int) -> NDArray[np.int64]:
     return (mm << _BITS) // edge
 
 
-def _interleaved(*axes: NDArray[np.int64]) -> NDArray[np.uint64]:
+def _interleave(*axes: NDArray[np.int64]) -> NDArray[np.uint64]:
     """Bits of three numbers below 2^21 in turn (Morton 1966)."""
     out = np.zeros(len(axes[0]), np.uint64)
     for k, axis in enumerate(axes):

@@ -37,7 +37,7 @@ def split(table: Table, grid: TileGrid) -> Split:
     return Split(table.take(order), keys, np.append(first, len(order)).astype(np.int64))
 
 
-def _spread(v: NDArray[np.uint64]) -> NDArray[np.uint64]:
+def _spread_bits(v: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Bits of a 32-bit integer moved to the even places of 64."""
     for shift, mask in (
         (16, 0x0000FFFF0000FFFF),
@@ -55,7 +55,7 @@ def morton(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.uint64]
     half = 1 << 31
     cx = (millimetres(x) // MORTON_CELL + half).astype(np.uint64)
     cy = (millimetres(y) // MORTON_CELL + half).astype(np.uint64)
-    return _spread(cx) | (_spread(cy) << np.uint64(1))
+    return _spread_bits(cx) | (_spread_bits(cy) << np.uint64(1))
 
 
 def assemble(fragments: list[Table], where: str) -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.hashing import below, seeded
+from fwclass.hashing import below, seed_for
 from fwclass.kernel import kernel
 from fwclass.train.params import TrainParams
 
@@ -29,7 +29,7 @@ def draw_share(state, draws, weight):  # type: ignore[no-untyped-def]
 
 def bag(rows: int, tree: int, params: TrainParams) -> tuple[NDArray[np.int32], NDArray[np.uint64]]:
     """How often every row was drawn for `tree`, and the generator's state after that."""
-    state = np.array([seeded(params.seed, tree + 1)], np.uint64)
+    state = np.array([seed_for(params.seed, tree + 1)], np.uint64)
     weight = np.zeros(rows, np.int32)
     draws = max(1, round(rows * params.bagging))
     (draw_bag if params.replacement else draw_share)(state, draws, weight)

@@ -15,7 +15,7 @@ TABLE = 1 << 22
 
 
 def entropy_table(n: int) -> NDArray[np.int64]:
-    """k lb k for k = 0 .. n (at most `TABLE`) as whole multiples of 2^-20."""
+    """int64 (n + 1,), at most `TABLE` of them: k lb k for k = 0 .. n as whole multiples of 2^-20."""
     k = np.arange(min(n, TABLE) + 1, dtype=np.float64)
     return np.rint(k * np.log2(np.maximum(k, 1.0)) * FIXED).astype(np.int64)
 
@@ -26,7 +26,7 @@ GINI = np.empty(0, np.int64)
 
 @inlined
 def term(table, k):  # type: ignore[no-untyped-def]
-    """What weight k of one class adds to a child's sum: k lb k, or k² for Gini."""
+    """What weight k (a count of rows) of one class adds to a child's sum: k lb k in 2^-20, or k² for Gini."""
     if k < len(table):
         return table[k]
     if len(table) == 0:
@@ -39,7 +39,7 @@ def score(table, left, right, n_left, n_right):  # type: ignore[no-untyped-def]
     """Worth of a division into children of weights `n_left` and `n_right`, whose classes' terms sum to `left`, `right`.
 
     Entropy: -n H(c|t). Gini: the sum of n p² over classes and children, rounded to 2^-20 so that equals tie.
-    Both are short of what all divisions of a node have in common.
+    Both are multiples of 2^-20, short of what all divisions of a node have in common; weights are counts of rows.
     """
     if len(table) == 0:
         return np.int64(np.rint((left / n_left + right / n_right) * FIXED))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
-from fwclass.hashing import below, seeded
+from fwclass.hashing import below, seed_for
 from fwclass.kernel import inlined, kernel
 from fwclass.model import LEAF, Tree
 from fwclass.train.bag import bag
@@ -125,16 +125,16 @@ def drops(
     each judged. The same whatever other trees are asked for with them: parts join in the order of the trees.
     """
     n_features = sample.X.shape[1]
-    made = np.zeros((len(trees), n_features, repeats), np.int64)
+    drop_counts = np.zeros((len(trees), n_features, repeats), np.int64)
     judged = np.zeros(len(trees), np.int64)
     X = np.ascontiguousarray(sample.X, np.float32)
     for t, tree in enumerate(trees):
         outside = np.flatnonzero(bag(sample.rows, first + t, params)[0] == 0)
         judged[t] = len(outside)
-        start = seeded(params.seed, _PURPOSE, first + t)
-        seeds = np.array([[seeded(start, f, r) for r in range(repeats)] for f in range(n_features)], np.uint64)
-        made[t] = _of_tree(X, sample.y, tree, outside, seeds.reshape(n_features, repeats))
-    return made, judged
+        start = seed_for(params.seed, _PURPOSE, first + t)
+        seeds = np.array([[seed_for(start, f, r) for r in range(repeats)] for f in range(n_features)], np.uint64)
+        drop_counts[t] = _of_tree(X, sample.y, tree, outside, seeds.reshape(n_features, repeats))
+    return drop_counts, judged
 
 
 def importance(
@@ -149,7 +149,7 @@ def importance(
     return mean_drop(*drops(sample, trees, 0, params, repeats))
 
 
-def mean_drop(made: NDArray[np.int64], judged: NDArray[np.int64]) -> NDArray[np.float64]:
+def mean_drop(drop_counts: NDArray[np.int64], judged: NDArray[np.int64]) -> NDArray[np.float64]:
     """float64 (features, repeats) from `drops` of all trees."""
     some = judged > 0
     if not some.any():
@@ -158,12 +158,12 @@ def mean_drop(made: NDArray[np.int64], judged: NDArray[np.int64]) -> NDArray[np.
             where="train.bagging",
             do="draw with replacement, or a share below 1; or train.importance_repeats=0",
         )
-    return (made[some] / judged[some, None, None]).sum(axis=0) / some.sum()
+    return (drop_counts[some] / judged[some, None, None]).sum(axis=0) / some.sum()
 
 
-def summary(features: Sequence[str], made: NDArray[np.int64], judged: NDArray[np.int64]) -> Mapping[str, Any]:
+def summary(features: Sequence[str], drop_counts: NDArray[np.int64], judged: NDArray[np.int64]) -> Mapping[str, Any]:
     """What a card says: per feature the mean and the standard deviation (N - 1) over the repeats, and how many."""
-    values = mean_drop(made, judged)
+    values = mean_drop(drop_counts, judged)
     repeats = values.shape[1]
     spread = values.std(axis=1, ddof=1) if repeats > 1 else np.full(len(values), np.nan)
     return {

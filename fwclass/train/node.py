@@ -30,7 +30,7 @@ class Node(NamedTuple):
 
 
 def workspace(rows: int, features: int, class_weight: NDArray[np.int64], steps: int, codes: int) -> Node:
-    """Buffers for trees of up to `rows` rows, whose features have up to `codes` codes counted in a histogram."""
+    """Buffers for trees of up to that number of `rows`, whose features have up to `codes` codes in a histogram."""
     n_classes = len(class_weight)
     return Node(
         np.empty(rows, np.float32),
@@ -52,7 +52,7 @@ def workspace(rows: int, features: int, class_weight: NDArray[np.int64], steps: 
 
 @inlined
 def gather(node, rows, classes, bag):  # type: ignore[no-untyped-def]
-    """Fill in the labels, weights and totals of a node; returns its draws, its weight and its heaviest class."""
+    """Fill in the labels, weights and totals of a node; its number of draws, its weight, its heaviest class (index)."""
     return _gather(node.label, node.weight, node.class_weight, node.total, rows, classes, bag)
 
 

@@ -49,11 +49,11 @@ class TrainParams(Params):
 
     def per_split(self, features: int) -> int:
         """Features drawn at a node of a forest of so many."""
-        asked = self.features_per_split
-        if asked == "log2":
-            asked = int(math.log2(features) + 1)
-        elif asked == "sqrt":
-            asked = math.isqrt(features)
-        elif asked == "all":
-            asked = features
-        return min(features, asked)
+        number = self.features_per_split
+        if number == "log2":
+            number = int(math.log2(features) + 1)
+        elif number == "sqrt":
+            number = math.isqrt(features)
+        elif number == "all":
+            number = features
+        return min(features, number)

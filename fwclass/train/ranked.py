@@ -60,9 +60,9 @@ def rank(columns: NDArray[np.float32], bins: int | None) -> tuple[NDArray, Ranks
                 at = known[np.arange(1, bins) * len(known) // bins]
                 upper = np.setdiff1d(np.searchsorted(value, at), [0])
             edge = _between(value[upper - 1], value[upper])
-        found = np.searchsorted(edge, column, "right" if bins is not None else "left")
+        bin_of = np.searchsorted(edge, column, "right" if bins is not None else "left")
         missing.append(len(edge) + (bins is not None))
-        code[:] = np.where(np.isnan(column), missing[-1], found)
+        code[:] = np.where(np.isnan(column), missing[-1], bin_of)
         edges.append(edge)
     offsets = np.zeros(len(edges) + 1, np.int64)
     np.cumsum([len(e) for e in edges], out=offsets[1:])
@@ -71,7 +71,8 @@ def rank(columns: NDArray[np.float32], bins: int | None) -> tuple[NDArray, Ranks
 
 @kernel
 def threshold(ranks, feature, low, high):  # type: ignore[no-untyped-def]
-    """float32 threshold between codes `low` < `high` that follow each other in a node; infinite before "missing"."""
+    """float32 threshold between codes (index of a bin) `low` < `high` that follow each other in a node; infinite before
+    "missing"."""
     if high == ranks.missing[feature]:
         return np.float32(np.inf)
     a = ranks.edge[ranks.offsets[feature] + low]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.schema import Table
 
@@ -44,6 +44,7 @@ class Sample:
 
     @property
     def rows(self) -> int:
+        """Number of rows."""
         return len(self.y)
 
     @property
@@ -54,17 +55,18 @@ class Sample:
     @property
     def digest(self) -> str:
         """SHA-256 of the names, keys, classes and values of the rows; where they lie follows from the keys."""
-        made = hashlib.sha256("\n".join(self.features).encode())
+        sha = hashlib.sha256("\n".join(self.features).encode())
         for array in (self.key, self.y, self.X):
-            made.update(np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes())
-        return made.hexdigest()
+            sha.update(np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes())
+        return sha.hexdigest()
 
     def arrays(self) -> dict[str, NDArray]:
-        """The arrays that a store keeps; `from_arrays` makes the sample again."""
+        """The arrays (rows, …) that a store keeps; `from_arrays` makes the sample again."""
         return {n: getattr(self, n) for n in _ARRAYS}
 
     @classmethod
     def from_arrays(cls, features: Sequence[str], arrays: Mapping[str, NDArray]) -> Sample:
+        """The sample whose `arrays` (rows, …) these are."""
         return cls(tuple(features), *(arrays[n] for n in _ARRAYS))
 
     def take(self, rows: NDArray) -> Sample:
@@ -101,30 +103,30 @@ def draw(
     y = index[rows].astype(np.uint8)
     eligible = np.bincount(y, minlength=len(classes)).astype(np.int64)
     key = np.asarray(key, np.uint64)[rows]
-    drawn = hashed(seed, key)
+    drawn = hash_keys(seed, key)
     if first is not None:
         drawn = np.where(first[rows], drawn >> np.uint64(32), drawn)
-    kept = _smallest(y, drawn, len(classes), per_class)
-    X = sample_matrix(features.take(rows[kept]), names, "training rows")
-    there = np.empty((0, 2), np.int64) if place is None else place[rows[kept]]
-    return _sorted(Sample(names, X, y[kept], key[kept], drawn[kept], eligible, bare, there))
+    smallest = _smallest(y, drawn, len(classes), per_class)
+    X = sample_matrix(features.take(rows[smallest]), names, "training rows")
+    there = np.empty((0, 2), np.int64) if place is None else place[rows[smallest]]
+    return _sort(Sample(names, X, y[smallest], key[smallest], drawn[smallest], eligible, bare, there))
 
 
 def join(samples: Iterable[Sample], per_class: int) -> Sample:
     """One sample of the union of the rows that `samples` were drawn from, whatever their order or number."""
-    held: list[Sample] = []
+    parts: list[Sample] = []
     rows = 0
     for part in samples:
-        if held and (part.features != held[0].features or len(part.eligible) != len(held[0].eligible)):
-            raise ValueError(f"samples differ: {held[0].features} and {part.features}")
-        held.append(part)
+        if parts and (part.features != parts[0].features or len(part.eligible) != len(parts[0].eligible)):
+            raise ValueError(f"samples differ: {parts[0].features} and {part.features}")
+        parts.append(part)
         rows += part.rows
         if rows > 3 * per_class * len(part.eligible):  # memory stays that of a few samples, however many tiles
-            held = [_thinned(_union(held), per_class)]
-            rows = held[0].rows
-    if not held:
+            parts = [_thin(_union(parts), per_class)]
+            rows = parts[0].rows
+    if not parts:
         raise ValueError("nothing to merge")
-    return _sorted(_thinned(_union(held), per_class))
+    return _sort(_thin(_union(parts), per_class))
 
 
 def _union(parts: Sequence[Sample]) -> Sample:
@@ -151,11 +153,11 @@ def _smallest(y: NDArray[np.uint8], drawn: NDArray[np.uint64], n_classes: int, p
     return np.concatenate(keep)
 
 
-def _thinned(sample: Sample, per_class: int) -> Sample:
+def _thin(sample: Sample, per_class: int) -> Sample:
     return sample.take(_smallest(sample.y, sample.hash, len(sample.eligible), per_class))
 
 
-def _sorted(sample: Sample) -> Sample:
+def _sort(sample: Sample) -> Sample:
     """The sample in the order of its keys."""
     order = np.argsort(sample.key, kind="stable")
     key = sample.key[order]

@@ -101,7 +101,7 @@ class Grower:
 
 
 def grow_tree(X: NDArray[np.float32], y: NDArray[np.uint8], n_classes: int, tree: int, params: TrainParams) -> Tree:
-    """Tree number `tree` of a sample whose classes have no names (they are called 0, 1 ...); see `Grower`."""
+    """Tree number `tree` of a sample X (rows, features), y (rows,), whose classes are called 0, 1 …; see `Grower`."""
     return Grower(X, y, [str(c) for c in range(n_classes)], params).tree(tree)
 
 

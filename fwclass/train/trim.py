@@ -20,17 +20,17 @@ TIED = 1e-12
 """Relative: neighbours whose distances differ by less are equally near."""
 
 
-def trimmed(X: NDArray[np.float64], y: NDArray[np.uint8], trim: Trim) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
+def trim_rows(X: NDArray[np.float64], y: NDArray[np.uint8], trim: Trim) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
     """Rows that stay, bool (rows,), and the classes that would have gone whole and stay untrimmed.
 
     A row stays if one of its nearest other rows has its class; all that are equally near count, and a row at the very
     same place is the nearest. `repeated` does it again among what stays until nothing goes. Rows' order changes
     nothing. X are prepared features without missing values.
     """
-    kept = np.ones(len(y), bool)
+    clean = np.ones(len(y), bool)
     whole: set[int] = set()
     for _ in range({"none": 0, "nearest": 1, "repeated": ROUNDS}[trim]):
-        rows = np.flatnonzero(kept)
+        rows = np.flatnonzero(clean)
         stays = _stay(X[rows], y[rows])
         for k in np.unique(y[rows]):
             mine = y[rows] == k
@@ -39,8 +39,8 @@ def trimmed(X: NDArray[np.float64], y: NDArray[np.uint8], trim: Trim) -> tuple[N
                 whole.add(int(k))
         if stays.all():
             break
-        kept[rows[~stays]] = False
-    return kept, tuple(sorted(whole))
+        clean[rows[~stays]] = False
+    return clean, tuple(sorted(whole))
 
 
 def _stay(X: NDArray[np.float64], y: NDArray[np.uint8]) -> NDArray[np.bool_]:

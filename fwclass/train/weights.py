@@ -17,18 +17,18 @@ HEAVIEST = (1 << 31) - 1
 
 
 def whole_weights(
-    asked: str | Mapping[str, float], counts: NDArray[np.int64], names: Sequence[str]
+    weights: str | Mapping[str, float], counts: NDArray[np.int64], names: Sequence[str]
 ) -> NDArray[np.int64]:
     """int64 (classes,): a weight for every class, in proportion to what is asked; all 1 where all are equal.
 
-    `asked` is `none`, `balanced` or weights by class name, `counts` the rows of every class in the sample.
+    `weights` is `none`, `balanced` or weights by class name, `counts` the rows of every class in the sample.
     `ConfigError` for an unknown name, or for weights so far apart that whole numbers cannot hold them.
     """
     weight = np.ones(len(counts))
-    if asked == "balanced":
+    if weights == "balanced":
         weight = counts.sum() / (max(1, (counts > 0).sum()) * np.maximum(counts, 1))
-    elif not isinstance(asked, str):
-        for name, value in asked.items():
+    elif not isinstance(weights, str):
+        for name, value in weights.items():
             if name not in names:
                 raise ConfigError(
                     f"no class is called {name!r}",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fwclass.schema import Table
 from fwclass.vectors.cells import EIGHT
-from fwclass.vectors.outline import Cells, Ring, area, corners, covered, filled, mask_of, rings, simplified, sound
+from fwclass.vectors.outline import Cells, Ring, area, corners, cover, fill_holes, mask_of, rings, simplify, sound
 from fwclass.vectors.params import FootprintParams
 from fwclass.vectors.regular import direction, middles, right_angled
 from fwclass.vectors.shapes import Shapes
@@ -76,10 +76,10 @@ def _polygon(piece: Table, cell: float, params: FootprintParams) -> tuple[list[R
     """Rings in columns and rows of the global raster, and what they are."""
     mask, row, col = mask_of(piece["cell_row"].astype(np.int64), piece["cell_column"].astype(np.int64))
     origin = np.array([col, row], np.float64)
-    mask = filled(mask, max(1, round(params.least_area / cell**2)))
+    mask = fill_holes(mask, max(1, round(params.least_area / cell**2)))
     around = rings(mask)
     points = [middles(ring) for ring in around]
-    plain = [ring[simplified(ring, params.tolerance)] for ring in points]
+    plain = [ring[simplify(ring, params.tolerance)] for ring in points]
     angle = direction([ring for ring in plain if len(ring) > 1] or points)
     regular = [right_angled(ring, angle, params.tolerance, params.shortest) for ring in points]
     full = [ring for ring in regular if ring is not None]
@@ -97,7 +97,7 @@ def _agrees(polygon: list[Ring], mask: Cells, cell: float, params: FootprintPara
     corner = np.concatenate(moved)
     if (corner < 0.0).any() or (corner > mask.shape[::-1]).any():
         return False
-    inside = covered(moved, mask.shape)
+    inside = cover(moved, mask.shape)
     if (inside & ~scipy.ndimage.binary_dilation(mask, EIGHT, far)).any():
         return False
     if (mask & ~scipy.ndimage.binary_dilation(inside, EIGHT, far)).any():

@@ -50,7 +50,7 @@ class Counts:
         return Counts(self.low[part], self.echoes[part], self.rated[part], self.percent[part], self.top[part])
 
 
-def counted(table: Table, window: Window, codes: Sequence[int], low: float) -> Counts:
+def count_cells(table: Table, window: Window, codes: Sequence[int], low: float) -> Counts:
     """Echoes of classes `codes` in the cells of `window`, and where others lie less than `low` [m] above the ground.
 
     `table` has x, y, height_above_ground, classification and confidence; what lies outside the window is left out.
@@ -97,10 +97,10 @@ def roofs(counts: Counts) -> NDArray[np.bool_]:
         labels = np.where((labels == 0) & cover, near, labels)
     narrow, _ = scipy.ndimage.label(scipy.ndimage.binary_opening(cover & (labels == 0), EIGHT), EIGHT)
     labels = np.where(narrow > 0, narrow + labels.max(initial=0), labels)
-    return np.asarray((labels > 0) & ~_met(labels))
+    return np.asarray((labels > 0) & ~_touching(labels))
 
 
-def _met(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
+def _touching(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
     """Cells with another label beside them, in the east or in the row north of them."""
     wide = np.pad(labels, 1)
     middle = wide[1:-1, 1:-1]
@@ -136,7 +136,7 @@ def pieces(mask: NDArray[np.bool_], counts: Counts, window: Window) -> tuple[Tab
     return table.take(order[~beyond]), table.take(order[beyond])
 
 
-def joined(cells: Table) -> Table:
+def join_cells(cells: Table) -> Table:
     """Cells of many windows, numbered anew by what touches by a side or a corner; by piece, row and column."""
     order = np.lexsort((cells["cell_column"], cells["cell_row"]))
     cells = cells.take(order)
@@ -156,7 +156,7 @@ def joined(cells: Table) -> Table:
 
 
 def by_piece(cells: Table) -> list[Table]:
-    """The cells of every piece, as `pieces` and `joined` order them."""
+    """The cells of every piece, as `pieces` and `join_cells` order them."""
     first = np.flatnonzero(np.diff(cells["component"], prepend=-1, append=-1)) if cells.rows else np.zeros(1, int)
     return [cells.take(np.arange(a, b)) for a, b in zip(first[:-1], first[1:], strict=True)]
 

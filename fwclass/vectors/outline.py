@@ -24,7 +24,7 @@ def mask_of(rows: NDArray[np.integer], cols: NDArray[np.integer]) -> tuple[Cells
     return mask, low_r, low_c
 
 
-def filled(mask: Cells, least: int) -> Cells:
+def fill_holes(mask: Cells, least: int) -> Cells:
     """`mask` with holes of fewer than `least` cells filled, and cells that touch by a corner alone joined by a third,
     so that no ring meets itself."""
     labels, number = scipy.ndimage.label(~mask)
@@ -44,7 +44,7 @@ def filled(mask: Cells, least: int) -> Cells:
 
 def rings(mask: Cells) -> list[NDArray[np.int64]]:
     """Rings around the cells of `mask` and its holes: every corner of a cell on the way, (corners, 2) as column and
-    row; outlines counterclockwise, holes clockwise. The mask comes from `filled`."""
+    row; outlines counterclockwise, holes clockwise. The mask comes from `fill_holes`."""
     inner = mask[1:-1, 1:-1]
     sides = (
         (inner & ~mask[:-2, 1:-1], (0, 0), (1, 0)),
@@ -80,7 +80,7 @@ def area(ring: NDArray) -> float:
     return float(0.5 * (x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
 
 
-def simplified(ring: Ring, tolerance: float) -> NDArray[np.int64]:
+def simplify(ring: Ring, tolerance: float) -> NDArray[np.int64]:
     """Rows of the corners that stay (Douglas and Peucker 1973): no corner lies further than `tolerance` from the ring
     through them. It begins at the two corners that are furthest apart from the middle and from each other."""
     begin = int(np.argmax(((ring - ring.mean(axis=0)) ** 2).sum(axis=1)))
@@ -108,7 +108,7 @@ def simplified(ring: Ring, tolerance: float) -> NDArray[np.int64]:
     return np.sort((np.flatnonzero(stays[:-1]) + begin) % len(ring))
 
 
-def covered(polygon: list[Ring], shape: tuple[int, int]) -> NDArray[np.bool_]:
+def cover(polygon: list[Ring], shape: tuple[int, int]) -> NDArray[np.bool_]:
     """Cells of a raster of `shape` whose middles lie in a polygon of rings in its columns and rows."""
     flips = np.zeros((shape[0], shape[1] + 1), np.int64)
     middles = np.arange(shape[0]) + 0.5

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.vectors.outline import Ring, area, simplified
+from fwclass.vectors.outline import Ring, area, simplify
 
 _STEP = 1.0
 """Of the directions that are tried [deg]."""
@@ -47,10 +47,10 @@ def right_angled(points: Ring, angle: float, tolerance: float, shortest: float) 
     """
     c, s = math.cos(angle), math.sin(angle)
     turned = points @ np.array([[c, -s], [s, c]])
-    stays = simplified(turned, tolerance)
+    stays = simplify(turned, tolerance)
     if len(stays) < 3:
         return None
-    walls = _joined(_walls(turned, stays), shortest)
+    walls = _join_short(_walls(turned, stays), shortest)
     if len(walls) < 4:
         return None
     level = [float(np.median(turned[_rows(w, len(turned)), w[0]])) for w in walls]
@@ -75,19 +75,19 @@ def _walls(ring: Ring, stays: NDArray[np.int64]) -> list[Wall]:
     return out
 
 
-def _joined(walls: list[Wall], shortest: float) -> list[Wall]:
+def _join_short(walls: list[Wall], shortest: float) -> list[Wall]:
     """Neighbours of one axis made one, and then the shortest of all walls, as long as it is too short."""
-    walls = _merged(walls)
+    walls = _merge_axes(walls)
     while len(walls) > 4:
         k = min(range(len(walls)), key=lambda k: (walls[k][2], walls[k][1]))
         if walls[k][2] >= shortest:
             break
         axis = 1 - walls[k][0]
-        walls = _merged([*walls[:k], (axis, *walls[k][1:]), *walls[k + 1 :]])
+        walls = _merge_axes([*walls[:k], (axis, *walls[k][1:]), *walls[k + 1 :]])
     return walls
 
 
-def _merged(walls: list[Wall]) -> list[Wall]:
+def _merge_axes(walls: list[Wall]) -> list[Wall]:
     out: list[Wall] = []
     for axis, first, number in walls:
         if out and out[-1][0] == axis:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fwclass.grid import Window
 from fwclass.schema import Table
 from fwclass.vectors.cells import EIGHT, Counts
-from fwclass.vectors.outline import Ring, area, corners, filled, mask_of, rings, simplified, sound
+from fwclass.vectors.outline import Ring, area, corners, fill_holes, mask_of, rings, simplify, sound
 from fwclass.vectors.params import TreeParams
 from fwclass.vectors.shapes import Shapes
 
@@ -129,8 +129,8 @@ def _outline(mine: NDArray[np.bool_], window: Window, piece: tuple[slice, ...]) 
     """The outline of a crown without holes [m]."""
     rows, cols = np.nonzero(mine)
     mask, row, col = mask_of(rows, cols)
-    ring = rings(filled(mask, mask.size))[0]
-    plain = ring[simplified(ring.astype(np.float64), 1.0)].astype(np.float64)
+    ring = rings(fill_holes(mask, mask.size))[0]
+    plain = ring[simplify(ring.astype(np.float64), 1.0)].astype(np.float64)
     outline = plain if sound([plain]) else corners(ring).astype(np.float64)
     low = np.array([col + piece[1].start + window.col, row + piece[0].start + window.row])
     return [window.cell * (outline + low)]

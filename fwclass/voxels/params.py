@@ -67,4 +67,5 @@ class ProfileParams(Params):
 
     @property
     def bins(self) -> int:
+        """Number of bins in height."""
         return round((self.highest - self.lowest) / self.bin)

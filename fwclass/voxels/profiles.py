@@ -62,7 +62,7 @@ def profiles_of(samples: Table, above: Floats, window: Window, params: ProfilePa
     whole = sums.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         density = sums / whole[:, None] / params.bin
-    made = {
+    arrays = {
         "profile": density.T,
         "relative_height": heights.T,
         "cover": cover,
@@ -70,7 +70,7 @@ def profiles_of(samples: Table, above: Floats, window: Window, params: ProfilePa
         "energy": np.bincount(cell, weights=energy, minlength=size),
     }
     grids: dict[str, NDArray] = {
-        n: np.where(few, np.nan, v).astype(np.float32).reshape(*v.shape[:-1], ny, nx) for n, v in made.items()
+        n: np.where(few, np.nan, v).astype(np.float32).reshape(*v.shape[:-1], ny, nx) for n, v in arrays.items()
     }
     grids["pulses"] = np.where(few, 0, pulses).astype(np.uint32).reshape(ny, nx)
     return {n: grids[n] for n in NAMES}

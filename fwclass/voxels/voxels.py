@@ -92,8 +92,8 @@ def voxels_of(
     _beams(echoes, place, counts, sums, lattice, params)
     spots = np.stack([samples[a] for a in "xyz"], axis=1) - corner
     _put(sums["returned_energy"], spots, samples["returned_energy"], lattice)
-    made = {**counts, **{n: v.astype(np.float32) for n, v in sums.items()}}
-    return {n: made[n] for n in NAMES}, lattice
+    arrays = {**counts, **{n: v.astype(np.float32) for n, v in sums.items()}}
+    return {n: arrays[n] for n in NAMES}, lattice
 
 
 def _lattice(z: Floats, window: Window, params: VoxelParams, where: object) -> Lattice:

@@ -13,7 +13,7 @@ def edges(ring_start: NDArray[np.int64], points: int) -> NDArray[np.int64]:
     return np.flatnonzero(~last)
 
 
-def divided(length: NDArray[np.float64], step: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def divide(length: NDArray[np.float64], step: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Places at the beginning of every edge and `step` at most apart on it: the number of its edge, and the share of
     its length that lies before the place."""
     number = np.maximum(1, np.ceil(length / step)).astype(np.int64)
@@ -27,6 +27,6 @@ def knots_along(
     """x, y, z [m] of places every `step` [m] at most along lines, their last points among them, with heights between
     those of the points."""
     at = edges(ring_start, len(x))
-    edge, share = divided(np.hypot(x[at + 1] - x[at], y[at + 1] - y[at]), step)
+    edge, share = divide(np.hypot(x[at + 1] - x[at], y[at + 1] - y[at]), step)
     a, ends = at[edge], ring_start[1:] - 1
     return tuple(np.append(v[a] + share * (v[a + 1] - v[a]), v[ends]) for v in (x, y, z))

@@ -9,7 +9,7 @@ import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
 from fwclass.units import QUANTUM
-from fwclass.water.along import divided, edges
+from fwclass.water.along import divide, edges
 
 NEAREST = 4
 """Places of a shoreline that are held against each other; hardly ever are more as near as each other."""
@@ -57,12 +57,12 @@ def shoreline(
     along -= along[np.searchsorted(body, body)]
     turned = (x[at] > x[at + 1]) | ((x[at] == x[at + 1]) & (y[at] > y[at + 1]))
     low, high = np.where(turned, at + 1, at), np.where(turned, at, at + 1)  # a shared side gets the same places
-    edge, share = divided(length, step)
+    edge, share = divide(length, step)
     places = [np.rint(v[low[edge]] + share * (v[high[edge]] - v[low[edge]])).astype(np.int64) for v in (x, y)]
     piece = np.floor((along[edge] + share * length[edge]) / stretch).astype(np.int64)
-    kept = _of_one(np.column_stack(places), body[edge])
-    px, py = (np.asarray(v[kept] * QUANTUM, np.float64) for v in places)
-    return Shoreline(px, py, body[edge][kept], piece[kept])
+    single = _of_one(np.column_stack(places), body[edge])
+    px, py = (np.asarray(v[single] * QUANTUM, np.float64) for v in places)
+    return Shoreline(px, py, body[edge][single], piece[single])
 
 
 def _of_one(places: NDArray[np.int64], body: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fwclass import conf
 from fwclass.assess.confusion import figures
-from fwclass.ground.auto import adapted
+from fwclass.ground.auto import adapt_filter
 from fwclass.ground.filters import ground_points
 from fwclass.ground.measure import measure
 from fwclass.ground.search import search
@@ -40,7 +40,7 @@ def one(path, optimum):
     measure(*points, last)
     spent = time.process_time() - start
     start = time.process_time()
-    params, _ = adapted(points, last, base, rules)
+    params, _ = adapt_filter(points, last, base, rules)
     adapting = time.process_time() - start
     row = [told(truth, ground_points(*points, last, p).ground) for p in (base, params)]
     if optimum:

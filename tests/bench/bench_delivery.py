@@ -20,8 +20,8 @@ import pyarrow.parquet as pq
 import pyproj
 
 from fwclass import conf
-from fwclass.publish.copc import streamed, write_tile_copc
-from fwclass.publish.geoparquet import rounded, write_geoparquet
+from fwclass.publish.copc import copc_columns, write_tile_copc
+from fwclass.publish.geoparquet import round_floats, write_geoparquet
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.params import PublishParams
 from fwclass.publish.tile_facts import point_schema, tile_facts
@@ -52,7 +52,7 @@ def main() -> None:
         out = Path(folder)
         write_tile_copc(tables[0], out / "warm.copc.laz", CRS, params, {})
         write_tile_laz(tables[0].select(FIELDS), out / "warm.laz", CRS, params)
-        same = [t.select([n for n in t if n in FIELDS or n in streamed(t)]) for t in tables]
+        same = [t.select([n for n in t if n in FIELDS or n in copc_columns(t)]) for t in tables]
         rounds = []
         for _ in range(3):
             copc = [took(lambda t=t: write_tile_copc(t, out / "a.copc.laz", CRS, params, {})) for t in same]
@@ -67,7 +67,7 @@ def main() -> None:
         for title, some in (("all", tables), ("none", bare)):
             size = 0
             for table in some:
-                small = rounded(table, params.parquet_bits, ("range", "confidence"))
+                small = round_floats(table, params.parquet_bits, ("range", "confidence"))
                 size += write_geoparquet(small, out / "a.parquet", CRS, params)["bytes"]
             print(f"Parquet   {size / echoes:6.1f} bytes an echo, {len(some[0])} columns (features: {title})")
         facts, names = tile_facts(max(tables, key=lambda t: t.rows)), tuple(tables[0])

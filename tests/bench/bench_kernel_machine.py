@@ -25,7 +25,7 @@ from fwclass.model import FORMAT, ClassDef, KernelMachine
 from fwclass.train.baselines.fit import rbf_svm
 from fwclass.train.baselines.stage import train_other
 from fwclass.train.sample import Sample
-from fwclass.train.trim import trimmed
+from fwclass.train.trim import trim_rows
 
 CASES = ((4, 4, 4_000, 10.0, 0.5), (4, 6, 7_000, 10.0, 0.25), (2, 4, 5_000, 100.0, 0.5), (4, 4, 3_500, 1000.0, 1.0))
 """Classes, features, training rows, C, gamma: some 1 600 to 1 900 support vectors."""
@@ -93,7 +93,7 @@ def of_trimmed(n: int, features: int, learn: int, c: float, gamma: float, rows: 
     card = {"format": FORMAT, "features": [f"f{k}" for k in range(features)], "classes": classes, "preparation": plain}
     with threadpool_limits(1):
         began = time.process_time()
-        kept, _ = trimmed(wide, y, "nearest")
+        kept, _ = trim_rows(wide, y, "nearest")
         model = KernelMachine(**rbf_svm(wide[kept], y[kept], c, gamma, None), card=card)
         fitted = time.process_time() - began
         began = time.process_time()
@@ -111,7 +111,7 @@ def of_trimmed(n: int, features: int, learn: int, c: float, gamma: float, rows: 
 def of_many(rows: int = 100_000, features: int = 6) -> str:
     X, y = problem(4, features, rows, 3)
     began = time.process_time()
-    kept, _ = trimmed(X.astype(np.float64), y, "nearest")
+    kept, _ = trim_rows(X.astype(np.float64), y, "nearest")
     return f"trimming {rows} rows of {features} features: {time.process_time() - began:.2f} s, {kept.mean():.1%} stay"
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fwclass import conf
-from fwclass.graph.raster_outputs import delivered_rasters
+from fwclass.graph.raster_outputs import deliver_rasters
 from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, TileGrid, Window
 from fwclass.store.run_store import peak_mib
@@ -50,7 +50,7 @@ def one(kilometres: float) -> None:
     names = {"2": "ground", "5": "vegetation", "6": "building"}
     with tempfile.TemporaryDirectory() as folder:
         before, began = peak_mib(), time.process_time()
-        told = delivered_rasters(
+        told = deliver_rasters(
             StageInputs(Noise(), Path(folder), "all", tuple(("terrain", b.key) for b in GRID.touching(box))),
             conf.section("publish"),
             "EPSG:25832",

@@ -24,13 +24,13 @@ from scipy.spatial import cKDTree
 
 from fwclass import conf
 from fwclass.conf.street import scanner
-from fwclass.graph.street import Rows, Split, fitted, sample_of
+from fwclass.graph.street import Rows, Split, fit_model, sample_of
 from fwclass.model import class_index
 from fwclass.single_file.street.online import Loop
 from fwclass.street.answers import Writer
 from fwclass.street.frames import Track
 from fwclass.street.ring import Ring, feature_names
-from fwclass.street.simulate import simulated
+from fwclass.street.simulate import simulate_frames
 from fwclass.street.sphere_kernels import UNIT
 
 RADII = (0.1, 0.3, 0.5, 0.8)
@@ -45,7 +45,7 @@ def drive(name: str, frames: int, extra: tuple[str, ...] = ()):
     config = conf.load("street-sim", (f"street.scanner={name}", "street_scene.stops=0", "street_scene.sway=0", *extra))
     sheet = scanner(name)
     scene = config.street_scene.model_copy(update={"length": frames * sheet.period * config.street_scene.speed})
-    made = list(simulated(scene, sheet, config.street.mounting))
+    made = list(simulate_frames(scene, sheet, config.street.mounting))
     return config, made[:frames]
 
 
@@ -110,7 +110,7 @@ def trained(frames, config, vectors: int):
         rbf = config.compare.rbf_svm.model_copy(update={"c": (c,), "gamma": (1.0,), "max_rows": 16000})
         compare = config.compare.model_copy(update={"rbf_svm": rbf})
         sample = sample_of(parts[::3], names, split, config.classes, 8000)
-        model = fitted(sample, params, config.train, compare, config.classes)
+        model = fit_model(sample, params, config.train, compare, config.classes)
         if len(model.vectors) >= vectors:
             break
     return model, parts

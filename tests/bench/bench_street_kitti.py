@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from fwclass import conf
 from fwclass.classify.shares import answer
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, assemble
 from fwclass.street.sphere_kernels import SUMS, UNIT, features_of
 from fwclass.train.baselines.stage import train_other
@@ -83,7 +83,7 @@ def fitted(X, y, method, most=40000, trees=100):
     names = tuple(f"f{k}" for k in range(X.shape[1]))
     key = rows.astype(np.uint64)
     sample = Sample(
-        names, np.ascontiguousarray(X[rows], np.float32), y[rows], key, hashed(1, key), np.bincount(y, minlength=2)
+        names, np.ascontiguousarray(X[rows], np.float32), y[rows], key, hash_keys(1, key), np.bincount(y, minlength=2)
     )
     if method == "forest":
         train = config.train

@@ -19,13 +19,13 @@ from scipy.interpolate import LinearNDInterpolator
 
 from fwclass.grid import TileGrid, Window
 from fwclass.ground.raster.bilinear import bilinear
-from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import lowest, window_over
 from fwclass.ground.terrain.blocks import terrain_by_blocks
 from fwclass.ground.terrain.facets import facet_heights, facets_of
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import terrain
-from fwclass.ground.terrain.thinning import thinned
+from fwclass.ground.terrain.thinning import thin_points
 from fwclass.ground.tin.tin import tin_of
 
 X0, Y0 = 512000.0, 5403136.0
@@ -94,7 +94,7 @@ def accuracy(cloud: tuple[np.ndarray, ...], params: TerrainParams) -> None:
         made, window = terrain_by_blocks(x, y, z, ground, none, params.model_copy(update={"height": kind}))
         errors = rmse((made.height - true)[ground]), rmse((made.height - true)[~ground])
         print(f"height by {kind:<9} rmse {errors[0]:6.2f} cm at ground echoes, {errors[1]:6.2f} cm at others")
-    membrane = z - bilinear(filled(lowest(x[ground], y[ground], z[ground], window)), window, x, y)
+    membrane = z - bilinear(fill_gaps(lowest(x[ground], y[ground], z[ground], window)), window, x, y)
     errors = rmse((membrane - true)[ground]), rmse((membrane - true)[~ground])
     print(f"membrane over lowest rmse {errors[0]:6.2f} cm at ground echoes, {errors[1]:6.2f} cm at others")
     blocks, window = terrain_by_blocks(x, y, z, ground, none, params)
@@ -117,7 +117,7 @@ def held_out(path: str, params: TerrainParams) -> None:
     out = np.random.default_rng(1).random(len(x)) < 0.1
     window = window_over(x, y, 1.0, "cell")
     for thin in (0.1, 0.25, 0.5, 1.0, 2.0):
-        tin = tin_of(*thinned(x[~out], y[~out], z[~out], window, thin))
+        tin = tin_of(*thin_points(x[~out], y[~out], z[~out], window, thin))
         error = facet_heights(facets_of(tin, params.largest_circle), window, x[out], y[out]) - z[out]
         median = 100 * float(np.nanmedian(np.abs(error)))
         print(f"{Path(path).name}: thinned by {thin:4.2f} m rmse {rmse(error):6.2f} cm, median {median:.2f} cm")

@@ -37,7 +37,7 @@ from fwclass.decompose.placement import AS_STORED  # noqa: E402
 from fwclass.decompose.pulse_estimate import PulseParams, estimate_pulse, join_samples  # noqa: E402
 from fwclass.decompose.quiet import with_correlated_noise  # noqa: E402
 from fwclass.decompose.signal_noise import with_signal_noise  # noqa: E402
-from fwclass.decompose.stacking import Surface, candidates, stacked  # noqa: E402
+from fwclass.decompose.stacking import Surface, candidates, stack  # noqa: E402
 from fwclass.decompose.stage import decompose  # noqa: E402
 from fwclass.decompose.system_pulse import SystemPulse  # noqa: E402
 from fwclass.errors import FwclassError  # noqa: E402
@@ -510,7 +510,7 @@ def stacking(scale: float) -> list[Figure]:
             waves, ground = woodmaker.flown(100.0, ratio, seed=100 + seed)
             told = Surface(heights, Window(1.0, -10, -10, 60, 60)), box.grown(asked.radius), asked, PARAMS
             found = candidates(waves, 1, *told, GAUSSIAN, AS_STORED)
-            table, counts = stacked(found, np.empty((0, 2)), box, 0.0, asked)
+            table, counts = stack(found, np.empty((0, 2)), box, 0.0, asked)
             there += [1.0] * int(counts["stacked"]) + [0.0] * int(counts["candidates"] - counts["stacked"])
             decoys += [1.0] * int(counts["false"]) + [0.0] * int(counts["decoys"] - counts["false"])
             standard.append((table["z"] - ground[table["pulse"], 2]) / table["range_sigma"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from modelmaker import two_layers
 
-from fwclass.classify.refine import COARSE, at_boundary, refined
+from fwclass.classify.refine import COARSE, at_boundary, refine_boundary
 from fwclass.classify.shares import answer
 from fwclass.classify.stage import classify
 from fwclass.grid import Tile
@@ -56,7 +56,7 @@ def answered(rows=400, seed=3):
 def test_the_second_layer_answers_at_the_boundary_and_nowhere_else():
     model, table, fine, before = answered()
     at = table["boundary"]
-    made = refined(table, fine[at], model, before)
+    made = refine_boundary(table, fine[at], model, before)
     for name in before:
         np.testing.assert_array_equal(made[name][~at], before[name][~at])
     winner, shares = answer(fine[at], model.fine)
@@ -72,6 +72,6 @@ def test_the_second_layer_answers_at_the_boundary_and_nowhere_else():
 def test_without_a_boundary_all_answers_stay():
     model, table, fine, before = answered()
     none = table.with_columns(Table({"boundary": np.zeros(table.rows, bool)}))
-    made = refined(none, fine[:0], model)
+    made = refine_boundary(none, fine[:0], model)
     for name in made:
         np.testing.assert_array_equal(made[name], before[name])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tolerances import FLOAT32_RTOL, FLOAT32_UNIT
 
-from fwclass.classify.stage import CLASSIFY, classify, filled, probability_columns
+from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
 from fwclass.errors import InputError
 from fwclass.model import FORMAT, LEAF, LinearMachine, assemble
 from fwclass.schema import Table, column
@@ -56,7 +56,7 @@ def test_a_machine_fills_gaps_and_counts_them_a_forest_does_not():
     known = np.array([[1, 2], [3, 4]], np.float32)
     for name in ("classification", "confidence", "entropy"):
         np.testing.assert_array_equal(classify(gaps, machine())[name], classify(known, machine())[name])
-    assert filled(gaps, machine()) == 2 and filled(gaps, stumps([0])) == 0
+    assert count_filled(gaps, machine()) == 2 and count_filled(gaps, stumps([0])) == 0
 
 
 def test_a_feature_that_the_data_lacks_is_named():

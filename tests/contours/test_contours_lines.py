@@ -11,10 +11,10 @@ from scipy.spatial import cKDTree
 
 from fwclass.contours import lines as lines_module
 from fwclass.contours.chains import chains
-from fwclass.contours.join import Pieces, joined
+from fwclass.contours.join import Pieces, join_lines
 from fwclass.contours.lines import lines
 from fwclass.contours.params import STEP, ContourParams
-from fwclass.contours.smooth import NO_HEIGHT, margin, smoothed
+from fwclass.contours.smooth import NO_HEIGHT, margin, smooth_terrain
 from fwclass.grid import Window
 
 WINDOW = Window(0.5, 1_024_000, 10_806_400, 61, 47)
@@ -82,8 +82,8 @@ def test_blocks_join_to_the_lines_of_the_whole(size):
     several = list(blocks_of(heights, size))
     assert set().union(*(segments(part) for part in several)) == segments(alone)  # the same bits
     pieces = [Pieces.of(part) for part in several]
-    made = joined(Pieces(*(np.concatenate([getattr(p, n) for p in pieces]) for n in ("ends", "measures"))))
-    one = joined(Pieces.of(alone))
+    made = join_lines(Pieces(*(np.concatenate([getattr(p, n) for p in pieces]) for n in ("ends", "measures"))))
+    one = join_lines(Pieces.of(alone))
     assert len(made.level) == len(one.level) < sum(len(p.ends) for p in pieces)
     for level in np.unique(one.level):
         mine, other = made.level == level, one.level == level
@@ -120,7 +120,7 @@ def test_a_hollow_is_a_depression_and_a_hill_is_none():
     row, col = np.indices((41, 41)) - 20
     window, bowl = Window(1.0, 0, 0, 41, 41), 0.01 * (row**2 + col**2)
     for sign, expected in ((1, True), (-1, False)):
-        made = joined(Pieces.of(lines(whole(100 + sign * bowl), window, STEPS, 5)))
+        made = join_lines(Pieces.of(lines(whole(100 + sign * bowl), window, STEPS, 5)))
         closed = made.length > 10
         inner = np.abs(made.level * PARAMS.interval - 100) < 3.9  # others end at the border
         assert (made.depression[closed & inner] == expected).all() and (closed & inner).sum() > 5
@@ -159,18 +159,18 @@ def test_smoothed_land_is_near_the_land_and_the_same_in_any_window():
     cell, edge = 0.5, margin(PARAMS, 0.5)
     dtm = relief((90, 80), noise=0.4)
     dtm[40:44, 30:60] = np.nan
-    made, inner = smoothed(dtm, cell, PARAMS), dtm[edge:-edge, edge:-edge]
+    made, inner = smooth_terrain(dtm, cell, PARAMS), dtm[edge:-edge, edge:-edge]
     known = np.isfinite(inner)
     assert ((made == NO_HEIGHT) == ~known).all()
     off = np.abs(made[known] * STEP - inner[known])
     assert off.max() <= PARAMS.most * PARAMS.interval + STEP and off.max() > 0.9 * PARAMS.most * PARAMS.interval
-    part = smoothed(dtm[10:70, 5:75], cell, PARAMS)
+    part = smooth_terrain(dtm[10:70, 5:75], cell, PARAMS)
     np.testing.assert_array_equal(part, made[10 : 10 + part.shape[0], 5 : 5 + part.shape[1]])
     flat = relief((90, 80), noise=0.05) - relief((90, 80)) + 300
-    calm = smoothed(flat, cell, PARAMS) * STEP
+    calm = smooth_terrain(flat, cell, PARAMS) * STEP
     assert calm.std() < 0.4 * flat.std() and calm.mean() == pytest.approx(300, abs=0.01)
     plain = PARAMS.model_copy(update={"smooth": 0.0})
-    assert margin(plain, cell) == 0 and (smoothed(dtm, cell, plain)[0] == whole(dtm[0])).all()
+    assert margin(plain, cell) == 0 and (smooth_terrain(dtm, cell, plain)[0] == whole(dtm[0])).all()
 
 
 def test_the_weights_have_the_width_that_is_asked_for():
@@ -179,7 +179,7 @@ def test_the_weights_have_the_width_that_is_asked_for():
         edge = margin(params, cell)
         dtm = np.zeros((4 * edge + 1, 1 + 2 * edge), np.float32)
         dtm[2 * edge] = 1000.0
-        weight = smoothed(dtm, cell, params)[:, 0].astype(float)
+        weight = smooth_terrain(dtm, cell, params)[:, 0].astype(float)
         place = (np.arange(len(weight)) - edge) * cell
         assert np.sqrt((weight * place**2).sum() / weight.sum()) == pytest.approx(smooth, rel=0.25)  # whole cells
 

@@ -6,7 +6,7 @@ import wavemaker as wm
 from woodmaker import SIDE, flown
 
 from fwclass import conf
-from fwclass.decompose.deconvolution import backscatter_samples, joined, pulse_at_samples
+from fwclass.decompose.deconvolution import backscatter_samples, join_samples, pulse_at_samples
 from fwclass.decompose.placement import AS_STORED
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.schema import Table
@@ -69,6 +69,6 @@ def test_chunks_in_one_order(wood):
     table, _ = backscatter_samples(wood, 1, params(), FIT, PULSE, AS_STORED)
     rng = np.random.default_rng(1)
     parts = np.array_split(rng.permutation(table.rows), 3)
-    again = joined([table.take(p) for p in parts])
+    again = join_samples([table.take(p) for p in parts])
     assert all(np.array_equal(again[n], table[n]) for n in ("pulse", "sample", "z"))
-    assert joined([]).rows == 0 and isinstance(joined([]), Table)
+    assert join_samples([]).rows == 0 and isinstance(join_samples([]), Table)

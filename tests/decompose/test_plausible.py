@@ -9,7 +9,7 @@ from wavemaker import survey_mix, waves_of
 
 from fwclass.decompose.envelope import Envelope
 from fwclass.decompose.params import DecomposeParams, PulseParams
-from fwclass.decompose.plausible import renumbered
+from fwclass.decompose.plausible import renumber
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.quiet import quiet_noise, with_correlated_noise
 from fwclass.decompose.system_pulse import Channel, SystemPulse
@@ -82,7 +82,7 @@ def test_plausible_echoes_are_numbered_first():
         "source_class": np.full(6, 5),
         "z": np.arange(6.0),
     }
-    made = renumbered(echoes, np.array([True, False, False, False, True, True]))
+    made = renumber(echoes, np.array([True, False, False, False, True, True]))
     np.testing.assert_array_equal(made["z"], [1.0, 2.0, 0.0, 3.0, 4.0, 5.0])
     np.testing.assert_array_equal(made["echo_number"], [1, 2, 3, 1, 1, 2])
     np.testing.assert_array_equal(made["number_of_echoes"], [2, 2, 3, 1, 2, 2])

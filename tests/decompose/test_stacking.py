@@ -7,7 +7,7 @@ from woodmaker import SIDE, flown
 
 from fwclass import conf
 from fwclass.decompose.placement import AS_STORED
-from fwclass.decompose.stacking import STACKED, Candidates, Surface, candidates, roughness_of, stacked, threshold_of
+from fwclass.decompose.stacking import STACKED, Candidates, Surface, candidates, roughness_of, stack, threshold_of
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.grid import Box, Window
 from fwclass.waveforms import Waveforms
@@ -32,7 +32,7 @@ INNER = Box(3.0, 3.0, 21.0, 21.0)
 def shown(waves, seen, asked, pulse=None, roughness=0.0):
     box = INNER.grown(asked.radius)
     found = candidates(waves, 1, seen, box, asked, FIT, pulse or SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
-    return (*stacked(found, NOWHERE, INNER, roughness, asked), found)
+    return (*stack(found, NOWHERE, INNER, roughness, asked), found)
 
 
 def many(ratio, runs, **kind):
@@ -107,7 +107,7 @@ def test_the_cut_of_the_strip_does_not_matter():
     ]
     parts = [candidates(h, 1, surface(100.0), box, asked, FIT, pulse, AS_STORED) for h in halves]
     again = Candidates.joined(p for p in parts if p is not None)
-    one, two = (stacked(c, NOWHERE, INNER, 0.0, asked)[0] for c in (whole, again))
+    one, two = (stack(c, NOWHERE, INNER, 0.0, asked)[0] for c in (whole, again))
     assert one.rows and all(np.array_equal(one[n], two[n]) for n in one)
 
 
@@ -127,7 +127,7 @@ def test_where_the_ground_is_known_nothing_is_looked_for():
     asked = params()
     box = INNER.grown(asked.radius)
     found = candidates(waves, 1, surface(100.0), box, asked, FIT, SystemPulse.gaussian(wm.PULSE_WIDTH), AS_STORED)
-    table, told = stacked(found, ground[:1, :2] * 0.0 + 12.0, INNER, 0.0, asked)
+    table, told = stack(found, ground[:1, :2] * 0.0 + 12.0, INNER, 0.0, asked)
     assert table.rows and np.hypot(table["x"] - 12.0, table["y"] - 12.0).min() > asked.gap - 0.3
     assert told["candidates"] < INNER.contains(found.place[:, 0], found.place[:, 1]).sum()
 

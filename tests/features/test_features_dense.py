@@ -9,7 +9,7 @@ from commandline import fwclass
 
 from fwclass import conf
 from fwclass.features import orientation, spheres
-from fwclass.features.dense import Crowd, crowd_facts, thinned
+from fwclass.features.dense import Crowd, crowd_facts, thin_dense
 from fwclass.features.gather import slices
 from fwclass.features.params import NORMAL, Asked
 from fwclass.features.stage import features
@@ -81,7 +81,7 @@ def cubes(table, edge):
 
 def test_one_echo_of_every_small_cube_counts_and_speaks_for_it():
     table = crowded()
-    thin = thinned(whole(table), PARAMS)
+    thin = thin_dense(whole(table), PARAMS)
     _, cube, held = np.unique(cubes(table, 100), axis=0, return_inverse=True, return_counts=True)
     dense = held[cube.ravel()] > PARAMS.dense_echoes
     small = cubes(table, 50)
@@ -120,17 +120,17 @@ def test_up_to_the_bound_all_echoes_count():
     for n, dense in ((PARAMS.dense_echoes, False), (PARAMS.dense_echoes + 1, True)):
         x, y, z = rng.uniform(0.0, 0.099, (3, n))
         table = table_of(x, y, z)
-        assert (thinned(whole(table), PARAMS) is not None) == dense
+        assert (thin_dense(whole(table), PARAMS) is not None) == dense
         assert (crowd_facts(whole(table), PARAMS) is not None) == dense
-    assert thinned(whole(table_of(*np.empty((3, 0)))), PARAMS) is None
+    assert thin_dense(whole(table_of(*np.empty((3, 0)))), PARAMS) is None
 
 
 def test_what_counts_is_bounded_by_the_room_it_fills():
     """200 000 echoes in a cubic metre: no neighbourhood sees more of them than there are small cubes."""
     table = table_of(*np.random.default_rng(2).uniform(0, 1, (3, 200_000)))
-    assert thinned(whole(table), PARAMS).chunk.table.rows <= 21**3
+    assert thin_dense(whole(table), PARAMS).chunk.table.rows <= 21**3
     at_one_place = table_of(*np.zeros((3, 200_000)))
-    assert thinned(whole(at_one_place), PARAMS).chunk.table.rows == 1
+    assert thin_dense(whole(at_one_place), PARAMS).chunk.table.rows == 1
 
 
 def test_the_densest_place_is_told_whatever_the_tiles():
@@ -164,7 +164,7 @@ FEW = PARAMS.model_copy(update={"dense_in_column": 100})
 def test_of_columns_the_smallest_cubes_that_leave_no_more_count():
     """Against a slow reading of the rule, column by column."""
     table = tower()
-    thin = thinned(whole(table), FEW)
+    thin = thin_dense(whole(table), FEW)
     place, owner = cubes(table, 1), np.arange(table.rows)
     for column in np.unique(place[:, :2] // 200, axis=0):
         rows = np.flatnonzero((place[:, :2] // 200 == column).all(axis=1))
@@ -206,7 +206,7 @@ def test_a_column_never_counts_with_more_however_tall(echoes):
     rng = np.random.default_rng(6)
     for tall in (15.0, 10_000.0):
         x, y, z = rng.uniform(0, 1, (3, echoes))
-        kept = thinned(whole(table_of(x, y, z * tall)), PARAMS).chunk.table
+        kept = thin_dense(whole(table_of(x, y, z * tall)), PARAMS).chunk.table
         held = np.unique(cubes(kept, 200)[:, :2], axis=0, return_counts=True)[1]
         assert held.max() <= PARAMS.dense_in_column
 

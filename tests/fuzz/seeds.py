@@ -376,7 +376,7 @@ FRAMES_CSV = (
 def frame_seeds(folder: Path) -> list[Seed]:
     """Recordings of frames as CSV, Parquet, and the bytes of a stream."""
     from fwclass.street.recording_parquet import write_recording
-    from fwclass.street.stream import HEAD, encoded
+    from fwclass.street.stream import HEAD, encode_frame
 
     folder.mkdir(parents=True, exist_ok=True)
     made = [Seed(f"csv{k}", "a.csv", {"a.csv": text.encode()}, (), ("a.csv",)) for k, text in enumerate(FRAMES_CSV)]
@@ -384,7 +384,7 @@ def frame_seeds(folder: Path) -> list[Seed]:
     data = (folder / "a.parquet").read_bytes()
     fields = tuple(Field("a.parquet", len(data) - k, w) for k in range(8, 900, 3) for w in (1, 4))
     made.append(Seed("parquet", "a.parquet", {"a.parquet": data}, fields))
-    stream = b"".join(map(encoded, _frames()))
+    stream = b"".join(map(encode_frame, _frames()))
     length = HEAD.size + 4 * 19
     places = [(at, w) for at, w in ((0, 4), (4, 4), *((k, 8) for k in range(8, 56, 8)), (56, 4), (60, 4), (64, 4))]
     fields = tuple(Field("a.stream", k * length + at, w) for k in range(6) for at, w in places)

@@ -13,7 +13,7 @@ from fwclass.grid import Window
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import FILTERS, ground_points
 from fwclass.ground.methods.densify import Limits, densify
-from fwclass.ground.methods.seeds import Cloud, opened_seeds, plausible, sliding_seeds
+from fwclass.ground.methods.seeds import Cloud, find_opened_seeds, plausible, sliding_seeds
 from fwclass.ground.params import GroundParams
 from fwclass.ground.tin.delaunay import empty_mesh, insert_all
 from fwclass.ground.tin.tin import tin_of, tin_raster
@@ -141,7 +141,7 @@ def test_seeds():
     cloud = Cloud(x, y, z * 1000.0)
     usable = plausible(cloud, 1.0, 5.0, "cell")
     assert usable.mean() > 0.99
-    opened = opened_seeds(cloud, usable, 36.0, 1.0, 0.3, "cell")
+    opened = find_opened_seeds(cloud, usable, 36.0, 1.0, 0.3, "cell")
     assert truth[opened].mean() > 0.995
     assert len(opened) > 0.3 * 150 * 150
 

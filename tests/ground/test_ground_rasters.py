@@ -11,9 +11,9 @@ from tolerances import SMALL_COORDINATE
 from fwclass.grid import Window
 from fwclass.ground.methods.smrf import objects
 from fwclass.ground.raster.bilinear import bilinear
-from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import lowest
-from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.opening import disk_opening
 from fwclass.ground.raster.surface import domain, gradient, low_limit
 
 
@@ -40,14 +40,14 @@ def test_opening_is_the_highest_of_the_lowest_in_a_disk(shape, radius):
     if surface.size > 20:
         surface[:5, 1] = np.nan
     expected = brute_extreme(brute_extreme(surface, radius, min), radius, max)
-    np.testing.assert_array_equal(opened(surface, radius), expected)
+    np.testing.assert_array_equal(disk_opening(surface, radius), expected)
 
 
 def test_opening_never_rises_and_repeats_itself():
     surface = np.random.default_rng(5).normal(size=(30, 30))
-    once = opened(surface, 4)
+    once = disk_opening(surface, 4)
     assert (once <= surface).all()
-    np.testing.assert_array_equal(opened(once, 4), once)
+    np.testing.assert_array_equal(disk_opening(once, 4), once)
 
 
 def membrane(surface):
@@ -85,7 +85,7 @@ def test_filling_agrees_with_the_exact_membrane(share):
     truth = hills(90, 110)
     surface = np.where(rng.random(truth.shape) < share, truth, np.nan)
     surface[30:60, 40:80] = np.nan
-    out = filled(surface)
+    out = fill_gaps(surface)
     known = np.isfinite(surface)
     np.testing.assert_array_equal(out[known], surface[known])
     assert np.abs(out - membrane(surface)).max() < FILL_TOLERANCE
@@ -93,18 +93,18 @@ def test_filling_agrees_with_the_exact_membrane(share):
 
 def test_filling_of_nothing_everything_and_one_cell():
     nothing = np.full((5, 6), np.nan)
-    assert np.isnan(filled(nothing)).all()
+    assert np.isnan(fill_gaps(nothing)).all()
     everything = hills(5, 6)
-    np.testing.assert_array_equal(filled(everything), everything)
+    np.testing.assert_array_equal(fill_gaps(everything), everything)
     one = nothing.copy()
     one[4, 0] = 12.5
-    np.testing.assert_allclose(filled(one), 12.5, atol=SMALL_COORDINATE)
+    np.testing.assert_allclose(fill_gaps(one), 12.5, atol=SMALL_COORDINATE)
 
 
 def test_filling_stays_between_the_known_values():
     rng = np.random.default_rng(11)
     surface = np.where(rng.random((64, 64)) < 0.02, rng.random((64, 64)), np.nan)
-    out = filled(surface)
+    out = fill_gaps(surface)
     # over-relaxation may overshoot by what it has not yet settled
     assert np.nanmin(surface) - FILL_TOLERANCE < out.min()
     assert out.max() < np.nanmax(surface) + FILL_TOLERANCE

@@ -10,7 +10,7 @@ import yaml
 
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import ground_points
-from fwclass.ground.methods.refine import restored, without_company
+from fwclass.ground.methods.refine import restore_edges, without_company
 from fwclass.ground.methods.smrf import smrf
 from fwclass.ground.params import GroundParams
 from fwclass.ground.raster.lattice import lowest_points, window_over
@@ -162,7 +162,7 @@ def test_restoring_needs_a_smooth_side():
         points = lowest_points(x, y, z, window_over(x, y, 1.0, "cell"))
         ground = np.ones((40, 40), bool)
         ground[:, 19] = False
-        got = restored(points, ground, 1.0, 10.0, 0.2, 0.5, 2)[2:-2, 19]
+        got = restore_edges(points, ground, 1.0, 10.0, 0.2, 0.5, 2)[2:-2, 19]
         assert got.all() if expected else got.mean() < 0.2
 
 

@@ -13,7 +13,7 @@ from tolerances import COORDINATE, FLOAT32_HEIGHT, MILLIMETRE, SMALL_COORDINATE
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Window
 from fwclass.ground.raster.bilinear import bilinear
-from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import lowest
 from fwclass.ground.terrain import nearest
 from fwclass.ground.terrain import terrain as terrain_module
@@ -22,7 +22,7 @@ from fwclass.ground.terrain.dsm import disk, without_pepper
 from fwclass.ground.terrain.facets import facet_heights, facet_raster, facets_of
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import BEYOND, INTERPOLATED, MEASURED, terrain
-from fwclass.ground.terrain.thinning import thinned
+from fwclass.ground.terrain.thinning import thin_points
 from fwclass.ground.tin.tin import tin_of
 
 PARAMS = TerrainParams(cell=1.0, thin=0.5, max_gap=40.0, dsm_gap=2.0, height="tin", block=256.0, block_halo=64.0)
@@ -83,7 +83,7 @@ def test_thinned_points_are_means_by_cell():
     x, y = scattered(2000, 20)
     z = np.random.default_rng(1).normal(300, 2, 2000).round(3)
     window = Window(1.0, 512000, 5403200, 20, 20)
-    mx, my, mz = thinned(x, y, z, window, 0.5)
+    mx, my, mz = thin_points(x, y, z, window, 0.5)
     cell = np.floor((y - Y0) / 0.5) * 40 + np.floor((x - X0) / 0.5)
     cells, number = np.unique(cell, return_counts=True)
     for got, given in ((mx, x), (my, y), (mz, z)):
@@ -95,13 +95,13 @@ def test_thinned_points_are_means_by_cell():
 
 def test_thinning_keeps_a_point_that_is_alone():
     window = Window(1.0, 512000, 5403200, 20, 20)
-    mx, my, mz = thinned(np.array([X0 + 3.217]), np.array([Y0 + 8.001]), np.array([-4.75]), window, 0.3)
+    mx, my, mz = thin_points(np.array([X0 + 3.217]), np.array([Y0 + 8.001]), np.array([-4.75]), window, 0.3)
     np.testing.assert_allclose([mx[0], my[0], mz[0]], [X0 + 3.217, Y0 + 8.001, -4.75], atol=COORDINATE)
 
 
 def test_absurdly_fine_thinning_is_refused_with_its_setting():
     with pytest.raises(ConfigError, match=r"terrain\.thin"):
-        thinned(np.zeros(1), np.zeros(1), np.zeros(1), Window(1.0, 0, 0, 400, 400), 0.001)
+        thin_points(np.zeros(1), np.zeros(1), np.zeros(1), Window(1.0, 0, 0, 400, 400), 0.001)
 
 
 @pytest.mark.parametrize("n", [40, 3000])
@@ -292,7 +292,7 @@ def test_height_by_tin_is_nearer_to_the_truth_than_by_a_membrane_over_lowest_ech
     x, y, z, ground, true = town(200, 4, 0.03)
     core = Window(1.0, 512000, 5403200, 200, 200)
     tin = made(x, y, z, ground, core=core).height
-    membrane = z - bilinear(filled(lowest(x[ground], y[ground], z[ground], core)), core, x, y)
+    membrane = z - bilinear(fill_gaps(lowest(x[ground], y[ground], z[ground], core)), core, x, y)
     rmse = [np.sqrt(np.mean((h - true)[ground] ** 2)) for h in (tin, membrane)]
     assert rmse[0] < 0.6 * rmse[1]
 
@@ -356,7 +356,7 @@ def test_triangles_are_the_same_in_blocks_as_in_one():
     blocks, window = terrain_by_blocks(x, y, z, ones, none, small)
     whole = terrain(x, y, z, ones, none, ones, window, small)
     np.testing.assert_array_equal(np.isnan(blocks.dtm), np.isnan(whole.dtm))
-    facets = facets_of(tin_of(*thinned(x, y, z, window, small.thin)), small.largest_circle)
+    facets = facets_of(tin_of(*thin_points(x, y, z, window, small.thin)), small.largest_circle)
     on = np.isfinite(facet_raster(facets, window))
     np.testing.assert_allclose(blocks.dtm[on], whole.dtm[on], atol=FLOAT32_HEIGHT)
     assert 0 < (~on & np.isfinite(whole.dtm)).sum() < on.sum()
@@ -378,8 +378,8 @@ def test_a_halo_that_is_cut_to_what_is_needed_changes_nothing(monkeypatch, kind)
         seen.append(needed(distance, core, outer, with_params)[0])
         return outer, with_params.largest_circle
 
-    needed = terrain_module._needed
-    monkeypatch.setattr(terrain_module, "_needed", uncut)
+    needed = terrain_module._needed_ground
+    monkeypatch.setattr(terrain_module, "_needed_ground", uncut)
     whole = made(x, y, z, ground, core=core, with_params=params(height=kind))
     assert seen[0].ncols < 60 + 2 * 40
     np.testing.assert_allclose(cut.dtm, whole.dtm, atol=FLOAT32_HEIGHT)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from fwclass.errors import InputError
 from fwclass.formats.copc import ENTRY, INFO, is_copc, nodes_of
 from fwclass.formats.las_header import read_header
-from fwclass.publish.copc import class_lookup, streamed, write_tile_copc
+from fwclass.publish.copc import class_lookup, copc_columns, write_tile_copc
 from fwclass.publish.octree import octree
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Table, column
@@ -63,7 +63,7 @@ def test_any_laz_reader_sees_every_echo_once(
     for axis in "xyz":
         assert np.array_equal(np.rint(las[axis][order] * 1000), np.rint(town[axis] * 1000))
     for dim in las.point_format.extra_dimensions:
-        name = next(n for n in streamed(town) if column(n).las == dim.name)
+        name = next(n for n in copc_columns(town) if column(n).las == dim.name)
         assert dim.dtype is None or np.dtype(dim.dtype).kind in "iu", "whole numbers"
         known = np.isfinite(town[name])
         step = column(name).las_scale * (0.5001 if column(name).las_scale != 1 else 0)

@@ -12,7 +12,7 @@ from matplotlib import image
 
 from fwclass.grid import Window
 from fwclass.publish.drawing import area_edges, round_length
-from fwclass.publish.figures import class_map, filled, relief, thinned
+from fwclass.publish.figures import class_map, downsample, fill_gaps, relief
 from fwclass.publish.palette import BY_NAME, colours, css
 from fwclass.publish.params import PublishParams
 from fwclass.publish.shade import hillshade
@@ -75,16 +75,16 @@ def test_single_gaps_are_filled_and_larger_ones_stay() -> None:
     codes[2, 2] = codes[0, 0] = codes[8, 4] = 0
     codes[5:8, 5:8] = 0
     codes[2, 1] = codes[1, 2] = codes[3, 2] = codes[2, 3] = 2
-    made = filled(codes)
+    made = fill_gaps(codes)
     assert made[2, 2] == 2, "four against four: the smaller code"
     assert made[0, 0] == 5 and made[8, 4] == 5
     assert (made == 0).sum() == 9 and (made[5:8, 5:8] == 0).all()
-    assert (filled(np.zeros((3, 4), np.uint8)) == 0).all()
+    assert (fill_gaps(np.zeros((3, 4), np.uint8)) == 0).all()
 
 
 def test_a_large_raster_is_thinned_from_the_south_west() -> None:
     array = np.arange(60 * 80).reshape(60, 80)
-    part, view = thinned(array, WINDOW, 30)
+    part, view = downsample(array, WINDOW, 30)
     assert part.shape == (20, 27) and part[0, 0] == 0 and part[1, 1] == 3 * 80 + 3
     assert (view.xmin, view.ymin, view.cell) == (500_000, 5_400_000, 3.0)
 

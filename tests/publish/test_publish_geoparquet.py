@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fwclass.errors import InputError
-from fwclass.publish.geoparquet import about_delivery, rounded, wkb_points, write_geoparquet
+from fwclass.publish.geoparquet import about_delivery, round_floats, wkb_points, write_geoparquet
 from fwclass.publish.params import PublishParams
 from fwclass.schema import Table
 
@@ -149,9 +149,9 @@ def test_metadata_tell_classes_with_colours(
 @given(st.lists(st.floats(width=32), min_size=1, max_size=20), st.integers(4, 23))
 def test_rounding_stays_within_half_a_step(values: list[float], bits: int) -> None:
     table = Table({"width": np.array(values, np.float32)})
-    got, want = rounded(table, bits)["width"].astype(float), table["width"].astype(float)
+    got, want = round_floats(table, bits)["width"].astype(float), table["width"].astype(float)
     known = np.isfinite(want)
     assert np.array_equal(got[~known], want[~known], equal_nan=True)
     normal = known & (np.abs(want) >= np.finfo(np.float32).tiny)
     assert (np.abs(got - want)[normal] <= np.abs(want[normal]) * 2.0 ** -(bits + 1) * 1.0000001).all()
-    assert rounded(table, bits, ["width"])["width"] is table["width"]
+    assert round_floats(table, bits, ["width"])["width"] is table["width"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fwclass.quality.adjust import Pairs, adjusted
+from fwclass.quality.adjust import Pairs, adjust
 from fwclass.quality.pieces import Strip
 
 NOISE = 0.02
@@ -54,7 +54,7 @@ def test_heights_and_tilts_come_out_as_exactly_as_their_errors_say(cross: bool) 
         strips = network(cross)
         truth = rng.normal(0, 0.05, (len(strips), 3))
         pairs = pairs_of(strips, truth, NOISE, rng)
-        made = adjusted(strips, pairs, 1.0)
+        made = adjust(strips, pairs, 1.0)
         assert np.isfinite(made.values).all() and made.sigma == pytest.approx(NOISE, rel=0.05)
         off.append((made.values - seen_part(strips, pairs, truth)) / made.errors)
     share = (np.abs(off) < 3).mean()
@@ -64,7 +64,7 @@ def test_heights_and_tilts_come_out_as_exactly_as_their_errors_say(cross: bool) 
 def test_a_lift_of_one_line_is_told_to_the_millimetre() -> None:
     strips, truth = network(True), np.zeros((4, 3))
     truth[1] = 0.12, 0.0, 0.0
-    made = adjusted(strips, pairs_of(strips, truth, NOISE, np.random.default_rng(1)), 0.05)
+    made = adjust(strips, pairs_of(strips, truth, NOISE, np.random.default_rng(1)), 0.05)
     lifts = made.values[:, 0] - made.values[[0, 2, 3], 0].mean()
     assert lifts[1] == pytest.approx(0.12, abs=0.006) and np.abs(lifts[[0, 2, 3]]).max() < 0.006
     assert np.abs(made.values[:, 1:]).max() < 0.006
@@ -72,23 +72,23 @@ def test_a_lift_of_one_line_is_told_to_the_millimetre() -> None:
 
 def test_nothing_stays_nothing() -> None:
     strips = network(True)
-    made = adjusted(strips, pairs_of(strips, np.zeros((4, 3)), NOISE, np.random.default_rng(2)), 0.05)
+    made = adjust(strips, pairs_of(strips, np.zeros((4, 3)), NOISE, np.random.default_rng(2)), 0.05)
     assert (np.abs(made.values) < 3.5 * made.errors).all() and np.abs(made.values).max() < 0.006
-    exact = adjusted(strips, pairs_of(strips, np.zeros((4, 3)), 0.0, np.random.default_rng(2)), 0.05)
+    exact = adjust(strips, pairs_of(strips, np.zeros((4, 3)), 0.0, np.random.default_rng(2)), 0.05)
     assert np.abs(exact.values).max() == 0.0 and exact.left == 0.0
 
 
 def test_what_all_strips_have_in_common_is_not_told() -> None:
     strips = network(True)
     pairs = pairs_of(strips, np.array([[0.5, 0.0, 0.0]] * 4), NOISE, np.random.default_rng(3))
-    assert np.abs(adjusted(strips, pairs, 0.05).values).max() < 0.006
+    assert np.abs(adjust(strips, pairs, 0.05).values).max() < 0.006
 
 
 def test_outliers_move_nothing() -> None:
     rng, strips = np.random.default_rng(4), network(True)
     pairs = pairs_of(strips, np.zeros((4, 3)), NOISE, rng)
     pairs.dz[::10] += 0.7  # grass that grew, lorries
-    made = adjusted(strips, pairs, 0.05)
+    made = adjust(strips, pairs, 0.05)
     assert np.abs(made.values).max() < 0.005 and made.sigma < 0.03 and made.left > 0.2
 
 
@@ -97,7 +97,7 @@ def test_the_order_of_pairs_changes_nothing() -> None:
     pairs = pairs_of(strips, rng.normal(0, 0.05, (4, 3)), NOISE, rng)
     order = rng.permutation(len(pairs.dz))
     other = Pairs(*(getattr(pairs, n)[order] for n in ("first", "second", "x", "y", "dz", "weight")))
-    assert (adjusted(strips, pairs, 0.05).values == adjusted(strips, other, 0.05).values).all()
+    assert (adjust(strips, pairs, 0.05).values == adjust(strips, other, 0.05).values).all()
 
 
 def test_few_pairs_tell_no_tilt_and_none_tell_nothing() -> None:
@@ -105,9 +105,9 @@ def test_few_pairs_tell_no_tilt_and_none_tell_nothing() -> None:
     rng = np.random.default_rng(6)
     some = pairs_of(strips, np.zeros((3, 3)), NOISE, rng)
     few = Pairs(*(getattr(some, n)[some.first == 0][:12] for n in ("first", "second", "x", "y", "dz", "weight")))
-    made = adjusted(strips, few, 0.003)
+    made = adjust(strips, few, 0.003)
     assert np.isfinite(made.values[:2, 0]).all() and np.isnan(made.values[2]).all() and made.pairs.tolist()[2] == 0
     assert np.isnan(made.values[:2, 1:]).all()
     one = Pairs(*(getattr(some, n)[:0] for n in ("first", "second", "x", "y", "dz", "weight")))
-    nothing = adjusted(strips, one, 0.05)
+    nothing = adjust(strips, one, 0.05)
     assert np.isnan(nothing.values).all() and np.isnan(nothing.sigma) and np.isnan(nothing.left)

@@ -82,8 +82,8 @@ def quick(inputs: object, directory: Path) -> dict[str, object]:
 
 
 def compiles(inputs, directory):
-    with compiling._watched("a"):
-        time.sleep(compiling.TOLD_AFTER + 0.5)
+    with compiling._timed("a"):
+        time.sleep(compiling.NOTIFY_AFTER + 0.5)
     return {}
 
 

@@ -10,7 +10,7 @@ import yaml
 
 from fwclass import conf
 from fwclass.errors import ConfigError, InputError
-from fwclass.ground.search import curves, most_runs, search, thinned
+from fwclass.ground.search import curves, most_runs, pick_evenly, search
 from fwclass.ground.tuning_params import GroundSearchParams
 from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.labels import halves, labels_of, matrix_of
@@ -61,8 +61,8 @@ def test_curves_have_their_summit_at_the_best_value():
 
 
 def test_thinned_values_are_spread():
-    assert thinned((1.0, 2.0, 3.0), 5) == (1.0, 2.0, 3.0)
-    assert thinned(tuple(range(8)), 4) == (1, 3, 5, 7)
+    assert pick_evenly((1.0, 2.0, 3.0), 5) == (1.0, 2.0, 3.0)
+    assert pick_evenly(tuple(range(8)), 4) == (1, 3, 5, 7)
 
 
 def test_ranges_must_rise():

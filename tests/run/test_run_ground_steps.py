@@ -45,12 +45,12 @@ def test_a_person_sees_the_step():
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_compiling_is_named_and_timed(monkeypatch, terminal):
-    monkeypatch.setattr(compiling, "TOLD_AFTER", 0.2)
+    monkeypatch.setattr(compiling, "NOTIFY_AFTER", 0.2)
     monkeypatch.setattr(compiling, "_spent", 0.0)
     file = io.StringIO()
     with Steps(Console(file=file, force_terminal=terminal, width=80)) as steps:
         steps.tell("filter smrf")
-        with compiling._watched("a"):
+        with compiling._timed("a"):
             time.sleep(0.5)
             assert steps.line == f"filter smrf ({compiling.ONCE})"
         assert steps.line == "filter smrf"

@@ -38,11 +38,11 @@ def test_importance_in_parts(tmp_path):
     write_arrays(path("training", "all") / learn.SAMPLE, sample.arrays())
     for first, count in ((0, 3), (3, 1)):
         part = f"{first:05d}"
-        learn.grown(StageInputs(inputs, path("trees", part), part), NAMES, params, CLASSES, count)
-        learn.weighed(StageInputs(inputs, path("importance", part), part), NAMES, params, count, 3)
+        learn.grow_part(StageInputs(inputs, path("trees", part), part), NAMES, params, CLASSES, count)
+        learn.permute_features(StageInputs(inputs, path("importance", part), part), NAMES, params, count, 3)
     needs = tuple((stage, part) for stage in ("trees", "importance") for part in ("00000", "00003"))
     here = StageInputs(inputs, path("train", "model"), "model", needs)
-    made = learn.trained(here, NAMES, params, CLASSES, {})
+    made = learn.deliver_forest(here, NAMES, params, CLASSES, {})
     expected = importance(sample, grow_trees(sample, CLASSES, 0, 4, params), 2, params, 3)
     for card in (made["card"], load_model(path("train", "model", learn.MODEL)).card):
         told = card["importance"]

@@ -12,7 +12,7 @@ import rasterio
 
 from fwclass import conf
 from fwclass.graph import report_figures as report
-from fwclass.graph.raster_outputs import delivered_rasters
+from fwclass.graph.raster_outputs import deliver_rasters
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.stage import StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
@@ -141,7 +141,7 @@ def test_the_delivered_rasters_are_those_of_one_array(laid, tmp_path: Path) -> N
     whole = expected(blocks, cell, window)
     here = StageInputs(inputs, tmp_path, "all", tuple(("terrain", b.key) for b in blocks))
     names = {str(code): name for code, name in NAMES.items()}
-    told = delivered_rasters(here, params, "EPSG:25832", names, cell, SIZE, BOX.bounds)
+    told = deliver_rasters(here, params, "EPSG:25832", names, cell, SIZE, BOX.bounds)
     there = np.isfinite(whole["dtm"])
     ranges = told.pop("ranges")
     assert told == {"dtm_cells": there.sum(), "class_cells": (whole["classes"] > 0).sum()}

@@ -11,7 +11,7 @@ from fwclass.graph.features import COMPUTE_FEATURES
 from fwclass.graph.ground_classes import CLASSIFY_GROUND
 from fwclass.graph.stage import Plan, StageInputs, Work, plain_values
 from fwclass.graph.stages import STAGES, graph_of, providers
-from fwclass.publish.stage_graph import reduced, stage_graph
+from fwclass.publish.stage_graph import drop_implied, stage_graph
 from fwclass.schema import Table
 from workflows import WORKFLOWS
 
@@ -90,7 +90,7 @@ def test_the_graph_names_what_every_stage_reads():
 
 
 def test_an_edge_that_follows_from_others_is_not_drawn():
-    assert reduced({"a": [], "b": ["a"], "c": ["a", "b"]}) == {"a": [], "b": ["a"], "c": ["b"]}
+    assert drop_implied({"a": [], "b": ["a"], "c": ["a", "b"]}) == {"a": [], "b": ["a"], "c": ["b"]}
     drawn = stage_graph([{"name": "a", "over": "tile", "reads": []}, {"name": "c", "over": "survey", "reads": ["a"]}])
     assert [arc["title"] for arc in drawn["arcs"]] == ["a to c"] and [r["name"] for r in drawn["rows"]] == ["a", "c"]
     assert stage_graph([]) is None

@@ -13,7 +13,7 @@ from schedulemaker import FAILS_AT_ONCE, strip
 from fwclass import conf
 from fwclass.conf.files import read
 from fwclass.errors import FwclassError, InputError
-from fwclass.graph.files import found_files
+from fwclass.graph.files import find_files
 from fwclass.paths import open_regular
 from fwclass.read.cloud import read_point_cloud
 from fwclass.read.polygons import open_polygons
@@ -116,4 +116,4 @@ def test_a_pipe_among_the_sources_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "b.laz")
     for pattern in ("*.laz", "**/*.laz"):
         with pytest.raises(InputError, match="a pipe"):
-            found_files([pattern], tmp_path, "survey.sources", tmp_path / "s.yaml", conf.section("store", ()))
+            find_files([pattern], tmp_path, "survey.sources", tmp_path / "s.yaml", conf.section("store", ()))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fwclass.grid import Box, quantised
+from fwclass.grid import Box, quantise
 from fwclass.schema import Table
 from fwclass.store import kept
 from fwclass.store.tables import read_table, row_groups, write_table
@@ -18,8 +18,8 @@ def _nothing_kept():
 
 def rows_of(n=3000, seed=0):
     r = np.random.default_rng(seed)
-    x = np.sort(quantised(100.0 * r.random(n)))
-    return Table({"x": x, "y": quantised(r.random(n)), "pulse": np.arange(n), "ground": r.random(n) < 0.5})
+    x = np.sort(quantise(100.0 * r.random(n)))
+    return Table({"x": x, "y": quantise(r.random(n)), "pulse": np.arange(n), "ground": r.random(n) < 0.5})
 
 
 def equal(a, b):

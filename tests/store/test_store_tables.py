@@ -9,7 +9,7 @@ import pytest
 
 from fwclass.errors import InputError, StoreError
 from fwclass.formats.arrow import arrow_array, numpy_values
-from fwclass.grid import Box, quantised
+from fwclass.grid import Box, quantise
 from fwclass.model import FORMAT, LEAF, Forest
 from fwclass.schema import Table
 from fwclass.store import tables
@@ -186,9 +186,9 @@ def test_arrow_and_back_by_buffers_is_what_arrow_itself_gives(dtype):
 
 def echoes_of_a_tile(n=20_000, seed=3):
     r = np.random.default_rng(seed)
-    x, y = (quantised(low + 100.0 * r.random(n)) for low in (512_300.0, 5_403_700.0))
+    x, y = (quantise(low + 100.0 * r.random(n)) for low in (512_300.0, 5_403_700.0))
     order = np.lexsort((y // 2, x // 2))
-    return Table({"x": x[order], "y": y[order], "z": quantised(300.0 + r.random(n))})
+    return Table({"x": x[order], "y": y[order], "z": quantise(300.0 + r.random(n))})
 
 
 def test_whole_millimetres_take_half_the_bytes_and_lose_no_bit(tmp_path, monkeypatch):

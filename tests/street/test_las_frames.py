@@ -7,7 +7,7 @@ from streetmaker import config, directory, drive
 
 from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.street_recordings import LasRecording, TrajectoryFiles, opened
+from fwclass.graph.street_recordings import LasRecording, TrajectoryFiles, open_on_trajectory
 from fwclass.single_file.street import batch, online
 from fwclass.single_file.street.info import describe, info
 from fwclass.single_file.street.output import OURS, SUMMARY, prepare
@@ -138,7 +138,7 @@ def test_missing_frames_are_counted_as_dropped(tmp_path, made):
     number = np.floor((rows[:, 0] - 1000) / 0.025 + 1e-6)
     path, way = written(tmp_path, rows[(number < 20) | (number >= 26)], fixes)
     track = Track(config().street)
-    assert sum(track.take(f) is not None for f in opened(path, config().street, way).frames()) == FRAMES - 6
+    assert sum(track.take(f) is not None for f in open_on_trajectory(path, config().street, way).frames()) == FRAMES - 6
     assert track.counts()["faults"]["dropped before"] == 6
 
 
@@ -149,7 +149,7 @@ def test_what_is_no_recording_of_a_2d_scanner_is_refused_in_words(tmp_path, made
     def refused(match, changed=rows, way=fixes, kind=InputError, **more):
         path, trajectory = written(tmp_path, changed, way, **more)
         with pytest.raises(kind, match=match):
-            list(opened(path, config().street, trajectory).frames())
+            list(open_on_trajectory(path, config().street, trajectory).frames())
 
     refused("no GPS time", point_format=0)
     refused("have one time", np.column_stack([np.full(len(rows), 1000.5), rows[:, 1:]]))
@@ -164,4 +164,4 @@ def test_what_is_no_recording_of_a_2d_scanner_is_refused_in_words(tmp_path, made
     refused("times|time", rows, far)
     path, _ = written(tmp_path, rows, fixes)
     with pytest.raises(ConfigError, match="where the scanner was"):
-        opened(path, config().street)
+        open_on_trajectory(path, config().street)

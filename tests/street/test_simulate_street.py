@@ -17,12 +17,12 @@ from fwclass.street.scene import (
     VEHICLE,
     build,
 )
-from fwclass.street.simulate import simulated
+from fwclass.street.simulate import simulate_frames
 
 
 def frames(*settings, most=30):
     made = config(*settings)
-    coming = simulated(made.street_scene, scanner(made.street.scanner), made.street.mounting)
+    coming = simulate_frames(made.street_scene, scanner(made.street.scanner), made.street.mounting)
     return [next(coming) for _ in range(most)]
 
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from fwclass import conf
 from fwclass.street.frames import Frame, Geometry, Scan, Track
-from fwclass.street.ring import seen
+from fwclass.street.ring import with_features
 from fwclass.street.sphere_kernels import UNIT
 
 
@@ -70,7 +70,7 @@ def check(frames, params):
     placed = [p for f in frames if (p := track.take(f)) is not None]
     seen_reach = track.geometry.reach
     checked = 0
-    for one in seen(placed, track.geometry, params):
+    for one in with_features(placed, track.geometry, params):
         if one.frame.number % 3:
             continue
         for k, radius in enumerate(params.radii):
@@ -147,7 +147,7 @@ def test_the_window_of_the_paper_loses_members_near_the_scanner():
         params = street_params(radii=(0.8,), window=window)
         track = Track(params)
         placed = [track.take(f) for f in frames]
-        rows = [s.features[:, 6].copy() for s in seen(placed, track.geometry, params)]
+        rows = [s.features[:, 6].copy() for s in with_features(placed, track.geometry, params)]
         counts.append(np.concatenate(rows))
     exact, paper = (c[~np.isnan(c)] for c in counts)
     assert (paper <= exact).all()
@@ -158,10 +158,10 @@ def test_the_tilted_kernel_gives_what_the_flat_one_gives():
     params = street_params(radii=(0.4,))
     track = Track(params)
     placed = [track.take(f) for f in random_frames(9, 30, 200, np.full(30, 0.03))]
-    flat = [s.features.copy() for s in seen(placed, track.geometry, params)]
+    flat = [s.features.copy() for s in with_features(placed, track.geometry, params)]
     tilted = dataclasses.replace(track.geometry, tilted=True)
     with_x = [dataclasses.replace(p, x=np.zeros_like(p.y)) for p in placed]
-    general = [s.features.copy() for s in seen(with_x, tilted, params)]
+    general = [s.features.copy() for s in with_features(with_x, tilted, params)]
     assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(flat, general, strict=True))
 
 

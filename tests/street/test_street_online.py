@@ -21,7 +21,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.single_file.street import batch, online
 from fwclass.single_file.street.output import prepare
 from fwclass.street.answers import ANSWERS, read_answers
-from fwclass.street.stream import HEAD, MAGIC, Decoder, encoded
+from fwclass.street.stream import HEAD, MAGIC, Decoder, encode_frame
 
 
 def run_online(tmp_path, source=None, name="on", **changed):
@@ -88,7 +88,7 @@ def test_answers_that_were_cut_are_read_up_to_the_last_whole_frame(tmp_path, onc
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.one_of(st.integers(0, 9), st.binary(max_size=300)), max_size=12), st.integers(1, 5000))
 def test_a_stream_with_garbage_gives_the_frames_that_are_whole(pieces, size):
-    data = b"".join(encoded(drive()[p]) if isinstance(p, int) else p for p in pieces)
+    data = b"".join(encode_frame(drive()[p]) if isinstance(p, int) else p for p in pieces)
     wanted = [p for p in pieces if isinstance(p, int)]
     decoder = Decoder(2000)
     got = [f.number for at in range(0, len(data), size) for f in decoder.feed(data[at : at + size])]
@@ -100,7 +100,7 @@ def test_a_stream_with_garbage_gives_the_frames_that_are_whole(pieces, size):
 
 def test_frames_with_a_flipped_bit_or_impossible_sizes_are_passed_over():
     decoder = Decoder(2000)
-    good, bad = encoded(drive()[0]), bytearray(encoded(drive()[1]))
+    good, bad = encode_frame(drive()[0]), bytearray(encode_frame(drive()[1]))
     bad[500] ^= 4
     huge = HEAD.pack(MAGIC, 1 << 31, 0, 0.0, 1.0, 0.0, 0.0, 0.1, 0.0, 1.0, 0)
     got = list(decoder.feed(good + bytes(bad) + huge + good))
@@ -139,7 +139,7 @@ def served(tmp_path, send, name="tcp", **changed):
 def test_a_socket_gives_what_the_recording_gives(tmp_path, once):
     def send(there):
         for frame in drive():
-            there.sendall(encoded(frame))
+            there.sendall(encode_frame(frame))
 
     told, out = served(tmp_path, send)
     assert told["frames"] == len(drive())
@@ -150,8 +150,8 @@ def test_a_socket_gives_what_the_recording_gives(tmp_path, once):
 def test_a_sender_that_breaks_off_within_a_frame(tmp_path):
     def send(there):
         for frame in drive()[:60]:
-            there.sendall(encoded(frame))
-        there.sendall(encoded(drive()[60])[:700])
+            there.sendall(encode_frame(frame))
+        there.sendall(encode_frame(drive()[60])[:700])
 
     told, out = served(tmp_path, send)
     assert told["stream"] == {"cut frame": 1}
@@ -161,7 +161,7 @@ def test_a_sender_that_breaks_off_within_a_frame(tmp_path):
 def test_a_sender_that_falls_silent(tmp_path):
     def send(there):
         for frame in drive()[:30]:
-            there.sendall(encoded(frame))
+            there.sendall(encode_frame(frame))
         with contextlib.suppress(OSError):
             there.recv(1)
 
@@ -191,7 +191,7 @@ def test_a_kill_leaves_whole_frames_and_an_interrupt_ends_cleanly(tmp_path):
         words = command("run", "-", "--model", directory() / "model", "--out", out)
         with subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path) as child:
             for frame in drive()[:80]:
-                child.stdin.write(encoded(frame))
+                child.stdin.write(encode_frame(frame))
             child.stdin.flush()
             until = time.monotonic() + 120
             while time.monotonic() < until and (
@@ -210,7 +210,7 @@ def test_a_kill_leaves_whole_frames_and_an_interrupt_ends_cleanly(tmp_path):
 
 @pytest.mark.slow
 def test_standard_input_by_the_command_line(tmp_path, once):
-    data = b"".join(encoded(f) for f in drive())
+    data = b"".join(encode_frame(f) for f in drive())
     words = command("run", "-", "--model", directory() / "model", "--out", tmp_path / "o", "--json")
     done = subprocess.run([*words, "--set", "street.speed=1.5"], input=data, capture_output=True, check=True)
     assert json.loads(done.stdout)["frames"] == len(drive())
@@ -237,7 +237,7 @@ def test_a_model_of_airborne_features_is_refused(tmp_path):
 
 def test_the_protocol_is_what_its_description_says():
     frame = drive()[3]
-    data = encoded(frame)
+    data = encode_frame(frame)
     assert len(data) == 68 + 4 * 1081
     assert struct.unpack_from("<4sIQd", data) == (b"FWS1", 1081, 3, frame.time)
     assert data[68:] == frame.ranges.tobytes()

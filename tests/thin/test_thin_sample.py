@@ -11,7 +11,7 @@ from fwclass import conf
 from fwclass.grid import Tile
 from fwclass.schema import Table, canonical_key
 from fwclass.stage import Chunk
-from fwclass.thin.follow import follow, taken_from
+from fwclass.thin.follow import follow, index_of_followed
 from fwclass.thin.sample import THIN, covering, thin, uniform
 
 
@@ -107,5 +107,5 @@ def test_follow_without_any_sampled_echo():
 def test_a_sampled_echo_follows_itself_even_beside_another_at_its_place():
     x, y, z = np.array([0.0, 0.0, 1.0, 9.0]), np.zeros(4), np.zeros(4)
     sampled = np.array([True, True, False, True])
-    assert taken_from((x, y, z), sampled, 5.0).tolist() == [0, 1, 0, 2]
-    assert taken_from((x, y, z), np.array([True, False, False, False]), 5.0).tolist() == [0, 0, 0, -1]
+    assert index_of_followed((x, y, z), sampled, 5.0).tolist() == [0, 1, 0, 2]
+    assert index_of_followed((x, y, z), np.array([True, False, False, False]), 5.0).tolist() == [0, 0, 0, -1]

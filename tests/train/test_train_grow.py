@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from fwclass.hashing import GOLDEN, hashed, mix, seeded
+from fwclass.hashing import GOLDEN, hash_keys, mix, seed_for
 from fwclass.model import LEAF
 from fwclass.train.gain import entropy_table
 from fwclass.train.stage import TrainParams, grow_tree
@@ -25,7 +25,7 @@ class Draws:
     """Splitmix64 in Python's integers."""
 
     def __init__(self, seed, tree):
-        self.state = seeded(seed, tree + 1)
+        self.state = seed_for(seed, tree + 1)
 
     def below(self, n):
         self.state = (self.state + GOLDEN) & MASK
@@ -137,12 +137,12 @@ def test_splitmix_gives_its_published_first_number():
 
 def test_hashes_are_one_to_one_and_even():
     keys = np.arange(200_000, dtype=np.uint64) << np.uint64(8)
-    h = hashed(7, keys)
+    h = hash_keys(7, keys)
     assert len(np.unique(h)) == len(h)
     counts = np.bincount((h >> np.uint64(58)).astype(int), minlength=64)
     chi2 = ((counts - len(h) / 64) ** 2 / (len(h) / 64)).sum()
     assert chi2 < 63 + 5 * math.sqrt(2 * 63)  # five standard deviations of chi-square with 63 degrees of freedom
-    assert (hashed(8, keys) != h).all()
+    assert (hash_keys(8, keys) != h).all()
 
 
 def test_the_entropy_table_holds_k_log_k():

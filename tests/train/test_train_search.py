@@ -9,11 +9,11 @@ import pytest
 import yaml
 
 from fwclass.classify.shares import answer
-from fwclass.graph.machine_search import folded, spatial
+from fwclass.graph.machine_search import make_folds, spatial
 from fwclass.model import ClassDef
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
-from fwclass.train.baselines.search import by_pulses, looked_at, pairs_of, right, search, searched, smoothest
+from fwclass.train.baselines.search import by_pulses, pairs_of, right, search, search_rows, search_summary, smoothest
 from fwclass.train.baselines.stage import train_other
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
@@ -44,7 +44,7 @@ def test_equal_scores_go_to_the_smoother_machine():
 
 def test_folds_are_squares_with_a_gap():
     made = sample()
-    folding = folded(50.0, 10.0, made, 3)
+    folding = make_folds(50.0, 10.0, made, 3)
     assert folding.blocks > 3 and set(folding.fold.tolist()) == {0, 1, 2} and not folding.note
     at = made.place * 0.001
     for k in range(3):
@@ -54,7 +54,7 @@ def test_folds_are_squares_with_a_gap():
 
 
 def test_too_few_squares_fall_back_to_pulses_and_say_so():
-    folding = folded(500.0, 10.0, sample(), 3)
+    folding = make_folds(500.0, 10.0, sample(), 3)
     assert "pieces of consecutive pulses" in folding.note and folding.blocks == 0
     np.testing.assert_array_equal(folding.fold, by_pulses(sample(), 3).fold)
 
@@ -62,12 +62,12 @@ def test_too_few_squares_fall_back_to_pulses_and_say_so():
 def test_parts_of_the_search_add_up_to_the_whole():
     made, svm = sample(), compare(c=[1.0, 10.0], gamma=[0.1, 1.0], search_rows=500).rbf_svm
     places = spatial(50.0, 5.0)
-    looked = looked_at(made, svm, places.edge)
+    looked = search_rows(made, svm, places.edge)
     folding = places.folding(looked, svm.folds)
     whole = search(looked, folding, svm, "standard", None)
     folds = range(svm.folds)
     counts = [[right(looked, folding, f, c, g, svm, "standard", None) for f in folds] for c, g in pairs_of(svm)]
-    assert searched(looked.rows, folding, pairs_of(svm), counts) == whole
+    assert search_summary(looked.rows, folding, pairs_of(svm), counts) == whole
     model = train_other(
         made, PARAMS, compare(c=[1.0, 10.0], gamma=[0.1, 1.0], search_rows=500), CLASSES, "rbf-svm", places
     )

@@ -35,7 +35,7 @@ from fwclass.decompose.placement import AS_STORED
 from fwclass.decompose.pulse_estimate import estimate_pulse
 from fwclass.decompose.quiet import with_correlated_noise
 from fwclass.decompose.shapes import lookup
-from fwclass.decompose.stacking import Surface, candidates, stacked
+from fwclass.decompose.stacking import Surface, candidates, stack
 from fwclass.decompose.stage import decompose
 from fwclass.decompose.system_pulse import Channel, SystemPulse
 from fwclass.features.stage import features
@@ -46,7 +46,7 @@ from fwclass.ground.measure import measure
 from fwclass.ground.params import GroundParams
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.terrain import terrain
-from fwclass.ground.terrain.thinning import thinned
+from fwclass.ground.terrain.thinning import thin_points
 from fwclass.ground.tin.tin import tin_of
 from fwclass.label.params import LabelParams
 from fwclass.label.polygons import Polygons, owners
@@ -62,8 +62,8 @@ from fwclass.simulate.stage import SimulateParams, plan_strips, simulate_strip
 from fwclass.stage import Chunk
 from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams, StreetSceneParams
-from fwclass.street.ring import seen
-from fwclass.street.simulate import simulated
+from fwclass.street.ring import with_features
+from fwclass.street.simulate import simulate_frames
 from fwclass.train.baselines.trees import paired
 from fwclass.train.importance import drops
 from fwclass.train.params import TrainParams
@@ -212,7 +212,7 @@ def work_tin(_: Path) -> Any:
     return {
         "vertex": mesh.vertex[: int(mesh.state[0])],
         "x": mesh.x,
-        "thin": thinned(x, y, x, Window(1.0, 0, 0, 9, 9), 0.5),
+        "thin": thin_points(x, y, x, Window(1.0, 0, 0, 9, 9), 0.5),
     }
 
 
@@ -411,7 +411,7 @@ def work_stacking(_: Path) -> Any:
     asked, fit = StackParams(**section("stack", threshold=2.0, max_false=1.0)), DecomposeParams(**section("decompose"))
     told = SystemPulse.gaussian(wavemaker.PULSE_WIDTH), AS_STORED
     found = candidates(waves, 1, Surface(heights, Window(1.0, -10, -10, 20, 20)), box, asked, fit, *told)
-    table, counts = stacked(found, np.empty((0, 2)), box, 0.0, asked)
+    table, counts = stack(found, np.empty((0, 2)), box, 0.0, asked)
     return [*dict(table).values(), np.array(list(counts.values()))]
 
 
@@ -466,11 +466,13 @@ def work_street(_: Path) -> Any:
     for mounting in ({}, {"pitch": 20.0, "yaw": 5.0}):
         asked = base.model_copy(update={"mounting": base.mounting.model_copy(update=mounting)})
         track = Track(asked)
-        frames = [f for f in map(track.take, islice(simulated(scene, own, asked.mounting), 7)) if f is not None]
+        frames = [f for f in map(track.take, islice(simulate_frames(scene, own, asked.mounting), 7)) if f is not None]
         assert track.geometry is not None
-        answers += [part for one in seen(frames, track.geometry, asked) for part in (one.frame.r, one.features)]
+        answers += [
+            part for one in with_features(frames, track.geometry, asked) for part in (one.frame.r, one.features)
+        ]
     fast = StreetSceneParams(**section("street_scene", length=30.0, speed=40.0, stops=0))
-    return answers + [f.ranges for f in islice(simulated(fast, own, base.mounting), 20)]
+    return answers + [f.ranges for f in islice(simulate_frames(fast, own, base.mounting), 20)]
 
 
 WORK: dict[str, Callable[[Path], Any]] = {

@@ -10,7 +10,7 @@ from fwclass import conf
 from fwclass.grid import Window
 from fwclass.schema import Table
 from fwclass.vectors.buildings import OF_CELLS, RIGHT_ANGLED, SIMPLIFIED, footprints
-from fwclass.vectors.cells import MARGIN, by_piece, counted, joined, pieces, roofs
+from fwclass.vectors.cells import MARGIN, by_piece, count_cells, join_cells, pieces, roofs
 from fwclass.vectors.density import cell_of, median_density, pulses_by_square
 
 CELL = 0.5
@@ -41,12 +41,12 @@ def found(table: Table, windows, made=None):
     whole, beyond = [], []
     for window in windows:
         wide = window.grown(MARGIN)
-        counts = counted(table, wide, (6,), 1.0)
+        counts = count_cells(table, wide, (6,), 1.0)
         inner = window.within(wide)
         some, others = pieces(roofs(counts)[inner], counts.within(inner), window)
         whole += by_piece(some)
         beyond.append(others)
-    across = by_piece(joined(Table.concat(beyond)))
+    across = by_piece(join_cells(Table.concat(beyond)))
     shapes = footprints([*whole, *across], CELL, made)
     return shapes.rows, [shapely.Polygon(p[0], p[1:]) for p in shapes.polygons()]
 

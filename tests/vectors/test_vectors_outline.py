@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from fwclass.vectors.outline import area, corners, covered, filled, mask_of, rings, simplified, sound
+from fwclass.vectors.outline import area, corners, cover, fill_holes, mask_of, rings, simplify, sound
 from fwclass.vectors.regular import direction, middles, right_angled
 
 
@@ -28,18 +28,18 @@ def polygon(parts) -> shapely.Polygon:
 
 @pytest.mark.parametrize("seed", range(30))
 def test_rings_of_any_piece_are_a_valid_polygon_of_its_cells(seed):
-    mask = filled(one_piece(seed, share=0.45 + 0.01 * seed), 1)
+    mask = fill_holes(one_piece(seed, share=0.45 + 0.01 * seed), 1)
     made = polygon([corners(ring).astype(float) for ring in rings(mask)])
     assert made.is_valid
     assert made.area == mask.sum()
-    assert (covered([r.astype(float) for r in rings(mask)], mask.shape) == mask).all()
+    assert (cover([r.astype(float) for r in rings(mask)], mask.shape) == mask).all()
 
 
 def test_small_holes_are_filled_and_large_ones_are_rings():
     mask = np.zeros((14, 14), bool)
     mask[1:13, 1:13] = True
     mask[3, 3] = mask[6:9, 6:9] = False
-    outline, hole = rings(filled(mask, 4))
+    outline, hole = rings(fill_holes(mask, 4))
     assert area(outline) == 144 and area(hole) == -9
     assert corners(hole).shape == (4, 2)
 
@@ -67,8 +67,8 @@ def test_holes_lie_inside_and_apart():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_no_corner_lies_further_from_the_simplified_ring_than_the_tolerance(seed):
-    ring = middles(rings(filled(one_piece(seed), 1))[0])
-    stays = simplified(ring, 1.5)
+    ring = middles(rings(fill_holes(one_piece(seed), 1))[0])
+    stays = simplify(ring, 1.5)
     line = shapely.LinearRing(ring[stays])
     assert max(shapely.Point(p).distance(line) for p in ring) <= 1.5 + 1e-9
     assert 3 <= len(stays) < len(ring)
@@ -87,7 +87,7 @@ L = shapely.Polygon([(20, 20), (90, 20), (90, 60), (55, 60), (55, 95), (20, 95)]
 def test_the_walls_of_a_turned_building_come_back_right_angled(degrees):
     shape = shapely.affinity.rotate(L, degrees, (60, 60))
     points = middles(rings(rastered(shape))[0])
-    plain = points[simplified(points, 1.5)]
+    plain = points[simplify(points, 1.5)]
     angle = direction([plain])
     assert abs((math.degrees(angle) - degrees + 45) % 90 - 45) < 1.0
     ring = right_angled(points, angle, 1.5, 3.0)

@@ -9,7 +9,7 @@ import shapely
 from fwclass import conf
 from fwclass.grid import Window
 from fwclass.schema import Table
-from fwclass.vectors.cells import counted
+from fwclass.vectors.cells import count_cells
 from fwclass.vectors.shapes import Shapes
 from fwclass.vectors.trees import trees
 
@@ -50,7 +50,7 @@ def found(table: Table, edge: int = 128, settings=None) -> Shapes:
         for col in range(0, 128, edge):
             core = Window(CELL, col, row, edge, edge)
             wide = core.grown(halo)
-            parts.append(trees(counted(table, wide, settings.codes, 0.0), wide, core, settings))
+            parts.append(trees(count_cells(table, wide, settings.codes, 0.0), wide, core, settings))
     made = Shapes.together(parts)
     return made.ordered(np.lexsort((made.rows["x"], made.rows["y"])))
 

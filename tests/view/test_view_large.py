@@ -12,7 +12,7 @@ import pytest
 from fwclass import conf
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
-from fwclass.delivery.viewed_large import LargeRun, viewed
+from fwclass.delivery.viewed_large import LargeRun, view_run
 from fwclass.schema import IDENTITY
 from fwclass.view.blocks import BYTES, HEAD
 from fwclass.view.scene import ECHOES
@@ -22,14 +22,14 @@ SMALL = ("view.block=2000", "view.together=1000")
 
 @pytest.fixture(scope="module")
 def plain(run: Path) -> ViewedRun:
-    scene = viewed(open_run(run), conf.section("view", SMALL))
+    scene = view_run(open_run(run), conf.section("view", SMALL))
     assert type(scene) is ViewedRun
     return scene
 
 
 @pytest.fixture(scope="module")
 def large(run: Path) -> ViewedRun:
-    scene = viewed(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
+    scene = view_run(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
     assert type(scene) is LargeRun and "row" not in scene._skim().columns
     return scene
 
@@ -83,7 +83,7 @@ def test_a_coarse_echo_is_the_one_of_its_tile(large: ViewedRun) -> None:
 
 
 def test_the_first_picture_opens_no_tile(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = viewed(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
+    scene = view_run(open_run(run), conf.section("view", (*SMALL, "view.whole=0")))
 
     def refuse(*_: object) -> None:
         raise AssertionError

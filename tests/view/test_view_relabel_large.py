@@ -15,7 +15,7 @@ from fwclass import conf
 from fwclass.delivery.exported import ExportedRun
 from fwclass.delivery.opened import open_run
 from fwclass.delivery.viewed import ViewedRun
-from fwclass.delivery.viewed_large import LargeRun, viewed
+from fwclass.delivery.viewed_large import LargeRun, view_run
 from fwclass.schema import IDENTITY
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.view.pyramid import Node
@@ -30,8 +30,8 @@ SMALL = ("view.block=1000", "view.together=1000")
 def both(small_run: Path, tmp_path: Path) -> tuple[ViewedRun, ViewedRun]:
     """The same run twice: one is read whole, of the other the overview is."""
     other = shutil.copytree(small_run, tmp_path / "other", symlinks=True)
-    plain = viewed(open_run(small_run), conf.section("view", SMALL))
-    large = viewed(open_run(other), conf.section("view", (*SMALL, "view.whole=0")))
+    plain = view_run(open_run(small_run), conf.section("view", SMALL))
+    large = view_run(open_run(other), conf.section("view", (*SMALL, "view.whole=0")))
     assert type(plain) is ViewedRun and type(large) is LargeRun
     assert 0 <= large.pyramid.coarse < large.pyramid.own and "row" not in large._skim().columns
     return plain, large
@@ -84,7 +84,7 @@ def test_a_large_run_is_relabelled_as_a_small_one(both: tuple[ViewedRun, ViewedR
 
 
 def test_a_new_delivery_of_a_large_run_is_opened_as_a_large_one(small_run: Path) -> None:
-    large = viewed(open_run(small_run), conf.section("view", (*SMALL, "view.whole=0")))
+    large = view_run(open_run(small_run), conf.section("view", (*SMALL, "view.whole=0")))
     deliver(small_run.parent, "publish.figure_pixels=201")
     new = large.reopened()
     assert type(new) is LargeRun and new.name != large.name

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fwclass.grid import Window, millimetres, whole_millimetres
 from fwclass.ground.params import MovingSurfaceParams
 from fwclass.ground.raster.bilinear import bilinear
-from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import cells_of, window_over
 from fwclass.ground.raster.surface import gradient
 from fwclass.kernel import kernel
@@ -45,14 +45,14 @@ def moving_surface(
         seed = _seeds(x, y, z, window)
         low = np.where(seed < 0, np.nan, z[seed])
         if not coarse.size:
-            surface = filled(low)
+            surface = fill_gaps(low)
         else:
             surface = bilinear(coarse, over, *_middles(window)).reshape(window.shape)
             above = low - bilinear(coarse, over, x[seed].ravel(), y[seed].ravel()).reshape(window.shape)
             low[above > params.threshold + params.slope * over.cell] = np.nan
         u, v = _from_middles(x[seed], y[seed], window)
         _fit(u, v, low, params.neighbours, params.threshold + params.slope * cell, ROUNDS, STIFFNESS, surface)
-        coarse, over = filled(surface), window
+        coarse, over = fill_gaps(surface), window
     allowed = params.threshold + params.scalar * bilinear(gradient(coarse, over.cell), over, x, y)
     return z - bilinear(coarse, over, x, y) <= allowed
 

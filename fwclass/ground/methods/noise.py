@@ -93,23 +93,23 @@ def _apart(
 
 
 @kernel
-def _below_gaps(z, start, ncols, nrows, size, cell, col0, row0, most, gap, steepest, shape, around, found):  # type: ignore[no-untyped-def]
+def _below_gaps(z, start, ncols, nrows, size, cell, col0, row0, most, gap, steepest, shape, around, noise):  # type: ignore[no-untyped-def]
     """Mark points below gaps: `size` is the edge of a cell in cells of the index, heights and edges are in mm."""
     lowest = np.empty(most + 1)
     area = 9.0 * (size * cell) ** 2
     for big_r in range(row0 // size, (row0 + nrows - 1) // size + 1):
         for big_c in range(col0 // size, (col0 + ncols - 1) // size + 1):
             r0, c0 = big_r * size - row0, big_c * size - col0
-            bottom = _bottom(z, start, ncols, nrows, r0, c0, size, found)
+            bottom = _bottom(z, start, ncols, nrows, r0, c0, size, noise)
             if bottom == np.inf or _has_company(
                 z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, bottom, most, gap, steepest, area, around
             ):
                 continue
-            total, kept = _lowest_of(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, found, lowest)
+            total, kept = _lowest_of(z, start, ncols, nrows, r0 - size, c0 - size, 3 * size, noise, lowest)
             density = total / area
             level = _level(lowest, kept, total, density, gap + steepest / np.sqrt(density), shape, around)
             if level >= bottom:
-                _mark(z, start, ncols, nrows, r0, c0, size, level, found)
+                _mark(z, start, ncols, nrows, r0, c0, size, level, noise)
 
 
 @kernel
@@ -180,11 +180,11 @@ def _level(lowest, kept, total, density, gap, shape, around):  # type: ignore[no
 
 
 @kernel
-def _mark(z, start, ncols, nrows, r0, c0, edge, level, found):  # type: ignore[no-untyped-def]
+def _mark(z, start, ncols, nrows, r0, c0, edge, level, noise):  # type: ignore[no-untyped-def]
     left, right = max(c0, 0), min(c0 + edge, ncols)
     for r in range(max(r0, 0), min(r0 + edge, nrows)):
         for i in range(start[r * ncols + left], start[r * ncols + right]):
-            found[i] |= z[i] <= level
+            noise[i] |= z[i] <= level
 
 
 def _beyond_sigma(place: list[NDArray[np.int64]], among: NDArray[np.bool_], params: NoiseParams) -> NDArray[np.bool_]:
@@ -232,10 +232,10 @@ def _beyond_sigma(place: list[NDArray[np.int64]], among: NDArray[np.bool_], para
 
 
 @kernel
-def _sigma_rule(x, y, z, start, ncols, nrows, radius, sigma, least, fewest, above, found):  # type: ignore[no-untyped-def]
+def _sigma_rule(x, y, z, start, ncols, nrows, radius, sigma, least, fewest, above, noise):  # type: ignore[no-untyped-def]
     """Whole numbers are added up, so that the sums do not depend on the order of the points.
 
-    `found` starts false; heights and lengths are in mm.
+    `noise` starts false; heights and lengths are in mm.
     """
     for r in range(nrows):
         r0, r1 = max(r - 1, 0), min(r + 2, nrows)
@@ -275,4 +275,4 @@ def _sigma_rule(x, y, z, start, ncols, nrows, radius, sigma, least, fewest, abov
                     continue
                 mean = total / n
                 deviation = np.sqrt(max(square / n - mean * mean, 0.0))
-                found[i] = (abs(mean) if above else mean) > sigma * deviation
+                noise[i] = (abs(mean) if above else mean) > sigma * deviation

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from fwclass.ground.params import PmfParams
 from fwclass.ground.raster.bilinear import bilinear
-from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import lowest, window_over
-from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.opening import disk_opening
 from fwclass.ground.raster.surface import domain
 
 
@@ -32,10 +32,10 @@ def pmf(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], 
     low = lowest(x, y, z, window)
     steps = windows(params)
     inside = domain(np.isfinite(low), steps[-1][0])
-    surface = np.where(inside, filled(low), np.nan)
+    surface = np.where(inside, fill_gaps(low), np.nan)
     allowed = np.full(window.shape, np.inf)
     for radius, difference in steps:
-        surface = opened(surface, radius)
+        surface = disk_opening(surface, radius)
         allowed = np.fmin(allowed, surface + difference)
     return z <= bilinear(np.where(inside, allowed, np.nan), window, x, y)
 

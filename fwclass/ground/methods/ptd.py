@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.ground.methods.densify import Limits, densify
-from fwclass.ground.methods.seeds import Cloud, lowest_of_cells, opened_seeds, plausible, sliding_seeds, stand_ins
+from fwclass.ground.methods.seeds import Cloud, find_opened_seeds, lowest_of_cells, plausible, sliding_seeds, stand_ins
 from fwclass.ground.params import IptdParams, PtdParams
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.raster.lattice import window_over
@@ -46,7 +46,7 @@ def ptd(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], 
     and Shi do not make a triangle denser that has an edge shorter than a length: in a dense cloud that still lets
     any echo beside a car join, so that here the cells do this, and `spacing` looks at the longest edge.
     """
-    return _grown(x, y, z, params, "ptd")
+    return _grow(x, y, z, params, "ptd")
 
 
 def iptd(
@@ -61,21 +61,21 @@ def iptd(
 
     Source: Zhao et al. 2016; the seeds are the cells that an opening does not lower, in place of their fit of planes.
     """
-    return _grown(x, y, z, params, "iptd")
+    return _grow(x, y, z, params, "iptd")
 
 
-def _grown(
+def _grow(
     x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], params: PtdParams, section: str
 ) -> NDArray[np.bool_]:
     order, px, py, origin = unique_points(x, y, z)
     cloud = Cloud((px + origin[0]) * QUANTUM, (py + origin[1]) * QUANTUM, z[order] / QUANTUM)
     rows = lowest_of_cells(cloud, params.cell, f"{section}.cell")
-    tin = _densified(Cloud(*(v[rows] for v in cloud)), px[rows], py[rows], origin, params, section)
+    tin = _densify(Cloud(*(v[rows] for v in cloud)), px[rows], py[rows], origin, params, section)
     tolerance = params.offset + params.scalar * _slope(tin, x, y, params.cell, section)
     return np.abs(z - tin_heights(tin, x, y)) <= tolerance + _FLOOR
 
 
-def _densified(
+def _densify(
     cloud: Cloud,
     px: NDArray[np.float64],
     py: NDArray[np.float64],
@@ -154,7 +154,7 @@ def _seeds(cloud: Cloud, params: PtdParams, section: str) -> NDArray[np.int64]:
         usable = np.ones(len(usable), bool)
     res = params.res or 1.0
     if isinstance(params, IptdParams):
-        seeds = opened_seeds(cloud, usable, res, params.cell, params.tolerance, f"{section}.cell")
+        seeds = find_opened_seeds(cloud, usable, res, params.cell, params.tolerance, f"{section}.cell")
         if len(seeds):
             return seeds
     return sliding_seeds(cloud, usable, res, f"{section}.res")

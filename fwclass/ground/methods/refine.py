@@ -37,7 +37,7 @@ LEVEL = 0.5
 """[m] An object cell less than this below another belongs to the same thing."""
 
 
-def restored(
+def restore_edges(
     points: LowestPoints,
     ground: NDArray[np.bool_],
     cell: float,

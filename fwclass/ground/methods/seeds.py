@@ -11,9 +11,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from fwclass.grid import Window
-from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import cells_of, lowest, window_over
-from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.opening import disk_opening
 from fwclass.ground.raster.surface import domain, low_limit
 from fwclass.kernel import kernel
 from fwclass.units import QUANTUM
@@ -41,7 +41,7 @@ class Cloud(NamedTuple):
 def plausible(cloud: Cloud, cell: float, slope: float, setting: str) -> NDArray[np.bool_]:
     """Points (n,) that are not further below their surroundings than slope × cell [m]; the others are outliers."""
     window = window_over(cloud.x, cloud.y, cell, setting, _MARGIN)
-    surface = filled(lowest(*cloud, window) / 1000.0)
+    surface = fill_gaps(lowest(*cloud, window) / 1000.0)
     flat, _ = cells_of(cloud.x, cloud.y, window)
     return cloud.z >= 1000.0 * low_limit(surface, cell, slope).reshape(-1)[flat]
 
@@ -75,7 +75,7 @@ def lowest_of_cells(cloud: Cloud, cell: float, setting: str) -> NDArray[np.int64
     return _lowest_of_cells(flat, np.ones(len(flat), bool), *cloud, math.prod(window.shape))
 
 
-def opened_seeds(
+def find_opened_seeds(
     cloud: Cloud, usable: NDArray[np.bool_], res: float, cell: float, tolerance: float, setting: str
 ) -> NDArray[np.int64]:
     """The lowest usable point of every cell [m] that an opening with a disk of `res` across leaves where it is.
@@ -89,13 +89,13 @@ def opened_seeds(
     rows = _lowest_of_cells(flat, usable, *cloud, math.prod(window.shape))
     height = np.full(window.shape, np.nan)
     height.reshape(-1)[flat[rows]] = cloud.z[rows] / 1000.0
-    off = height - opened(_surveyed(height, window, res), math.ceil(res / 2.0 / cell))
+    off = height - disk_opening(_fill_surveyed(height, window, res), math.ceil(res / 2.0 / cell))
     return np.sort(rows[off.reshape(-1)[flat[rows]] <= tolerance])
 
 
-def _surveyed(height: NDArray[np.float64], window: Window, res: float) -> NDArray[np.float64]:
+def _fill_surveyed(height: NDArray[np.float64], window: Window, res: float) -> NDArray[np.float64]:
     """The surface with its gaps filled, NaN beyond the surveyed area."""
-    return np.where(domain(np.isfinite(height), res / 2.0 / window.cell), filled(height), np.nan)
+    return np.where(domain(np.isfinite(height), res / 2.0 / window.cell), fill_gaps(height), np.nan)
 
 
 def stand_ins(

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.grid import Window
-from fwclass.ground.methods.refine import restored, without_company
+from fwclass.ground.methods.refine import restore_edges, without_company
 from fwclass.ground.params import SmrfParams
-from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import LowestPoints, lowest_points, window_over
-from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.opening import disk_opening
 from fwclass.ground.raster.surface import domain, gradient, low_limit
 from fwclass.kernel import kernel
 from fwclass.units import QUANTUM
@@ -37,15 +37,15 @@ def smrf(
     corner = (window.row, window.col)
     points, low = _without_low_outliers(x, y, z, window, params)
     ground = _with_edges(points, _first_ground(points.z, low, corner, params), params)
-    heights = filled(np.where(ground, points.z, np.nan), corner)
-    found = np.empty(len(x), bool)
+    heights = fill_gaps(np.where(ground, points.z, np.nan), corner)
+    near = np.empty(len(x), bool)
     slope = gradient(heights, params.cell)
-    _near_terrain(x, y, z, heights, slope, *corner, params.cell, params.threshold, params.scalar, found)
-    return found
+    _near_terrain(x, y, z, heights, slope, *corner, params.cell, params.threshold, params.scalar, near)
+    return near
 
 
 @kernel
-def _near_terrain(x, y, z, heights, slopes, row, col, cell, threshold, scalar, found):  # type: ignore[no-untyped-def]
+def _near_terrain(x, y, z, heights, slopes, row, col, cell, threshold, scalar, near):  # type: ignore[no-untyped-def]
     """Whether each point is within threshold + scalar × slope of the terrain, both bilinear between cell centres."""
     last_r, last_c = heights.shape[0] - 1, heights.shape[1] - 1
     for i in range(len(x)):
@@ -58,7 +58,7 @@ def _near_terrain(x, y, z, heights, slopes, row, col, cell, threshold, scalar, f
         a, b, d, e = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
         height = a * heights[r0, c0] + b * heights[r0, c1] + d * heights[r1, c0] + e * heights[r1, c1]
         slope = a * slopes[r0, c0] + b * slopes[r0, c1] + d * slopes[r1, c0] + e * slopes[r1, c1]
-        found[i] = abs(z[i] - height) <= threshold + scalar * slope
+        near[i] = abs(z[i] - height) <= threshold + scalar * slope
 
 
 def _without_low_outliers(
@@ -69,7 +69,7 @@ def _without_low_outliers(
     Pingel leaves such a cell out of the terrain, but the openings see it (`low_first` off).
     """
     points = lowest_points(x, y, z, window)
-    limit = low_limit(filled(points.z, (window.row, window.col)), params.cell, params.low_slope)
+    limit = low_limit(fill_gaps(points.z, (window.row, window.col)), params.cell, params.low_slope)
     low = points.z < limit
     if not params.low_first:
         return points, low
@@ -84,7 +84,7 @@ def _first_ground(
     lowest: NDArray[np.float64], low: NDArray[np.bool_], corner: tuple[int, int], params: SmrfParams
 ) -> NDArray[np.bool_]:
     """Measured cells that are neither low outliers nor objects."""
-    measured, surface = np.isfinite(lowest), filled(lowest, corner)
+    measured, surface = np.isfinite(lowest), fill_gaps(lowest, corner)
     reach = params.window or 0.0
     if params.survey_edge:
         surface = np.where(domain(measured, reach / params.cell), surface, np.nan)
@@ -96,7 +96,7 @@ def _with_edges(points: LowestPoints, ground: NDArray[np.bool_], params: SmrfPar
     if not params.restore_rounds:
         return ground
     radius, tolerance, share = params.restore_radius, params.restore_tolerance, params.restore_share
-    return restored(points, ground, params.cell, radius, tolerance, share, params.restore_rounds)
+    return restore_edges(points, ground, params.cell, radius, tolerance, share, params.restore_rounds)
 
 
 def objects(surface: NDArray[np.float64], cell: float, slope: float, window: float) -> NDArray[np.bool_]:
@@ -110,7 +110,7 @@ def objects(surface: NDArray[np.float64], cell: float, slope: float, window: flo
     last = np.rint(surface / QUANTUM).astype(np.float32)
     everything = math.ceil(math.hypot(*surface.shape))  # a larger disk sees no more
     for radius in range(1, min(math.ceil(window / cell), everything) + 1):
-        this = opened(last, radius)
+        this = disk_opening(last, radius)
         standing |= last - this > np.float32(slope * cell * radius / QUANTUM)
         last = this
     return standing

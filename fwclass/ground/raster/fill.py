@@ -14,7 +14,7 @@ OVERRELAXATION = 1.6
 """Of each sweep; between 1 (Gauss–Seidel) and 2 (no convergence)."""
 
 
-def filled(surface: NDArray[np.float64], corner: tuple[int, int] = (0, 0)) -> NDArray[np.float64]:
+def fill_gaps(surface: NDArray[np.float64], corner: tuple[int, int] = (0, 0)) -> NDArray[np.float64]:
     """`surface` with its NaN cells filled by a membrane that is free at the array's edge.
 
     Coarse to fine: the surface of half the resolution is filled first and is what the sweeps start from.
@@ -28,7 +28,7 @@ def filled(surface: NDArray[np.float64], corner: tuple[int, int] = (0, 0)) -> ND
     row, col = corner
     # two rows become one wherever they lie, or they would stay two for ever across the global raster's origin
     odd_row, odd_col = (p % 2 if n > 2 else 0 for p, n in zip(corner, surface.shape, strict=True))
-    coarse = filled(_halved(surface, odd_row, odd_col), (row // 2, col // 2))
+    coarse = fill_gaps(_halved(surface, odd_row, odd_col), (row // 2, col // 2))
     out = np.where(known, surface, 0.0)
     _start_from(coarse, known, odd_row, odd_col, out)
     _relax(known, SWEEPS, OVERRELAXATION, out)

@@ -21,7 +21,7 @@ def disk(radius: int) -> NDArray[np.int64]:
     return np.array([math.isqrt(radius * radius - dy * dy) for dy in range(-radius, radius + 1)], np.int64)
 
 
-def opened(surface: NDArray[Real], radius: int) -> NDArray[Real]:
+def disk_opening(surface: NDArray[Real], radius: int) -> NDArray[Real]:
     """Opening of `surface` with a disk of `radius` cells: the lowest, then the highest value in it.
 
     NaN cells and what lies beyond the array's edge take no part; NaN stays NaN. Radius 0 gives a copy.
@@ -30,14 +30,14 @@ def opened(surface: NDArray[Real], radius: int) -> NDArray[Real]:
         return surface.copy()
     rows = disk(radius)
     outside = np.isnan(surface)
-    low = _eroded(np.where(outside, surface.dtype.type(np.inf), surface), rows)
+    low = _erode_by_disk(np.where(outside, surface.dtype.type(np.inf), surface), rows)
     low[outside] = -np.inf
-    out = -_eroded(-low, rows)
+    out = -_erode_by_disk(-low, rows)
     out[outside] = np.nan
     return out
 
 
-def _eroded(surface: NDArray[Real], half_widths: NDArray[np.int64]) -> NDArray[Real]:
+def _erode_by_disk(surface: NDArray[Real], half_widths: NDArray[np.int64]) -> NDArray[Real]:
     """Minimum over the disk, strip by strip, so that a strip's table stays in the processor's cache."""
     radius, (nrows, ncols) = len(half_widths) // 2, surface.shape
     out = np.empty((nrows, ncols), surface.dtype)

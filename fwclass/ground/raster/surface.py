@@ -6,12 +6,12 @@ import numpy as np
 import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
 
-from fwclass.ground.raster.opening import opened
+from fwclass.ground.raster.opening import disk_opening
 
 
 def low_limit(surface: NDArray[np.float64], cell: float, slope: float) -> NDArray[np.float64]:
     """Height [m] below which an echo is a low outlier: slope × cell under the closing with one cell's disk."""
-    return -opened(-surface, 1) - slope * cell
+    return -disk_opening(-surface, 1) - slope * cell
 
 
 def gradient(surface: NDArray[np.float64], cell: float) -> NDArray[np.float64]:

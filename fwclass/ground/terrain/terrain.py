@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from fwclass.grid import Window
 from fwclass.ground.raster.bilinear import bilinear
-from fwclass.ground.raster.fill import filled
+from fwclass.ground.raster.fill import fill_gaps
 from fwclass.ground.raster.lattice import cells_of
 from fwclass.ground.terrain.dsm import highest, without_pepper
 from fwclass.ground.terrain.facets import facet_heights, facet_raster, facets_of
 from fwclass.ground.terrain.nearest import nearest_height
 from fwclass.ground.terrain.params import TerrainParams
 from fwclass.ground.terrain.roughness import roughness
-from fwclass.ground.terrain.thinning import thinned
+from fwclass.ground.terrain.thinning import thin_points
 from fwclass.ground.tin.tin import tin_of
 
 MEASURED, INTERPOLATED, BEYOND = 0, 1, 2
@@ -103,7 +103,7 @@ def terrain(
     """
     if not math.isclose(core.cell, params.cell):
         raise ValueError(f"cells of {core.cell} m where terrain.cell is {params.cell} m")
-    outer = _grown(core, round(params.block_halo / params.cell))
+    outer = _grow(core, round(params.block_halo / params.cell))
     cells, near = cells_of(x, y, outer)
     used = ground & ~noise & near
     distance = _distances(cells[used[near]], outer)
@@ -111,7 +111,7 @@ def terrain(
     rows = np.flatnonzero(inside)
     has = _in_cells(x[rows], y[rows], support[core.within(outer)] != BEYOND, core)
     asked = _rows_of(x, y, z, rows[has])
-    work, circle = _needed(distance, core, outer, params)
+    work, circle = _needed_ground(distance, core, outer, params)
     echoes = _rows_of(x, y, z, np.flatnonzero(used & work.box.contains(x, y)))
     if knots is not None:
         echoes = _with_knots(echoes, knots, Window.covering(work.box, params.thin))
@@ -140,16 +140,16 @@ def terrain(
 def _with_knots(echoes: Points, knots: Points, window: Window) -> Points:
     """Echoes and knots in `window`, without the echoes in cells of a knot: thinning takes the mean of a cell."""
     cells, near = cells_of(*knots[:2], window)
-    taken = np.zeros(math.prod(window.shape), bool)
-    taken[cells] = True
+    has_knot = np.zeros(math.prod(window.shape), bool)
+    has_knot[cells] = True
     own, _ = cells_of(*echoes[:2], window)
-    left = ~taken[own]
+    left = ~has_knot[own]
     rows = np.flatnonzero(near)
     x, y, z = (np.concatenate([e[left], k[rows]]) for e, k in zip(echoes, knots, strict=True))
     return x, y, z
 
 
-def _grown(window: Window, by: int) -> Window:
+def _grow(window: Window, by: int) -> Window:
     return Window(window.cell, window.col - by, window.row - by, window.ncols + 2 * by, window.nrows + 2 * by)
 
 
@@ -181,7 +181,9 @@ def _in_cells(
     return there
 
 
-def _needed(distance: NDArray[np.float64], core: Window, outer: Window, params: TerrainParams) -> tuple[Window, float]:
+def _needed_ground(
+    distance: NDArray[np.float64], core: Window, outer: Window, params: TerrainParams
+) -> tuple[Window, float]:
     """The cells whose ground points decide the triangles of `core`, and the largest circle that counts [m].
 
     Where no place around is further from ground than `far`, no empty circle is larger, so every triangle over the
@@ -189,14 +191,14 @@ def _needed(distance: NDArray[np.float64], core: Window, outer: Window, params: 
     the triangles stay the same. Otherwise the whole halo is needed.
     """
     largest = params.largest_circle
-    around = _grown(core, math.ceil(largest / core.cell) + 2)
+    around = _grow(core, math.ceil(largest / core.cell) + 2)
     if around.common(outer) != around:
         return outer, largest
     # places lie anywhere in their cells, and a thinned point anywhere in the cell that it is the mean of
     far = float(distance[around.within(outer)].max()) + math.sqrt(2.0) * (core.cell + params.thin)
     if far >= largest:
         return outer, largest
-    work = _grown(core, math.ceil((2.0 * far + params.thin) / core.cell) + 2)
+    work = _grow(core, math.ceil((2.0 * far + params.thin) / core.cell) + 2)
     return work.common(outer) or outer, far
 
 
@@ -209,14 +211,14 @@ def _surface(
     Off the triangles the raster has the mean of a cell's ground points, and where there are none a membrane. Points
     there take the value of the raster: of what is known of it, where their own cell is.
     """
-    points = thinned(*ground, window, params.thin)
+    points = thin_points(*ground, window, params.thin)
     means = _means(*points, window)
     surface = tin_of(*points)
     del points  # beside the triangles of a large block each array counts
     facets = facets_of(surface, circle)
     known = facet_raster(facets, window)
     known = np.where(np.isnan(known), means, known)
-    raster = _continued(known, window, params.max_gap)
+    raster = _continue_gaps(known, window, params.max_gap)
     floor = facet_heights(facets, core, *asked[:2])
     for heights in (known, raster):
         off = np.isnan(floor)
@@ -224,7 +226,7 @@ def _surface(
     return floor, raster, np.isnan(known)
 
 
-def _continued(known: NDArray[np.float64], window: Window, gap: float) -> NDArray[np.float64]:
+def _continue_gaps(known: NDArray[np.float64], window: Window, gap: float) -> NDArray[np.float64]:
     """`known` with its gaps filled by a membrane, which ends at the height of the nearest known cell `gap` [m] away.
 
     Without such an end the membrane beyond the survey's border would hang on where the array ends. The array begins
@@ -237,7 +239,7 @@ def _continued(known: NDArray[np.float64], window: Window, gap: float) -> NDArra
         known = np.where(distance > gap, known[row, col], known)
     south, west = window.row % PYRAMID, window.col % PYRAMID
     around = np.pad(known, ((south, 0), (west, 0)), constant_values=np.nan)
-    return filled(around)[south:, west:]
+    return fill_gaps(around)[south:, west:]
 
 
 def _means(

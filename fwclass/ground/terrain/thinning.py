@@ -17,7 +17,7 @@ FRACTIONS = 1 << 20
 """Heights are added up as whole fractions of a metre, so that the sum does not depend on the order of the points."""
 
 
-def thinned(
+def thin_points(
     x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], window: Window, thin: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Mean height at the mean place of the points in each cell of edge `thin` [m] of the global grid.

@@ -56,8 +56,8 @@ def unique_points(
     origin = int(ix.min()), int(iy.min())
     ix, iy = ix - origin[0], iy - origin[1]
     order = spatial_order(ix, iy)
-    kept = order[_lowest_of_equals(ix, iy, np.asarray(z, np.float64), order)]
-    return kept, ix[kept].astype(np.float64), iy[kept].astype(np.float64), origin
+    lowest = order[_lowest_of_equals(ix, iy, np.asarray(z, np.float64), order)]
+    return lowest, ix[lowest].astype(np.float64), iy[lowest].astype(np.float64), origin
 
 
 def tin_heights(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from fwclass.conf import Config
-from fwclass.graph.features import asked_of
+from fwclass.graph.features import neighbourhood_features
 from fwclass.operate.estimate.amounts import plan_of
 from fwclass.operate.estimate.estimate import Costs
 from fwclass.operate.estimate.headers import SurveyFacts
@@ -32,7 +32,7 @@ def costs_at_density(config: Config, facts: SurveyFacts) -> Costs:
     if too_dense(config, facts):
         count = 1.0 / config.features.dense_step**2
         share = count / density
-    asked = asked_of(plan_of(config))
+    asked = neighbourhood_features(plan_of(config))
     radii = [config.features.normal_radius, *(s.metres for s in asked.of_kind("rc"))]
     radii += [r for _ in asked.of_kind("o") for r in config.features.optimal_radii]
     met = max(count - plan.density, 0.0) * sum(math.pi * r * r for r in radii) * share

@@ -10,8 +10,8 @@ import numpy as np
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.graph.files import found_files
-from fwclass.graph.survey import common_crs, directory_of, opened_all
+from fwclass.graph.files import find_files
+from fwclass.graph.survey import common_crs, directory_of, open_all
 from fwclass.graph.tiling import CLOUD_ROWS
 from fwclass.grid import Box, Tile, TileGrid, groups, joint_box
 from fwclass.read.las import LasSource
@@ -125,8 +125,8 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
     directory = directory_of(config, root)
     if config.simulate is not None and isinstance(directory, Path) and not any(directory.glob("strips/*")):
         return simulated_facts(config)
-    places = found_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
-    opened = opened_all(places, config)
+    places = find_files(config.survey.sources, directory, "survey.sources", config.path, config.store)
+    opened = open_all(places, config)
     full = [s for s in opened if s.n_records]
     if not full:
         raise InputError(
@@ -138,7 +138,7 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
         crs = common_crs(config, full, Runner(root, Loop(), display))
     reference = 0
     if config.survey.reference.kind == "cloud":
-        files = found_files(
+        files = find_files(
             config.survey.reference.files, directory, "survey.reference.files", config.path, config.store
         )
         reference = sum(open_source(local(p)).n_points for p in files)

@@ -10,7 +10,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.files import found_files, joint_bounds
+from fwclass.graph.files import find_files, joint_bounds
 from fwclass.graph.stages import STAGES
 from fwclass.graph.survey import directory_of
 from fwclass.graph.walk import deciding, until_report, until_tiles
@@ -101,7 +101,7 @@ def _training(config: Config) -> tuple[Box, ...]:
 
 
 def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str, ...]:
-    files = found_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
+    files = find_files(config.survey.reference.files, directory, "survey.reference.files", config.path, config.store)
     near = [
         p
         for p in files

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError
 from fwclass.grid import Box, Tile, TileGrid, whole_millimetres
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def _strips(keys: Iterable[str], size: float, width: float) -> Iterator[tuple[Bo
 def drawn(tiles: Sequence[Tile], seed: int) -> list[int]:
     """Places in `tiles` in an order that only the seed and the tiles decide."""
     keys = np.array([((t.ix & 0xFFFFFFFF) << 32) | (t.iy & 0xFFFFFFFF) for t in tiles], np.uint64)
-    return np.argsort(hashed(seed, keys), kind="stable").tolist()
+    return np.argsort(hash_keys(seed, keys), kind="stable").tolist()
 
 
 def chosen(candidates: Sequence[Place], share: float, length: float | None, seed: int) -> list[Place]:

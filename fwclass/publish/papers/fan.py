@@ -32,12 +32,12 @@ def fan_view(facts: Mapping[str, Any]) -> dict[str, Any]:
         "features": [sign(n) for n in facts["features"]],
         "rows": rows_table(facts["rows"]),
         "more": [c["name"] for c in facts["more_classes"]],
-        "unscored": _unscored(facts["unscored"]),
+        "unscored": _unscored_rows(facts["unscored"]),
         "distribution": _distribution(facts, classes),
         "distribution_plot": data_uri(draw_distribution(facts["distribution"], facts["printed"]["distribution"])),
         "selection": _selection(facts),
         "selection_plot": data_uri(_curves(facts)),
-        "splits": [_split(m, made, facts, classes) for m, made in facts["splits"].items()],
+        "splits": [_split(m, result, facts, classes) for m, result in facts["splits"].items()],
         "machines": _machines(facts),
         "machine_tables": [_machine_table(name, facts, classes) for name in facts["machines"]],
         "thesis": _thesis(facts),
@@ -53,47 +53,48 @@ def sign(name: str) -> str:
 
 
 def base_of(name: str) -> str:
+    """A feature's name without its scale; any other name as it is."""
     try:
         return split_name(name)[0]
     except KeyError:
         return name
 
 
-def _facts(facts: Mapping[str, Any], made: Mapping[str, Any]) -> list[tuple[str, str]]:
-    told, printed = ours(made), facts["printed"]["splits"]["3"]
+def _facts(facts: Mapping[str, Any], result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    accuracy, printed = ours(result), facts["printed"]["splits"]["3"]
     rbf = facts["machines"]["rbf-svm"]
-    found = [
-        ("overall, ours", f"{told['overall_accuracy']} %"),
+    rows = [
+        ("overall, ours", f"{accuracy['overall_accuracy']} %"),
         ("overall, Fan 2013", f"{printed['overall']} %"),
-        ("kappa, ours", told["kappa"]),
+        ("kappa, ours", accuracy["kappa"]),
         ("RBF SVM, ours", f"{ours(rbf)['overall_accuracy']} %"),
         ("SVM, Fan 2013", f"{facts['printed']['svm']['overall']} %"),
     ]
     if facts["thesis"]:
         gains = [facts["differences"][f"with-{s}/without-{s}"] for s in facts["thesis"]["seeds"]]
         mean = sum(g["overall_accuracy"]["value"] for g in gains) / len(gains)
-        found.append(("gain by waveforms", f"{100 * mean:+.1f} points"))
-    return found
+        rows.append(("gain by waveforms", f"{100 * mean:+.1f} points"))
+    return rows
 
 
-def _unscored(made: Mapping[str, Mapping[str, int]]) -> list[dict[str, Any]]:
+def _unscored_rows(unscored: Mapping[str, Mapping[str, int]]) -> list[dict[str, Any]]:
     rows = []
-    for name, counts in made.items():
+    for name, counts in unscored.items():
         total = sum(counts.values())
-        told = ", ".join(f"{share(n / total) if total else '–'} % {c}" for c, n in counts.items())
-        rows.append({"name": name, "total": number(total), "told": told})
+        shares = ", ".join(f"{share(n / total) if total else '–'} % {c}" for c, n in counts.items())
+        rows.append({"name": name, "total": number(total), "told": shares})
     return rows
 
 
 def _distribution(facts: Mapping[str, Any], classes: list[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    made = distribution(facts["distribution"], classes) or []
-    for one in made:
+    features = distribution(facts["distribution"], classes) or []
+    for one in features:
         base = base_of(one["feature"])
         words = facts["printed"]["distribution"].get(base, {})
         one["title"] = sign(one["feature"]) + one["title"][one["title"].find(",") :] * ("," in one["title"])
         for row in one["rows"]:
             row["paper"] = words.get(row["name"], {}).get("text", "–")
-    return made
+    return features
 
 
 def _selection(facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -148,21 +149,21 @@ def _curves(facts: Mapping[str, Any]) -> bytes:
 
 
 def _split(
-    m: Any, made: Mapping[str, Any], facts: Mapping[str, Any], classes: list[Mapping[str, Any]]
+    m: Any, result: Mapping[str, Any], facts: Mapping[str, Any], classes: list[Mapping[str, Any]]
 ) -> dict[str, Any]:
     printed = facts["printed"]["splits"]
     paper = printed.get(m) or {}
     fits = [c["name"] for c in facts["classes"]] == list(facts["printed"]["classes"].values())
     return {
         "m": m,
-        **ours(made),
+        **ours(result),
         "paper": paper.get("overall", "–"),
-        "tables": matrices(made, classes, paper.get("confusion") if fits else None),
-        "producers": [share(v) for v in made["producers_accuracy"]],
-        "users": [share(v) for v in made["users_accuracy"]],
+        "tables": matrices(result, classes, paper.get("confusion") if fits else None),
+        "producers": [share(v) for v in result["producers_accuracy"]],
+        "users": [share(v) for v in result["users_accuracy"]],
         "paper_producers": list(paper.get("producers", ())) if fits else [],
-        "names": list(made["classes"]),
-        "out_of_bag": share(made["out_of_bag"]),
+        "names": list(result["classes"]),
+        "out_of_bag": share(result["out_of_bag"]),
     }
 
 
@@ -170,22 +171,22 @@ def _machines(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The forest, the SVMs, and the forest on as many rows as the RBF SVM takes."""
     forest, printed = facts["forest"], facts["printed"]
     split = next(iter(facts["splits"]))
-    made = {forest: facts["splits"][split], "forest-fewer": facts["forest_fewer"], **facts["machines"]}
+    results = {forest: facts["splits"][split], "forest-fewer": facts["forest_fewer"], **facts["machines"]}
     titles = {forest: f"random forest, m = {split}", "forest-fewer": "random forest, rows of the RBF SVM", **MACHINES}
     accuracy = {forest: printed["splits"]["3"]["overall"], "rbf-svm": printed["svm"]["overall"]}
     spent = {forest: printed["seconds"]["forest"], "rbf-svm": printed["seconds"]["svm"]}
     rows = []
     for name in (forest, "rbf-svm", "forest-fewer", "linear-svm"):
         less = facts["differences"].get(f"{forest}/{name}")
-        told = number(made[name].get("rows", facts["times"][name]["train_rows"]))
+        train_rows = number(results[name].get("rows", facts["times"][name]["train_rows"]))
         rows.append(
             {
                 "name": titles[name],
-                **ours(made[name]),
+                **ours(results[name]),
                 **_times(facts["times"][name]),
                 "paper": accuracy.get(name, "–"),
                 "paper_time": f"{spent[name]} s" if name in spent else "–",
-                "rows": told,
+                "rows": train_rows,
                 "less": difference(less) if less else None,
             }
         )
@@ -202,11 +203,16 @@ def _times(one: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _machine_table(name: str, facts: Mapping[str, Any], classes: list[Mapping[str, Any]]) -> dict[str, Any]:
-    made = facts["machines"][name]
+    result = facts["machines"][name]
     fits = [c["name"] for c in facts["classes"]] == list(facts["printed"]["classes"].values())
     paper = facts["printed"]["svm"]["confusion"] if fits and name == "rbf-svm" else None
-    params = ", ".join(f"{k} = {v:g}" for k, v in made["params"].items() if v is not None)
-    return {"name": MACHINES[name], "tables": matrices(made, classes, paper), "notes": made["notes"], "params": params}
+    params = ", ".join(f"{k} = {v:g}" for k, v in result["params"].items() if v is not None)
+    return {
+        "name": MACHINES[name],
+        "tables": matrices(result, classes, paper),
+        "notes": result["notes"],
+        "params": params,
+    }
 
 
 def _thesis(facts: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -232,7 +238,7 @@ def _thesis(facts: Mapping[str, Any]) -> dict[str, Any] | None:
         {
             "name": name,
             **{
-                f"{side}_{key}": share(_mean([made[f"{key}_accuracy"][i] for made in thesis[side]]))
+                f"{side}_{key}": share(_mean([result[f"{key}_accuracy"][i] for result in thesis[side]]))
                 for side in ("with", "without")
                 for key in ("producers", "users")
             },

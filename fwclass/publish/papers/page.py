@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,7 @@ from fwclass.publish.papers.li import li_view
 from fwclass.publish.papers.shi import shi_view
 from fwclass.publish.papers.tables import VERDICTS
 from fwclass.publish.papers.xiong import xiong_view
-from fwclass.publish.report import TEMPLATE as REPORT
-from fwclass.publish.report import data_uri, environment
+from fwclass.publish.report import data_uri, environment, report_style
 
 VIEWS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
     "fan2013": fan_view,
@@ -38,7 +36,7 @@ def render_paper(facts: Mapping[str, Any], picture: bytes | None, path: Path) ->
     """
     name = str(facts["paper"])
     view = {
-        "style": _style(),
+        "style": report_style(),
         "survey": facts["survey"],
         "version": facts["fwclass"],
         "citation": facts["citation"],
@@ -65,14 +63,7 @@ def _claims(facts: Mapping[str, Any]) -> dict[str, Any]:
         "undecided": "are undecided",
         "not comparable": "cannot be compared",
     }
-    told = ", ".join(
+    summary = ", ".join(
         f"{n} {v if n == 1 and v in ('holds', 'does not hold') else words[v]}" for v, n in count.items() if n
     )
-    return {"rows": rows, "told": told}
-
-
-def _style() -> str:
-    """The style of the run's report."""
-    text = (Path(__file__).parents[1] / REPORT).read_text(encoding="utf-8")
-    found = re.search(r"<style>(.*?)</style>", text, re.S)
-    return found[1] if found else ""
+    return {"rows": rows, "told": summary}

@@ -15,17 +15,20 @@ from fwclass.schema import column, split_name
 
 OURS, THEIRS, PALE = "#17697a", "#d0742e", "#e6c3a6"
 GRID, FRAME = "#dde3e8", "#8795a1"
+WITH_ERRORS: dict[str, Any] = {"color": OURS, "ecolor": "#9fb8bf", "fmt": "o-"}
 SIZE = 8.5
 BOX = ("p5", "p25", "p50", "p75", "p95")
 
 
 def sheet(width: float, height: float) -> Figure:
+    """An empty figure of this size [inches]."""
     figure = Figure(figsize=(width, height), dpi=DPI, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def dress(axes: Any, x: str = "", y: str = "", grid: str = "both") -> None:
+    """Give axes their labels, grid and colours."""
     axes.set_xlabel(x, fontsize=SIZE, color=INK)
     axes.set_ylabel(y, fontsize=SIZE, color=INK)
     axes.tick_params(labelsize=7, colors=INK, length=3, width=0.6)
@@ -35,15 +38,15 @@ def dress(axes: Any, x: str = "", y: str = "", grid: str = "both") -> None:
         spine.set_color(FRAME)
 
 
-def draw_distribution(made: Mapping[str, Mapping[str, Any]], printed: Mapping[str, Mapping[str, Any]]) -> bytes:
+def draw_distribution(quantiles: Mapping[str, Mapping[str, Any]], printed: Mapping[str, Mapping[str, Any]]) -> bytes:
     """A panel per feature: a box per class from quantiles (5, 25, 50, 75, 95 %), the paper's range behind it.
 
-    `made`: quantiles by feature and class; `printed`: ``low`` and ``high`` by base and class, None for open.
+    `quantiles`: quantiles by feature and class; `printed`: ``low`` and ``high`` by base and class, None for open.
     """
-    across = min(4, max(1, len(made)))
-    rows = -(-len(made) // across)
+    across = min(4, max(1, len(quantiles)))
+    rows = -(-len(quantiles) // across)
     figure = sheet(9.6, 2.3 * rows)
-    for place, (feature, by_class) in enumerate(made.items()):
+    for place, (feature, by_class) in enumerate(quantiles.items()):
         axes = figure.add_subplot(rows, across, place + 1)
         base = split_name(feature)[0]
         known = [v[p] for v in by_class.values() for p in BOX if v.get(p) is not None]
@@ -83,7 +86,7 @@ def _box(axes: Any, x: float, row: Mapping[str, Any], colour: str) -> None:
 
 def draw_curves(
     paper: Sequence[tuple[str, float]],
-    given: Sequence[tuple[str, float, float, bool]],
+    paper_order: Sequence[tuple[str, float, float, bool]],
     best: Sequence[tuple[str, float, float, bool]],
 ) -> bytes:
     """Two panels: accuracy [%] as features are added in the paper's order beside the paper's; in our best order.
@@ -96,7 +99,7 @@ def draw_curves(
     left.plot(
         range(len(paper)), [v for _, v in paper], "o--", color=THEIRS, linewidth=1.3, markersize=4, label="Fan 2013"
     )
-    _steps(left, [at[s[0]] for s in given], given, "ours, spatial folds")
+    _steps(left, [at[s[0]] for s in paper_order], paper_order, "ours, spatial folds")
     left.set_xticks(range(len(paper)), [n for n, _ in paper], rotation=35, ha="right", rotation_mode="anchor")
     left.legend(fontsize=7.5, frameon=False, labelcolor=INK, loc="lower right")
     _steps(right, list(range(len(best))), best, "ours")
@@ -107,39 +110,27 @@ def draw_curves(
 
 
 def _steps(axes: Any, x: Sequence[int], steps: Sequence[tuple[str, float, float, bool]], label: str) -> None:
-    y = [s[1] for s in steps]
-    spread = [s[2] for s in steps]
-    axes.errorbar(
-        x,
-        y,
-        yerr=spread,
-        color=OURS,
-        ecolor="#9fb8bf",
-        fmt="o-",
-        markersize=4,
-        linewidth=1.4,
-        elinewidth=1,
-        label=label,
-    )
+    style: dict[str, Any] = {"markersize": 4, "linewidth": 1.4, "elinewidth": 1}
+    axes.errorbar(x, [s[1] for s in steps], yerr=[s[2] for s in steps], label=label, **WITH_ERRORS, **style)
     for a, step in zip(x, steps, strict=True):
         if not step[3]:
             axes.plot([a], [step[1]], "x", color=INK, markersize=8, zorder=4)
 
 
-def draw_thesis(found: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
+def draw_thesis(gains: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     """Gain by waveform features with its interval, per seed and figure [points]."""
-    figure = sheet(9.6, 0.75 + 0.36 * len(found))
+    figure = sheet(9.6, 0.75 + 0.36 * len(gains))
     titles = {"overall_accuracy": "overall accuracy", "kappa": "kappa × 100", "mean_iou": "mean IoU"}
     panels = figure.subplots(1, len(titles), sharey=True)
     for axes, (key, title) in zip(panels, titles.items(), strict=True):
-        for k, (_, one) in enumerate(found):
+        for k, (_, one) in enumerate(gains):
             part = one[key]
             if part["low"] is not None:
                 axes.plot([100 * part["low"], 100 * part["high"]], [k, k], color=OURS, linewidth=2)
             axes.plot([100 * part["value"]], [k], "o", color=OURS, markersize=5)
         axes.axvline(0, color=INK, linewidth=0.8)
-        axes.set_yticks(range(len(found)), [f"seed {s}" for s, _ in found])
-        axes.set_ylim(len(found) - 0.5, -0.5)
+        axes.set_yticks(range(len(gains)), [f"seed {s}" for s, _ in gains])
+        axes.set_ylim(len(gains) - 0.5, -0.5)
         dress(axes, f"{title}, points", grid="x")
     return png(figure)
 
@@ -172,18 +163,8 @@ def draw_elimination(steps: Sequence[tuple[int, float, float]], chosen: int, pri
     figure = sheet(9.6, 3.2)
     axes = figure.add_subplot()
     x, y, spread = zip(*steps, strict=True)
-    axes.errorbar(
-        x,
-        y,
-        yerr=spread,
-        color=OURS,
-        ecolor="#9fb8bf",
-        fmt="o-",
-        markersize=3,
-        linewidth=1.3,
-        elinewidth=0.9,
-        label="ours",
-    )
+    style: dict[str, Any] = {"markersize": 3, "linewidth": 1.3, "elinewidth": 0.9}
+    axes.errorbar(x, y, yerr=spread, label="ours", **WITH_ERRORS, **style)
     at = x.index(chosen)
     axes.plot([chosen], [y[at]], "o", color=OURS, markersize=9, markerfacecolor="none", label=f"chosen: {chosen}")
     axes.plot([printed[0]], [printed[1]], "D", color=THEIRS, markersize=6, label=f"Xiong 2018: {printed[0]} features")

@@ -70,31 +70,31 @@ def _scene(one: Mapping[str, Any], classes: Sequence[Mapping[str, Any]]) -> dict
 def _facts(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     printed, fine = facts["printed"]["algorithms"]["proposed"], facts["layers"]["fine"]
     first, second = facts["layers"]["coarse_boundary"], facts["layers"]["fine_boundary"]
-    told = [("overall, ours", "–" if fine is None else f"{ours(fine)['overall_accuracy']} %")]
-    told.append(("overall, Shi 2019", f"{printed['overall']} %"))
+    rows = [("overall, ours", "–" if fine is None else f"{ours(fine)['overall_accuracy']} %")]
+    rows.append(("overall, Shi 2019", f"{printed['overall']} %"))
     for name in facts["refine"]["between"]:
         k = None if first is None else first["classes"].index(name)
         value = "–" if k is None else f"{share(first['iou'][k])} → {share(second['iou'][k])}"
-        told.append((f"{name} at the boundary, IoU %", value))
-    return told
+        rows.append((f"{name} at the boundary, IoU %", value))
+    return rows
 
 
-def _classes(made: Mapping[str, Any], names: Sequence[str]) -> list[dict[str, str]]:
+def _classes(result: Mapping[str, Any], names: Sequence[str]) -> list[dict[str, str]]:
     return [
-        {"iou": share(made["iou"][k]), "producers": share(made["producers_accuracy"][k])} for k in range(len(names))
+        {"iou": share(result["iou"][k]), "producers": share(result["producers_accuracy"][k])} for k in range(len(names))
     ]
 
 
-def _step(key: str, made: Mapping[str, Any], names: Sequence[str], facts: Mapping[str, Any]) -> dict[str, Any]:
+def _step(key: str, result: Mapping[str, Any], names: Sequence[str], facts: Mapping[str, Any]) -> dict[str, Any]:
     times = facts["times"][key]
     pair = next((p for p in facts["differences"] if p.startswith(f"{key}/")), None)
     gain = difference(facts["differences"][pair]) if pair else None
     return {
         "title": TITLES[key],
-        **ours(made),
-        "features": len(made["features"]),
-        "vectors": number(made["vectors"]),
-        "classes": _classes(made, names),
+        **ours(result),
+        "features": len(result["features"]),
+        "vectors": number(result["vectors"]),
+        "classes": _classes(result, names),
         "gain": gain["overall_accuracy"] if gain else "",
         "gain_span": gain["overall_accuracy_span"] if gain else "",
         "train": seconds_of(times["train"]),
@@ -103,16 +103,16 @@ def _step(key: str, made: Mapping[str, Any], names: Sequence[str], facts: Mappin
 
 
 def _layer(key: str, names: Sequence[str], facts: Mapping[str, Any]) -> dict[str, Any]:
-    made, gain = facts["layers"][key], facts["layers"]["gains"]["all"]
-    told = difference(gain) if key == "fine" and gain else None
+    result, gain = facts["layers"][key], facts["layers"]["gains"]["all"]
+    gain_texts = difference(gain) if key == "fine" and gain else None
     return {
         "title": TITLES[key],
-        **ours(made),
+        **ours(result),
         "features": "–",
         "vectors": "–",
-        "classes": _classes(made, names),
-        "gain": told["overall_accuracy"] if told else "",
-        "gain_span": told["overall_accuracy_span"] if told else "",
+        "classes": _classes(result, names),
+        "gain": gain_texts["overall_accuracy"] if gain_texts else "",
+        "gain_span": gain_texts["overall_accuracy_span"] if gain_texts else "",
         "train": "–",
         "test": "–",
     }
@@ -138,5 +138,9 @@ def _algorithm(key: str, printed: Mapping[str, Any]) -> dict[str, Any]:
     return {"title": titles[key], **printed}
 
 
-def _gain(made: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    return {**difference(made), "blocks": made["blocks"], "caution": made["caution"]} if made else None
+def _gain(comparison: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    return (
+        {**difference(comparison), "blocks": comparison["blocks"], "caution": comparison["caution"]}
+        if comparison
+        else None
+    )

@@ -21,30 +21,32 @@ def seconds_of(value: float | None) -> str:
     return f"{value:.0f} s" if value >= 100 else f"{value:.1f} s" if value >= 1 else f"{value:.2f} s"
 
 
-def ours(made: Mapping[str, Any]) -> dict[str, str]:
+def ours(result: Mapping[str, Any]) -> dict[str, str]:
     """Overall accuracy, kappa and mean IoU, with their intervals where known."""
-    spans = made.get("intervals") or {}
-    told = {}
+    spans = result.get("intervals") or {}
+    texts = {}
     for key, digits in (("overall_accuracy", 1), ("mean_iou", 1), ("kappa", 3)):
-        value, span = made.get(key), spans.get(key)
+        value, span = result.get(key), spans.get(key)
         scale = 1 if key == "kappa" else 100
-        told[key] = "–" if value is None else f"{scale * value:.{digits}f}"
-        told[f"{key}_span"] = f"{scale * span[0]:.{digits}f}–{scale * span[1]:.{digits}f}" if span else ""
-    return told
+        texts[key] = "–" if value is None else f"{scale * value:.{digits}f}"
+        texts[f"{key}_span"] = f"{scale * span[0]:.{digits}f}–{scale * span[1]:.{digits}f}" if span else ""
+    return texts
 
 
 def matrices(
-    made: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], printed: Sequence[Sequence[int]] | None
+    result: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], printed: Sequence[Sequence[int]] | None
 ) -> dict[str, Any]:
     """Our confusion matrix, and the paper's in the same dress; the paper's classes are in the order of ours."""
-    names = [str(n) for n in made["classes"]]
+    names = [str(n) for n in result["classes"]]
     return {
-        "ours": matrix_of(made, classes),
-        "paper": matrix_of(_printed(printed, names), classes) if printed and len(printed) == len(names) else None,
+        "ours": matrix_of(result, classes),
+        "paper": matrix_of(_printed_figures(printed, names), classes)
+        if printed and len(printed) == len(names)
+        else None,
     }
 
 
-def _printed(confusion: Sequence[Sequence[int]], names: Sequence[str]) -> dict[str, Any]:
+def _printed_figures(confusion: Sequence[Sequence[int]], names: Sequence[str]) -> dict[str, Any]:
     """Figures of a printed matrix, rows reference."""
     n = len(names)
     right = [confusion[k][k] for k in range(n)]
@@ -63,19 +65,21 @@ def _printed(confusion: Sequence[Sequence[int]], names: Sequence[str]) -> dict[s
     }
 
 
-def difference(one: Mapping[str, Any], digits: int = 2) -> dict[str, str]:
+def difference(comparison: Mapping[str, Any], digits: int = 2) -> dict[str, str]:
     """Gain and interval of a comparison by figure, in points (kappa: of 100 too)."""
-    told = {}
+    texts = {}
     for key in ("overall_accuracy", "kappa", "mean_iou"):
-        part = one[key]
-        told[key] = signed(part["value"], digits)
-        told[f"{key}_span"] = (
-            f"[{signed(part['low'], digits)}, {signed(part['high'], digits)}]" if part["low"] is not None else "–"
+        part = comparison[key]
+        texts[key] = signed_points(part["value"], digits)
+        texts[f"{key}_span"] = (
+            f"[{signed_points(part['low'], digits)}, {signed_points(part['high'], digits)}]"
+            if part["low"] is not None
+            else "–"
         )
-    return told
+    return texts
 
 
-def signed(value: float, digits: int = 2) -> str:
+def signed_points(value: float, digits: int = 2) -> str:
     """A fraction in points with its sign."""
     return f"{100 * value:+.{digits}f}".replace("-", MINUS)
 
@@ -86,4 +90,5 @@ def rows_table(rows: Mapping[str, Sequence[int]]) -> list[tuple[str, str, str]]:
 
 
 def share(value: float | None) -> str:
+    """A share of 0 to 1 as text in percent; a dash where there is none."""
     return percent(value) or "–"

@@ -79,8 +79,8 @@ def sign(name: str) -> str:
         base, scale = split_name(name)
     except KeyError:
         return name
-    told = SIGNS.get(base, base.replace("_", " "))
-    return f"{told} {scale.metres:g} m" if scale else told
+    symbol = SIGNS.get(base, base.replace("_", " "))
+    return f"{symbol} {scale.metres:g} m" if scale else symbol
 
 
 def _facts(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -98,23 +98,23 @@ def _facts(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
-def _strategy(key: str, made: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
+def _strategy(key: str, result: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
     paper, times = facts["printed"]["strategies"][key], facts["times"][key]
     return {
         "key": key,
         "title": paper["title"],
-        **ours(made),
-        "features": made["features"],
+        **ours(result),
+        "features": result["features"],
         "paper": {"overall": paper["overall"], "kappa": f"{paper['kappa']:.3f}"},
         "errors": [
             {
                 "name": n,
-                "omission": share(made["omission"][n]),
-                "commission": share(made["commission"][n]),
+                "omission": share(result["omission"][n]),
+                "commission": share(result["commission"][n]),
                 "paper_omission": paper["omission"].get(n, "–"),
                 "paper_commission": paper["commission"].get(n, "–"),
             }
-            for n in made["omission"]
+            for n in result["omission"]
         ],
         "train": seconds_of(times["train"]),
         "test": seconds_of(times["test"]),
@@ -122,7 +122,7 @@ def _strategy(key: str, made: Mapping[str, Any], facts: Mapping[str, Any]) -> di
         "paper_test": seconds_of(paper["test"]),
         "train_rows": number(times["train_rows"]),
         "test_rows": number(times["test_rows"]),
-        "notes": made["notes"],
+        "notes": result["notes"],
     }
 
 
@@ -140,19 +140,19 @@ def _difference(key: str, one: Mapping[str, Any], facts: Mapping[str, Any]) -> d
 
 
 def _selection(facts: Mapping[str, Any]) -> dict[str, Any]:
-    found = facts["selection"]
+    selection = facts["selection"]
     return {
-        "echoes": number(found["sample"]["rows"]),
-        "blocks": found["sample"]["blocks"],
-        "folds": found["params"]["folds"],
-        "edge": f"{found['params']['block']:g}",
-        "drop": f"{100 * found['params']['drop']:g}",
-        "accuracy": share(found["best"]["accuracy"]),
-        "all": share(found["steps"][0]["accuracy"]),
-        "smallest": [sign(n) for n in found["smallest"]["features"]],
-        "smallest_accuracy": share(found["smallest"]["accuracy"]),
-        "microseconds": f"{found['best']['microseconds']:.1f}",
-        "all_microseconds": f"{found['steps'][0]['microseconds']:.1f}",
+        "echoes": number(selection["sample"]["rows"]),
+        "blocks": selection["sample"]["blocks"],
+        "folds": selection["params"]["folds"],
+        "edge": f"{selection['params']['block']:g}",
+        "drop": f"{100 * selection['params']['drop']:g}",
+        "accuracy": share(selection["best"]["accuracy"]),
+        "all": share(selection["steps"][0]["accuracy"]),
+        "smallest": [sign(n) for n in selection["smallest"]["features"]],
+        "smallest_accuracy": share(selection["smallest"]["accuracy"]),
+        "microseconds": f"{selection['best']['microseconds']:.1f}",
+        "all_microseconds": f"{selection['steps'][0]['microseconds']:.1f}",
     }
 
 
@@ -168,8 +168,8 @@ def _importance(facts: Mapping[str, Any]) -> bytes:
 
 
 def _important(facts: Mapping[str, Any]) -> dict[str, Any]:
-    found = facts["importance"]
-    total = sum(found["groups"].values()) or 1.0
+    importance = facts["importance"]
+    total = sum(importance["groups"].values()) or 1.0
     rows = [
         {
             "group": g,
@@ -178,13 +178,13 @@ def _important(facts: Mapping[str, Any]) -> dict[str, Any]:
             "share": f"{100 * v / total:.0f}",
             "bar": round(100 * max(v, 0) / total, 1),
         }
-        for g, v in sorted(found["groups"].items(), key=lambda item: -item[1])
+        for g, v in sorted(importance["groups"].items(), key=lambda item: -item[1])
     ]
     return {
-        "repeats": found["repeats"],
+        "repeats": importance["repeats"],
         "groups": rows,
-        "shown": min(SHOWN, len(found["rows"])),
-        "of": len(found["rows"]),
+        "shown": min(SHOWN, len(importance["rows"])),
+        "of": len(importance["rows"]),
     }
 
 

@@ -15,7 +15,7 @@ from fwclass import compiling, conf
 from fwclass.errors import InputError
 from fwclass.formats.flat import HIGHEST, LONGEST, TAKEN_FOR_METRES
 from fwclass.graph.survey import given_crs
-from fwclass.ground.auto import adapted
+from fwclass.ground.auto import adapt_filter
 from fwclass.ground.blocks import ground_by_blocks
 from fwclass.ground.filters import Flags
 from fwclass.ground.params import GroundParams
@@ -259,7 +259,7 @@ def adapting(choose: bool, settings: tuple[str, ...] = (), tell: Tell = quiet) -
         tried = len(rules.updates(method))
         tell(f"measuring, then trying {tried} settings of {method}" if tried else "measuring")
         points = cloud.x[shown], cloud.y[shown], cloud.z[shown]
-        suited, measured = adapted(points, cloud.last[shown], params, rules, None if choose else params.method)
+        suited, measured = adapt_filter(points, cloud.last[shown], params, rules, None if choose else params.method)
         return suited, measured.plain()
 
     return adapt

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import ConfigError, InputError
-from fwclass.grid import quantised
+from fwclass.grid import quantise
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.params import PublishParams
 from fwclass.publish.strips import write_strip_laz
@@ -177,11 +177,11 @@ def _text_as_las(
         "strip": np.zeros(n, np.uint16),
         "echo_number": np.ones(n, np.uint8),
         "number_of_echoes": np.ones(n, np.uint8),
-        "x": quantised(x),
-        "y": quantised(y),
-        "z": quantised(own),
+        "x": quantise(x),
+        "y": quantise(y),
+        "z": quantise(own),
         "classification": classes,
     }
     made = write_tile_laz(Table({**columns, **extra}), output, cloud.crs, params)
-    rounded = max(float(np.abs(quantised(a) - a).max()) for a in (x, y, own)) > 1e-6
+    rounded = max(float(np.abs(quantise(a) - a).max()) for a in (x, y, own)) > 1e-6
     return {**made, "notes": ["coordinates are rounded to thousandths of a unit"] if rounded else []}

@@ -29,7 +29,7 @@ class Steps:
     def __init__(self, console: Console | None = None, every: float = EVERY) -> None:
         self.console = console or Console(stderr=True, highlight=False, soft_wrap=True)
         self._text, self._every, self._began = "reading", every, time.monotonic()
-        self._compiles = compiling.told(self._compiling)
+        self._compiles = compiling.notify(self._compiling)
         self._waits = self._said = False
         self._over = threading.Event()
         self._lines = threading.Thread(target=self._plain, daemon=True)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import ConfigError, InputError
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
 from fwclass.publish.files import whole
 from fwclass.publish.street_pictures import draw_slice
-from fwclass.street.annotation import HEAD, Box, Labeller, ended, overlaps, read_boxes
+from fwclass.street.annotation import HEAD, Box, Labeller, annotated_end, overlaps, read_boxes
 from fwclass.street.frames import Frame, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_parquet import write_recording
@@ -50,12 +50,12 @@ def annotate(
     track = Track(params)
     labeller = Labeller(boxes, track)
     slices: dict[tuple[float, float], Seen] = {(b.begin, b.end): ([], [], []) for b in boxes}
-    last = ended(boxes)
+    last = annotated_end(boxes)
     ahead: list[tuple[float, float]] = [] if last is None else [(last, last + slice_)]
     places: list[float] = []
 
     def labelled() -> Any:
-        for frame, placed in labeller.frames(opened(source, params, trajectory).frames()):
+        for frame, placed in labeller.frames(open_on_trajectory(source, params, trajectory).frames()):
             place = placed.place * UNIT
             places.append(place)
             if not ahead:

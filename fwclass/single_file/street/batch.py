@@ -16,7 +16,7 @@ from fwclass.assess.blocks import BlockCounts
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
 from fwclass.graph.street import crown_accuracy, params_of
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
 from fwclass.model import Model
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -50,7 +50,7 @@ class Work:
 def check(work: Work) -> None:
     """`InputError` or `ConfigError` where the model or the recording cannot be used, before anything is written."""
     params_of(load_model(work.model), work.params, work.model)
-    opened(work.recording, work.params, work.trajectory)
+    open_on_trajectory(work.recording, work.params, work.trajectory)
 
 
 def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
@@ -61,7 +61,7 @@ def read(work: Work, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
     files: dict[str, BinaryIO] = {}
     kept: tuple[str, ...] = ()
     try:
-        for frame in opened(work.recording, work.params, work.trajectory).frames():
+        for frame in open_on_trajectory(work.recording, work.params, work.trajectory).frames():
             placed = track.take(frame)
             if placed is None:
                 continue

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
 from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams
 from fwclass.street.sphere_kernels import UNIT
@@ -20,7 +20,7 @@ def info(path: Path, params: StreetParams, trajectory: TrajectoryFiles = NO_TRAJ
 
     A recording that ends in damage is told up to there.
     """
-    recording = opened(path, params, trajectory)
+    recording = open_on_trajectory(path, params, trajectory)
     track = Track(params if params.speed is not None else params.model_copy(update={"speed": 0.0}))
     times: list[float] = []
     places: list[int] = []

@@ -21,14 +21,14 @@ from fwclass.classify.shares import answer
 from fwclass.conf.street import scanner
 from fwclass.errors import InputError
 from fwclass.graph.street import params_of
-from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, opened
+from fwclass.graph.street_recordings import NO_TRAJECTORY, TrajectoryFiles, open_on_trajectory
 from fwclass.model import Model
 from fwclass.single_file.street.latency import Latency
 from fwclass.single_file.street.output import CSV, HEAD, finish, prepare
 from fwclass.single_file.street.sources import from_recording, listening, place_of, standard_input
 from fwclass.single_file.street.train import crown_lines
 from fwclass.store.models import load_model
-from fwclass.street.answers import ANSWERS, END, Answer, Writer, answered
+from fwclass.street.answers import ANSWERS, END, Answer, Writer, make_answer
 from fwclass.street.frames import Frame, Scan, Track
 from fwclass.street.params import StreetParams
 from fwclass.street.prescription import Prescriber, Segment
@@ -42,9 +42,9 @@ def classified(one: Seen, model: Model) -> Answer:
     """Classes and shares of a frame's returns."""
     here = ~np.isnan(one.frame.r)
     if not here.any():
-        return answered(one.frame, np.empty(0, np.uint8), np.empty(0))
+        return make_answer(one.frame, np.empty(0, np.uint8), np.empty(0))
     winner, shares = answer(one.features[here], model)
-    return answered(one.frame, model.codes[winner], np.take_along_axis(shares, winner[:, None], axis=1)[:, 0])
+    return make_answer(one.frame, model.codes[winner], np.take_along_axis(shares, winner[:, None], axis=1)[:, 0])
 
 
 @dataclass
@@ -144,7 +144,7 @@ def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[st
     if asked.source.startswith("tcp://"):
         place_of(asked.source)
     elif asked.source != "-":
-        opened(Path(asked.source), params, asked.trajectory)
+        open_on_trajectory(Path(asked.source), params, asked.trajectory)
     prepare(asked.target, asked.overwrite)
     warm(model, params)
     with interruptible() as ended, ExitStack() as stack, without_garbage():
@@ -197,7 +197,7 @@ def _source(
     if asked.source.startswith("tcp://"):
         stream = stack.enter_context(listening(asked.source, params.stream, ended, say))
         return stream.frames(), stream
-    recording = opened(Path(asked.source), params, asked.trajectory)
+    recording = open_on_trajectory(Path(asked.source), params, asked.trajectory)
     return from_recording(recording, asked.paced, ended), None
 
 

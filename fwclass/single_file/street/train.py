@@ -9,7 +9,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.errors import InputError
-from fwclass.graph.street import Split, by_model, fitted, judged, recordings_of, rows_of, sample_of
+from fwclass.graph.street import Split, by_model, fit_model, judge_answers, recordings_of, rows_of, sample_of
 from fwclass.graph.street_recordings import TrajectoryFiles
 from fwclass.single_file.model_directory import check_target, deliver
 from fwclass.store.models import save_model
@@ -28,7 +28,7 @@ def train(
     say(f"features     {len(names)} of {len(paths)} recordings")
     sample = sample_of(rows_of(paths, params, way), names, split, classes, config.train.samples_per_class)
     say(f"training     {config.train.method} on {sample.rows} returns")
-    model = fitted(sample, params, config.train, config.compare, classes)
+    model = fit_model(sample, params, config.train, config.compare, classes)
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".street-") as beside:
         save_model(Path(beside) / "model", model)
         deliver(Path(beside) / "model", target, overwrite)
@@ -36,7 +36,7 @@ def train(
     if assess:
         say("assessing    the returns that did not train")
         try:
-            accuracy = judged(rows_of(paths, params, way), by_model(model), split, classes, config.assess.block)
+            accuracy = judge_answers(rows_of(paths, params, way), by_model(model), split, classes, config.assess.block)
         except ValueError as fault:
             raise InputError("the answers cannot be judged", where=paths[0], got=str(fault)) from fault
         if accuracy["rows"]:

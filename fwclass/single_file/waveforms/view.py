@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import conf
-from fwclass.decompose.fitting import EDGE, OVERLAPPING, POOR, SATURATED, model_of, pulses_of, reached_limits
+from fwclass.decompose.fitting import EDGE, OVERLAPPING, POOR, SATURATED, model_of, pulses_of, sample_limits
 from fwclass.decompose.params import DecomposeParams
 from fwclass.decompose.pulse_sample import outgoing_of
 from fwclass.decompose.recorded_pulse import recorded_pulse
@@ -353,7 +353,7 @@ def _segment(seen: Seen, row: int, system: SystemPulse) -> dict[str, NDArray]:
     return {
         "time": start + np.arange(n) * spacing,
         "samples": samples,
-        "clipped": samples >= reached_limits(seen.waves, system)[row],
+        "clipped": samples >= sample_limits(seen.waves, system)[row],
         "model": total[::finer],
         "sigma": np.full(n, fits.noise[row]),
         "fine": np.append(start + np.arange(len(total)) * spacing / finer, end),

@@ -13,15 +13,25 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.conf.street import scanner
-from fwclass.graph.street import Rows, Split, by_model, fitted, joined, judged, rows_of, sample_of, seen_frames
-from fwclass.hashing import hashed, seeded
+from fwclass.graph.street import (
+    Rows,
+    Split,
+    by_model,
+    fit_model,
+    frames_with_features,
+    join_rows,
+    judge_answers,
+    rows_of,
+    sample_of,
+)
+from fwclass.hashing import hash_keys, seed_for
 from fwclass.model import Model, class_index
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.street.params import StreetParams
 from fwclass.street.recording_parquet import write_recording
 from fwclass.street.ring import feature_names
-from fwclass.street.simulate import simulated
+from fwclass.street.simulate import simulate_frames
 
 DRIVE, RECORDING, GRIDS = "street-drive", "drive.parquet", "grids"
 SHOWN = 400
@@ -40,7 +50,7 @@ WINDOW_FRAMES = 60
 def drive(config: Config, changes: Mapping[str, Any], inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """A simulated recording."""
     params = config.street_scene.model_copy(update=dict(changes))
-    frames = simulated(params, scanner(config.street.scanner), config.street.mounting)
+    frames = simulate_frames(params, scanner(config.street.scanner), config.street.mounting)
     return {"frames": write_recording(directory / RECORDING, frames), **changes}
 
 
@@ -49,24 +59,24 @@ def _path(inputs: PartInputs, name: str) -> Path:
 
 
 def _rows(inputs: PartInputs, name: str, params: StreetParams) -> Rows:
-    return joined(list(rows_of([_path(inputs, name)], params)))
+    return join_rows(list(rows_of([_path(inputs, name)], params)))
 
 
 def _some(rows: Rows, most: int, seed: int) -> Rows:
     """About `most` of the rows, by a hash of their own: with that of the split they would be those that train."""
     share = min(1.0, most / max(1, len(rows.key)))
-    return rows.take(hashed(seeded(seed, TEST_ROWS), rows.key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048)))
+    return rows.take(hash_keys(seed_for(seed, TEST_ROWS), rows.key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048)))
 
 
 def _judged(
     config: Config, rows: Rows, answers: Callable[[Rows], NDArray[np.uint8]], split: Split | None
 ) -> dict[str, Any]:
-    return judged([rows], answers, split, config.classes, config.assess.block)
+    return judge_answers([rows], answers, split, config.classes, config.assess.block)
 
 
 def _model(config: Config, rows: Rows, names: tuple[str, ...], split: Split, params: StreetParams) -> Model:
     sample = sample_of([rows], names, split, config.classes, config.train.samples_per_class)
-    return fitted(sample, params, config.train, config.compare, config.classes)
+    return fit_model(sample, params, config.train, config.compare, config.classes)
 
 
 def radius(config: Config, metres: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
@@ -101,7 +111,7 @@ def _lost(inputs: PartInputs, params: StreetParams) -> float:
     for window in ("exact", "paper"):
         here = params.model_copy(update={"window": window})
         rows = []
-        for one in seen_frames(_path(inputs, "main"), here):
+        for one in frames_with_features(_path(inputs, "main"), here):
             rows.append(one.features[:, 6].copy())
             if len(rows) == WINDOW_FRAMES:
                 break

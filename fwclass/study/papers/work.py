@@ -18,7 +18,7 @@ from fwclass.graph.areas import tested
 from fwclass.graph.learn import SAMPLE
 from fwclass.graph.machine_search import spatial
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
-from fwclass.hashing import hashed
+from fwclass.hashing import hash_keys
 from fwclass.model import ClassDef, Forest, KernelMachine, Model, Tree, class_index, sample_matrix
 from fwclass.run.inputs import PartInputs
 from fwclass.schema import canonical_key
@@ -57,7 +57,7 @@ def drawn(
     table = inputs.rows(tile.key, {**_TABLE, **columns, **also, "reference": "label"})
     index = class_index(table["reference"], classes)
     key = canonical_key(table)
-    lucky = hashed(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
+    lucky = hash_keys(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
     rows = np.flatnonzero(tested(table, train, test, gap) & (index >= 0) & lucky)
     arrays: dict[str, NDArray] = {
         "X": sample_matrix(table.take(rows), names, tile.key),

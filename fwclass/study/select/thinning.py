@@ -28,7 +28,7 @@ from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
 from fwclass.study.select.cost import computed
 from fwclass.study.select.trials import predicted
-from fwclass.thin.follow import taken_from
+from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
 from fwclass.thin.sample import THIN, covering, uniform
 from fwclass.train.stage import TRAIN_TREES, TrainParams, candidates, grow_trees
@@ -158,7 +158,7 @@ def at_rate(
         answers[judged] = predicted(X[judged], trees, names, classes)
         seconds["vote"] += time.process_time() - began
     began = time.process_time()
-    followed = taken_from((x, y, z), kept, thin.reach)
+    followed = index_of_followed((x, y, z), kept, thin.reach)
     seconds["follow"] = time.process_time() - began
     return {
         "matrices": _matrices(reference, answers[followed], folds.fold, select.folds, len(classes)),
@@ -176,7 +176,7 @@ def _warm(
     """Thin a few echoes, untimed: what is compiled at its first call does not count."""
     x, y, z, key = x[:_FEW], y[:_FEW], z[:_FEW], key[:_FEW]
     covering(x, y, z, key, uniform(x, y, z, key, thin), thin.reach)
-    taken_from((x, y, z), np.arange(len(x)) % 2 == 0, thin.reach)
+    index_of_followed((x, y, z), np.arange(len(x)) % 2 == 0, thin.reach)
 
 
 def _labelled(

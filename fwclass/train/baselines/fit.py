@@ -63,7 +63,9 @@ def linear_svm(
 def rbf_svm(
     X: NDArray[np.float64], y: Labels, c: float, gamma: float, weights: dict[int, float] | None
 ) -> dict[str, NDArray]:
-    """The arrays of `KernelMachine` by name."""
+    """Fit a support vector machine with a Gaussian kernel; the arrays of `KernelMachine` by name, of its shapes.
+
+    X is (rows, features), prepared."""
     with _one_thread():
         svm = _svc(c, gamma, weights).fit(X, y)
     sign = -1.0 if len(svm.classes_) == 2 else 1.0  # scikit-learn turns the one pair round
@@ -82,22 +84,22 @@ def _svc(c: float, gamma: float, weights: dict[int, float] | None) -> Any:
     )
 
 
-def judged(
+def count_right(
     X: NDArray[np.float64],
     y: Labels,
     learns: NDArray[np.bool_],
-    asked: NDArray[np.bool_],
+    judged: NDArray[np.bool_],
     c: float,
     gamma: float,
     weights: dict[int, float] | None,
 ) -> int:
-    """How many of the rows `asked` the machine of the rows `learns` answers right; 0 where these are of one class."""
-    if len(np.unique(y[learns])) < 2 or not asked.any():
+    """How many of the rows `judged` the machine of the rows `learns` answers right; 0 where these are of one class."""
+    if len(np.unique(y[learns])) < 2 or not judged.any():
         return 0
     known = {k: w for k, w in weights.items() if (y[learns] == k).any()} if weights else None
     with _one_thread():
         svm = _svc(c, gamma, known).fit(X[learns], y[learns])
-        return int((svm.predict(X[asked]) == y[asked]).sum())
+        return int((svm.predict(X[judged]) == y[judged]).sum())
 
 
 def sklearn_forest(
@@ -111,12 +113,12 @@ def sklearn_forest(
     with _one_thread():
         forest.fit(np.where(np.isnan(X), MISSING, X), y)
     classes = forest.classes_.astype(np.int64)
-    made = [voting_tree(tree.tree_, classes) for tree in forest.estimators_]
-    return [m[:3] for m in made], sum(m[3] for m in made)
+    trees = [voting_tree(tree.tree_, classes) for tree in forest.estimators_]
+    return [m[:3] for m in trees], sum(m[3] for m in trees)
 
 
 def boosting(X: NDArray[np.float32], y: Labels, params: BoostingParams, seed: int, weights: Any) -> dict[str, NDArray]:
-    """The arrays of `Boosted` by name."""
+    """Fit gradient boosting to X (rows, features); the arrays of `Boosted` by name."""
     model = _sklearn("ensemble").HistGradientBoostingClassifier(
         max_iter=params.rounds,
         learning_rate=params.learning_rate,

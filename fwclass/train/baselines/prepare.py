@@ -10,10 +10,9 @@ from fwclass.train.sample import Sample
 
 
 def preparation(X: NDArray[np.float32], scaling: str) -> Preparation:
-    """Medians that stand for missing values, and shift and scale of every feature, of the training rows `X`.
+    """Medians that stand for missing values, and shift and scale, one of every feature, of the training rows `X`.
 
-    A feature without any value gets 0 for its median; one that does not vary keeps its scale.
-    """
+    X is (rows, features). A feature without any value gets 0 for its median; one that does not vary keeps its scale."""
     fill = np.array([_median(column) for column in X.T])
     wide = np.where(np.isnan(X), fill, X).astype(np.float64)
     if scaling == "standard":

@@ -13,7 +13,7 @@ from fwclass.train.baselines import fit
 from fwclass.train.baselines.params import RbfSvmParams
 from fwclass.train.baselines.prepare import fewer, pieces, preparation
 from fwclass.train.sample import Sample
-from fwclass.train.trim import trimmed
+from fwclass.train.trim import trim_rows
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,13 @@ def right(
 ) -> dict[str, int]:
     """What the machine of one (C, gamma, fold) has right: ``right`` of ``judged`` rows; scaling and trimming are those
     of the rows that it learns from."""
-    learns, asked = folding.learns[fold], np.asarray(folding.fold == fold)
+    learns, judged = folding.learns[fold], np.asarray(folding.fold == fold)
     X = preparation(sample.X[learns], scaling)(sample.X) if learns.any() else np.zeros(sample.X.shape)
-    kept, _ = trimmed(X[learns], sample.y[learns], svm.trim)
+    clean, _ = trim_rows(X[learns], sample.y[learns], svm.trim)
     learns = learns.copy()
-    learns[np.flatnonzero(learns)[~kept]] = False
-    hits = fit.judged(X, sample.y, learns, asked, c, gamma, weights)
-    return {"right": hits, "judged": int(asked.sum())}
+    learns[np.flatnonzero(learns)[~clean]] = False
+    hits = fit.count_right(X, sample.y, learns, judged, c, gamma, weights)
+    return {"right": hits, "judged": int(judged.sum())}
 
 
 def smoothest(tried: Iterable[tuple[float, float, float]]) -> tuple[float, float]:
@@ -72,34 +72,34 @@ def smoothest(tried: Iterable[tuple[float, float, float]]) -> tuple[float, float
     return c, gamma
 
 
-def looked_at(sample: Sample, svm: RbfSvmParams, edge: float) -> Sample:
-    """The rows that the search looks at."""
+def search_rows(sample: Sample, svm: RbfSvmParams, edge: float) -> Sample:
+    """The rows of a sample that the search looks at, thinned by squares of `edge` [m] to `svm.search_rows`."""
     return fewer(fewer(sample, svm.max_rows, edge), svm.search_rows, edge)
 
 
-def searched(
+def search_summary(
     rows: int, folding: Folding, pairs: Sequence[tuple[float, float]], counts: Sequence[Sequence[dict[str, int]]]
 ) -> dict[str, Any]:
     """What the card says of a search: `counts` as `right` gives them, for every pair and fold."""
     share = [sum(f["right"] for f in of) / max(1, sum(f["judged"] for f in of)) for of in counts]
     tried = [{"c": a, "gamma": b, "accuracy": s} for (a, b), s in zip(pairs, share, strict=True)]
     c, gamma = smoothest((a, b, s) for (a, b), s in zip(pairs, share, strict=True))
-    told = {
+    return {
         "rows": rows,
         "folds": len(folding.learns),
         "blocks": folding.blocks,
         "tried": tried,
         "c": c,
         "gamma": gamma,
+        "note": folding.note,
     }
-    return {**told, "note": folding.note}
 
 
 def search(sample: Sample, folding: Folding, svm: RbfSvmParams, scaling: str, weights: Any) -> dict[str, Any]:
-    """All pairs of the settings on `sample`, one after another; see `searched`."""
+    """All pairs of the settings on `sample`, one after another; see `search_summary`."""
     pairs, folds = pairs_of(svm), range(len(folding.learns))
     counts = [[right(sample, folding, f, c, g, svm, scaling, weights) for f in folds] for c, g in pairs]
-    return searched(sample.rows, folding, pairs, counts)
+    return search_summary(sample.rows, folding, pairs, counts)
 
 
 def pairs_of(svm: RbfSvmParams) -> list[tuple[float, float]]:

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import __version__
-from fwclass.hashing import seeded
+from fwclass.hashing import seed_for
 from fwclass.model import FORMAT, Boosted, ClassDef, KernelMachine, LinearMachine, Model, Preparation, assemble
 from fwclass.model.ranges import RANGES, ranges_of
 from fwclass.train.baselines import fit
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer, preparation
-from fwclass.train.baselines.search import BY_PULSES, Places, looked_at, search
+from fwclass.train.baselines.search import BY_PULSES, Places, search, search_rows
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample, review
-from fwclass.train.trim import trimmed
+from fwclass.train.trim import trim_rows
 from fwclass.train.weights import whole_weights
 
 METHODS = ("forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting")
@@ -35,15 +35,15 @@ def train_other(
     classes: Sequence[ClassDef],
     method: str,
     places: Places = BY_PULSES,
-    found: Mapping[str, Any] | None = None,
+    search_result: Mapping[str, Any] | None = None,
 ) -> Model:
     """The classifier `method` (one of `METHODS` but the forest), trained on `sample` by scikit-learn.
 
     Support vector machines fill missing values with the median of the training rows, and the card says how many; trees
     have a side for them. Class weights are those of ``train.class_weights``.
 
-    `places`: how the RBF SVM thins its rows and folds those of its search; `found`: what that search gave (`searched`),
-    where it was made before.
+    `places`: how the RBF SVM thins its rows and folds those of its search; `search_result`: what `searched` says of
+    that search, where it ran before.
 
     Raises
     ------
@@ -54,7 +54,9 @@ def train_other(
     """
     notes = review(sample, classes)
     if method == "rbf-svm":
-        return _rbf(sample, params, compare, classes, _card(sample, params, classes, method, notes), places, found)
+        return _rbf(
+            sample, params, compare, classes, _card(sample, params, classes, method, notes), places, search_result
+        )
     return {"linear-svm": _linear, "sklearn-forest": _forest, "boosting": _boosting}[method](
         sample, params, compare, classes, _card(sample, params, classes, method, notes)
     )
@@ -87,27 +89,27 @@ def machine_weights(sample: Sample, params: TrainParams, classes: Sequence[Class
     return {k: float(w) / mean for k, w in enumerate(whole)}
 
 
-def _prepared(sample: Sample, compare: CompareParams, card: dict[str, Any]) -> Preparation:
+def _prepare(sample: Sample, compare: CompareParams, card: dict[str, Any]) -> Preparation:
     """How a machine's samples are prepared; the card tells it, and how many values of the training rows are filled."""
-    made = preparation(sample.X, compare.scaling)
+    prepare = preparation(sample.X, compare.scaling)
     gaps = np.isnan(sample.X).sum(axis=0)
     filled = {name: int(n) for name, n in zip(sample.features, gaps, strict=True) if n}
-    card |= {"preparation": made.plain(), "filled": filled}
+    card |= {"preparation": prepare.plain(), "filled": filled}
     card["params"]["scaling"] = compare.scaling
     if filled:
-        told = ", ".join(f"{name} in {n:,} rows" for name, n in filled.items())
-        card["notes"].append(f"missing values are the median of the training rows: {told}")
-    return made
+        counts = ", ".join(f"{name} in {n:,} rows" for name, n in filled.items())
+        card["notes"].append(f"missing values are the median of the training rows: {counts}")
+    return prepare
 
 
 def _linear(
     sample: Sample, params: TrainParams, compare: CompareParams, classes: Sequence[ClassDef], card: dict[str, Any]
 ) -> Model:
-    made, svm = _prepared(sample, compare, card), compare.linear_svm
-    weights, bias, notes = fit.linear_svm(made(sample.X), sample.y, svm, machine_weights(sample, params, classes))
+    prepare, svm = _prepare(sample, compare, card), compare.linear_svm
+    weights, bias, notes = fit.linear_svm(prepare(sample.X), sample.y, svm, machine_weights(sample, params, classes))
     card["params"] |= svm.model_dump(mode="json")
     card["notes"] += notes
-    return _checked(LinearMachine(weights, bias, card))
+    return _check(LinearMachine(weights, bias, card))
 
 
 def _rbf(
@@ -117,7 +119,7 @@ def _rbf(
     classes: Sequence[ClassDef],
     card: dict[str, Any],
     places: Places = BY_PULSES,
-    found: Mapping[str, Any] | None = None,
+    search_result: Mapping[str, Any] | None = None,
 ) -> Model:
     svm, whole, all_rows = compare.rbf_svm, sample.rows, sample
     sample = fewer(sample, svm.max_rows, places.edge)
@@ -128,27 +130,29 @@ def _rbf(
             "(compare.rbf_svm.max_rows)"
         )
         card["samples"] = [int(n) for n in sample.counts]
-    made, weights = _prepared(sample, compare, card), machine_weights(sample, params, classes)
+    prepare, weights = _prepare(sample, compare, card), machine_weights(sample, params, classes)
     c, gamma = svm.c[0], svm.gamma[0]
     if len(svm.c) * len(svm.gamma) > 1:
-        looked = looked_at(all_rows, svm, places.edge)
-        found = found or search(looked, places.folding(looked, svm.folds), svm, compare.scaling, weights)
-        c, gamma = found["c"], found["gamma"]
-        card["search"] = {n: found[n] for n in ("rows", "folds", "blocks", "tried")}
-        card["notes"] += [found["note"]] if found["note"] else []
+        looked = search_rows(all_rows, svm, places.edge)
+        search_result = search_result or search(
+            looked, places.folding(looked, svm.folds), svm, compare.scaling, weights
+        )
+        c, gamma = search_result["c"], search_result["gamma"]
+        card["search"] = {n: search_result[n] for n in ("rows", "folds", "blocks", "tried")}
+        card["notes"] += [search_result["note"]] if search_result["note"] else []
     card["params"] |= {"c": c, "gamma": gamma, "trim": svm.trim}
-    X, y = made(sample.X), sample.y
-    kept, whole_classes = trimmed(X, y, svm.trim)
+    X, y = prepare(sample.X), sample.y
+    clean, whole_classes = trim_rows(X, y, svm.trim)
     if svm.trim != "none":
-        card |= _told_of_trimming(kept, y, whole_classes, classes, card)
-    return _checked(KernelMachine(**fit.rbf_svm(X[kept], y[kept], c, gamma, weights), card=card))
+        card |= _trimming_facts(clean, y, whole_classes, classes, card)
+    return _check(KernelMachine(**fit.rbf_svm(X[clean], y[clean], c, gamma, weights), card=card))
 
 
-def _told_of_trimming(
-    kept: NDArray[np.bool_], y: NDArray[np.uint8], whole: Sequence[int], classes: Sequence[ClassDef], card: Any
+def _trimming_facts(
+    clean: NDArray[np.bool_], y: NDArray[np.uint8], whole: Sequence[int], classes: Sequence[ClassDef], card: Any
 ) -> dict[str, Any]:
     """What the card says of trimming: rows that went, per class, and classes that stay untrimmed."""
-    went = np.bincount(y[~kept], minlength=len(classes))
+    went = np.bincount(y[~clean], minlength=len(classes))
     notes = [f"{int(went.sum()):,} of {len(y):,} training rows lie among those of another class and were trimmed"]
     notes += [f"every row of class {classes[k].name!r} lies among those of others: it stays untrimmed" for k in whole]
     return {"trimmed": {c.name: int(n) for c, n in zip(classes, went, strict=True)}, "notes": [*card["notes"], *notes]}
@@ -164,7 +168,7 @@ def _forest(
         "min_samples_split": params.min_samples_split,
         "max_samples": params.bagging if params.bagging < 1 else None,
         "bootstrap": True,
-        "random_state": seeded(params.seed) % (1 << 32),
+        "random_state": seed_for(params.seed) % (1 << 32),
     }
     card["params"] |= settings
     weights = machine_weights(sample, params, classes)
@@ -179,11 +183,11 @@ def _boosting(
 ) -> Model:
     card["params"] |= compare.boosting.model_dump(mode="json")
     weights = machine_weights(sample, params, classes)
-    arrays = fit.boosting(sample.X, sample.y, compare.boosting, seeded(params.seed), weights)
-    return _checked(Boosted(**arrays, card=card))
+    arrays = fit.boosting(sample.X, sample.y, compare.boosting, seed_for(params.seed), weights)
+    return _check(Boosted(**arrays, card=card))
 
 
-def _checked(model: Any) -> Model:
+def _check(model: Any) -> Model:
     model.card["kind"] = model.kind
     model.check("a newly trained model")
     return model

@@ -15,7 +15,8 @@ FLAT = ("feature", "threshold", "child", "missing_left", "value")
 
 
 def beyond(threshold: NDArray[np.float64]) -> NDArray[np.float32]:
-    """The least float32 above every threshold: for a float32 x, ``x <= threshold`` is ``x < beyond(threshold)``."""
+    """The least float32 (n,) above every threshold: for a float32 x, ``x <= threshold`` is
+    ``x < beyond(threshold)``."""
     with np.errstate(over="ignore"):
         near = threshold.astype(np.float32)
     return np.where(near > threshold, near, np.nextafter(near, np.float32(np.inf))).astype(np.float32)
@@ -52,7 +53,7 @@ def voting_tree(tree: Any, classes: NDArray[np.int64]) -> tuple[NDArray, NDArray
 
 
 def boosted_tree(nodes: NDArray[np.void]) -> dict[str, NDArray]:
-    """The arrays of `Boosted` of the nodes of a fitted ``HistGradientBoosting`` tree."""
+    """The arrays of `Boosted` of the nodes [n] of a fitted ``HistGradientBoosting`` tree."""
     leaf = nodes["is_leaf"].astype(bool)
     left = np.where(leaf, -1, nodes["left"].astype(np.int64))
     order, child = paired(left, nodes["right"].astype(np.int64))
