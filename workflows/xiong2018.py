@@ -42,14 +42,14 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         return report
     variants = xiong.variants(config, names, chosen)
     forest = next(v for v in variants if v.name == xiong.ALL)
-    made = dict(require_all(runner, data_tasks(plan.layout, names) + learn_tasks(config, names, variants)))
-    made |= require_all(runner, importance_tasks(config, names, forest))
-    made |= require_all(runner, comparison_tasks(config, xiong.comparisons(variants)))
+    receipts = dict(require_all(runner, data_tasks(plan.layout, names) + learn_tasks(config, names, variants)))
+    receipts |= require_all(runner, importance_tasks(config, names, forest))
+    receipts |= require_all(runner, comparison_tasks(config, xiong.comparisons(variants)))
     thinned = xiong.thinned(config, aside, plan.layout, chosen)
-    made |= require_all(runner, time_tasks(config, names, variants))
+    receipts |= require_all(runner, time_tasks(config, names, variants))
 
     def page() -> dict[str, Any]:
-        facts = xiong.facts(config, printed, report, choice, thinned, variants, made)
+        facts = xiong.facts(config, printed, report, choice, thinned, variants, receipts)
         return deliver(config, runner, plan.layout, report, facts)
 
     return runner.tell(page)

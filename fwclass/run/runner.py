@@ -199,7 +199,7 @@ class Runner:
         self.held()
         files: dict[str, tuple[Path, str]] = {}
         for stage, part in self.outcomes:
-            if stage in self.delivered and self.made(stage, part):
+            if stage in self.delivered and self.is_done(stage, part):
                 receipt = self.store.receipt(stage, part)
                 if receipt is None:
                     raise StoreError(
@@ -225,7 +225,7 @@ class Runner:
         broken = [o for o in self.outcomes.values() if not o.ok]
         return [o for o in broken if o.status == "failed"] or broken
 
-    def made(self, stage: str, part: str) -> bool:
+    def is_done(self, stage: str, part: str) -> bool:
         """The part is done, by this run or an earlier one, from the inputs and parameters of this run."""
         outcome = self.outcomes.get((stage, part))
         return outcome is not None and outcome.ok

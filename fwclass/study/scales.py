@@ -30,7 +30,7 @@ from fwclass.select.search import forward
 from fwclass.select.work import scale_of
 from fwclass.store.atomic import digest_of
 from fwclass.study.select.cost import costs
-from fwclass.study.select.result import sets_to_time, told
+from fwclass.study.select.result import plain_result, sets_to_time
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.search import Folding, search
@@ -61,11 +61,11 @@ def scale_selection(config: Config, runner: Runner, pick: str = "best") -> dict[
         raise ConfigError("there is no second layer", where="classify.refine")
     trials = _Trials(config, runner, layer)
     search_ = forward(trials.labels, trials, lambda t: score(t, np.ones(2), config.select.score), config.select)
-    sampled = [t for t in plan.layout.tiles if runner.made("refine-sample", t.key)]
+    sampled = [t for t in plan.layout.tiles if runner.is_done("refine-sample", t.key)]
     tile = max(sampled, key=lambda t: (int(done["refine-sample", t.key].meta["rows"]), t.key))
     cost = costs(runner, plan.layout, tile, sets_to_time(search_))
     sample = trials.sample
-    made = told(search_, cost, pick)
+    result = plain_result(search_, cost, pick)
     return {
         "method": SCALES,
         "survey": config.survey.name,
@@ -82,8 +82,8 @@ def scale_selection(config: Config, runner: Runner, pick: str = "best") -> dict[
         "classes": list(config.classify.refine.between),
         "params": plain(config.select),
         "refine": plain(config.classify.refine),
-        **made,
-        "scales": [_metres(n) for n in made["chosen"]],
+        **result,
+        "scales": [_metres(n) for n in result["chosen"]],
         "timed_on": tile.key,
         "seconds": round(time.perf_counter() - began, 1),
     }
@@ -118,8 +118,8 @@ class _Trials:
         params = {"compare": plain(compare), **self._folds()}
         work = partial(searched, self.layer, self.rows, self.config.select, compare)
         meta = require_all(self.runner, [Task(MACHINE, "all", VERSION, params, work, needs=((MERGED, "all"),))])
-        found = meta[MACHINE, "all"].meta
-        one = svm.model_copy(update={"c": (found["c"],), "gamma": (found["gamma"],)})
+        best = meta[MACHINE, "all"].meta
+        one = svm.model_copy(update={"c": (best["c"],), "gamma": (best["gamma"],)})
         return compare.model_copy(update={"rbf_svm": one})
 
     def _folds(self) -> dict[str, Any]:
@@ -129,11 +129,11 @@ class _Trials:
         folds = range(self.config.select.folds)
         tasks = {(s, f): self._task(s, f) for s in subsets for f in folds}
         done = require_all(self.runner, list(tasks.values()))
-        made = []
+        trials = []
         for s in subsets:
             matrices = np.array([done[tasks[s, f].name].meta["matrix"] for f in folds], np.int64)
-            made.append(Trial(s, matrices, None))
-        return made
+            trials.append(Trial(s, matrices, None))
+        return trials
 
     def _task(self, subset: Names, fold: int) -> Task:
         params = {"train": plain(self.train), "compare": plain(self.compare), "scales": list(subset), **self._folds()}
@@ -179,9 +179,9 @@ def tried(
     names = tuple(sample.features[k] for k in at)
     X = np.ascontiguousarray(sample.X[:, at])
     some = Sample(names, X, sample.y, sample.key, sample.hash, sample.eligible, place=sample.place)
-    learns, asked = some.take(folding.learns[fold]), some.take(np.asarray(folding.fold == fold))
+    learns, held_out = some.take(folding.learns[fold]), some.take(np.asarray(folding.fold == fold))
     matrix = np.zeros((2, 2), np.int64)
-    if (learns.counts > 0).all() and asked.rows:
-        found, _ = answer(asked.X, fit_layer(learns, train, compare, classes, select.block, select.gap))
-        np.add.at(matrix, (asked.y, found), 1)
+    if (learns.counts > 0).all() and held_out.rows:
+        answers, _ = answer(held_out.X, fit_layer(learns, train, compare, classes, select.block, select.gap))
+        np.add.at(matrix, (held_out.y, answers), 1)
     return {"matrix": matrix.tolist()}

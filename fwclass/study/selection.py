@@ -19,7 +19,7 @@ from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.select.score import Names, Score, Trial, score
 from fwclass.select.search import Search, backward, by_fscore, forward, in_given_order
 from fwclass.study.select.cost import costs
-from fwclass.study.select.result import sets_to_time, told
+from fwclass.study.select.result import plain_result, sets_to_time
 from fwclass.study.select.sample import TRAINING, sample_tasks, training_of
 from fwclass.study.select.trials import Trials
 
@@ -51,7 +51,7 @@ def selection(
             do="see why the stages that compute them found nothing, or name others",
         )
     search = _search(config, runner, candidates, useful, method, tuple(o for o in order if o in useful), meta)
-    tile = max((t for t in layout.tiles if runner.made("select-sample", t.key)), key=lambda t: _rows(runner, t.key))
+    tile = max((t for t in layout.tiles if runner.is_done("select-sample", t.key)), key=lambda t: _rows(runner, t.key))
     cost = costs(runner, layout, tile, sets_to_time(search))
     return {
         "method": method,
@@ -63,7 +63,7 @@ def selection(
         "sample": {n: meta[n] for n in ("rows", "counts", "eligible", "blocks", "by_fold", "digest")},
         "classes": [c.name for c in config.classes],
         "params": plain(config.select),
-        **told(search, cost, pick),
+        **plain_result(search, cost, pick),
         "timed_on": tile.key,
         "seconds": round(time.perf_counter() - began, 1),
     }

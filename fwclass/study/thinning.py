@@ -11,7 +11,7 @@ from fwclass.graph.stages import check_features
 from fwclass.graph.walk import until_labels, until_tiles
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.select.score import Names
-from fwclass.study.select.thinning import RATE, cost_task, rate_tasks, told
+from fwclass.study.select.thinning import RATE, cost_task, plain_curve, rate_tasks
 
 
 def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
     trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
     timing = cost_task(layout, max(trained, key=lambda t: _echoes(runner, t.key)), names)
     cost = require_all(runner, [timing])[timing.name].meta
-    return told(config, names, {r: done[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
+    return plain_curve(config, names, {r: done[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
 
 
 def _echoes(runner: Runner, key: str) -> int:

@@ -32,7 +32,7 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     `classification`: a run in the same directory takes them over.
     """
     _check_labelled(config)
-    plan, tasks = _begun(config, runner)
+    plan, tasks = _begin(config, runner)
     tasks += tasks_of(plan, LEARNING)
     require_all(runner, ancestors(tasks, [("train", "model")]))
     receipt = runner.store.receipt("train", "model")
@@ -55,7 +55,7 @@ def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict
     """Several kinds of classifier on one sample and the same test echoes; see `compared`. Nothing is thinned."""
     _check_labelled(config)
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))
-    plan, tasks = _begun(config, runner)
+    plan, tasks = _begin(config, runner)
     layout, names = tested_layout(plan.layout), config.features_asked
     sample = tasks_of(plan, (DRAW_SAMPLE, MERGE_SAMPLE))
     columns = {*layout.columns(names).values(), "label", "tile"}
@@ -64,7 +64,7 @@ def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict
     return compared(config, runner.store, layout, methods, runner.display.say)
 
 
-def _begun(config: Config, runner: Runner) -> tuple[Plan, Tasks]:
+def _begin(config: Config, runner: Runner) -> tuple[Plan, Tasks]:
     names = config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
     check_features(config, config.features.also, f"{config.path}: features.also")

@@ -61,10 +61,10 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
     config, classes = layout.config, all_classes(layout.config)
     train, test = config.areas.boxes("train"), config.areas.boxes("test")
     columns = layout.columns(names)
-    told = [[c.name, c.code, list(c.codes)] for c in classes]
+    class_facts = [[c.name, c.code, list(c.codes)] for c in classes]
     drawn = {
         "features": list(names),
-        "classes": told,
+        "classes": class_facts,
         "train": [list(b.bounds) for b in train],
         "seed": config.train.seed,
         "samples_per_class": config.train.samples_per_class,
@@ -72,7 +72,7 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
     share = min(1.0, config.papers.test_echoes / max(1, layout.echoes))
     judged = {
         "features": list(names),
-        "classes": told,
+        "classes": class_facts,
         "areas": config.areas.model_dump(mode="json"),
         "share": share,
         "seed": config.papers.seed,
@@ -89,8 +89,8 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
         arguments=lambda plan: {"names": names, "params": config.train, "classes": classes, "areas": train},
         own=(*IDENTITY_AND_PLACE, *names, "reference"),
     )
-    made = [sampling.task(Plan(config, tiled=layout), t) for t in chosen]
-    made += [
+    tasks = [sampling.task(Plan(config, tiled=layout), t) for t in chosen]
+    tasks += [
         Task(
             "paper-test",
             t.key,
@@ -107,7 +107,7 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
         ("paper-training", "paper-sample", work.training, tuple(t.key for t in chosen), drawn),
         ("paper-tested", "paper-test", work.gathered, tuple(t.key for t in layout.tiles), judged),
     ):
-        made.append(
+        tasks.append(
             Task(
                 stage,
                 "all",
@@ -117,35 +117,25 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
                 needs=tuple((of, k) for k in keys),
             )
         )
-    return made
+    return tasks
 
 
 def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Variant]) -> list[Task]:
     """A model of every variant, and its answers on the test echoes."""
-    made = []
+    tasks = []
     for one in variants:
         params = facts_of(config, one)
-        common = (
-            names,
-            one.features,
-            one.train,
-            config.compare,
-            all_classes(config)[: one.classes],
-            one.rows,
-            one.squares,
-            one.filtered,
-        )
-        made.append(
+        tasks.append(
             Task(
                 "paper-model",
                 one.name,
                 _version(),
                 params,
-                partial(work.learned, *common),
+                partial(work.learned, *_training_arguments(config, names, one)),
                 needs=(("paper-training", "all"),),
             )
         )
-        made.append(
+        tasks.append(
             Task(
                 "paper-judged",
                 one.name,
@@ -157,45 +147,40 @@ def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varia
                 needs=(("paper-model", one.name), ("paper-tested", "all")),
             )
         )
-    return made
+    return tasks
+
+
+def _training_arguments(config: Config, names: tuple[str, ...], one: Variant) -> tuple[Any, ...]:
+    classes = all_classes(config)[: one.classes]
+    return names, one.features, one.train, config.compare, classes, one.rows, one.squares, one.filtered
 
 
 def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Variant]) -> list[Task]:
     """How long every variant trains and answers: parts that nothing reads, to be run when all else is done."""
-    made = []
+    tasks = []
     for one in variants:
-        common = (
-            names,
-            one.features,
-            one.train,
-            config.compare,
-            all_classes(config)[: one.classes],
-            one.rows,
-            one.squares,
-            one.filtered,
-        )
         needs = (("paper-model", one.name), ("paper-tested", "all"), ("paper-training", "all"))
-        made.append(
+        tasks.append(
             Task(
                 "paper-time",
                 one.name,
                 _version(),
                 facts_of(config, one),
-                partial(work.timed, one.name, *common),
+                partial(work.timed, one.name, *_training_arguments(config, names, one)),
                 needs=needs,
             )
         )
-    return made
+    return tasks
 
 
 def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> list[Task]:
     """Permutation importance of a forest's features on what its trees did not see."""
-    made, batches = [], []
+    tasks, batches = [], []
     params = {**facts_of(config, one), "repeats": config.papers.repeats}
     for first in range(0, one.train.trees, TREES_PER_PART):
         count = min(TREES_PER_PART, one.train.trees - first)
         batches.append(f"{first:05d}")
-        made.append(
+        tasks.append(
             Task(
                 "paper-drops",
                 batches[-1],
@@ -205,7 +190,7 @@ def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> li
                 needs=(("paper-training", "all"), ("paper-model", one.name)),
             )
         )
-    made.append(
+    tasks.append(
         Task(
             "paper-importance",
             "all",
@@ -215,7 +200,7 @@ def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> li
             needs=tuple(("paper-drops", b) for b in batches),
         )
     )
-    return made
+    return tasks
 
 
 def facts_of(config: Config, one: Variant) -> dict[str, Any]:
@@ -245,10 +230,10 @@ def changed(
 
 def comparison_tasks(config: Config, pairs: Iterable[tuple[Variant, Variant]]) -> list[Task]:
     """How much better the first of each pair is than the second on the same test echoes, with an interval."""
-    made = []
+    tasks = []
     for one, other in pairs:
         known = min(one.classes, other.classes)
-        made.append(
+        tasks.append(
             Task(
                 "paper-difference",
                 f"{one.name}-{other.name}",
@@ -258,4 +243,4 @@ def comparison_tasks(config: Config, pairs: Iterable[tuple[Variant, Variant]]) -
                 needs=(("paper-judged", one.name), ("paper-judged", other.name), ("paper-tested", "all")),
             )
         )
-    return made
+    return tasks

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.intervals import FIGURES, caution, difference, intervals, scores
+from fwclass.assess.intervals import FIGURES, difference, intervals, scores
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.graph.areas import tested
@@ -112,9 +112,9 @@ def sample_for(
     rows = np.isin(whole.y, known)
     X = np.ascontiguousarray(whole.X[rows][:, at])
     y = np.searchsorted(known, whole.y[rows]).astype(np.uint8)
-    made = Sample(features, X, y, whole.key[rows], whole.hash[rows], whole.eligible[known])
-    made = replace(made, place=whole.place[rows]) if len(whole.place) else made
-    return fewer(made, most) if most else made
+    sample = Sample(features, X, y, whole.key[rows], whole.hash[rows], whole.eligible[known])
+    sample = replace(sample, place=whole.place[rows]) if len(whole.place) else sample
+    return fewer(sample, most) if most else sample
 
 
 def _known(classes: int, filtered: int | None) -> NDArray[np.int64]:
@@ -154,14 +154,14 @@ def learned(
     save_model(directory / MODEL, model)
     card = model.card
     bag = card.get("out_of_bag") or {}
-    told = {n: card["params"].get(n) for n in ("c", "gamma")}
+    machine = {n: card["params"].get(n) for n in ("c", "gamma")}
     return {
         "rows": int(np.sum(card["samples"])),
         "notes": list(card.get("notes", ())),
         "out_of_bag": bag.get("accuracy"),
         "nodes": len(model.feature) if isinstance(model, Forest) else None,
         "vectors": len(model.vectors) if isinstance(model, KernelMachine) else None,
-        "params": told,
+        "params": machine,
     }
 
 
@@ -189,29 +189,30 @@ def judged(
     """
     model, test = _model(inputs, name), _test(inputs)
     X = np.ascontiguousarray(test["X"][:, [names.index(f) for f in model.features]])
-    found, _ = answer(X, model)
+    answers, _ = answer(X, model)
     if filtered is not None:
-        found = np.where(test["ground"], filtered, _known(known, filtered)[found])
-    cell = test["y"].astype(np.int64) * known + found
+        answers = np.where(test["ground"], filtered, _known(known, filtered)[answers])
+    cell = test["y"].astype(np.int64) * known + answers
     matrix = np.bincount(cell, minlength=len(classes) * known).reshape(len(classes), known)
-    write_arrays(directory / ANSWERS, {"found": found.astype(np.uint8)})
-    return {"matrix": matrix.tolist(), "intervals": intervals(by_block(test, found, known, edge))}
+    write_arrays(directory / ANSWERS, {"found": answers.astype(np.uint8)})
+    return {"matrix": matrix.tolist(), "intervals": intervals(by_block(test, answers, known, edge))}
 
 
-def by_block(test: Mapping[str, NDArray], found: NDArray[np.int64], known: int, edge: float) -> NDArray[np.int64]:
+def by_block(test: Mapping[str, NDArray], answers: NDArray[np.int64], known: int, edge: float) -> NDArray[np.int64]:
     """int64 (blocks, known, known): the confusion in every square of `edge` [m] of the global grid that has a test echo
     of one of the first `known` classes."""
     scored = test["y"] < known
     mm = whole_millimetres(edge, "papers.block")
     square = np.stack([test["east"][scored] // mm, test["north"][scored] // mm], axis=1)
     blocks, place = np.unique(square, axis=0, return_inverse=True)
-    cell = (place.reshape(-1) * known + test["y"][scored].astype(np.int64)) * known + found[scored]
+    cell = (place.reshape(-1) * known + test["y"][scored].astype(np.int64)) * known + answers[scored]
     return np.bincount(cell, minlength=len(blocks) * known * known).reshape(len(blocks), known, known)
 
 
-def cautioned(made: Mapping[str, Any]) -> dict[str, Any]:
-    """What `compared` found, with what is to be said where it rests on few blocks (``caution``, or None)."""
-    return {**made, "caution": caution(made["blocks"])}
+def spans(change: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
+    """``{figure: {"value", "low", "high"}}`` of a `difference`, fractions; None where it has no interval."""
+    ends = {f: (change[f]["difference"], *(change[f]["interval"] or (None, None))) for f in FIGURES}
+    return {f: dict(zip(("value", "low", "high"), v, strict=True)) for f, v in ends.items()}
 
 
 def compared(name: str, other: str, known: int, edge: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
@@ -222,16 +223,12 @@ def compared(name: str, other: str, known: int, edge: float, inputs: PartInputs,
         by_block(test, inputs.arrays("paper-judged", one, ANSWERS)[0]["found"].astype(np.int64), known, edge)
         for one in (other, name)
     ]
-    told = difference(*both)
-    if told is None:
+    change = difference(*both)
+    if change is None:
         gain = np.diff([scores(b.sum(axis=0)[None])[0] for b in both], axis=0)[0]
         lone = {f: {"value": float(v), "low": None, "high": None} for f, v in zip(FIGURES, gain, strict=True)}
         return {"blocks": len(both[0]), **lone}
-    spans = {f: (told[f]["difference"], *(told[f]["interval"] or (None, None))) for f in FIGURES}
-    return {
-        "blocks": told["blocks"],
-        **{f: dict(zip(("value", "low", "high"), v, strict=True)) for f, v in spans.items()},
-    }
+    return {"blocks": change["blocks"], **spans(change)}
 
 
 def timed(
@@ -251,8 +248,8 @@ def timed(
     sample = sample_for(inputs, names, features, len(classes), rows, filtered)
     classes = tuple(c for k, c in enumerate(classes) if k != filtered)
     model, test = _model(inputs, name), _test(inputs)
-    asked = test["X"] if filtered is None else test["X"][~test["ground"]]
-    X = np.ascontiguousarray(asked[:, [names.index(f) for f in features]])
+    tested_rows = test["X"] if filtered is None else test["X"][~test["ground"]]
+    X = np.ascontiguousarray(tested_rows[:, [names.index(f) for f in features]])
     answer(X[:WARM_ROWS], model)
     if params.method == "forest":
         grow_trees(sample, classes, 0, 1, params)
@@ -296,8 +293,8 @@ def dropped(
     if not isinstance(model, Forest):
         raise TypeError(f"{name} is no forest")
     sample = sample_for(inputs, names, model.features, classes)
-    made, rows = drops(sample, trees_of(model, first, count), first, params, repeats)
-    write_arrays(directory / DROPS, {"drops": made, "rows": rows})
+    losses, rows = drops(sample, trees_of(model, first, count), first, params, repeats)
+    write_arrays(directory / DROPS, {"drops": losses, "rows": rows})
     return {"trees": count}
 
 
@@ -306,5 +303,5 @@ def importance(
 ) -> dict[str, Any]:
     """Mean drop of the out-of-bag accuracy by feature."""
     parts = [inputs.arrays("paper-drops", b, DROPS)[0] for b in batches]
-    made, rows = (np.concatenate([p[n] for p in parts]) for n in ("drops", "rows"))
-    return dict(summary(features, made, rows))
+    losses, rows = (np.concatenate([p[n] for p in parts]) for n in ("drops", "rows"))
+    return dict(summary(features, losses, rows))

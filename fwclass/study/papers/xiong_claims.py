@@ -34,8 +34,8 @@ def _gain(pair: str, up: bool = True) -> Callable[[Facts], Verdict]:
     """A claim that the first of a pair is more accurate, or (`up` false) that it hardly differs."""
 
     def claim(facts: Facts) -> Verdict:
-        found = facts["differences"][pair]
-        one = found["overall_accuracy"]
+        difference = facts["differences"][pair]
+        one = difference["overall_accuracy"]
         first, second = pair.split("/")
         if pair in ("rf_selected/rf", "svm_selected/svm") and _kept_all(facts):
             return NOTHING_DROPPED
@@ -44,7 +44,7 @@ def _gain(pair: str, up: bool = True) -> Callable[[Facts], Verdict]:
         if one["low"] is None:
             return text, OPEN, "too few blocks for an interval"
         sure = one["low"] > 0 or one["high"] < 0
-        why = f"{spanned(found)}" + ("" if sure else ": no difference beyond chance")
+        why = f"{spanned(difference)}" + ("" if sure else ": no difference beyond chance")
         if not up:
             return text, verdict(abs(one["value"]) < NEAR), why
         printed = facts["printed"]["strategies"]

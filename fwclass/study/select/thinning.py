@@ -27,7 +27,7 @@ from fwclass.select.score import Names, Trial, as_good, score
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
 from fwclass.study.select.cost import computed
-from fwclass.study.select.trials import predicted
+from fwclass.study.select.trials import predict
 from fwclass.thin.follow import taken_from
 from fwclass.thin.params import ThinParams
 from fwclass.thin.sample import THIN, covering, uniform
@@ -150,12 +150,12 @@ def at_rate(
         )
         trained.append(sample.rows)
         if f == 0:  # untimed: what is compiled at its first call
-            predicted(X[:1], grow_trees(sample, classes, 0, 1, train), names, classes)
+            predict(X[:1], grow_trees(sample, classes, 0, 1, train), names, classes)
         began = time.process_time()
         trees = grow_trees(sample, classes, 0, train.trees, train)
         seconds["train"] += time.process_time() - began
         began = time.process_time()
-        answers[judged] = predicted(X[judged], trees, names, classes)
+        answers[judged] = predict(X[judged], trees, names, classes)
         seconds["vote"] += time.process_time() - began
     began = time.process_time()
     followed = taken_from((x, y, z), kept, thin.reach)
@@ -203,7 +203,7 @@ def _matrices(
     return np.bincount(cell, minlength=folds * n * n).reshape(folds, n, n).tolist()
 
 
-def told(
+def plain_curve(
     config: Any, names: Names, metas: Mapping[float, Mapping[str, Any]], cost: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The curve: plain data."""
@@ -269,4 +269,5 @@ def describe_thinning(result: Mapping[str, Any]) -> str:
 
 
 def draw(result: Mapping[str, Any]) -> bytes:
+    """The picture of a thinning curve, PNG."""
     return draw_rates(result["steps"], result["lowest"], f"{result['survey']}: thinning (Xiong 2018)")

@@ -83,14 +83,14 @@ def tried(
     """A forest by `subset` from the rows outside `fold`: its confusion matrix inside, and its importances."""
     placed, folds = training_of(inputs, candidates)
     sample = columns_of(placed.sample, subset)
-    grown_from, judged = sample.take(folds.trains(fold)), folds.judged(fold)
-    trees = grow_trees(grown_from, classes, 0, params.trees, params)
-    answers = predicted(sample.X[judged], trees, subset, classes)
+    training, judged = sample.take(folds.trains(fold)), folds.judged(fold)
+    trees = grow_trees(training, classes, 0, params.trees, params)
+    answers = predict(sample.X[judged], trees, subset, classes)
     n = len(classes)
     matrix = np.bincount(sample.y[judged].astype(np.int64) * n + answers, minlength=n * n).reshape(n, n)
     plain: dict[str, Any] = {"matrix": matrix.tolist()}
     if repeats:
-        lost = importance(grown_from, trees, n, params, repeats)
+        lost = importance(training, trees, n, params, repeats)
         plain["importance"] = np.asarray(lost, np.float64).mean(axis=1).tolist()
     return plain
 
@@ -102,7 +102,7 @@ def columns_of(sample: Sample, subset: Names) -> Sample:
     return Sample(subset, X, sample.y, sample.key, sample.hash, sample.eligible)
 
 
-def predicted(X: Any, trees: Any, names: Names, classes: Sequence[ClassDef]) -> Any:
+def predict(X: Any, trees: Any, names: Names, classes: Sequence[ClassDef]) -> Any:
     """Index of the class with most votes, int64 (rows,)."""
     card = {"format": FORMAT, "features": list(names), "classes": [c.plain() for c in classes]}
     if len(X) == 0:
