@@ -33,10 +33,10 @@ __all__ = [
 ]
 
 
-def judge(made: dict[str, Any], params: AssessParams) -> None:
+def judge(result: dict[str, Any], params: AssessParams) -> None:
     """`QualityError` naming the first figure of `figures` that misses its threshold, or that has no value."""
     for key, least in (("overall_accuracy", params.min_overall_accuracy), ("kappa", params.min_kappa)):
-        value = made[key]
+        value = result[key]
         if least is not None and (value is None or value < least):
             raise QualityError(
                 f"{key.replace('_', ' ')} misses its threshold",

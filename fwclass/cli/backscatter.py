@@ -35,7 +35,7 @@ def voxels(source: Path, size: float | None, settings: tuple[str, ...], **asked:
     not made again.
     """
     settings += ("voxels.write=true", *((f"voxels.size={size}",) if size is not None else ()))
-    _made(source, settings, **asked)
+    _run(source, settings, **asked)
 
 
 @cli.command()
@@ -54,10 +54,10 @@ def profile(source: Path, cell: float | None, settings: tuple[str, ...], **asked
     not made again.
     """
     settings += ("profile.write=true", *((f"profile.cell={cell}",) if cell is not None else ()))
-    _made(source, settings, **asked)
+    _run(source, settings, **asked)
 
 
-def _made(
+def _run(
     source: Path,
     settings: tuple[str, ...],
     out: Any,

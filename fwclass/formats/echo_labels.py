@@ -189,8 +189,8 @@ def _read(source: Path | bytes, where: object, field: str, signed: bool) -> Echo
     rows = len(code)
     time = _times(table.column("time")) if "time" in there else np.zeros(rows, np.int64)
     who = _names(table.column("who")) if "who" in there else np.full(rows, "", object)
-    made = {n: v.astype(_DTYPES[n]) for n, v in columns.items()}
-    return EchoLabels(**made, code=code, time=time, who=who)
+    identity = {n: v.astype(_DTYPES[n]) for n, v in columns.items()}
+    return EchoLabels(**identity, code=code, time=time, who=who)
 
 
 def _check_counts(stream: Any, size: int, where: object) -> None:

@@ -66,18 +66,18 @@ def published(names: Iterable[str]) -> tuple[Column, ...]:
 
 
 def extra_bytes(
-    columns: Iterable[Column], values: Mapping[str, NDArray], taken: Iterable[str] = ()
+    columns: Iterable[Column], values: Mapping[str, NDArray], existing: Iterable[str] = ()
 ) -> tuple[ExtraByte, ...]:
-    """How `columns` are stored in a file that has extra bytes named `taken` already.
+    """How `columns` are stored in a file that has extra bytes named `existing` already.
 
-    No two extra bytes of a file have the same name, whatever their case: where `taken` has it the new one is called
+    No two extra bytes of a file have the same name, whatever their case: where `existing` has it the new one is called
     ``fw <name>``, then ``fw2 <name>`` and so on.
 
     Parameters
     ----------
     values : every value of every column, for the extremes.
     """
-    used, out = set(taken), []
+    used, out = set(existing), []
     for col in columns:
         name = free_name(col.las, used)
         used.add(name)
@@ -85,11 +85,11 @@ def extra_bytes(
     return tuple(out)
 
 
-def free_name(wanted: str, taken: Iterable[str]) -> str:
-    """`wanted`, or with the first of ``fw``, ``fw2``, … before it, such that no name in `taken` is the same."""
+def free_name(wanted: str, existing: Iterable[str]) -> str:
+    """`wanted`, or with the first of ``fw``, ``fw2``, … before it, such that no name in `existing` is the same."""
     if not wanted:
         raise ValueError("a column without a name as an extra byte cannot be published")
-    used = {name.strip().lower() for name in taken}
+    used = {name.strip().lower() for name in existing}
     name, number = wanted, 1
     while name.lower() in used:
         name = f"{PREFIX}{number if number > 1 else ''} {wanted}"

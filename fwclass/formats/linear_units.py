@@ -24,12 +24,12 @@ class LinearUnits:
     Attributes
     ----------
     xy, z : metres in one unit.
-    told : in words, where these come from.
+    source : in words, where these come from.
     """
 
     xy: float
     z: float
-    told: str
+    source: str
 
     @property
     def metres(self) -> bool:

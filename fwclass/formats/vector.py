@@ -80,8 +80,9 @@ def rows(path: Path, layer: str, field: str | None, flat: bool = True) -> tuple[
     """Values of a field and geometries as well-known binary, in the file's order; no values without a field, and no
     heights where they are to be `flat`."""
     columns = [field] if field else []
-    found = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=columns, force_2d=flat))
-    geometries, fields = found[2], found[3]
+    _, _, geometries, fields, *_ = _asked(
+        path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=columns, force_2d=flat)
+    )
     values = fields[0].tolist() if field else []
     return values, list(geometries)
 

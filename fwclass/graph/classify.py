@@ -18,7 +18,7 @@ from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Made, Plan, Stage, StageInputs
 from fwclass.graph.thin import thins
 from fwclass.model import Model, sample_matrix
-from fwclass.model.ranges import Outside
+from fwclass.model.ranges import RangeCounter
 from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.store.external_file import ExternalFile
@@ -68,7 +68,7 @@ def classified(
     """
     used = _model(here, model)
     tables, missing = [], 0
-    outside = Outside.of(used.card, used.features)
+    outside = RangeCounter.of(used.card, used.features)
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
         source = rows["source_class"] if kept else NO_SOURCE
@@ -97,7 +97,7 @@ def followed(
     used = _model(here, model)
     X = sample_matrix(some, used.features, here.part)
     answer = classify(X, used, probabilities)
-    outside = Outside.of(used.card, used.features)
+    outside = RangeCounter.of(used.card, used.features)
     if outside is not None:
         outside.add(X[np.isin(rows, chunk.core)])
     core = chunk.table.take(chunk.core)
@@ -110,7 +110,7 @@ def followed(
     return table, facts | seen_outside(outside)
 
 
-def seen_outside(outside: Outside | None) -> dict[str, Any]:
+def seen_outside(outside: RangeCounter | None) -> dict[str, Any]:
     """What a part's meta says of values that the model has not seen, if the model says what it has."""
     return {} if outside is None else {OUTSIDE: outside.counts()}
 

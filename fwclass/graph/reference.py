@@ -31,7 +31,7 @@ from fwclass.read.polygons import (
 from fwclass.read.source import open_source
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.receipts import Receipt
-from fwclass.store.remote_file import Location, found_outside, local
+from fwclass.store.remote_file import Location, find_remote, local
 from fwclass.store.url import Url
 from fwclass.water.params import BreaklineParams, WaterParams
 
@@ -157,7 +157,7 @@ def reference_corrections(
     if asked.corrections:
         places = found_files([asked.corrections], directory, "survey.reference.corrections", config.path, config.store)
     elif isinstance(run, Url):
-        places = list(found_outside(CORRECTIONS, run, config.store))
+        places = list(find_remote(CORRECTIONS, run, config.store))
     else:
         places = [run / CORRECTIONS] if (run / CORRECTIONS).is_file() else []
     if len(places) > 1:

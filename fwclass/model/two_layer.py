@@ -58,8 +58,8 @@ class TwoLayer(Model):
             return "its card has other features or classes than its first layer"
         strangers = [c.name for c in self.fine.classes if c not in self.coarse.classes]
         if strangers or len(self.fine.codes) != 2:
-            told = ", ".join(strangers or (c.name for c in self.fine.classes))
-            return f"its second layer decides between two classes of the first, and names {told}"
+            names = ", ".join(strangers or (c.name for c in self.fine.classes))
+            return f"its second layer decides between two classes of the first, and names {names}"
         try:
             within = self.within
         except (KeyError, TypeError, ValueError, OverflowError) as fault:

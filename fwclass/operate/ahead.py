@@ -59,20 +59,20 @@ def _named(name: str) -> Any:
     return getattr(importlib.import_module(module), own)
 
 
-def _type(told: Any) -> Any:
+def _type(type_: Any) -> Any:
     """numba's type."""
     from numba import types
     from numba.np.numpy_support import from_dtype
 
-    if isinstance(told, dict):
-        return _array(from_dtype(np.dtype([tuple(field) for field in told["dtype"]])), told["array"].split())
-    if isinstance(told, list):
-        kind, *fields = told
+    if isinstance(type_, dict):
+        return _array(from_dtype(np.dtype([tuple(field) for field in type_["dtype"]])), type_["array"].split())
+    if isinstance(type_, list):
+        kind, *fields = type_
         inner = [_type(field) for field in fields]
         return types.NamedTuple(inner, _named(kind)) if kind else types.Tuple(inner)
-    scalar, *rest = told.split()
-    found = types.none if scalar == "none" else getattr(types, scalar)
-    return _array(found, rest) if rest else found
+    scalar, *rest = type_.split()
+    scalar_type = types.none if scalar == "none" else getattr(types, scalar)
+    return _array(scalar_type, rest) if rest else scalar_type
 
 
 def _array(kind: Any, words: list[str]) -> Any:

@@ -49,13 +49,13 @@ def is_beam_file(path: str | Path) -> bool:
 
 def _opened(path: Path) -> Opened:
     if is_helios(path):
-        found = open_helios(path)
-        bins = f"{found.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * found.bin_ns:g} there and back"
+        layout = open_helios(path)
+        bins = f"{layout.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * layout.bin_ns:g} there and back"
         no_crs = "no usable CRS: name one in the configuration"
-        return Opened("HELIOS++ full waveforms", found, None, None, False, (("bins", bins),), (no_crs,), LEVELS)
+        return Opened("HELIOS++ full waveforms", layout, None, None, False, (("bins", bins),), (no_crs,), LEVELS)
     if is_footprints(path):
-        shots, kind, system, told = open_footprints(path)
-        return Opened(kind, shots, system, None, False, tuple(told), ())
+        shots, kind, system, about = open_footprints(path)
+        return Opened(kind, shots, system, None, False, tuple(about), ())
     raw, settings = open_raw_parquet(path) if path.suffix.lower() in PARQUET else open_raw_csv(path)
     faults: list[str] = []
     crs = settings.system(path, faults)

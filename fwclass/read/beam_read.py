@@ -28,7 +28,7 @@ def check_beam_rows(source: BeamSource) -> None:
                 "the places are not in metres",
                 where=source.path,
                 expected="places and beams of one unit, metres, in a projected system of metres",
-                got=units.told,
+                got=units.source,
                 do="bring the places into such a system first, and name it in the file",
             )
     counts = source.census.faults

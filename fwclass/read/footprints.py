@@ -217,10 +217,10 @@ def open_footprints(path: Path) -> tuple[FootprintLayout, str, CRS, list[tuple[s
     spacing = float(np.median(long))
     near = max(0.5, round(2.0 * spacing) / 2.0)
     spacing = near if abs(spacing / near - 1.0) <= NEAR else spacing
-    told = [("projected", f"degrees into {system.name}, the zone of the median shot; heights above the ellipsoid")]
+    notes = [("projected", f"degrees into {system.name}, the zone of the median shot; heights above the ellipsoid")]
     if np.isfinite(noise).any():
-        told.append(("noise", f"{float(np.nanmedian(noise)):.3g} as the file has it (median)"))
-    return FootprintLayout(path, beams, last, tuple(names.items()), spacing, system.to_wkt()), kind, system, told
+        notes.append(("noise", f"{float(np.nanmedian(noise)):.3g} as the file has it (median)"))
+    return FootprintLayout(path, beams, last, tuple(names.items()), spacing, system.to_wkt()), kind, system, notes
 
 
 def _lvis(path: Path, file: Any) -> tuple[dict[str, str], int, tuple[Beam, ...]]:

@@ -98,11 +98,11 @@ def open_las(path: Path) -> LasSource:
         check_laz(header)
     faults = list(header.faults)
     crs = crs_of(header, faults)
-    found = _descriptors(header, faults)
+    descriptors = _descriptors(header, faults)
     waves = _find_waves(header, faults, packet_endings((*header.vlrs, *header.evlrs)))
     if header.n_points == 0:
         faults.append("the file has no points")
-    if header.has_waves and not found:
+    if header.has_waves and not descriptors:
         faults.append("the point format has waveforms, but no waveform packet descriptor is in the file")
     copc = any(r.user == "copc" and r.number == 1 for r in header.vlrs)
     return LasSource(
@@ -121,15 +121,15 @@ def open_las(path: Path) -> LasSource:
         standard_gps_time=bool(header.global_encoding & STANDARD_GPS_TIME),
         faults=tuple(dict.fromkeys(faults)),
         is_copc=copc,
-        descriptors=found,
+        descriptors=descriptors,
         header=header,
     )
 
 
 def _descriptors(header: Header, faults: list[str]) -> dict[int, Descriptor]:
-    found: dict[int, Descriptor] = {}
+    descriptors: dict[int, Descriptor] = {}
     if not header.has_waves:
-        return found
+        return descriptors
     for record in (*header.vlrs, *header.evlrs):
         if record.user not in SPEC_USERS or not WPD_FIRST <= record.number <= WPD_LAST:
             continue
@@ -138,10 +138,10 @@ def _descriptors(header: Header, faults: list[str]) -> dict[int, Descriptor]:
             faults.append(f"waveform packet descriptor {index} is cut short")
             continue
         bits, compression, n, spacing, gain, offset = struct.unpack_from("<BBIIdd", record.body)
-        kept = found.setdefault(index, Descriptor(bits, compression, n, spacing * 1e-3, gain, offset))
-        if not kept.empty and not kept.has_unit:
+        descriptor = descriptors.setdefault(index, Descriptor(bits, compression, n, spacing * 1e-3, gain, offset))
+        if not descriptor.empty and not descriptor.has_unit:
             faults.append(f"waveform packet descriptor {index} has gain {gain:g} and offset {offset:g}: no volts")
-    return found
+    return descriptors
 
 
 def _find_waves(header: Header, faults: list[str], endings: tuple[str, ...]) -> WaveStore:
@@ -150,9 +150,9 @@ def _find_waves(header: Header, faults: list[str], endings: tuple[str, ...]) -> 
         return WaveStore("none", why_not="the point format has no waveforms")
     internal = bool(header.global_encoding & 2)
     for inside in (internal, not internal):
-        found = _internal(header, faults) if inside else _external(header, faults, endings)
-        if found is not None:
-            return found
+        waves = _internal(header, faults) if inside else _external(header, faults, endings)
+        if waves is not None:
+            return waves
     expected = header.path.with_suffix(endings[0]).name
     why = f"the waveforms are missing: put {expected} beside {header.path.name}"
     if internal:
@@ -183,8 +183,8 @@ def _beside(path: Path, ending: str) -> Path | None:
     exact = path.with_suffix(ending)
     if exact.is_file():
         return exact
-    found = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
-    return found[0] if found else None
+    namesakes = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
+    return namesakes[0] if namesakes else None
 
 
 def _internal(header: Header, faults: list[str]) -> WaveStore | None:

@@ -173,7 +173,7 @@ def _check_layout(
 
 
 def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tuple[Record, ...]:
-    found, at = [], start
+    records, at = [], start
     for i in range(count):
         record = _record(stream, at, at + RECORD_HEADER) if at + RECORD_HEADER <= end else None
         if record is None or not 0 <= record.length <= end - at - RECORD_HEADER:
@@ -184,26 +184,26 @@ def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tup
                 got=f"{i} whole ones",
                 do="the header is damaged; copy or export the file again",
             )
-        found.append(record)
+        records.append(record)
         at += RECORD_HEADER + record.length
-    return tuple(found)
+    return tuple(records)
 
 
 def _avlrs(stream: BinaryIO, start: int, count: int, size: int, faults: list[str]) -> tuple[Record, ...]:
     """Records after the pulses: each ends in its header, the last in the file is read first."""
-    found: list[Record] = []
+    records: list[Record] = []
     at = size
     for _ in range(min(count if count >= 0 else MAX_AVLRS, MAX_AVLRS)):
         head = at - RECORD_HEADER
         record = _record(stream, head, None) if head >= start else None
         if record is None or not 0 <= record.length <= head - start:
-            faults.append(f"{len(found)} of the appended records lie whole in the file; the others are ignored")
+            faults.append(f"{len(records)} of the appended records lie whole in the file; the others are ignored")
             break
         if record.number == LAST_AVLR:
             break
         at = head - record.length
-        found.append(_record(stream, head, at))
-    return tuple(found)
+        records.append(_record(stream, head, at))
+    return tuple(records)
 
 
 def _record(stream: BinaryIO, head: int, body: int | None) -> Record:

@@ -143,29 +143,29 @@ def values_of(opened: PolygonLayer, field: str) -> list[Any]:
     return vector.column(opened.path, opened.layer, field)
 
 
-def reprojected(made: Shapes, source: CRS, target: CRS, where: object) -> tuple[Shapes, str]:
-    """`made` in `target`, and how it was done in words ("" where nothing had to be).
+def reprojected(shapes: Shapes, source: CRS, target: CRS, where: object) -> tuple[Shapes, str]:
+    """`shapes` in `target`, and how it was done in words ("" where nothing had to be).
 
     Only the corners move: an edge stays straight. `InputError` where a corner has no place in `target`.
     """
-    _check_degrees(made, source, where)
+    _check_degrees(shapes, source, where)
     if source.equals(target, ignore_axis_order=True) or _flat(source).equals(_flat(target), ignore_axis_order=True):
-        return made, ""
+        return shapes, ""
     try:
         transformer = Transformer.from_crs(_flat(source), _flat(target), always_xy=True)
-        x, y = transformer.transform(made.x, made.y)
+        x, y = transformer.transform(shapes.x, shapes.y)
     except ProjError as fault:
         raise _homeless(where, 0, str(fault)) from fault
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     lost = np.flatnonzero(~(np.isfinite(x) & np.isfinite(y)))
     if len(lost):
-        ring = int(np.searchsorted(made.ring_start, lost[0], "right")) - 1
-        part = int(np.searchsorted(made.part_start, ring, "right")) - 1
-        at = f"{made.x[lost[0]]:.10g}, {made.y[lost[0]]:.10g}"
-        raise _homeless(where, int(made.feature[part]) + 1, at)
+        ring = int(np.searchsorted(shapes.ring_start, lost[0], "right")) - 1
+        part = int(np.searchsorted(shapes.part_start, ring, "right")) - 1
+        at = f"{shapes.x[lost[0]]:.10g}, {shapes.y[lost[0]]:.10g}"
+        raise _homeless(where, int(shapes.feature[part]) + 1, at)
     accuracy = transformer.accuracy
     sure = f", to {accuracy:g} m" if accuracy is not None and accuracy > 0 and math.isfinite(accuracy) else ""
-    return replace(made, x=x, y=y), f"from {source.name} to {target.name}{sure}"
+    return replace(shapes, x=x, y=y), f"from {source.name} to {target.name}{sure}"
 
 
 def _flat(crs: CRS) -> CRS:
@@ -173,10 +173,10 @@ def _flat(crs: CRS) -> CRS:
     return CRS(crs.sub_crs_list[0]) if crs.is_compound else crs.to_2d()
 
 
-def _check_degrees(made: Shapes, source: CRS, where: object) -> None:
-    if not source.is_geographic or not len(made.x):
+def _check_degrees(shapes: Shapes, source: CRS, where: object) -> None:
+    if not source.is_geographic or not len(shapes.x):
         return
-    most = max(float(np.abs(made.x).max()), float(np.abs(made.y).max()))
+    most = max(float(np.abs(shapes.x).max()), float(np.abs(shapes.y).max()))
     if most > MOST_DEGREES:
         raise InputError(
             "the polygons' coordinates are not the degrees that the file speaks of",

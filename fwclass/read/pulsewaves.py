@@ -166,17 +166,17 @@ def open_pls(path: Path) -> PulseSource:
 
 
 def _descriptors(header: PulseHeader, faults: list[str]) -> dict[int, PulseDescriptor]:
-    found: dict[int, PulseDescriptor] = {}
+    descriptors: dict[int, PulseDescriptor] = {}
     for record in (*header.vlrs, *header.avlrs):
         if record.user != SPEC or not DESCRIPTOR_FIRST <= record.number <= DESCRIPTOR_LAST:
             continue
         index = record.number - DESCRIPTOR_FIRST + 1
-        kept = found.setdefault(index, _descriptor(record.body))
-        if kept.fault:
-            faults.append(f"pulse descriptor {index} cannot be used: {kept.fault}")
-    if not found:
+        descriptor = descriptors.setdefault(index, _descriptor(record.body))
+        if descriptor.fault:
+            faults.append(f"pulse descriptor {index} cannot be used: {descriptor.fault}")
+    if not descriptors:
         faults.append("no pulse descriptor is in the file")
-    return found
+    return descriptors
 
 
 def _descriptor(body: bytes) -> PulseDescriptor:
@@ -226,5 +226,5 @@ def _beside(path: Path, suffix: str) -> Path | None:
     exact = path.with_suffix(suffix)
     if exact.is_file():
         return exact
-    found = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
-    return found[0] if found else None
+    namesakes = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
+    return namesakes[0] if namesakes else None

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.parquet_footer import values_told
+from fwclass.formats.parquet_footer import count_values
 from fwclass.read.beam_source import LONGEST, BeamRows, Ragged
 from fwclass.read.raw_columns import (
     LISTS,
@@ -98,13 +98,13 @@ def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
     """Look at schema and counts; `InputError` for what is no table of waveforms, or counts more than it can hold."""
     try:
         with pq.ParquetFile(path) as file:
-            schema, meta = file.schema_arrow, file.metadata
-            rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
-        values = values_told(path)
+            schema, footer = file.schema_arrow, file.metadata
+            rows = [footer.row_group(g).num_rows for g in range(footer.num_row_groups)]
+        values = count_values(path)
     except (pa.ArrowException, OSError, ValueError) as fault:
         raise _damaged(path, fault) from None
-    told = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
-    settings = Settings.of(told, path)
+    metadata = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
+    settings = Settings.of(metadata, path)
     check_columns(list(schema.names), settings, path)
     for name in (n for n in schema.names if n in (*REQUIRED, *OPTIONAL)):
         kind = schema.field(name).type

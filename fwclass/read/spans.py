@@ -80,8 +80,8 @@ def _keys_and_links(source: LasSource) -> tuple[NDArray[np.uint64], NDArray[np.b
 
 def _shared(source: LasSource, keys: NDArray[np.uint64], order: NDArray[np.int64]) -> tuple[int, ...]:
     """Keys of more than `MAX_RETURNS` points."""
-    found = np.empty(MAX_SHARED, np.uint64)
-    count = int(crowded_keys(keys, order, OWN, MAX_RETURNS, found))
+    shared = np.empty(MAX_SHARED, np.uint64)
+    count = int(crowded_keys(keys, order, OWN, MAX_RETURNS, shared))
     if count > MAX_SHARED:
         raise InputError(
             "the packet references of the points make no sense",
@@ -90,7 +90,7 @@ def _shared(source: LasSource, keys: NDArray[np.uint64], order: NDArray[np.int64
             got=f"{count} packets with more than {MAX_RETURNS} returns each",
             do="export the file again with its waveforms, or convert it to a point format without them",
         )
-    return tuple(int(k) for k in found[:count])
+    return tuple(int(k) for k in shared[:count])
 
 
 def _refuse_long(source: LasSource, spans: list[Span], most_points: int) -> None:

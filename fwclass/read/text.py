@@ -156,7 +156,7 @@ def _parsed(path: Path, body: bytes, layout: Layout) -> dict[str, NDArray[np.flo
     return {c: table[c].combine_chunks().fill_null(missing).to_numpy(zero_copy_only=False) for c in wanted}
 
 
-def _explained(path: Path, body: bytes, layout: Layout, told: str) -> InputError:
+def _explained(path: Path, body: bytes, layout: Layout, reason: str) -> InputError:
     """Which line is wrong, and why."""
     count = len(layout.columns)
     for number, line in enumerate(_lines(body), start=layout.first):
@@ -183,7 +183,7 @@ def _explained(path: Path, body: bytes, layout: Layout, told: str) -> InputError
                     "mend or remove the line",
                     number,
                 )
-    return refused(path, "the text cannot be read", "lines of x y z [label]", told[:SHOWN], "export it again")
+    return refused(path, "the text cannot be read", "lines of x y z [label]", reason[:SHOWN], "export it again")
 
 
 def _labels(

@@ -40,11 +40,11 @@ def layout_of(path: Path, data: bytes) -> Layout:
     """Separator and columns, from the first lines."""
     names: list[str] | None = None
     at = 0
-    for number, found in enumerate(re.finditer(rb"([^\r\n]*)(\r\n|\r|\n|$)", data), start=1):
-        line = found[1].strip()
+    for number, match in enumerate(re.finditer(rb"([^\r\n]*)(\r\n|\r|\n|$)", data), start=1):
+        line = match[1].strip()
         commented = line.startswith((b"#", b"//"))
         content = line.lstrip(b"#/").strip() if commented else line.split(b"#")[0].strip()
-        at = found.start()
+        at = match.start()
         if not content:
             continue
         delimiter, decimal = _separator(content)

@@ -227,9 +227,9 @@ def _layout(path: Path, head: bytes) -> tuple[int, str | None, Sequence[int], bo
         if len(words) >= 4 and all(_is_number(word) for word in words[:4]):
             return number, delimiter, (0, 1, 2, 3), False
         words = _UNIT.sub("", line).strip().lstrip("#").strip().split(delimiter)
-        found = _named([word.strip(' "').lower().replace(" ", "_") for word in words])
-        if found is not None:
-            return number + 1, delimiter, *found
+        heading = _named([word.strip(' "').lower().replace(" ", "_") for word in words])
+        if heading is not None:
+            return number + 1, delimiter, *heading
     raise InputError(
         "no trajectory in this file",
         where=path,

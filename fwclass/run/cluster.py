@@ -130,7 +130,7 @@ def _settle_tracker() -> None:
         return
     send, known = tracker._send, set[tuple[object, ...]]()
 
-    def told(command: str, name: str, kind: str) -> None:
+    def send_known(command: str, name: str, kind: str) -> None:
         tracker.ensure_running()
         thing = (tracker._pid, name, kind)
         if command == "REGISTER":
@@ -141,7 +141,7 @@ def _settle_tracker() -> None:
             known.remove(thing)
         send(command, name, kind)
 
-    tracker._send = told
+    tracker._send = send_known
 
 
 class Unheeding(WorkerPlugin):  # type: ignore[misc]

@@ -72,10 +72,10 @@ class InFlight:
         if name is None:
             return  # it was handed over again meanwhile
         if future.status not in ("error", "cancelled"):
-            yield from self._made(name, alone=False)
+            yield from self._take_outcome(name, alone=False)
             return
         for other in [n for n, f in self._futures.items() if n == name or f.status in ("error", "cancelled")]:
-            yield from self._not_made(other)
+            yield from self._take_loss(other)
 
     def _alone(self) -> Iterator[Outcome]:
         """Everything else has ended: try the first suspect, and hand over what waited when there is none left."""
@@ -93,15 +93,15 @@ class InFlight:
             if next(self._done).key != self._futures[name].key:
                 continue  # one that was handed over again before
             if self._futures[name].status not in ("error", "cancelled"):
-                yield from self._made(name, alone=True)
+                yield from self._take_outcome(name, alone=True)
             else:
-                yield from self._not_made(name, alone=True)
+                yield from self._take_loss(name, alone=True)
 
     def _place(self, task: Task) -> int:
         """Its place in the plan, which has every part after those that it needs."""
         return self._order[task.name]
 
-    def _made(self, name: Name, alone: bool) -> Iterator[Outcome]:
+    def _take_outcome(self, name: Name, alone: bool) -> Iterator[Outcome]:
         """A part has an outcome; where that was lost with its worker, the part is handed over again and found done."""
         future = self._futures[name]
         try:
@@ -113,14 +113,14 @@ class InFlight:
             return
         self._forget(name)
         del self._order[name]
-        yield self._losses.told(outcome)
+        yield self._losses.with_causes(outcome)
 
     def _forget(self, name: Name) -> Task:
         future = self._futures.pop(name)
         self._names.pop(future.key, None)
         return self._tasks.pop(name)
 
-    def _not_made(self, name: Name, alone: bool = False) -> Iterator[Outcome]:
+    def _take_loss(self, name: Name, alone: bool = False) -> Iterator[Outcome]:
         """A part's future has no outcome: its worker was lost, or that of a part that it needs."""
         future = self._futures[name]
         if future.status == "cancelled":
@@ -146,7 +146,7 @@ class InFlight:
 
     def _give_up(self, name: Name, message: str) -> Outcome:
         del self._order[name]
-        outcome = self._losses.told(Outcome(*name, "failed", message=message))
+        outcome = self._losses.with_causes(Outcome(*name, "failed", message=message))
         attempted(self._location, *name, {"status": "failed", "message": message})
         self._failed[name] = outcome
         return outcome

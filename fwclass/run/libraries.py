@@ -37,8 +37,8 @@ def announced(store: Store, accepted: bool) -> list[str]:
     changes, unknown = by_change((r for r in (store.receipt(*n) for n in names) if r is not None), store)
     lines = ["earlier parts of this run do not tell the libraries that they were made with; they count as done"]
     what = "they count as done, as asked" if accepted else "they are made again (--accept-libraries keeps them)"
-    told = [f"{n} parts were made with other libraries ({change}): {what}" for change, n in changes.items()]
-    return told + (lines if unknown and not kept else [])
+    changed = [f"{n} parts were made with other libraries ({change}): {what}" for change, n in changes.items()]
+    return changed + (lines if unknown and not kept else [])
 
 
 def reported(runner: Runner) -> dict[str, Any]:

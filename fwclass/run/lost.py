@@ -87,7 +87,7 @@ class Losses:
         )
         return str(fault)
 
-    def told(self, outcome: Outcome) -> Outcome:
+    def with_causes(self, outcome: Outcome) -> Outcome:
         """The outcome with the causes for which workers were lost before."""
         causes = self._causes.get((outcome.stage, outcome.part))
         return dataclasses.replace(outcome, lost=tuple(causes)) if causes else outcome

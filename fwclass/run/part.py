@@ -160,7 +160,7 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
         attempted(location, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
         return outcome
     outcome = Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
-    attempted(location, *task.name, _attempt(outcome, key) | _made(receipt))
+    attempted(location, *task.name, _attempt(outcome, key) | _log_values(receipt))
     return outcome
 
 
@@ -199,7 +199,7 @@ def _attempt(outcome: Outcome, key: str) -> dict[str, Value]:
     return fields | ({"message": outcome.message} if outcome.message else {})
 
 
-def _made(receipt: Receipt) -> dict[str, Value]:
+def _log_values(receipt: Receipt) -> dict[str, Value]:
     """What a log tells of a part that was made."""
     faults = receipt.meta.get("faults") or {}
     return {

@@ -61,11 +61,11 @@ def forward(candidates: Names, evaluate: Evaluate, scored: Scored, params: Selec
         left = [c for c in candidates if c not in chosen]
         trials = evaluate([in_order((*chosen, c), candidates) for c in left])
         scores = {c: scored(t) for c, t in zip(left, trials, strict=True)}
-        taken = min(left, key=lambda c: (-scores[c].value, extra_work(c, chosen), c))
-        steps.append(Step(scores[taken], (taken,)))
-        chosen = (*chosen, taken)
-        gains = scores[taken].value > best
-        best, idle = max(best, scores[taken].value), 0 if gains else idle + 1
+        best_name = min(left, key=lambda c: (-scores[c].value, extra_work(c, chosen), c))
+        steps.append(Step(scores[best_name], (best_name,)))
+        chosen = (*chosen, best_name)
+        gains = scores[best_name].value > best
+        best, idle = max(best, scores[best_name].value), 0 if gains else idle + 1
     return Search(tuple(steps))
 
 
@@ -150,6 +150,6 @@ def in_order(names: Sequence[str], candidates: Names) -> Names:
     return tuple(c for c in candidates if c in chosen)
 
 
-def ranked(told: dict[str, float]) -> tuple[tuple[str, float], ...]:
+def ranked(figures: dict[str, float]) -> tuple[tuple[str, float], ...]:
     """(name, figure) by falling figure, of equals the one with less work, then by name."""
-    return tuple(sorted(told.items(), key=lambda item: (-item[1], extra_work(item[0], ()), item[0])))
+    return tuple(sorted(figures.items(), key=lambda item: (-item[1], extra_work(item[0], ()), item[0])))

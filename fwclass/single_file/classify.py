@@ -26,7 +26,7 @@ from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
 from fwclass.ground.blocks import blocks_of
 from fwclass.model import ClassDef, Model, TwoLayer, sample_matrix
-from fwclass.model.ranges import Outside
+from fwclass.model.ranges import RangeCounter
 from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
@@ -108,7 +108,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     asked = Asked.of(n for n in model.features if is_feature(n))
     echoes = _echoes(job, model, asked, tell)
     first = model.coarse if isinstance(model, TwoLayer) else model
-    outside = Outside.of(first.card, first.features)
+    outside = RangeCounter.of(first.card, first.features)
     kept = Kept.of(conf.section("classify", job.settings))
     results, without, medians, dense = _classified(echoes.table, first, asked, job.settings, tell, outside, kept)
     seen = drift(first.card, [outside.counts()] if outside else [])
@@ -150,7 +150,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "boundary": boundary,
         "waveforms": wrote.get("wdp"),
         "notes": [
-            *echoes.told,
+            *echoes.notes,
             *dense,
             *notes,
             *_drift_notes(seen),
@@ -267,7 +267,7 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
     if any(n in RADIOMETRY.writes for n in needed):
         echoes = with_radiometry(echoes, job.flight, job.settings)
     check_names(model, echoes.table, job.source)
-    return FileEchoes(echoes.table, echoes.crs, (*echoes.told, *notes), links)
+    return FileEchoes(echoes.table, echoes.crs, (*echoes.notes, *notes), links)
 
 
 def _classified(
@@ -276,7 +276,7 @@ def _classified(
     asked: Asked,
     settings: tuple[str, ...],
     tell: Tell,
-    outside: Outside | None,
+    outside: RangeCounter | None,
     kept: Kept | None,
 ) -> tuple[dict[str, NDArray], dict[str, int], int, list[str]]:
     """Columns of `classify` for every echo; echoes without a value by feature; values that were filled; a remark

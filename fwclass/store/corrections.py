@@ -106,10 +106,10 @@ def _read(location: RunLocation) -> tuple[EchoLabels, Mark | None]:
                 got=f"{sizes[0]:,}",
                 do="see who wrote it",
             )
-        found = location.objects.get(CORRECTIONS)
-        if found is None:
+        stored = location.objects.get(CORRECTIONS)
+        if stored is None:
             return EchoLabels.none(), None
-        return read_echo_labels(found[0], where, signed=True), found[1]
+        return read_echo_labels(stored[0], where, signed=True), stored[1]
     path = location / CORRECTIONS
     return (read_echo_labels(path, where, signed=True), ANY) if path.is_file() else (EchoLabels.none(), None)
 

@@ -104,10 +104,10 @@ class Lookup:
         except DamagedError:
             return None, data[1]
 
-    def _keep(self, name: Name, found: tuple[Receipt | None, Mark, int] | None) -> None:
+    def _keep(self, name: Name, entry: tuple[Receipt | None, Mark, int] | None) -> None:
         self._drop(name)
-        self._receipts[name] = found
-        self._bytes += found[2] if found else 0
+        self._receipts[name] = entry
+        self._bytes += entry[2] if entry else 0
         while self._bytes > IN_MEMORY and len(self._receipts) > 1:
             self._drop(next(iter(self._receipts)))
 

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from fwclass.errors import ConfigError, StoreError
 from fwclass.store.params import StoreParams
-from fwclass.store.refusals import LostRace, lasting, told
+from fwclass.store.refusals import LostRace, as_store_error, lasting
 from fwclass.store.url import Url
 
 T = TypeVar("T")
@@ -238,7 +238,7 @@ class Objects:
                 return work()
             except (FileNotFoundError, AlreadyExistsError, PreconditionError) as fault:
                 if "NoSuchBucket" in str(fault):
-                    raise told(fault, self.url / key, time.monotonic() - began) from fault
+                    raise as_store_error(fault, self.url / key, time.monotonic() - began) from fault
                 raise
             except (BaseError, OSError) as fault:
                 spent = time.monotonic() - began
@@ -249,7 +249,7 @@ class Objects:
                     spent + wait > self.params.patience and tries >= LEAST
                 )  # a host that slept has spent no patience
                 if lasting(fault) or enough:
-                    raise told(fault, self.url / key, spent) from fault
+                    raise as_store_error(fault, self.url / key, spent) from fault
                 time.sleep(wait * random.uniform(0.5, 1.0))  # noqa: S311 - workers shall not all come back at once
                 wait = min(2 * wait, 10.0)
         raise AssertionError
@@ -298,4 +298,4 @@ def _opened(url: str, params: StoreParams) -> Any:
     try:
         return from_url(url, **limits)
     except (BaseError, ValueError) as fault:
-        raise told(fault, url, 0.0) from fault
+        raise as_store_error(fault, url, 0.0) from fault

@@ -92,7 +92,7 @@ def seen_as(path: Path, place: Location | None = None) -> tuple[str, list[int | 
     return str(path), [*looks(path)]
 
 
-def found_outside(pattern: str, directory: Url, params: StoreParams) -> list[RemoteFile]:
+def find_remote(pattern: str, directory: Url, params: StoreParams) -> list[RemoteFile]:
     """Files below `directory` that match `pattern` (``*``, ``?``, ``[…]``, ``**/``), with what belongs to them."""
     fixed = re.match(r"(?:[^*?\[/]+/)*", pattern)
     below = fixed[0].strip("/") if fixed else ""

@@ -135,12 +135,12 @@ def _take(objects: Objects, lock: Lock, data: bytes, tell: Callable[[str], None]
 
 
 def _watched(
-    objects: Objects, lock: Lock, held: Mapping[str, Any], found: tuple[bytes, Mark], tell: Callable[[str], None]
+    objects: Objects, lock: Lock, held: Mapping[str, Any], stored: tuple[bytes, Mark], tell: Callable[[str], None]
 ) -> tuple[bytes, Mark]:
     """The lock as it is when its holder has been silent long enough; `StoreError` as soon as it shows life."""
     if held.get("machine") == _machine() and not psutil.pid_exists(int(held.get("pid", 0))):
         tell(f"lock         its holder, process {held.get('pid')} of this host, is gone; it is taken over")
-        return found
+        return stored
     params = objects.params
     tell(
         f"lock         held by process {held.get('pid')} of {held.get('host')}; taken over if it is silent for "
@@ -150,15 +150,15 @@ def _watched(
     while time.monotonic() - began < params.dead:
         time.sleep(min(params.beat, params.dead) / 2)
         now = objects.get(key_of(lock))
-        if now is None or now[1] != found[1]:
+        if now is None or now[1] != stored[1]:
             if now is not None and not _facts(now[0]):
                 return now  # it ended just now
             raise _refused(objects, lock, held)
-    return found
+    return stored
 
 
 def _refused(objects: Objects, lock: Lock, held: Mapping[str, Any]) -> LockedError:
-    return LockedError(lock.taken, where=objects.url, got=named(held), do=lock.do)
+    return LockedError(lock.refusal, where=objects.url, got=named(held), do=lock.do)
 
 
 def check_token(objects: Objects, token: str, lock: Lock = WRITER) -> None:

@@ -70,7 +70,7 @@ class Scratch:
         self._busy: dict[str, threading.Lock] = {}
         self.fetched = 0
         self._begin()
-        for unit, size, _ in sorted(self._found(), key=lambda one: one[2]):
+        for unit, size, _ in sorted(self._leftovers(), key=lambda one: one[2]):
             self._sizes[unit] = size
             self._total += size
 
@@ -90,7 +90,7 @@ class Scratch:
             shutil.rmtree(half, ignore_errors=True)
         (self.root / "units").mkdir(exist_ok=True)
 
-    def _found(self) -> list[tuple[str, int, float]]:
+    def _leftovers(self) -> list[tuple[str, int, float]]:
         """(unit, bytes, last use) of what an earlier process left; every unit is named by a file in ``units``."""
         units = []
         for mark in (self.root / "units").glob("*"):

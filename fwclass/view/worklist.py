@@ -19,7 +19,7 @@ PARTS = 1_000_000
 
 
 @dataclass(frozen=True)
-class Place:
+class UnsureCluster:
     """Unsure echoes that lie together.
 
     Attributes
@@ -51,7 +51,7 @@ class WorkList:
     number : (n,), which of `places` each square belongs to.
     """
 
-    places: tuple[Place, ...]
+    places: tuple[UnsureCluster, ...]
     cell: float
     squares: NDArray[np.int64]
     number: NDArray[np.int64]
@@ -60,8 +60,8 @@ class WorkList:
         """(rows,), which of `places` unsure echoes at `x`, `y` belong to; -1 for none."""
         known = dict(zip(map(tuple, self.squares.tolist()), self.number.tolist(), strict=True))
         asked, at = np.unique(_squares(x, y, self.cell), axis=0, return_inverse=True)
-        found = np.array([known.get((i, j), -1) for i, j in asked.tolist()], np.int64)
-        return np.asarray(found[at.ravel()], np.int64)
+        place = np.array([known.get((i, j), -1) for i, j in asked.tolist()], np.int64)
+        return np.asarray(place[at.ravel()], np.int64)
 
 
 class UnsureEchoes:
@@ -114,14 +114,14 @@ class UnsureEchoes:
         first, last = (np.searchsorted(cluster[order], largest, side=side) for side in ("left", "right"))
         rows = [order[a:b] for a, b in zip(first, last, strict=True)]
         number = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
-        places = tuple(self._place(keys[r], sums[r]) for r in rows)
+        places = tuple(self._cluster(keys[r], sums[r]) for r in rows)
         return WorkList(places, self.cell, keys[np.concatenate(rows), :2], number)
 
     def _corner(self, squares: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
         """West or south border of squares [mm]."""
         return millimetres(np.asarray(squares[:, axis] * self.cell, np.float64))
 
-    def _place(self, keys: NDArray[np.int64], sums: NDArray[np.int64]) -> Place:
+    def _cluster(self, keys: NDArray[np.int64], sums: NDArray[np.int64]) -> UnsureCluster:
         """The place of some squares by class."""
         classes = np.bincount(keys[:, 2], weights=sums[:, 0]).astype(np.int64)
         codes = [c for c in np.argsort(-classes, kind="stable").tolist() if classes[c]]
@@ -131,7 +131,7 @@ class UnsureEchoes:
         mx, my, mz = (_quantile(v, n, 0.5) for v in (x, y, sums[:, 3] / n / 1000))
         far = _quantile(np.hypot(x - mx, y - my), n, SHOWN)
         low, high = squares.min(axis=0) * self.cell, (squares.max(axis=0) + 1) * self.cell
-        return Place(
+        return UnsureCluster(
             int(n.sum()),
             mx,
             my,

@@ -99,7 +99,7 @@ def test_another_commit_is_told_and_makes_nothing_stale(tmp_path, monkeypatch):
     here(monkeypatch, THEN, source="fedcba9876543210")
     looked = look_at(tmp_path, workflow)
     assert looked.all_done and announced(Store(tmp_path), False) == []
-    [row] = told.by_libraries(looked.made_with, looked.store)
+    [row] = told.by_libraries(looked.libraries, looked.store)
     assert row["parts"] == 3 and "source 0123456789abcdef, not 0.1.0, source fedcba" in told.text_of(row)
 
 
@@ -111,8 +111,8 @@ def test_receipts_of_before_count_as_done_and_are_told(tmp_path, monkeypatch):
     here(monkeypatch, NOW)
     looked = look_at(tmp_path, workflow)
     assert looked.all_done
-    [row] = told.by_libraries(looked.made_with, looked.store)
-    assert row["made_with"] is None and "count as done" in told.text_of(row)
+    [row] = told.by_libraries(looked.libraries, looked.store)
+    assert row["libraries"] is None and "count as done" in told.text_of(row)
     assert "do not tell" in announced(Store(tmp_path), False)[0]
 
 
@@ -129,7 +129,7 @@ def test_parts_whose_fingerprint_is_lost_are_stale(tmp_path, monkeypatch, damage
     monkeypatch.setattr(libraries, "_KNOWN", {})
     looked = look_at(tmp_path, workflow)
     assert {s.standing for s in looked.states.values()} == {"stale"}
-    [row] = told.by_libraries(looked.made_with, looked.store)
+    [row] = told.by_libraries(looked.libraries, looked.store)
     assert "not recorded any more" in told.text_of(row)
     [line] = announced(Store(tmp_path), False)
     assert line.startswith("3 parts were made with other libraries (what it was made with is not recorded any more")

@@ -17,7 +17,7 @@ from fwclass.operate.request import Request
 from fwclass.operate.seams.walk import Asked, seams
 from fwclass.operate.status.replay import task_alone
 from fwclass.operate.status.summary import NO_STAGES
-from fwclass.operate.status.walk import Looked, Silent, look_at
+from fwclass.operate.status.walk import RunStatus, Silent, look_at
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -124,7 +124,7 @@ def test_a_second_run_makes_nothing(fan, survey: Path) -> None:
     }
 
 
-def looked_at(name: str, survey: Path, root: Path, *settings: str) -> Looked:
+def looked_at(name: str, survey: Path, root: Path, *settings: str) -> RunStatus:
     config = conf.load("demo", (*SMALL, f"survey.directory={survey}", *settings))
     return look_at(root, lambda runner: WORKFLOWS[name](config, runner))
 

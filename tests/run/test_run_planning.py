@@ -125,26 +125,26 @@ def test_what_the_headers_tell_is_what_the_run_finds(walked) -> None:
     assert plan.counts.pulses.sum() == pytest.approx(counts["pulses"], rel=0.03)
     assert plan.counts.echoes.sum() == pytest.approx(counts["echoes_decomposed"], rel=0.1)
     assert plan.tiles.number == pytest.approx(counts["tiles"], abs=2)
-    assert {s.name for s in plan.made.stages} <= {s["name"] for s in report["stages"]} | {"pulse", "index"}
+    assert {s.name for s in plan.estimate.stages} <= {s["name"] for s in report["stages"]} | {"pulse", "index"}
 
 
 def test_every_stage_of_a_run_is_planned(walked) -> None:
     plan, _, report = walked
-    assert {s["name"] for s in report["stages"]} == {s.name for s in plan.made.stages}
-    assert plan.made.unknown == ()
+    assert {s["name"] for s in report["stages"]} == {s.name for s in plan.estimate.stages}
+    assert plan.estimate.unknown == ()
 
 
 def test_parts_are_as_many_as_the_run_had(walked) -> None:
     plan, _, report = walked
     parts = {s["name"]: s["parts"] for s in report["stages"]}
-    for stage in plan.made.stages:
+    for stage in plan.estimate.stages:
         assert stage.amount.parts == pytest.approx(parts[stage.name], rel=0.5, abs=5), stage.name
 
 
 def test_measured_costs_give_the_measured_time_and_disk_back(walked) -> None:
     """Times are set, as those of parts this small are mostly the machine's: 3 ms and 20 µs an echo."""
     plan, store, _ = walked
-    ran = [s.memory_mib for s in plan.made.stages if s.name in plan.measured.stages and s.name not in WHOLE]
+    ran = [s.memory_mib for s in plan.estimate.stages if s.name in plan.measured.stages and s.name not in WHOLE]
     assert set(plan.measured.stages) >= {"tile", "features", "classify", "publish-tile", "terrain"}
     assert max(ran) == pytest.approx(plan.measured.peak_mib) and plan.measured.peak_mib > 100
     echoes = {r.part: r.meta["rows"] for r in store.receipts("tile")}
@@ -231,7 +231,7 @@ def test_what_cannot_fit_is_refused_with_the_numbers(walked, survey, room, setti
     with pytest.raises(ConfigError, match="does not fit") as fault:
         refuse(list(plan.limits), config.path)
     assert told in fault.value.got and "needed" in fault.value.got and fault.value.exit_code == 2
-    refuse(limits(walked[0].config, walked[0].made, 0, ROOM, None), "")
+    refuse(limits(walked[0].config, walked[0].estimate, 0, ROOM, None), "")
 
 
 def test_polygons_are_the_tiles_and_their_halos(walked, tmp_path: Path) -> None:

@@ -189,10 +189,10 @@ def proposed(held: Holdings, features: str) -> tuple[list[Meaning], dict[str, st
 def _left_out(codes: Counter[int], classes: Sequence[Meaning]) -> dict[str, str]:
     """Why codes that the files hold are in no class."""
     known = {code: m for m in MEANINGS for code in m.codes}
-    taken = {code for m in classes for code in m.codes}
+    covered = {code for m in classes for code in m.codes}
     left = {}
     for code, n in sorted(codes.items()):
-        if n and code not in taken:
+        if n and code not in covered:
             words = NO_CLASS.get(code) or (known[code].name if code in known else "no code of the LAS specification")
             left[str(code)] = f"{words}, {n:,} points"
     return left

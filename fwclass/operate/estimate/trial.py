@@ -61,8 +61,8 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
     boxes = tuple(t.box for t in plan.tiles.heaviest(count))
     wanted = [b.grown(reach(plan)) for b in (*boxes, *(_training(config)))]
     sources = plan.facts.sources
-    taken = [s for s in sources if any(s.bounds.touches(b) for b in wanted)]
-    left = tuple(s.bounds for s in sources if s not in taken)
+    touching = [s for s in sources if any(s.bounds.touches(b) for b in wanted)]
+    left = tuple(s.bounds for s in sources if s not in touching)
     directory = directory_of(config, root)
     if isinstance(directory, Url):
         raise ConfigError(
@@ -71,7 +71,7 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
             got=directory,
             do="plan without --dry-run, or copy the survey to a disk first",
         )
-    change: dict[str, Any] = {"directory": str(directory), "sources": tuple(glob.escape(str(s.path)) for s in taken)}
+    change: dict[str, Any] = {"directory": str(directory), "sources": tuple(glob.escape(str(s.path)) for s in touching)}
     reference = config.survey.reference
     if reference.kind == "cloud":
         change["reference"] = reference.model_copy(update={"files": _clouds(config, directory, wanted)})
@@ -81,7 +81,7 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
         simulate=None,
         areas=config.areas.model_copy(update={"test": ()}),  # they may lie in files left out, and nothing is assessed
     )
-    return Trial(cut, boxes, left, len(taken))
+    return Trial(cut, boxes, left, len(touching))
 
 
 def reach(plan: Plan) -> float:

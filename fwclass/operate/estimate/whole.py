@@ -32,7 +32,7 @@ class Plan:
     crowding: float
     workers: int
     room: Room
-    made: Estimate
+    estimate: Estimate
     choices: tuple[Choice, ...]
     best: Choice | None
     limits: tuple[Limit, ...]
@@ -81,7 +81,7 @@ def planned(
 
 def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Plain data: sizes in metres, times in seconds, memory in MiB, disk in bytes."""
-    facts, estimate, sample = plan.facts, plan.made, plan.facts.sample
+    facts, estimate, sample = plan.facts, plan.estimate, plan.facts.sample
     tiles = plan.tiles
     return {
         "survey": plan.config.survey.name,
@@ -150,7 +150,7 @@ def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def _stage(plan: Plan, k: int) -> dict[str, Any]:
-    stage = plan.made.stages[k]
+    stage = plan.estimate.stages[k]
     real = plan.measured is not None and stage.name in plan.measured.stages
     return {
         "name": stage.name,

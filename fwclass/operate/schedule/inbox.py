@@ -49,7 +49,7 @@ class Waiting:
 
 
 @dataclass(frozen=True)
-class Look:
+class InboxState:
     complete: tuple[Delivery, ...]
     waiting: tuple[Waiting, ...]
 
@@ -68,7 +68,7 @@ class Inbox:
     _judged: dict[Path, tuple[tuple[Mark, ...], str]] = field(default_factory=dict)
     _held: float | None = None
 
-    def look(self, now: Now) -> Look:
+    def look(self, now: Now) -> InboxState:
         """All files as they stand. A directory that cannot be read raises `OSError`."""
         marks = _marks(self.directory)
         self._since = {p: self._first_seen(p, mark, now) for p, mark in marks.items()}
@@ -90,9 +90,9 @@ class Inbox:
         open_ones = writers(p for delivery in complete if not delivery.markers for p in delivery.files)
         busy = {d.name: open_ones[p] for d in complete for p in d.files if p in open_ones}
         waiting += [Waiting(n, f"process {pid} has it open for writing", changing=True) for n, pid in busy.items()]
-        return Look(tuple(d for d in complete if d.name not in busy), tuple(waiting))
+        return InboxState(tuple(d for d in complete if d.name not in busy), tuple(waiting))
 
-    def ready(self, look: Look, now: Now) -> tuple[Delivery, ...]:
+    def ready(self, look: InboxState, now: Now) -> tuple[Delivery, ...]:
         """The complete ones, once no other is on its way, or after `hold` seconds at most."""
         if not look.complete:
             self._held = None

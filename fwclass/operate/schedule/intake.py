@@ -24,7 +24,7 @@ class Intake:
     root: Path
     state: State
     say: Callable[[str], None]
-    _told: dict[str, str] = field(default_factory=dict)
+    _reasons: dict[str, str] = field(default_factory=dict)
     _trouble: str = ""
 
     def __post_init__(self) -> None:
@@ -52,9 +52,9 @@ class Intake:
         self.state.waiting = [{"name": w.name, "why": w.why} for w in look.waiting]
         reasons = {w.name: w.why for w in look.waiting}
         for name, why in reasons.items():
-            if self._told.get(name) != why:
+            if self._reasons.get(name) != why:
                 self.say(f"{name}: waits: {why}")
-        self._told = reasons
+        self._reasons = reasons
         return self.inbox.ready(look, moment)
 
     def deliver(self, deliveries: tuple[Delivery, ...]) -> list[dict[str, Any]]:

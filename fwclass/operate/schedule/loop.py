@@ -149,11 +149,11 @@ class Schedule:
         if self._intake is not None:
             self._intake.look_again(moment)
         if self._ticks is not None:
-            self._ticks = self._ticks.seen(moment)
+            self._ticks = self._ticks.follow_clock(moment)
             wait = self._ticks.wait(moment)
             self._state.next = _steadied(self._state.next, moment.wall + wait)
             if wait <= 0.0:
-                self._ticks = self._ticks.taken(moment)
+                self._ticks = self._ticks.after_run(moment)
                 self._state.next = _steadied(None, moment.wall + self._ticks.wait(moment))
                 if isinstance(self._ticks, Cron):
                     self._state.last_tick = self._ticks.last

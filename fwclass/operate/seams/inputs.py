@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fwclass.grid import Box, Tile, TileGrid
-from fwclass.operate.seams.places import Place
+from fwclass.operate.seams.places import ShiftedSquare
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -59,7 +59,7 @@ class StripInputs(PartInputs):
     """
 
     tiles: Tiles
-    places: Mapping[str, Place]
+    places: Mapping[str, ShiftedSquare]
     fresh: Mapping[Name, Table]
 
     def rows(self, part: str, columns: Mapping[str, str], box: Box | None = None, base: str = "tile") -> Table:

@@ -20,7 +20,7 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.grid import Tile
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs
-from fwclass.operate.seams.places import Place, places
+from fwclass.operate.seams.places import ShiftedSquare, places
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Outcome, Task, single_thread
 from fwclass.run.progress import Display
@@ -30,7 +30,7 @@ from fwclass.store.tables import read_table
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparableStages:
     """The stages of a workflow that compute something of echoes, and can be compared.
 
     Attributes
@@ -45,7 +45,7 @@ class Compared:
     gathering: tuple[str, ...]
 
     @classmethod
-    def of(cls, stages: Iterable[Stage]) -> Compared:
+    def of(cls, stages: Iterable[Stage]) -> ComparableStages:
         some = [s for s in stages if s.writes]
         tiles = [s for s in some if s.over == "tile"]
         return cls(
@@ -132,7 +132,7 @@ def _same_rows(stored: Table, now: Table, task: Task) -> None:
 
 
 @dataclass(frozen=True)
-class Apart:
+class BlockShiftEffect:
     """What moving the *blocks* changes near their borders: a property of the algorithm, which is not bounded.
 
     `off`: echoes whose flag is another, or whose height is by more than `within` [m] (NaN on one side counts);
@@ -156,7 +156,7 @@ def gathering(plan: Plan, columns: Iterable[str]) -> str:
     return plan.layout.columns(columns)[next(iter(columns))]
 
 
-def shifted_blocks(stage: Stage, plan: Plan) -> list[Place]:
+def shifted_blocks(stage: Stage, plan: Plan) -> list[ShiftedSquare]:
     """Blocks moved by half their size that hold a border between two of the stage's blocks."""
     blocks = stage.all_parts(plan)
     size, width = blocks[0].size, plan.config.seams.width
@@ -165,8 +165,14 @@ def shifted_blocks(stage: Stage, plan: Plan) -> list[Place]:
 
 
 def apart(
-    stage: Stage, moved: Sequence[Place], count: int, plan: Plan, inputs: PartInputs, within: float, display: Display
-) -> Apart:
+    stage: Stage,
+    moved: Sequence[ShiftedSquare],
+    count: int,
+    plan: Plan,
+    inputs: PartInputs,
+    within: float,
+    display: Display,
+) -> BlockShiftEffect:
     """Filter, or make the terrain of, the first `count` of the blocks `moved` that have echoes near the borders of the
     run's blocks, and compare these."""
     columns = stage.columns(plan)
@@ -192,7 +198,7 @@ def apart(
         display.say(f"{stage.name:<12} block moved to {', '.join(f'{v:.0f}' for v in block.box.bounds[:2])}")
     every = np.concatenate(heights) if heights else np.empty(0)
     distances = (float(np.quantile(every, 0.999)), float(every.max())) if every.size else (None, None)
-    return Apart(stage_of_tiles, done, echoes, off, within, *distances)
+    return BlockShiftEffect(stage_of_tiles, done, echoes, off, within, *distances)
 
 
 def _off(stored: Table, now: Table, within: float) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:

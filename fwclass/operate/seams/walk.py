@@ -17,9 +17,16 @@ from fwclass.grid import TileGrid
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.guard import check_done, check_idle, check_unchanged, whole_blocks
 from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs, Tiles
-from fwclass.operate.seams.measure import Apart, Compared, apart, block_seams, shifted_blocks, tile_seams
-from fwclass.operate.seams.places import Place, chosen, drawn, places
-from fwclass.operate.seams.summary import Found
+from fwclass.operate.seams.measure import (
+    BlockShiftEffect,
+    ComparableStages,
+    apart,
+    block_seams,
+    shifted_blocks,
+    tile_seams,
+)
+from fwclass.operate.seams.places import ShiftedSquare, chosen, drawn, places
+from fwclass.operate.seams.summary import SeamResult
 from fwclass.operate.status.walk import StatusWalk
 from fwclass.run.inputs import PartInputs
 from fwclass.run.progress import Display
@@ -39,7 +46,7 @@ class Asked:
     workflow: str = "classification"
 
 
-def seams(config: Config, location: RunLocation, asked: Asked, display: Display) -> Found:
+def seams(config: Config, location: RunLocation, asked: Asked, display: Display) -> SeamResult:
     """Compute strips along tile borders, and some blocks, once more and compare; the run is only read."""
     check_idle(location)
     look = StatusWalk(location, config.run.accept_libraries)
@@ -48,7 +55,7 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
         workflow = workflow_of(asked.workflow)
         stages = tuple(s for s in after_tiles(workflow.stages) if s not in (CHECK_SEAMS, *JUDGING, *DELIVERY))
         plan = _planned(config, look, workflow, stages)
-        compared = Compared.of(s for s in stages if s.when(plan))
+        compared = ComparableStages.of(s for s in stages if s.when(plan))
     except ConfigError:
         raise
     except FwclassError as fault:
@@ -72,7 +79,7 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
     moved = _moved(plan, compared.of_blocks, share, look, tiles, display)
     check_unchanged(look, tiles.used, (*compared.of_tiles, "tile", *compared.gathering))
     size = layout.config.tile.size * config.seams.tile
-    return Found(
+    return SeamResult(
         where,
         asked.shift,
         config.seams.width,
@@ -97,7 +104,7 @@ def _planned(config: Config, look: StatusWalk, workflow: Workflow, stages: tuple
     return plan
 
 
-def _strips(plan: Plan, stages: list[Stage], strips: list[Place], tiles: Tiles, display: Display) -> list[Seam]:
+def _strips(plan: Plan, stages: list[Stage], strips: list[ShiftedSquare], tiles: Tiles, display: Display) -> list[Seam]:
     whole = plan.layout
     places = tuple(p.tile for p in strips)
     ever = dict.fromkeys((t.key for t in places), (whole.times,))  # which strips pass these tiles is not known
@@ -133,7 +140,7 @@ def _blocks(
 
 def _moved(
     plan: Plan, stages: tuple[Stage, ...], share: float, look: StatusWalk, tiles: Tiles, display: Display
-) -> list[Apart]:
+) -> list[BlockShiftEffect]:
     """Filter and terrain of blocks that lie elsewhere: what is not bounded."""
     pairs, seed = [], plan.config.seams.seed
     for stage in stages:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.operate.request import Request
-from fwclass.operate.status.walk import Looked
+from fwclass.operate.status.walk import RunStatus
 from fwclass.run.part import Name, Task
 
 
-def task_alone(looked: Looked, text: str, request: Request) -> Task:
+def task_alone(looked: RunStatus, text: str, request: Request) -> Task:
     """The task that ``--only STAGE/PART`` names; all that it needs must be done."""
     stage, _, part = text.partition("/")
     task = looked.tasks.get((stage, part))
@@ -32,7 +32,7 @@ def task_alone(looked: Looked, text: str, request: Request) -> Task:
     return task
 
 
-def _meant(looked: Looked, stage: str, part: str) -> str:
+def _meant(looked: RunStatus, stage: str, part: str) -> str:
     stages = list(dict.fromkeys(name for name, _ in looked.states))
     if stage not in stages:
         return nearest(stage, stages)

@@ -117,7 +117,7 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     return {
         "input": str(job.source),
         "output": str(job.output),
-        "set": asked.told,
+        "set": asked.label,
         "features": list(asked.names),
         "left_out": left_out,
         "echoes": table.rows,
@@ -125,7 +125,7 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
         "reach": asked.around.reach(params),
         "without_value": {name: n for name, n in empty.items() if n},
         "crs": echoes.crs.name if echoes.crs is not None else None,
-        "notes": [*echoes.told, *([crowd.text(params)] if crowd else [])],
+        "notes": [*echoes.notes, *([crowd.text(params)] if crowd else [])],
         "bytes": written["bytes"],
         "seconds": {"compiling": round(compiling.spent() - before, 3), "all": round(time.perf_counter() - started, 3)},
     }
@@ -148,7 +148,7 @@ def _check_reach(asked: Wanted, params: FeaturesParams) -> None:
     if reach > MAX_REACH:
         raise ConfigError(
             "a feature reaches too far",
-            where=asked.told,
+            where=asked.label,
             expected=f"at most {MAX_REACH:g} m",
             got=f"{reach:g} m",
             do="names end in centimetres: height_range_c500 is a cylinder of 5 m",
@@ -168,7 +168,7 @@ def _echoes(job: FeaturesJob, asked: Wanted, tell: Tell) -> FileEchoes:
     if set(asked.names) & set(RADIOMETRY.writes):
         echoes = with_radiometry(echoes, flight, job.settings)
     keep = [n for n in echoes.table if n in columns or n in PLACE]
-    return FileEchoes(echoes.table.select(keep), echoes.crs, echoes.told)
+    return FileEchoes(echoes.table.select(keep), echoes.crs, echoes.notes)
 
 
 def _sorted(table: Table) -> Table:
@@ -253,11 +253,11 @@ def given(
         some = "add --skip-missing" + (f", or ask for --features {','.join(left)}" if len(left) <= SHORT else "")
         raise ConfigError(
             f"the file cannot give {len(lost)} of the {len(asked.names)} features",
-            where=f"{source}, features of {asked.told}",
+            where=f"{source}, features of {asked.label}",
             got=missing,
             do=some if left else "ask for other features: `fwclass features --list` shows all",
         )
-    return Wanted(asked.told, left), lost
+    return Wanted(asked.label, left), lost
 
 
 def _lacks(name: str, there: set[str]) -> str:

@@ -31,7 +31,7 @@ FLAG_BITS = ("fit_flags", "radiometry_flags")
 class Wanted:
     """Names of the features in order, and what they are called together."""
 
-    told: str
+    label: str
     names: tuple[str, ...]
 
     @property
@@ -78,10 +78,10 @@ def wanted(named: str | None, listed: str | None) -> Wanted:
         features = Wanted(asked, feature_set(asked).features)
     if not features.names:
         raise ConfigError(
-            "no feature is named", where=features.told, expected="for example height_std_c200,planarity_k20"
+            "no feature is named", where=features.label, expected="for example height_std_c200,planarity_k20"
         )
     for name in features.names:
-        check_name(name, features.told)
+        check_name(name, features.label)
     return features
 
 

@@ -176,9 +176,9 @@ def _summary(
     return plain
 
 
-def agreement(found: Sequence[Flags], shown: NDArray[np.bool_]) -> list[list[float]]:
+def agreement(filters: Sequence[Flags], shown: NDArray[np.bool_]) -> list[list[float]]:
     """Share of the shown points that two filters call the same, for all pairs."""
-    flags = [f.ground[shown] for f in found]
+    flags = [f.ground[shown] for f in filters]
     return [[float((a == b).mean()) for b in flags] for a in flags]
 
 
@@ -194,12 +194,12 @@ def _pictures(
     """Shaded relief of every filter's terrain, and the map of disagreement under its own name."""
     publish, terrain = conf.section("publish", settings), conf.section("terrain", settings)
     x, y, z, _ = _of(cloud, shown)
-    made_of = {}
+    terrains = {}
     for name, f in flags.items():
         tell(f"terrain of {name}")
-        made_of[name] = terrain_by_blocks(x, y, z, f.ground[shown], f.noise[shown], terrain)
+        terrains[name] = terrain_by_blocks(x, y, z, f.ground[shown], f.noise[shown], terrain)
     tell("pictures")
-    known = {n: (t.dtm, window) for n, (t, window) in made_of.items() if np.isfinite(t.dtm).any()}
+    known = {n: (t.dtm, window) for n, (t, window) in terrains.items() if np.isfinite(t.dtm).any()}
     tints = tint_range(np.concatenate([dtm.reshape(-1) for dtm, _ in known.values()])) if known else None
     pictures = {name: relief(dtm, window, publish, tints) for name, (dtm, window) in known.items()}
     cell = max(0.5, round(2.0 * plain["measured"]["spacing"], 1))

@@ -26,7 +26,7 @@ from fwclass.single_file.ground.output import check_output, check_packets, write
 from fwclass.single_file.ground.params import ground_params, used, with_assignments
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
 from fwclass.single_file.ground.steps import Tell, quiet
-from fwclass.single_file.ground.stray import stray_points, told
+from fwclass.single_file.ground.stray import describe_stray, stray_points
 
 UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
 """Class codes of LAS 1.4."""
@@ -126,7 +126,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "ground": int(flags.ground.sum()),
         "noise": int(flags.noise.sum()),
         "classes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)},
-        "crs": cloud.units.told,
+        "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
         "waveforms": written.get("wdp"),
@@ -173,7 +173,7 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
             got=f"none among {len(rows):,} points",
             do="let all returns be ground: --param last_returns=false",
         )
-    found = ground_by_blocks(
+    shown_flags = ground_by_blocks(
         cloud.x[rows],
         cloud.y[rows],
         cloud.z[rows],
@@ -182,7 +182,7 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
         lambda block, of: tell(f"filter {params.method}: block {block} of {of}"),
     )
     flags = Flags(np.zeros(cloud.points, bool), np.zeros(cloud.points, bool))
-    flags.ground[rows], flags.noise[rows] = found.ground, found.noise
+    flags.ground[rows], flags.noise[rows] = shown_flags.ground, shown_flags.noise
     return flags
 
 
@@ -238,7 +238,9 @@ def _notes(
         notes.append("the output keeps the coordinate system that the input names, not that of --crs")
     if len(stray):
         ground = int(flags.ground[stray].sum())
-        notes.append(f"{told(cloud, stray)}; {ground:,} of them {'is' if ground == 1 else 'are'} called ground")
+        notes.append(
+            f"{describe_stray(cloud, stray)}; {ground:,} of them {'is' if ground == 1 else 'are'} called ground"
+        )
     if not flags.ground.any():
         notes.append("no ground was found: water, or a filter that does not suit this place")
     elif _flat(cloud, shown):

@@ -99,7 +99,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
         "ground": int(flags.ground.sum()),
         "without": int(np.isnan(height).sum()),
         "keep_z": job.keep_z,
-        "crs": cloud.units.told,
+        "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "max_gap": params.max_gap,
         "heights_m": _spread(known),

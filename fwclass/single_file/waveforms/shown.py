@@ -154,14 +154,14 @@ def tie(
         score = np.log(height[echo[near]]) - 0.5 * (apart[near] / JITTER) ** 2
     near = near[np.argsort(-score, kind="stable")]
     echo, back = echo[near], back[near]
-    taken = np.zeros(len(return_pulse), bool)
+    used = np.zeros(len(return_pulse), bool)
     while len(echo):
         mutual = np.zeros(len(echo), bool)
         mutual[np.unique(echo, return_index=True)[1]] = True
         sole = np.zeros(len(echo), bool)
         sole[np.unique(back, return_index=True)[1]] = True
         sure = mutual & sole
-        matched[echo[sure]], taken[back[sure]] = back[sure], True
-        left = (matched[echo] < 0) & ~taken[back]
+        matched[echo[sure]], used[back[sure]] = back[sure], True
+        left = (matched[echo] < 0) & ~used[back]
         echo, back = echo[left], back[left]
     return matched, gap

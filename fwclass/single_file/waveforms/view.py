@@ -215,8 +215,8 @@ def _merged(chosen: Sequence[tuple[str, tuple[float, Shown]]]) -> list[Shown]:
         why = ", ".join(whys)
         extra = [e["noise_chance"] for e in facts["echoes"] if e["missed"] and np.isfinite(e["noise_chance"])]
         extra = extra if SEVERAL[2] in whys else []
-        told = f"{why}: by noise with {max(extra):.1g}" if extra else f"{why}; {picture.subtitle}"
-        out.append((replace(picture, subtitle=told), {**facts, "why": why}))
+        subtitle = f"{why}: by noise with {max(extra):.1g}" if extra else f"{why}; {picture.subtitle}"
+        out.append((replace(picture, subtitle=subtitle), {**facts, "why": why}))
     return out
 
 
