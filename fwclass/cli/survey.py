@@ -41,6 +41,7 @@ class How:
 def run_survey(
     conf: Path, out: Any, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str, how: How
 ) -> None:
+    """Run a workflow on the survey in `conf` and print what came of it."""
     little_garbage()
     config, request = requested(conf, out, settings, workflow, tiles)
     root = out_directory(out, config)

@@ -43,6 +43,8 @@ from fwclass.water.params import BreaklineParams, WaterParams
 
 
 class Section(BaseModel):
+    """Keys of a configuration: frozen, and closed to any other key."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
@@ -312,6 +314,7 @@ class Config:
 
     @property
     def classes(self) -> tuple[ClassDef, ...]:
+        """The survey's classes, in its order."""
         return tuple(ClassDef(**c.model_dump()) for c in self.survey.classes)
 
     @property

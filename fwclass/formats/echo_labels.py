@@ -61,6 +61,7 @@ class EchoLabels:
 
     @property
     def rows(self) -> int:
+        """Number of labels."""
         return len(self.code)
 
     @property
@@ -94,6 +95,7 @@ class EchoLabels:
 
     @classmethod
     def none(cls) -> EchoLabels:
+        """No labels."""
         return cls(*(np.empty(0, kind) for kind in _DTYPES.values()))
 
     @classmethod

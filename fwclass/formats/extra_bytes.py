@@ -57,6 +57,7 @@ class ExtraByte:
 
     @property
     def dtype(self) -> np.dtype[Any]:
+        """As the file stores a value."""
         return np.dtype("u1" if self.kind == "bool" else self.kind).newbyteorder("<")
 
 

@@ -51,13 +51,24 @@ class Placed(Protocol):
     """A file that says where its points lie: bounds (6) with the least x, y, z before the largest, steps of x, y, z."""
 
     @property
-    def path(self) -> Path: ...
+    def path(self) -> Path:
+        """Of the file, for messages."""
+        ...
+
     @property
-    def bounds(self) -> tuple[float, ...]: ...
+    def bounds(self) -> tuple[float, ...]:
+        """xmin, ymin, zmin, xmax, ymax, zmax as the header has them."""
+        ...
+
     @property
-    def scales(self) -> tuple[float, ...]: ...
+    def scales(self) -> tuple[float, ...]:
+        """Steps of x, y, z."""
+        ...
+
     @property
-    def crs(self) -> Any: ...
+    def crs(self) -> Any:
+        """The coordinate system, or None."""
+        ...
 
 
 def not_flat(crs: Any, low: Sequence[float], high: Sequence[float], step: float | None = None) -> str:

@@ -41,6 +41,7 @@ class LazWriter:
         self.zipper = laszip.LasZipper(file, _uncounted(head))
 
     def write(self, points: NDArray[np.uint8]) -> None:
+        """Append points, uint8 (points, bytes of one)."""
         if points.size:
             self.zipper.compress(np.ascontiguousarray(points).reshape(-1))
 
@@ -75,6 +76,7 @@ class LasWriter:
         file.write(head)
 
     def write(self, points: NDArray[np.uint8]) -> None:
+        """Append points, uint8 (points, bytes of one)."""
         self.file.write(np.ascontiguousarray(points).tobytes())
 
     def finish(self, block: bytes | None = None) -> int:

@@ -33,6 +33,7 @@ class LinearUnits:
 
     @property
     def metres(self) -> bool:
+        """All coordinates are metres."""
         return self.xy == 1.0 and self.z == 1.0
 
 

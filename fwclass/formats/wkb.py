@@ -70,6 +70,7 @@ class Shapes:
 
     @property
     def parts(self) -> int:
+        """Number of parts."""
         return len(self.feature)
 
 

@@ -80,10 +80,6 @@ def word_of(code: int) -> str:
     return WORDS.get(code, "failed")
 
 
-def why_manual() -> dict[str, Any]:
-    return {"trigger": "manual"}
-
-
 @dataclass
 class Entry:
     """A run's place in the history.
@@ -97,7 +93,7 @@ class Entry:
     request: Request
     only: str | None = None
     id: str = field(default_factory=lambda: uuid.uuid4().hex)
-    why: Mapping[str, Any] = field(default_factory=why_manual)
+    why: Mapping[str, Any] = field(default_factory=lambda: {"trigger": "manual"})
     runner: Any = None
     generation: int | None = None
     began: float = field(default_factory=time.time)
@@ -112,6 +108,7 @@ class Entry:
         self._write({"record": "begin", **self._facts()})
 
     def end(self, code: int, word: str, message: str = "") -> None:
+        """Write that the command ended, with its exit code."""
         self._write(self.ending(code, word, message))
 
     def ending(self, code: int, word: str, message: str = "") -> dict[str, Any]:

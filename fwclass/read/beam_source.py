@@ -66,6 +66,7 @@ class Ragged:
 
     @classmethod
     def none(cls, rows: int) -> Ragged:
+        """`rows` empty lists."""
         return cls(np.empty(0), np.zeros(rows + 1, np.int64))
 
     @classmethod
@@ -75,6 +76,7 @@ class Ragged:
 
     @property
     def lengths(self) -> Ints:
+        """Values of every row, int64 (rows,)."""
         return np.diff(self.offsets)
 
     def take(self, rows: NDArray) -> Ragged:
@@ -125,6 +127,7 @@ class BeamRows:
         return len(self.pulse)
 
     def take(self, rows: Any) -> BeamRows:
+        """The rows of an index, a mask or a slice."""
         rows = np.arange(len(self))[rows]
         held: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         held = {n: v.take(rows) if isinstance(v, Ragged) else v[rows] for n, v in held.items()}
@@ -132,6 +135,7 @@ class BeamRows:
 
     @staticmethod
     def joined(parts: list[BeamRows]) -> BeamRows:
+        """`parts` one after the other."""
         if len(parts) == 1:
             return parts[0]
         whole: dict[str, Any] = {}
@@ -175,7 +179,9 @@ class Layout(Protocol):
     """How the rows of one format are read."""
 
     @property
-    def n_rows(self) -> int: ...
+    def n_rows(self) -> int:
+        """Rows of the file, one a waveform."""
+        ...
 
     def blocks(self) -> Iterator[BeamRows]:
         """All rows, a bounded number at a time."""
@@ -197,9 +203,11 @@ class Scaling:
 
     @property
     def exact(self) -> bool:
+        """The samples are whole numbers that are kept as they are."""
         return self.step == 1.0 and self.low == 0.0
 
     def counts(self, samples: NDArray) -> NDArray[np.uint16]:
+        """`samples` as the counts of a digitiser, uint16 of the same shape."""
         if self.exact and samples.dtype.kind in "iu":
             return samples.astype(np.uint16)
         return np.clip(np.rint((samples - self.low) / self.step), 0.0, TOP).astype(np.uint16)
@@ -227,6 +235,7 @@ class Census:
     ascending: bool = True
 
     def add(self, rows: BeamRows) -> None:
+        """Count a block of rows; blocks come in the file's order."""
         new = np.empty(len(rows), bool)
         new[1:] = rows.pulse[1:] != rows.pulse[:-1]
         new[:1] = self.last is None or rows.pulse[:1] != self.last

@@ -73,6 +73,7 @@ class PointCloud:
 
     @property
     def points(self) -> int:
+        """Number of points, those without coordinates too."""
         return len(self.x)
 
 

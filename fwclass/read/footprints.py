@@ -22,7 +22,7 @@ from pyproj import CRS
 
 from fwclass.errors import InputError
 from fwclass.formats.projected import project, utm_of
-from fwclass.read.beam_source import LONGEST, BeamRows, Floats, Ragged
+from fwclass.read.beam_source import LONGEST, BeamRows, Floats, Layout, Ragged
 from fwclass.units import METRES_PER_NS
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -49,7 +49,7 @@ class Beam:
 
 
 @dataclass(frozen=True)
-class FootprintLayout:
+class FootprintLayout(Layout):
     """`last` is the number N of the last sample of LVIS, 0 of GEDI; `names` of data sets, in small letters."""
 
     path: Path

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.read.beam_source import BeamRows, Ragged
+from fwclass.read.beam_source import BeamRows, Layout, Ragged
 from fwclass.read.text_blocks import line_blocks, row_marks, rows_between, rows_of
 from fwclass.units import SPEED_OF_LIGHT
 
@@ -49,7 +49,7 @@ LOOKED_AT = 100_000
 
 
 @dataclass(frozen=True)
-class HeliosLayout:
+class HeliosLayout(Layout):
     """`bin_ns` is a bin's width in HELIOS's own time."""
 
     path: Path

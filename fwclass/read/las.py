@@ -48,10 +48,12 @@ class Descriptor:
 
     @property
     def bytes_per_sample(self) -> int:
+        """Bytes of a sample that is not compressed."""
         return (self.bits + 7) // 8
 
     @property
     def packet_bytes(self) -> int:
+        """Bytes of a packet that is not compressed."""
         return self.n_samples * self.bytes_per_sample
 
     @property

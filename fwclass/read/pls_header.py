@@ -59,9 +59,11 @@ class PulseHeader:
 
     @property
     def global_encoding(self) -> int:
+        """As of a LAS header, for `crs_of`: no bit is set."""
         return 0
 
     def records(self, number: int, users: tuple[str, ...]) -> list[Record]:
+        """Records of a number, of any of `users`."""
         return [r for r in (*self.vlrs, *self.avlrs) if r.number == number and r.user in users]
 
 

@@ -115,6 +115,7 @@ class Samplings:
 
     @classmethod
     def of(cls, source: PulseSource) -> Samplings:
+        """The samplings of all pulse descriptors of a file."""
         described = np.zeros((256, 3), np.int64)
         state = np.full(256, FAULTS.index("unknown pulse descriptor"), np.uint8)
         unit, centre, sends = np.ones(256), np.full(256, np.nan), np.zeros(256, np.bool_)
@@ -159,6 +160,7 @@ class Segments:
     begin: NDArray[np.float64]
 
     def take(self, index: NDArray) -> Segments:
+        """The segments of an index or a mask."""
         return Segments(
             self.pulse[index], self.sampling[index], self.samples[index], self.byte[index], self.begin[index]
         )
@@ -266,6 +268,7 @@ def reach(pulses: Pulses, kinds: Samplings) -> tuple[NDArray[np.float64], NDArra
 
 
 def refuse_overlap(source: PulseSource, got: str) -> NoReturn:
+    """`InputError`: more samples are referred to than the file has."""
     raise InputError(
         "the waves of the pulses overlap",
         where=source.path,

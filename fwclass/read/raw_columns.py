@@ -50,6 +50,7 @@ class Settings:
 
     @classmethod
     def of(cls, metadata: Mapping[str, str], path: Path) -> Settings:
+        """The settings in a file's metadata; `InputError` for a value that cannot be."""
         spacing, saturation = (_number(metadata, key, path) for key in ("spacing_ns", "saturation"))
         if spacing is not None and not SPACINGS[0] <= spacing <= SPACINGS[1]:
             raise InputError(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.paths import open_regular
-from fwclass.read.beam_source import BeamRows, Ragged
+from fwclass.read.beam_source import BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
     KEYS,
     LISTS,
@@ -38,7 +38,7 @@ _LIST_MARKS = str.maketrans("[](){};,", " " * 8)
 
 
 @dataclass(frozen=True)
-class CsvLayout:
+class CsvLayout(Layout):
     """`columns` in their order, apart by `delimiter`; rows begin at byte `start`."""
 
     path: Path

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.formats.parquet_footer import count_values
-from fwclass.read.beam_source import LONGEST, BeamRows, Ragged
+from fwclass.read.beam_source import LONGEST, BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
     LISTS,
     OPTIONAL,
@@ -49,7 +49,7 @@ def is_raw_parquet(path: Path) -> bool:
 
 
 @dataclass(frozen=True)
-class ParquetLayout:
+class ParquetLayout(Layout):
     """The columns of a file; `groups` are the rows at which its row groups begin, and behind the last their number."""
 
     path: Path

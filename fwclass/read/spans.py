@@ -34,6 +34,7 @@ class Span:
 
     @property
     def n_points(self) -> int:
+        """Number of points."""
         return self.last_point - self.first_point
 
 

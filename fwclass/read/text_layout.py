@@ -74,12 +74,14 @@ def _separator(line: bytes) -> tuple[str, str]:
 
 
 def words_of(line: bytes, delimiter: str) -> list[str]:
+    """The columns of a line, without quotes and blanks around them."""
     text = line.decode("utf-8", "replace")
     words = text.split() if delimiter == " " else text.split(delimiter)
     return [w.strip().strip('"').strip() for w in words]
 
 
 def is_number(word: str, decimal: str = ".") -> bool:
+    """A word is a number with `decimal` as its mark, or one that stands for no value."""
     try:
         float(word.replace(decimal, ".") if decimal != "." else word)
     except ValueError:

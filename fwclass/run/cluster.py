@@ -379,6 +379,7 @@ class Cluster:
         return heard if heard is not None else future.result()
 
     def cancel(self, futures: list[Future]) -> None:
+        """Give up parts that have not begun."""
         self._client.cancel(futures)
 
     def gone(self) -> FwclassError:
@@ -412,6 +413,7 @@ class Cluster:
 
     @property
     def window(self) -> int:
+        """How many parts the scheduler may know at a time."""
         return self._window
 
 

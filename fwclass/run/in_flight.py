@@ -16,14 +16,37 @@ class Scheduler(Protocol):
     """What hands parts to workers, and knows what became of a worker that was lost."""
 
     @property
-    def window(self) -> int: ...
-    def submit(self, location: RunLocation, task: Task, upstream: list[Any], alone: bool) -> Any: ...
-    def cancel(self, futures: list[Any]) -> None: ...
-    def outcome(self, future: Any) -> Outcome: ...
-    def gone(self) -> Exception: ...
-    def turned_away(self, fault: Exception) -> bool: ...
-    def killed(self, fault: Exception, key: str) -> str | None: ...
-    def cause(self, worker: str) -> str: ...
+    def window(self) -> int:
+        """How many parts the scheduler may know at a time."""
+        ...
+
+    def submit(self, location: RunLocation, task: Task, upstream: list[Any], alone: bool) -> Any:
+        """The future of a part that is handed over, to run after those of `upstream`, and with no other if `alone`."""
+        ...
+
+    def cancel(self, futures: list[Any]) -> None:
+        """Give up parts that have not begun."""
+        ...
+
+    def outcome(self, future: Any) -> Outcome:
+        """The outcome of a future that has ended well."""
+        ...
+
+    def gone(self) -> Exception:
+        """What to raise when the scheduler itself is lost."""
+        ...
+
+    def turned_away(self, fault: Exception) -> bool:
+        """The worker computes by other code than this run, and never began the part."""
+        ...
+
+    def killed(self, fault: Exception, key: str) -> str | None:
+        """The worker lost with the task `key`; "" where with one that this one needs, None for another fault."""
+        ...
+
+    def cause(self, worker: str) -> str:
+        """Why a worker was lost, in words."""
+        ...
 
 
 class InFlight:
@@ -49,6 +72,7 @@ class InFlight:
         return bool(self._suspects or self._waiting) or len(self._futures) >= self._scheduler.window
 
     def take(self, task: Task, alone: bool = False) -> None:
+        """Hand `task` to the scheduler, or let it wait for a suspect that it needs."""
         if task.name not in self._order:
             self._order[task.name] = next(self._numbers)
         if any(n in self._suspects or n in self._waiting for n in task.needs):
@@ -60,6 +84,7 @@ class InFlight:
         self._done.add(future)
 
     def drop(self) -> None:
+        """Give up all parts that have not begun."""
         self._scheduler.cancel([f for f in self._futures.values() if not f.done()])
 
     def ended(self) -> Iterator[Outcome]:

@@ -29,6 +29,7 @@ _BARE = re.compile(r"[\w./:@%+,()\[\]-]+", re.ASCII)
 
 
 def log_path(location: RunLocation, stage: str, part: str) -> Path | Url:
+    """Where the log of a part lies."""
     return address_of(location) / "logs" / stage / f"{part}.log"
 
 

@@ -58,6 +58,7 @@ class Task:
 
     @property
     def name(self) -> Name:
+        """Stage and part."""
         return self.stage, self.part
 
 
@@ -78,6 +79,7 @@ class Outcome:
 
     @property
     def ok(self) -> bool:
+        """The part is done, by this run or an earlier one."""
         return self.status in ("computed", "skipped")
 
 

@@ -203,6 +203,7 @@ def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Pat
 
 
 def flown_over(table: Table, path: Path, crs: Any, undulation: float) -> Table:
+    """The trajectory in the file at `path`, in the time of the pulses of `table`."""
     times = table["gps_time"][np.isfinite(table["gps_time"])]
     ends = (float(times.min()), float(times.max())) if len(times) else (np.nan, np.nan)
     return in_survey_time(read_trajectory(path, crs, undulation), *ends, where=path)

@@ -54,10 +54,12 @@ class StripSections:
 
     @classmethod
     def of(cls, settings: tuple[str, ...]) -> StripSections:
+        """The sections with `settings`, the defaults otherwise."""
         return cls(*(conf.section(name, settings) for name in ("read", "pulse", "decompose", "tile")))
 
 
 def silent(text: str) -> None:
+    """Tell nobody."""
     pass
 
 
@@ -89,6 +91,7 @@ class FileStrip:
 
     @property
     def spans(self) -> list[StripSpan]:
+        """The parts that the file is read in."""
         return spans_of(self._plan, self._strip)
 
     @property

@@ -47,10 +47,12 @@ class Remote:
 
     @property
     def objects(self) -> Objects:
+        """The objects below the address."""
         return objects_at(self.url, self.params)
 
     @property
     def scratch(self) -> Scratch:
+        """Where copies lie on this host."""
         return scratch_of(self.params)
 
     @property
@@ -71,6 +73,7 @@ class Bucket:
 
     @property
     def objects(self) -> Objects:
+        """The objects below the run's address."""
         return self.remote.objects
 
     @property

@@ -57,10 +57,12 @@ class Generation:
 
     @property
     def name(self) -> str:
+        """Its directory's name."""
         return self.path.name
 
     @property
     def key(self) -> str:
+        """Its key in the store."""
         return f"{GENERATIONS}/{self.name}"
 
 
@@ -72,6 +74,7 @@ class Generations:
 
     @property
     def directory(self) -> Path:
+        """Where generations lie on this host."""
         return self.files.root / GENERATIONS
 
     @property
@@ -84,6 +87,7 @@ class Generations:
         return path
 
     def clear_pending(self) -> None:
+        """Remove reports that were never delivered."""
         shutil.rmtree(self.directory / _PENDING, ignore_errors=True)
 
     def check_links(self) -> None:

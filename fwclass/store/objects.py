@@ -38,6 +38,7 @@ class Mark:
 
     @property
     def condition(self) -> dict[str, str]:
+        """As object storage takes it: write only where the object is as it was."""
         return {n: v for n, v in (("e_tag", self.e_tag), ("version", self.version)) if v is not None}
 
 
@@ -91,6 +92,7 @@ class Objects:
         return list(self._pool.map(work, items))
 
     def put(self, key: str, data: bytes) -> None:
+        """Write an object, whatever is there."""
         import obstore
 
         self._again(lambda: obstore.put(self._store, key, data), key)

@@ -119,4 +119,5 @@ def key_of(stage: str, version: int, params: Any, inputs: Mapping[str, str]) -> 
 
 
 def digest_of_outputs(outputs: Mapping[str, Mapping[str, Any]], meta: Mapping[str, Any]) -> str:
+    """Digest of a part: of the digests of its files and of its `meta`."""
     return digest_of({"outputs": {n: o["digest"] for n, o in outputs.items()}, "meta": dict(meta)})

@@ -37,10 +37,12 @@ class RemoteFile:
 
     @property
     def name(self) -> str:
+        """The object's name, as of a path."""
         return self.url.name
 
     @property
     def stem(self) -> str:
+        """The name without its ending."""
         return Path(self.name).stem
 
     def fetched(self, digests: Mapping[str, str]) -> Path:

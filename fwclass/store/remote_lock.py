@@ -30,6 +30,7 @@ _PROBE = "store/probe"
 
 
 def key_of(lock: Lock) -> str:
+    """The key of a lock's object."""
     return f"store/{lock.name}"
 
 
@@ -43,6 +44,7 @@ class Heartbeat:
         self._thread.start()
 
     def check(self) -> None:
+        """`LostRace` where the lock is another's by now."""
         if self._lost.is_set():
             who = self._lock.who
             raise LostRace(

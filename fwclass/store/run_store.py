@@ -57,14 +57,17 @@ class Store:
 
     @property
     def directory(self) -> Path:
+        """Where the store lies on this host."""
         return self.root / "store"
 
     @property
     def failures(self) -> Failures:
+        """The failures of parts."""
         return Failures(self._files)
 
     @property
     def generations(self) -> Generations:
+        """What was delivered."""
         return Generations(self._files)
 
     @property

@@ -41,6 +41,7 @@ class UnsureEcho:
 
     @property
     def name(self) -> str:
+        """Strip, pulse and echo number, as files are named."""
         return f"{self.strip}-{self.pulse}-{self.echo_number}"
 
 

@@ -34,10 +34,12 @@ class Delivery:
 
     @property
     def name(self) -> str:
+        """Run and generation, as text."""
         return f"{self.run} {self.generation.name}"
 
     @property
     def classes(self) -> dict[int, str]:
+        """Names of the classes by code."""
         return {int(c["code"]): str(c["name"]) for c in self.report["classes"]}
 
 

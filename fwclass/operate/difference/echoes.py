@@ -35,10 +35,12 @@ class ClassChanges:
 
     @property
     def common(self) -> int:
+        """Number of echoes that both deliveries have."""
         return int(self.matrix.sum())
 
     @property
     def changed(self) -> int:
+        """Number of common echoes with another class."""
         return self.common - int(np.trace(self.matrix))
 
     def places(self) -> list[tuple[Box, int]]:

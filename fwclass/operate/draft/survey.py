@@ -79,6 +79,7 @@ class Holdings:
 
     @cached_property
     def waveforms(self) -> bool:
+        """Any of the files has waveforms."""
         return any(f.get("waveforms") for f in self.facts)
 
     @cached_property

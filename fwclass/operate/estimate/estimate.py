@@ -66,6 +66,7 @@ class Estimate:
 
     @property
     def bytes(self) -> float:
+        """Bytes of all parts together."""
         return sum(s.bytes for s in self.stages)
 
     @property
@@ -75,6 +76,7 @@ class Estimate:
 
     @property
     def tiles(self) -> int:
+        """Number of tiles."""
         return next(s.amount.parts for s in self.stages if s.name == "tile")
 
 

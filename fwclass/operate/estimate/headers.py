@@ -59,6 +59,7 @@ class SourceFacts:
 
     @property
     def records(self) -> int:
+        """Points, or pulses of a file that has no points."""
         return self.points or self.pulses
 
     @property
@@ -103,6 +104,7 @@ class SurveyFacts:
 
     @property
     def box(self) -> Box:
+        """What holds all files."""
         boxes = [s.bounds for s in self.sources]
         return Box(
             min(b.xmin for b in boxes),

@@ -69,6 +69,7 @@ class Spread:
 
     @property
     def number(self) -> int:
+        """Number of tiles with points."""
         return int(self.occupied.sum())
 
     def within(self, margin: int) -> int:
@@ -83,6 +84,7 @@ class Spread:
         return tuple(self.tile(*map(int, np.unravel_index(k, self.counts.shape))) for k in order if flat[k] >= 0.5)
 
     def tile(self, i: int, j: int) -> Tile:
+        """The tile in column `i` and row `j` of the grid."""
         return Tile(int(self.cols[i]), int(self.rows[j]), self.size)
 
     def touching(self, boxes: Sequence[Box]) -> NDArray[np.bool_]:

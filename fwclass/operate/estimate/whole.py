@@ -40,6 +40,7 @@ class Plan:
 
     @property
     def fits(self) -> bool:
+        """No limit is exceeded."""
         return all(limit.fits for limit in self.limits)
 
 

@@ -50,6 +50,8 @@ class Waiting:
 
 @dataclass(frozen=True)
 class InboxState:
+    """Files of the inbox that can be moved, and those that cannot."""
+
     complete: tuple[Delivery, ...]
     waiting: tuple[Waiting, ...]
 

@@ -50,6 +50,7 @@ class SendResult:
     tries: int = 1
 
     def as_data(self) -> dict[str, Any]:
+        """As plain data, for the history."""
         return {"to": self.place, "ok": not self.fault, "fault": self.fault, "tries": self.tries}
 
 

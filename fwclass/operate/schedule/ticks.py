@@ -25,6 +25,7 @@ class Now:
 
 
 def now() -> Now:
+    """The time by both clocks."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)  # Linux's monotonic clock stands still while the machine sleeps
     return Now(time.time(), time.monotonic() if clock is None else time.clock_gettime(clock))
 

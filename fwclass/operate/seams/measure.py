@@ -46,6 +46,7 @@ class ComparableStages:
 
     @classmethod
     def of(cls, stages: Iterable[Stage]) -> ComparableStages:
+        """Those of the stages of a workflow."""
         some = [s for s in stages if s.writes]
         tiles = [s for s in some if s.over == "tile"]
         return cls(
@@ -148,6 +149,7 @@ class BlockShiftEffect:
     worst: float | None = None
 
     def as_json(self) -> dict[str, Any]:
+        """As plain data, with the share of echoes."""
         return {**self.__dict__, "share": self.off / max(self.echoes, 1)}
 
 

@@ -47,6 +47,7 @@ class SeamResult:
 
     @property
     def equal(self) -> bool:
+        """No bounded stage differs."""
         return not any(s.differ for s in self.bounded)
 
     def judge(self) -> None:

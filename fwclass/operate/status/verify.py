@@ -34,9 +34,11 @@ class Damage:
 
     @property
     def name(self) -> Name:
+        """Stage and part."""
         return self.stage, self.part
 
     def as_data(self) -> dict[str, Any]:
+        """As plain data."""
         return {"stage": self.stage, "part": self.part, "files": list(self.files)}
 
 
@@ -51,9 +53,11 @@ class Verification:
 
     @property
     def sound(self) -> bool:
+        """Nothing is damaged."""
         return not (self.parts or self.delivered)
 
     def as_data(self) -> dict[str, Any]:
+        """As plain data."""
         return {
             "damaged": [d.as_data() for d in self.parts],
             "made_from_damaged": [{"stage": stage, "part": part} for stage, part in self.descendants],

@@ -172,6 +172,7 @@ class RunStatus:
 
     @property
     def all_done(self) -> bool:
+        """The whole plan is known, and every part of it is done."""
         return self.ends is None and all(s.standing == "done" for s in self.states.values())
 
 

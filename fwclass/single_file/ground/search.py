@@ -197,6 +197,7 @@ def with_values(params: GroundParams, values: dict[str, float]) -> GroundParams:
 
 
 def named(ranges: dict[str, Values], setting: Setting) -> dict[str, float]:
+    """A setting by the names of its parameters."""
     return dict(zip(ranges, setting, strict=True))
 
 

@@ -117,6 +117,7 @@ def _plain(value: Any) -> str:
 
 
 def share(part: int, whole: int) -> str:
+    """A share in percent, as text; "-" of nothing."""
     return f"{100 * part / whole:.1f} %" if whole else "-"
 
 

@@ -54,6 +54,7 @@ class Seen:
 
     @property
     def significance(self) -> NDArray[np.float64]:
+        """Amplitudes over their standard deviations, one an echo."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.fits.amplitude / self.fits.amplitude_sigma)
 
