@@ -51,7 +51,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     receipts |= require_all(runner, shi.clock_tasks(config, columns, variants))
 
     def page() -> dict[str, Any]:
-        facts = shi.facts(config, printed, report, names, variants, plan.layout, receipts)
+        facts = shi.facts(config, printed, report, variants, plan.layout, receipts)
         inputs = PartInputs(runner.store)
         return deliver(config, runner, plan.layout, report, facts, scenes=scenes(plan.layout, receipts, inputs))
 

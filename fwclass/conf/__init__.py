@@ -190,15 +190,18 @@ def _check(config: Config) -> None:
                 got=f"{cell:g} m",
                 do="choose another edge, 2 or 4 m for example",
             )
-    for name in config.classify.refine.between:
-        if name not in names:
-            raise ConfigError(
-                f"no class is called {name!r}",
-                where=f"{where}: classify.refine.between",
-                expected=", ".join(names),
-                got=name,
-                do=nearest(name, names),
-            )
+    weights = config.train.class_weights
+    weighted = weights if isinstance(weights, Mapping) else ()
+    for key, called in (("classify.refine.between", config.classify.refine.between), ("train.class_weights", weighted)):
+        for name in called:
+            if name not in names:
+                raise ConfigError(
+                    f"no class is called {name!r}",
+                    where=f"{where}: {key}",
+                    expected=", ".join(names),
+                    got=name,
+                    do=nearest(name, names),
+                )
     if config.classify.refine.between and config.thin.rate < 1.0:
         raise ConfigError(
             "a thinned run has no second layer: the features at a boundary would be those of few echoes",
@@ -206,16 +209,6 @@ def _check(config: Config) -> None:
             got=f"thin.rate {config.thin.rate:g}",
             do="--set thin.rate=1, or --set classify.refine.between=[]",
         )
-    weights = config.train.class_weights
-    for name in weights if isinstance(weights, Mapping) else ():
-        if name not in names:
-            raise ConfigError(
-                f"no class is called {name!r}",
-                where=f"{where}: train.class_weights",
-                expected=", ".join(names),
-                got=name,
-                do=nearest(name, names),
-            )
     for kind in ("train", "test"):
         for box in getattr(config.areas, kind):
             if not all(map(math.isfinite, box)) or box[0] >= box[2] or box[1] >= box[3]:

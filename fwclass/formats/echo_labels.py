@@ -136,13 +136,7 @@ def read_echo_labels(source: Path | bytes, where: object, field: str = FIELD, si
     try:
         return _read(source, where, field, signed)
     except (pa.ArrowException, OSError, ValueError) as fault:
-        raise InputError(
-            "labels by echo cannot be read",
-            where=where,
-            expected="a Parquet table with strip, pulse, echo_number, class, x, y and z",
-            got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
-            do="it is cut short or damaged; write it again",
-        ) from fault
+        raise _unreadable(fault, where, "it is cut short or damaged; write it again") from fault
 
 
 def check_echo_labels(path: Path, field: str = FIELD) -> None:
@@ -153,13 +147,17 @@ def check_echo_labels(path: Path, field: str = FIELD) -> None:
         with pq.ParquetFile(path) as file:
             _check_columns(file.schema_arrow, path, field)
     except (pa.ArrowException, OSError, ValueError) as fault:
-        raise InputError(
-            "labels by echo cannot be read",
-            where=path,
-            expected="a Parquet table with strip, pulse, echo_number, class, x, y and z",
-            got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
-            do="name a Parquet file of labels by echo (docs/corrections.md)",
-        ) from fault
+        raise _unreadable(fault, path, "name a Parquet file of labels by echo (docs/corrections.md)") from fault
+
+
+def _unreadable(fault: Exception, where: object, do: str) -> InputError:
+    return InputError(
+        "labels by echo cannot be read",
+        where=where,
+        expected="a Parquet table with strip, pulse, echo_number, class, x, y and z",
+        got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
+        do=do,
+    )
 
 
 def echo_labels_bytes(labels: EchoLabels) -> bytes:

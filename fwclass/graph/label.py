@@ -93,7 +93,7 @@ def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
 def labelled_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
     """Reference classes from the source's own classification; corrections lie within `reach` [m] of their echo."""
     chunk = here.chunk()
-    return _counted(*_corrected(here, chunk, from_source(chunk, params), reach))
+    return _counted(*_corrected(here, chunk, from_source(chunk), reach))
 
 
 def labelled_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:

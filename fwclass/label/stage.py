@@ -66,7 +66,7 @@ def _nearest_in_range(px, py, pz, x, y, z, order, low, high, limit, nearest):  #
 __all__ = ["LABEL", "LabelParams", "from_cloud", "from_polygons", "from_source"]
 
 
-def from_source(chunk: Chunk, params: LabelParams) -> Table:
+def from_source(chunk: Chunk) -> Table:
     """``reference``, uint8 (core,): the class that the source file gave to the nearest return of the echo's pulse."""
     return Table({"reference": chunk.table["source_class"][chunk.core]})
 

@@ -22,7 +22,7 @@ from fwclass.formats.las_header import (
     read_header,
 )
 from fwclass.formats.laz import check_laz
-from fwclass.read.base import Source, WaveStore
+from fwclass.read.base import Source, WaveStore, file_beside
 
 STANDARD_GPS_TIME = 1
 """Bit of the global encoding."""
@@ -159,14 +159,14 @@ def _find_waves(header: Header, faults: list[str], endings: tuple[str, ...]) -> 
     why = f"the waveforms are missing: put {expected} beside {header.path.name}"
     if internal:
         why = f"the waveforms that the header places in the file are not there, and there is no {expected}"
-    elif ".wdz" not in endings and (other := _beside(header.path, ".wdz")) is not None:
+    elif ".wdz" not in endings and (other := file_beside(header.path, ".wdz")) is not None:
         why += f" ({other.name} is there, but its descriptors are of packets that are not compressed)"
     faults.append(why)
     return WaveStore("none", why_not=why)
 
 
 def _external(header: Header, faults: list[str], endings: tuple[str, ...]) -> WaveStore | None:
-    path = next((p for p in (_beside(header.path, ending) for ending in endings) if p is not None), None)
+    path = next((p for p in (file_beside(header.path, ending) for ending in endings) if p is not None), None)
     if path is None:
         return None
     size = path.stat().st_size
@@ -178,15 +178,6 @@ def _external(header: Header, faults: list[str], endings: tuple[str, ...]) -> Wa
     if number != WDP_RECORD or user.split(b"\0")[0].decode("latin1") not in SPEC_USERS:
         faults.append(f"{path.name} does not start with a waveform record; its packets may be wrong")
     return WaveStore("external", path, 0, size)
-
-
-def _beside(path: Path, ending: str) -> Path | None:
-    """``name.wdp`` beside ``name.las``, in any case of letters."""
-    exact = path.with_suffix(ending)
-    if exact.is_file():
-        return exact
-    namesakes = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
-    return namesakes[0] if namesakes else None
 
 
 def _internal(header: Header, faults: list[str]) -> WaveStore | None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from fwclass.errors import InputError
 from fwclass.formats.crs import crs_of
 from fwclass.paths import open_regular
-from fwclass.read.base import Source, WaveStore
+from fwclass.read.base import Source, WaveStore, file_beside
 from fwclass.read.pls_header import SIGNATURE, PulseHeader, read_pulse_header
 
 WAVES_SIGNATURE, WAVES_HEADER = b"PulseWavesWaves\0", 60
@@ -202,10 +202,10 @@ def _descriptor(body: bytes) -> PulseDescriptor:
 
 
 def _find_waves(path: Path, faults: list[str]) -> WaveStore:
-    waves, why = _beside(path, ".wvs"), ""
+    waves, why = file_beside(path, ".wvs"), ""
     if waves is None:
         why = f"the waveforms are missing: put {path.with_suffix('.wvs').name} beside {path.name}"
-        packed = _beside(path, ".wvz")
+        packed = file_beside(path, ".wvz")
         if packed is not None:
             why = f"{packed.name} is compressed: decompress it with PulseTools: pulsezip -i {path.name} -o OUT.pls"
     else:
@@ -219,12 +219,3 @@ def _find_waves(path: Path, faults: list[str]) -> WaveStore:
         faults.append(why)
         return WaveStore("none", why_not=why)
     return WaveStore("external", waves, 0, waves.stat().st_size)
-
-
-def _beside(path: Path, suffix: str) -> Path | None:
-    """``name.wvs`` beside ``name.pls``, in any case of letters."""
-    exact = path.with_suffix(suffix)
-    if exact.is_file():
-        return exact
-    namesakes = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
-    return namesakes[0] if namesakes else None

@@ -71,7 +71,7 @@ def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
     elif isinstance(source, BeamSource):
         waves = read_beam_rows(source, span)
     else:
-        waves = read_las(las_of(source), span, params)
+        waves = read_las(las_of(source), span)
     return waves if source.target is None else projected(waves, source, source.target)
 
 

@@ -43,6 +43,7 @@ from fwclass.single_file.features.echoes import (
     with_radiometry,
 )
 from fwclass.single_file.ground.output import LAS, check_output
+from fwclass.single_file.ground.params import check_settings
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.single_file.refine import refine
 from fwclass.stage import Chunk
@@ -98,7 +99,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         A file or model that cannot be used, or lacks what the model decides by.
     """
     began = time.perf_counter()
-    _check_settings(job.settings)
+    check_settings(job.settings, SECTIONS, "leave it out; what decides is the model's")
     source = _checked_source(job)
     model = load_model(job.model)
     check_output(job.source, job.output, job.overwrite)
@@ -167,18 +168,6 @@ def _drift_notes(seen: Mapping[str, Any] | None) -> list[str]:
         if seen
         else ["the model's card does not say what it has seen: train it again to be warned"]
     )
-
-
-def _check_settings(settings: tuple[str, ...]) -> None:
-    for text in settings:
-        if text.split(".")[0].strip() not in SECTIONS:
-            raise ConfigError(
-                "this setting has no effect here",
-                where=f"--set {text}",
-                expected=f"a key of {', '.join(SECTIONS)}",
-                got=text.split("=")[0],
-                do="leave it out; what decides is the model's",
-            )
 
 
 def _checked_source(job: ClassifyJob) -> LasSource:

@@ -27,6 +27,7 @@ from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.trajectory import in_survey_time, read_trajectory
 from fwclass.schema import Table
+from fwclass.single_file.ground.params import check_settings
 from fwclass.single_file.strip import strip_of
 from fwclass.stage import Chunk
 from fwclass.waveforms import IMPLAUSIBLE
@@ -125,15 +126,7 @@ def decompose_file(
 
 def _params(settings: tuple[str, ...]) -> dict[str, Any]:
     """The sections that the command obeys, changed by `settings`."""
-    for text in settings:
-        if text.split(".")[0].strip() not in SECTIONS:
-            raise ConfigError(
-                "this setting has no effect here",
-                where=f"--set {text}",
-                expected=f"a key of {', '.join(SECTIONS)}",
-                got=text.split("=")[0],
-                do="leave it out, or use `fwclass run`",
-            )
+    check_settings(settings, SECTIONS)
     return {name: conf.section(name, settings) for name in SECTIONS}
 
 

@@ -84,7 +84,7 @@ def compare(
         filters.append(plain)
     votes = np.sum([f.ground for f in flags.values()], axis=0)
     majority = Flags(votes * 2 > len(names), np.logical_and.reduce([f.noise for f in flags.values()]))
-    filters.append(_summary(cloud, shown, truth, MAJORITY, majority))
+    filters.append(_summary(shown, truth, MAJORITY, majority))
     tell("measuring")
     plain = {
         "input": str(source),
@@ -152,14 +152,12 @@ def _one(
     began = time.perf_counter()
     flags = filter_cloud(cloud, shown, params, tell)
     seconds = time.perf_counter() - began
-    summary = _summary(cloud, shown, truth, name, flags)
+    summary = _summary(shown, truth, name, flags)
     rate = {"seconds": round(seconds, 3), "points_per_second": round(int(shown.sum()) / max(seconds, 1e-9))}
     return flags, {**summary, **rate, "parameters": used(params)}
 
 
-def _summary(
-    cloud: PointCloud, shown: NDArray[np.bool_], truth: NDArray[np.int8] | None, name: str, flags: Flags
-) -> dict[str, Any]:
+def _summary(shown: NDArray[np.bool_], truth: NDArray[np.int8] | None, name: str, flags: Flags) -> dict[str, Any]:
     plain: dict[str, Any] = {
         "method": name,
         "ground": int(flags.ground.sum()),

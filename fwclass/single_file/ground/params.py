@@ -125,8 +125,10 @@ def closest(name: str, known: Iterable[str]) -> str:
     return close if (close := nearest(name, known)).startswith("did") else "choose one of these"
 
 
-def check_settings(settings: Iterable[str], sections: tuple[str, ...]) -> None:
-    """`ConfigError` for a setting of a section that the command does not look at."""
+def check_settings(
+    settings: Iterable[str], sections: Iterable[str], do: str = "leave it out, or use `fwclass run`"
+) -> None:
+    """`ConfigError` for a setting of a section that the command does not look at; `do` is what to do instead."""
     for text in settings:
         if text.split(".")[0].strip() not in sections:
             raise ConfigError(
@@ -134,7 +136,7 @@ def check_settings(settings: Iterable[str], sections: tuple[str, ...]) -> None:
                 where=f"--set {text}",
                 expected=f"a key of {', '.join(sections)}",
                 got=text.split("=")[0],
-                do="leave it out, or use `fwclass run`",
+                do=do,
             )
 
 

@@ -12,7 +12,7 @@ from fwclass.assess.intervals import caution
 from fwclass.conf import Config
 from fwclass.run.part import Name
 from fwclass.store.receipts import Receipt
-from fwclass.study.papers.variants import Variant
+from fwclass.study.papers.work import Variant
 
 Receipts = Mapping[Name, Receipt]
 

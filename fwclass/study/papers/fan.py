@@ -13,7 +13,8 @@ from fwclass.study.papers.begin import base_of
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
 from fwclass.study.papers.fan_claims import CLAIMS
-from fwclass.study.papers.variants import Variant, all_classes, changed
+from fwclass.study.papers.variants import all_classes, changed
+from fwclass.study.papers.work import Variant
 
 WAVEFORM = ("amplitude", "width", "backscatter")
 """Bases of features that only a waveform tells; how many echoes there are a discrete return tells too."""

@@ -28,8 +28,8 @@ from fwclass.select.search import f_scores
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
 from fwclass.study.papers.shi_claims import CLAIMS
-from fwclass.study.papers.variants import VERSION, Variant, changed, learn_tasks, time_tasks
-from fwclass.study.papers.work import spans
+from fwclass.study.papers.variants import VERSION, changed, learn_tasks, time_tasks
+from fwclass.study.papers.work import Variant, spans
 from fwclass.train.sample import Sample
 
 HEIGHT = "height_above_ground"
@@ -202,7 +202,6 @@ def facts(
     config: Config,
     printed: Mapping[str, Any],
     report: Mapping[str, Any],
-    names: tuple[str, ...],
     variants: Sequence[Variant],
     layout: Layout,
     receipts: Receipts,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,37 +16,13 @@ from fwclass.graph.stage import Plan, always
 from fwclass.model import ClassDef
 from fwclass.run.part import Task
 from fwclass.study.papers import work
+from fwclass.study.papers.work import Variant
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import VERSION as OTHERS_VERSION
 from fwclass.train.params import TrainParams
 from fwclass.train.stage import TRAIN_IMPORTANCE, TRAIN_TREES
 
 VERSION = 1
-
-
-@dataclass(frozen=True)
-class Variant:
-    """A classifier that differs from the run's own.
-
-    Attributes
-    ----------
-    name : of its parts.
-    features : what it decides by, of those of the sample.
-    train : its method and parameters; the sample's are those of the configuration.
-    classes : how many of `all_classes` it knows, the first.
-    rows : so many rows of the sample train it at most; 0 is all.
-    squares : edge of the squares that a machine's rows are thinned and its search is folded by, and their gap [m];
-        None: pieces of consecutive pulses.
-    filtered : index of the class that the ground filter answers; the classifier knows the others. None: it knows all.
-    """
-
-    name: str
-    features: tuple[str, ...]
-    train: TrainParams
-    classes: int
-    rows: int = 0
-    squares: tuple[float, float] | None = None
-    filtered: int | None = None
 
 
 def all_classes(config: Config) -> tuple[ClassDef, ...]:
@@ -131,7 +107,7 @@ def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varia
                 one.name,
                 _version(),
                 params,
-                partial(work.learned, *_training_arguments(config, names, one)),
+                partial(work.learned, one, names, config.compare, all_classes(config)),
                 needs=(("paper-training", "all"),),
             )
         )
@@ -141,18 +117,11 @@ def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varia
                 one.name,
                 1000 * CLASSIFY.version + VERSION,
                 {**params, "block": config.papers.block},
-                partial(
-                    work.judged, one.name, names, all_classes(config), one.classes, one.filtered, config.papers.block
-                ),
+                partial(work.judged, one, names, all_classes(config), config.papers.block),
                 needs=(("paper-model", one.name), ("paper-tested", "all")),
             )
         )
     return tasks
-
-
-def _training_arguments(config: Config, names: tuple[str, ...], one: Variant) -> tuple[Any, ...]:
-    classes = all_classes(config)[: one.classes]
-    return names, one.features, one.train, config.compare, classes, one.rows, one.squares, one.filtered
 
 
 def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Variant]) -> list[Task]:
@@ -166,7 +135,7 @@ def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varian
                 one.name,
                 _version(),
                 facts_of(config, one),
-                partial(work.timed, one.name, *_training_arguments(config, names, one)),
+                partial(work.timed, one, names, config.compare, all_classes(config)),
                 needs=needs,
             )
         )
@@ -186,7 +155,7 @@ def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> li
                 batches[-1],
                 TRAIN_IMPORTANCE.version,
                 {**params, "count": count},
-                partial(work.dropped, one.name, names, one.train, first, count, config.papers.repeats, one.classes),
+                partial(work.dropped, one, names, first, count, config.papers.repeats),
                 needs=(("paper-training", "all"), ("paper-model", one.name)),
             )
         )

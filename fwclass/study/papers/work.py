@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,31 @@ TEST, MODEL, DROPS, ANSWERS = "test", "model", "drops", "answers"
 _TABLE = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
 WARM_ROWS = 2000
 """Rows that a timing begins with and does not count: compiled code is loaded then."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A classifier that differs from the run's own.
+
+    Attributes
+    ----------
+    name : of its parts.
+    features : what it decides by, of those of the sample.
+    train : its method and parameters; the sample's are those of the configuration.
+    classes : how many of `all_classes` it knows, the first.
+    rows : so many rows of the sample train it at most; 0 is all.
+    squares : edge of the squares that a machine's rows are thinned and its search is folded by, and their gap [m];
+        None: pieces of consecutive pulses.
+    filtered : index of the class that the ground filter answers; the classifier knows the others. None: it knows all.
+    """
+
+    name: str
+    features: tuple[str, ...]
+    train: TrainParams
+    classes: int
+    rows: int = 0
+    squares: tuple[float, float] | None = None
+    filtered: int | None = None
 
 
 def drawn(
@@ -96,72 +121,52 @@ def training(
     return {"rows": sample.rows, "counts": sample.counts.tolist(), "eligible": sample.eligible.tolist()}
 
 
-def sample_for(
-    inputs: PartInputs,
-    names: tuple[str, ...],
-    features: tuple[str, ...],
-    classes: int,
-    most: int = 0,
-    filtered: int | None = None,
-) -> Sample:
-    """The sample with the columns and the classes that a variant knows, the first but `filtered`; `most` rows of it, 0
-    for all."""
+def sample_for(inputs: PartInputs, names: tuple[str, ...], one: Variant) -> Sample:
+    """The sample with the columns and the classes that a variant knows; `Variant.rows` rows of it."""
     whole = Sample.from_arrays(names, inputs.arrays("paper-training", "all", SAMPLE)[0])
-    at = [names.index(f) for f in features]
-    known = _known(classes, filtered)
+    known = _known(one)
     rows = np.isin(whole.y, known)
-    X = np.ascontiguousarray(whole.X[rows][:, at])
+    X = np.ascontiguousarray(whole.X[rows][:, [names.index(f) for f in one.features]])
     y = np.searchsorted(known, whole.y[rows]).astype(np.uint8)
-    sample = Sample(features, X, y, whole.key[rows], whole.hash[rows], whole.eligible[known])
+    sample = Sample(one.features, X, y, whole.key[rows], whole.hash[rows], whole.eligible[known])
     sample = replace(sample, place=whole.place[rows]) if len(whole.place) else sample
-    return fewer(sample, most) if most else sample
+    return fewer(sample, one.rows) if one.rows else sample
 
 
-def _known(classes: int, filtered: int | None) -> NDArray[np.int64]:
-    """Indices of the classes that a classifier knows."""
-    return np.array([k for k in range(classes) if k != filtered], np.int64)
+def _known(one: Variant) -> NDArray[np.int64]:
+    """Indices of the classes that a variant's classifier knows."""
+    return np.array([k for k in range(one.classes) if k != one.filtered], np.int64)
 
 
-def fitted(
-    sample: Sample,
-    params: TrainParams,
-    compare: CompareParams,
-    classes: tuple[ClassDef, ...],
-    squares: tuple[float, float] | None = None,
-) -> Model:
-    """The classifier that `params.method` names."""
+def fitted(sample: Sample, one: Variant, compare: CompareParams, classes: tuple[ClassDef, ...]) -> Model:
+    """A variant's classifier, trained on `sample`; `classes` are all, also those that it does not know."""
+    known, params = tuple(classes[k] for k in _known(one)), one.train
     if params.method == "forest":
-        return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
-    return train_other(sample, params, compare, classes, params.method, spatial(*squares) if squares else BY_PULSES)
+        return train(sample, grow_trees(sample, known, 0, params.trees, params), params, known)
+    places = spatial(*one.squares) if one.squares else BY_PULSES
+    return train_other(sample, params, compare, known, params.method, places)
 
 
 def learned(
+    one: Variant,
     names: tuple[str, ...],
-    features: tuple[str, ...],
-    params: TrainParams,
     compare: CompareParams,
     classes: tuple[ClassDef, ...],
-    rows: int,
-    squares: tuple[float, float] | None,
-    filtered: int | None,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
     """A variant's model."""
-    sample = sample_for(inputs, names, features, len(classes), rows, filtered)
-    classes = tuple(c for k, c in enumerate(classes) if k != filtered)
-    model = fitted(sample, params, compare, classes, squares)
+    model = fitted(sample_for(inputs, names, one), one, compare, classes)
     save_model(directory / MODEL, model)
     card = model.card
     bag = card.get("out_of_bag") or {}
-    machine = {n: card["params"].get(n) for n in ("c", "gamma")}
     return {
         "rows": int(np.sum(card["samples"])),
         "notes": list(card.get("notes", ())),
         "out_of_bag": bag.get("accuracy"),
         "nodes": len(model.feature) if isinstance(model, Forest) else None,
         "vectors": len(model.vectors) if isinstance(model, KernelMachine) else None,
-        "params": machine,
+        "params": {n: card["params"].get(n) for n in ("c", "gamma")},
     }
 
 
@@ -174,28 +179,26 @@ def _test(inputs: PartInputs) -> dict[str, NDArray]:
 
 
 def judged(
-    name: str,
+    one: Variant,
     names: tuple[str, ...],
     classes: tuple[ClassDef, ...],
-    known: int,
-    filtered: int | None,
     edge: float,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
-    """Confusion of a variant on the test echoes: rows are all classes, columns the first `known`, which it tells.
+    """Confusion of a variant on the test echoes: rows are all classes, columns those that it tells.
 
     The answers (uint8, index of the class) are kept for comparisons between variants.
     """
-    model, test = _model(inputs, name), _test(inputs)
+    model, test = _model(inputs, one.name), _test(inputs)
     X = np.ascontiguousarray(test["X"][:, [names.index(f) for f in model.features]])
     answers, _ = answer(X, model)
-    if filtered is not None:
-        answers = np.where(test["ground"], filtered, _known(known, filtered)[answers])
-    cell = test["y"].astype(np.int64) * known + answers
-    matrix = np.bincount(cell, minlength=len(classes) * known).reshape(len(classes), known)
+    if one.filtered is not None:
+        answers = np.where(test["ground"], one.filtered, _known(one)[answers])
+    cell = test["y"].astype(np.int64) * one.classes + answers
+    matrix = np.bincount(cell, minlength=len(classes) * one.classes).reshape(len(classes), one.classes)
     write_arrays(directory / ANSWERS, {"found": answers.astype(np.uint8)})
-    return {"matrix": matrix.tolist(), "intervals": intervals(by_block(test, answers, known, edge))}
+    return {"matrix": matrix.tolist(), "intervals": intervals(by_block(test, answers, one.classes, edge))}
 
 
 def by_block(test: Mapping[str, NDArray], answers: NDArray[np.int64], known: int, edge: float) -> NDArray[np.int64]:
@@ -232,32 +235,27 @@ def compared(name: str, other: str, known: int, edge: float, inputs: PartInputs,
 
 
 def timed(
-    name: str,
+    one: Variant,
     names: tuple[str, ...],
-    features: tuple[str, ...],
-    params: TrainParams,
     compare: CompareParams,
     classes: tuple[ClassDef, ...],
-    rows: int,
-    squares: tuple[float, float] | None,
-    filtered: int | None,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
     """Processor seconds of training and of answering, without reading, writing and loading of compiled code."""
-    sample = sample_for(inputs, names, features, len(classes), rows, filtered)
-    classes = tuple(c for k, c in enumerate(classes) if k != filtered)
-    model, test = _model(inputs, name), _test(inputs)
-    tested_rows = test["X"] if filtered is None else test["X"][~test["ground"]]
-    X = np.ascontiguousarray(tested_rows[:, [names.index(f) for f in features]])
+    sample, params = sample_for(inputs, names, one), one.train
+    known = tuple(classes[k] for k in _known(one))
+    model, test = _model(inputs, one.name), _test(inputs)
+    tested_rows = test["X"] if one.filtered is None else test["X"][~test["ground"]]
+    X = np.ascontiguousarray(tested_rows[:, [names.index(f) for f in one.features]])
     answer(X[:WARM_ROWS], model)
     if params.method == "forest":
-        grow_trees(sample, classes, 0, 1, params)
+        grow_trees(sample, known, 0, 1, params)
     began = time.process_time()
     if params.method == "forest":
-        grow_trees(sample, classes, 0, params.trees, params)
+        grow_trees(sample, known, 0, params.trees, params)
     else:
-        fitted(sample, params, compare, classes, squares)
+        fitted(sample, one, compare, classes)
     trained = time.process_time()
     answer(X, model)
     return {
@@ -278,22 +276,13 @@ def trees_of(model: Forest, first: int, count: int) -> list[Tree]:
 
 
 def dropped(
-    name: str,
-    names: tuple[str, ...],
-    params: TrainParams,
-    first: int,
-    count: int,
-    repeats: int,
-    classes: int,
-    inputs: PartInputs,
-    directory: Path,
+    one: Variant, names: tuple[str, ...], first: int, count: int, repeats: int, inputs: PartInputs, directory: Path
 ) -> dict[str, Any]:
     """What permuting a feature takes from some of the trees."""
-    model = _model(inputs, name)
+    model = _model(inputs, one.name)
     if not isinstance(model, Forest):
-        raise TypeError(f"{name} is no forest")
-    sample = sample_for(inputs, names, model.features, classes)
-    losses, rows = drops(sample, trees_of(model, first, count), first, params, repeats)
+        raise TypeError(f"{one.name} is no forest")
+    losses, rows = drops(sample_for(inputs, names, one), trees_of(model, first, count), first, one.train, repeats)
     write_arrays(directory / DROPS, {"drops": losses, "rows": rows})
     return {"trees": count}
 

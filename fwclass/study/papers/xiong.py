@@ -15,7 +15,8 @@ from fwclass.select.work import scale_of
 from fwclass.study.papers.begin import base_of
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
-from fwclass.study.papers.variants import Variant, changed
+from fwclass.study.papers.variants import changed
+from fwclass.study.papers.work import Variant
 from fwclass.study.papers.xiong_claims import CLAIMS
 from fwclass.study.select.thinning import RATE, cost_task, plain_curve, rate_tasks
 
