@@ -58,12 +58,12 @@ def plan(
     from fwclass.operate.estimate.whole import planned
     from workflows import workflow_of
 
-    asked = workflow_of(workflow)
-    if count is not None and asked.settle is not None:
+    chosen = workflow_of(workflow)
+    if count is not None and chosen.settle is not None:
         raise ConfigError(
             "tiles are tried with the stages of `classification` alone", where="--dry-run", do="leave one of them out"
         )
-    config = configuration.load(conf, settings, asked.classifies)
+    config = configuration.load(conf, settings, chosen.classifies)
     if graph:
         _tell_graph(config, workflow, as_json)
         return
@@ -73,7 +73,7 @@ def plan(
     _check(config, workflow)
     facts = survey_facts(config, root)
     check_areas(config, facts.box)
-    settled, stages = (config, STAGES) if asked.settle is None else (asked.settle(config), asked.stages)
+    settled, stages = (config, STAGES) if chosen.settle is None else (chosen.settle(config), chosen.stages)
     estimate = planned(settled, facts, number, room_at(root), stages=stages)
     if count is not None:
         estimate = _dry_run(estimate, count, root)
@@ -92,10 +92,10 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
     from fwclass.operate.estimate.whole import planned
     from fwclass.store.atomic import staged
 
-    asked = trial_of(estimate, count, root)
+    trial_ = trial_of(estimate, count, root)
     with staged(root / "plan") as scratch:
         with open_runner(scratch, estimate.workers, None, estimate.config.run) as runner:
-            keys = trial(asked, runner, count, estimate.halo)
+            keys = trial(trial_, runner, count, estimate.halo)
             failures, store = runner.failures, runner.store
         if failures:
             first = failures[0]
@@ -104,7 +104,7 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
                 got=first.message.splitlines()[0] if first.message else "",
                 do="mend the cause; the run would fail too",
             )
-        click.echo(f"dry run     tiles {', '.join(keys)} from {asked.files:,} files", err=True)
+        click.echo(f"dry run     tiles {', '.join(keys)} from {trial_.files:,} files", err=True)
         return planned(estimate.config, estimate.facts, estimate.workers, estimate.room, store)
 
 

@@ -57,7 +57,7 @@ def select(
     workers: int | None,
     overwrite: bool,
     as_json: bool,
-    **asked: Any,
+    **options: Any,
 ) -> None:
     """Choose features on the training areas of a survey, and tell what they cost.
 
@@ -75,7 +75,7 @@ def select(
     config = configuration.load(conf, settings)
     root = out if out is not None else Path("runs") / config.survey.name
     names = output.candidates_of(config, candidates)
-    if method != "forward" and asked["order"]:
+    if method != "forward" and options["order"]:
         raise ConfigError("--order belongs to --method forward", where="--order", got=f"--method {method}")
     if method not in ("thinning", "scales") and len(names) < 2:
         raise ConfigError(
@@ -91,9 +91,9 @@ def select(
         if method == "thinning":
             result = thinning(config, runner, names)
         elif method == "scales":
-            result = scale_selection(config, runner, asked["pick"])
+            result = scale_selection(config, runner, options["pick"])
         else:
-            result = selection(config, runner, names, method, **asked)
+            result = selection(config, runner, names, method, **options)
     output.write(result, path)
     click.echo(output.describe(result, path), err=True)
     if as_json:

@@ -60,9 +60,9 @@ def find(name: str | Path) -> Path:
 
 def public_data(named: str, where: Path, origin: str | None) -> Path:
     """The directory of public data that ``data:NAME`` names, below the one of the environment variable FWCLASS_DATA."""
-    name, given = named.removeprefix(PUBLIC), os.environ.get(VARIABLE)
-    if given:
-        return Path(given).absolute() / name
+    name, path = named.removeprefix(PUBLIC), os.environ.get(VARIABLE)
+    if path:
+        return Path(path).absolute() / name
     raise ConfigError(
         "the files of this survey do not come with fwclass",
         where=f"{where}: survey.directory",

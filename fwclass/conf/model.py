@@ -61,9 +61,9 @@ class ClassSection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _own_code(cls, given: Any) -> Any:
+    def _own_code(cls, value: Any) -> Any:
         """A class that names no codes of the reference counts its own."""
-        return {"codes": [given["code"]], **given} if isinstance(given, dict) and "code" in given else given
+        return {"codes": [value["code"]], **value} if isinstance(value, dict) and "code" in value else value
 
     @field_validator("name")
     @classmethod

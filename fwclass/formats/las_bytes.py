@@ -115,8 +115,8 @@ class LasHead:
 
 def kept_records(head: LasHead) -> LasHead:
     """`head` without the records that say how points are stored (LASzip, COPC)."""
-    kept = tuple(r for r in head.records if (r.user, r.number) != LASZIP and r.user != "copc")
-    return replace(head, records=kept)
+    records = tuple(r for r in head.records if (r.user, r.number) != LASZIP and r.user != "copc")
+    return replace(head, records=records)
 
 
 def class_byte(point_format: int) -> int:

@@ -75,9 +75,9 @@ def groups_of(codes: NDArray[np.int16], classes: Sequence[ClassDef]) -> NDArray[
 
 def _code(text: str, meaning: Meaning, classes: Sequence[ClassDef]) -> int | None:
     """The code of one value, None where it stands for nothing known."""
-    given = {str(k).strip(): v for k, v in meaning.items()}
-    if text in given:
-        meant = given[text]
+    codes = {str(k).strip(): v for k, v in meaning.items()}
+    if text in codes:
+        meant = codes[text]
         if meant is None:
             return NO_CODE
         code = _plain_code(str(meant), classes)

@@ -31,14 +31,14 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
     """
     began, wanted = time.perf_counter(), listed()
     before, spoke, left = compiling.count(), began, list[str]()
-    for done, (kernel, types) in enumerate(wanted):
+    for number, (kernel, types) in enumerate(wanted):
         try:
             kernel.compiled().compile(tuple(map(_type, types)))  # type: ignore[attr-defined]
         except TypeError as fault:
             left.append(f"{kernel.__name__}: {fault}")  # type: ignore[attr-defined]
         if time.perf_counter() - spoke > 10.0:
             spoke = time.perf_counter()
-            tell(f"{done + 1} of {len(wanted)}")
+            tell(f"{number + 1} of {len(wanted)}")
     return {
         "listed": len(wanted),
         "compiled": compiling.count() - before,
@@ -82,9 +82,9 @@ def _array(kind: Any, words: list[str]) -> Any:
     return types.Array(kind, int(ndim), layout, readonly="readonly" in more, aligned="unaligned" not in more)
 
 
-def lines(asked: list[tuple[str, Any]]) -> Iterator[str]:
+def lines(kernels: list[tuple[str, Any]]) -> Iterator[str]:
     """Of `compiling.asked`, as the list has them."""
-    for name, types in asked:
+    for name, types in kernels:
         yield json.dumps([name, *map(_text, types)])
 
 

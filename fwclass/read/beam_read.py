@@ -119,7 +119,7 @@ def _outgoing(rows: BeamRows, source: BeamSource) -> tuple[Ragged, NDArray[np.fl
         sums = rows.outgoing.per_row(np.add, 0.0)
     has = rows.outgoing.lengths > 0
     fine = has & np.isfinite(sums) & (highest < source.scaling.top)
-    kept = Ragged(rows.outgoing.values, rows.outgoing.offsets).take(np.flatnonzero(fine))
+    pulses = Ragged(rows.outgoing.values, rows.outgoing.offsets).take(np.flatnonzero(fine))
     lengths = np.where(fine, rows.outgoing.lengths, 0)
     ends = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    return Ragged(kept.values, ends), np.where(fine, rows.outgoing_begin, np.nan), int((has & ~fine).sum())
+    return Ragged(pulses.values, ends), np.where(fine, rows.outgoing_begin, np.nan), int((has & ~fine).sum())

@@ -129,9 +129,9 @@ class BeamRows:
     def take(self, rows: Any) -> BeamRows:
         """The rows of an index, a mask or a slice."""
         rows = np.arange(len(self))[rows]
-        held: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        held = {n: v.take(rows) if isinstance(v, Ragged) else v[rows] for n, v in held.items()}
-        return BeamRows(**held)
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        values = {n: v.take(rows) if isinstance(v, Ragged) else v[rows] for n, v in values.items()}
+        return BeamRows(**values)
 
     @staticmethod
     def joined(parts: list[BeamRows]) -> BeamRows:

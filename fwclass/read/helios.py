@@ -96,10 +96,10 @@ def is_helios(path: Path) -> bool:
 
 def open_helios(path: Path) -> HeliosLayout:
     """Look at the first lines; `InputError` for none that HELIOS++ writes, or bins of no one width."""
-    low, high, seen = 0.0, math.inf, 0
+    low, high, count = 0.0, math.inf, 0
     for _, data in line_blocks(path, 0):
         lines = rows_of(data)
-        head, samples = _parsed(path, lines, seen)
+        head, samples = _parsed(path, lines, count)
         length = np.sqrt((head[:, 4:7] ** 2).sum(axis=1))
         if len(head) and not np.abs(np.median(length) - 1.0) < UNIT:
             raise InputError(
@@ -113,8 +113,8 @@ def open_helios(path: Path) -> HeliosLayout:
         sound = np.isfinite(span) & (span > 0.0) & (n > 1)
         low = max(low, float((span[sound] / (n[sound] + 1)).max(initial=0.0)))
         high = min(high, float((span[sound] / (n[sound] - 1)).min(initial=math.inf)))
-        seen += len(lines)
-        if seen >= LOOKED_AT:
+        count += len(lines)
+        if count >= LOOKED_AT:
             break
     return HeliosLayout(path, _simplest(low, high, path) if math.isfinite(high) else math.nan)
 

@@ -113,7 +113,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         extra_names = reader.extra_names
         for _, points in reader.blocks():
             tally.add(source, points, step)
-    held = source.n_points > 0
+    has_points = source.n_points > 0
     crs = source.crs
     return {
         "path": str(source.path),
@@ -128,14 +128,14 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         "scales": list(source.scales),
         "offsets": list(source.offsets),
         "crs": {"name": crs.name, "epsg": crs.to_epsg(), "projected": bool(crs.is_projected)} if crs else None,
-        "bounds": [*tally.low.tolist(), *tally.high.tolist()] if held else None,
+        "bounds": [*tally.low.tolist(), *tally.high.tolist()] if has_points else None,
         "header_bounds": [_finite(v) for v in source.bounds],
         "gps_time": list(tally.gps) if np.isfinite(tally.gps[0]) else None,
         "returns": _counts(tally.pairs.sum(axis=1)),
         "numbers_of_returns": _counts(tally.pairs.sum(axis=0)),
         "classes": _counts(tally.classes),
         "intensity": {"min": tally.intensity[0], "max": tally.intensity[1], "zero": tally.zero_intensity}
-        if held
+        if has_points
         else None,
         "extra_bytes": extra_names,
         "quantities": quantities_of(source)._asdict(),

@@ -138,7 +138,7 @@ def _inside(source: PulseSource, tally: _Tally) -> bool:
     return bool((tally.low >= low - 1.0).all() and (tally.high <= high + 1.0).all())
 
 
-def _asked(outgoing: int) -> str:
+def _outgoing_text(outgoing: int) -> str:
     """That a header does not tell whether times count from the outgoing pulse."""
     return "; whether times count from it the echoes tell (info --waveforms, decompose)" if outgoing else ""
 
@@ -150,7 +150,7 @@ def describe_pulses(info: dict[str, Any]) -> list[tuple[str, str]]:
     counts = ", ".join(f"{key}: {n:,}" for key, n in info["segments"].items()) or "none"
     rows = [
         ("pulses", f"{info['pulses']:,}, {waves['usable']:,} with a usable returning waveform"),
-        ("outgoing", f"{info['outgoing']:,} pulses with a recorded outgoing pulse{_asked(info['outgoing'])}"),
+        ("outgoing", f"{info['outgoing']:,} pulses with a recorded outgoing pulse{_outgoing_text(info['outgoing'])}"),
         ("segments", f"{counts}  (of a pulse)"),
         ("waveforms", where),
         ("amplitudes", WORDS[info["quantities"]["amplitude"]]),

@@ -100,13 +100,13 @@ def check_field(opened: PolygonLayer, field: str) -> None:
 NAME_CRS = "--set survey.reference.crs=EPSG:<code>"
 
 
-def source_crs(opened: PolygonLayer, given: CRS | None, survey: CRS | None, do: str = NAME_CRS) -> CRS | None:
+def source_crs(opened: PolygonLayer, configured: CRS | None, survey: CRS | None, do: str = NAME_CRS) -> CRS | None:
     """The system that the polygons' coordinates are in: the one given, else the file's own.
 
     None where the survey has none either: they are taken as they are. `InputError` where it is unknown; `do` says what
     to do then.
     """
-    crs = given or opened.crs
+    crs = configured or opened.crs
     if crs is None and survey is not None:
         raise InputError(
             "the coordinate system of the polygons is unknown",

@@ -66,9 +66,9 @@ class ParquetLayout(Layout):
         yield from self._rows(range(len(self.groups) - 1))
 
     def read(self, first: int, last: int) -> BeamRows:
-        held = [g for g in range(len(self.groups) - 1) if self.groups[g] < last and self.groups[g + 1] > first]
-        parts, at = [], self.groups[held[0]] if held else 0
-        for rows in self._rows(held):
+        groups = [g for g in range(len(self.groups) - 1) if self.groups[g] < last and self.groups[g + 1] > first]
+        parts, at = [], self.groups[groups[0]] if groups else 0
+        for rows in self._rows(groups):
             low, high = max(first - at, 0), min(last - at, len(rows))
             if low < high:
                 parts.append(rows.take(slice(low, high)))

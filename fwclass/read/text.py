@@ -192,19 +192,19 @@ def _labels(
     name = next((n for n in ("code", "label") if n in values), None)
     if name is None:
         return None, "code"
-    given = values[name]
-    wrong = ~((given >= 0) & (given <= 255) & (given == np.floor(given)))
+    labels = values[name]
+    wrong = ~((labels >= 0) & (labels <= 255) & (labels == np.floor(labels)))
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
         raise refused(
             path,
             "the labels are no labels",
             "whole numbers from 0 to 255",
-            f"{given[row]:g}",
+            f"{labels[row]:g}",
             "if this column is something else, name the columns in a header line (x y z intensity)",
             _line_of(body, row, layout.first),
         )
-    label = given.astype(np.uint8)
+    label = labels.astype(np.uint8)
     isprs = name == "label" and not (label > 1).any()
     return label, "isprs" if isprs else "code"
 

@@ -52,8 +52,8 @@ class Scheduler(Protocol):
 class InFlight:
     """The parts that the scheduler knows; those that are to be tried alone, and what waits for these."""
 
-    def __init__(self, scheduler: Scheduler, location: RunLocation, losses: Losses, done: Any) -> None:
-        self._scheduler, self._location, self._losses, self._done = scheduler, location, losses, done
+    def __init__(self, scheduler: Scheduler, location: RunLocation, losses: Losses, ended: Any) -> None:
+        self._scheduler, self._location, self._losses, self._done = scheduler, location, losses, ended
         self._tasks: dict[Name, Task] = {}
         self._order: dict[Name, int] = {}
         self._numbers = itertools.count()
@@ -111,9 +111,9 @@ class InFlight:
             return
         name, task = min(self._suspects.items(), key=lambda one: self._place(one[1]))
         del self._suspects[name]
-        held, self._suspects = self._suspects, {}  # a suspect may need an earlier one, none of the others
+        suspects, self._suspects = self._suspects, {}  # a suspect may need an earlier one, none of the others
         self.take(task, alone=True)
-        self._suspects = held
+        self._suspects = suspects
         while name in self._futures:
             if next(self._done).key != self._futures[name].key:
                 continue  # one that was handed over again before

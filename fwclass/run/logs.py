@@ -60,9 +60,9 @@ def _append(path: Path, text: str) -> None:
         stream.write(text.encode())
         size = stream.tell()
     if size > LIMIT:
-        kept = path.read_bytes()[-LIMIT // 2 :]
+        end = path.read_bytes()[-LIMIT // 2 :]
         beside = path.with_name(f".{path.name}.{os.getpid()}")
-        beside.write_bytes(kept[kept.find(b"\n") + 1 :] or text.encode())
+        beside.write_bytes(end[end.find(b"\n") + 1 :] or text.encode())
         beside.replace(path)
 
 

@@ -77,9 +77,9 @@ def in_given_order(order: Names, candidates: Names, evaluate: Evaluate, scored: 
     for name in order:
         trial = evaluate([in_order((*chosen, name), candidates)])[0]
         result = scored(trial)
-        kept = result.value > best
-        steps.append(Step(result, (name,), kept))
-        if kept:
+        gains = result.value > best
+        steps.append(Step(result, (name,), gains))
+        if gains:
             chosen, best = (*chosen, name), result.value
     return Search(tuple(steps))
 

@@ -112,7 +112,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     outside = RangeCounter.of(first.card, first.features)
     kept = Kept.of(conf.section("classify", job.settings))
     results, without, medians, dense = _classified(echoes.table, first, asked, job.settings, tell, outside, kept)
-    seen = drift(first.card, [outside.counts()] if outside else [])
+    drifted = drift(first.card, [outside.counts()] if outside else [])
     boundary = None
     if isinstance(model, TwoLayer):
         check_computed(model.fine, params := conf.section("features", job.settings), job.model)
@@ -146,7 +146,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "kept": {str(code): n for code, n in stay.items()},
         "confidence": float(sure.mean()) if len(sure) else None,
         "without_value": without,
-        "drift": seen,
+        "drift": drifted,
         "filled": medians,
         "boundary": boundary,
         "waveforms": wrote.get("wdp"),
@@ -154,7 +154,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
             *echoes.notes,
             *dense,
             *notes,
-            *_drift_notes(seen),
+            *_drift_notes(drifted),
             *class_remarks(by_code, known_codes(model.classes), kept, "points"),
             *(str(n) for n in wrote.get("notes", ())),
         ],
@@ -162,10 +162,10 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     }
 
 
-def _drift_notes(seen: Mapping[str, Any] | None) -> list[str]:
+def _drift_notes(drifted: Mapping[str, Any] | None) -> list[str]:
     return (
-        list(seen["remarks"])
-        if seen
+        list(drifted["remarks"])
+        if drifted
         else ["the model's card does not say what it has seen: train it again to be warned"]
     )
 
@@ -275,12 +275,12 @@ def _classified(
     Tile by tile (`tile.size`, which changes nothing), so that the features of one tile only are in memory.
     """
     params, shares = conf.section("features", settings), conf.section("classify", settings).probabilities
-    size, done, replaced = conf.section("tile", settings).size, 0, 0
+    size, count, replaced = conf.section("tile", settings).size, 0, 0
     halo = asked.halo(params) if asked.names else 0.0
     results: dict[str, NDArray] = {}
     without, crowds = np.zeros(len(model.features), np.int64), []
     for tile, rows, own in blocks_of(table["x"], table["y"], size, halo):
-        tell(f"classes: {done:,} of {table.rows:,} echoes")
+        tell(f"classes: {count:,} of {table.rows:,} echoes")
         rows = rows[order := np.lexsort((table["echo_number"][rows], table["pulse"][rows]))]
         core = np.flatnonzero(own[order])
         near = table.take(rows)
@@ -295,7 +295,7 @@ def _classified(
         for name, values in classify(X, model, shares).items():
             results.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
         without += np.isnan(X).sum(axis=0)
-        done, replaced = done + len(core), replaced + filled(X, model)
+        count, replaced = count + len(core), replaced + filled(X, model)
     crowd = Crowd.of_parts(crowds)
     lacking = {n: int(k) for n, k in zip(model.features, without, strict=True) if k}
     return results, lacking, replaced, [crowd.text(params)] if crowd else []

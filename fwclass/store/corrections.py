@@ -97,7 +97,7 @@ def check_writable(location: RunLocation) -> None:
 def _read(location: RunLocation) -> tuple[EchoLabels, Mark | None]:
     where = place_of(location)
     if isinstance(location, Remote):
-        sizes = [held.size for held in location.objects.list("labels") if held.key == CORRECTIONS]
+        sizes = [item.size for item in location.objects.list("labels") if item.key == CORRECTIONS]
         if sizes and sizes[0] > MOST_BYTES:
             raise StoreError(
                 "the corrections are larger than any that are written here",

@@ -90,9 +90,9 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
         return None
 
 
-def named(held: Mapping[str, Any]) -> str:
+def named(facts: Mapping[str, Any]) -> str:
     """Who holds a lock, in words."""
-    return f"pid {held.get('pid')} on {held.get('host')}" if held else "one that did not leave its name"
+    return f"pid {facts.get('pid')} on {facts.get('host')}" if facts else "one that did not leave its name"
 
 
 def _facts(stream: IO[str]) -> dict[str, Any] | None:

@@ -54,8 +54,8 @@ class Lookup:
             return self._now(receipt_key(*name))
         if name not in self._receipts:
             self._look_up([name])
-        kept = self._receipts[name]
-        return kept[:2] if kept else None
+        entry = self._receipts[name]
+        return entry[:2] if entry else None
 
     def _now(self, key: str) -> tuple[Receipt | None, Mark] | None:
         """The receipt under `key` as it lies there; it is not read where this process has and it looks as it did."""
@@ -83,9 +83,9 @@ class Lookup:
     def _look_up(self, names: list[Name]) -> None:
         listed, wanted = self.listed(), []
         for name in names:
-            held = None if listed is None else listed.get(receipt_key(*name))
-            copy = self._copied(held) if held else None
-            if name in self._renewed or listed is None or (held and copy is None):
+            item = None if listed is None else listed.get(receipt_key(*name))
+            copy = self._copied(item) if item else None
+            if name in self._renewed or listed is None or (item and copy is None):
                 wanted.append(name)
             else:
                 self._keep(name, copy)
@@ -112,8 +112,8 @@ class Lookup:
             self._drop(next(iter(self._receipts)))
 
     def _drop(self, name: Name) -> None:
-        kept = self._receipts.pop(name, None)
-        self._bytes -= kept[2] if kept else 0
+        entry = self._receipts.pop(name, None)
+        self._bytes -= entry[2] if entry else 0
 
     def remember(self, name: Name, receipt: Receipt, mark: Mark, data: bytes) -> None:
         """What was just read or written of a part, and of its files if it is younger than the list."""
@@ -151,7 +151,7 @@ class Lookup:
         return self._list
 
     def _all(self) -> dict[str, Held]:
-        return {held.key: held for held in self._files.list("store")}
+        return {item.key: item for item in self._files.list("store")}
 
     def all(self) -> Mapping[str, Held]:
         """Every file of the store by key."""
@@ -179,16 +179,16 @@ class Lookup:
         name = digest_of([key, mark.e_tag, mark.version])
         return self._files.root / "receipts" / name[:2] / name
 
-    def _copied(self, held: Held) -> tuple[Receipt, Mark, int] | None:
+    def _copied(self, item: Held) -> tuple[Receipt, Mark, int] | None:
         try:
-            data = self._copy_of(held.key, held.mark).read_bytes()
-            return parsed(data, held.key, held.key), held.mark, len(data)
+            data = self._copy_of(item.key, item.mark).read_bytes()
+            return parsed(data, item.key, item.key), item.mark, len(data)
         except (OSError, StoreError):
             return None
 
     def clear_copies(self) -> None:
         """Remove kept receipts that are not the present ones."""
-        now = {self._copy_of(held.key, held.mark).name for key, held in self.all().items() if key.endswith(RECEIPT)}
+        now = {self._copy_of(item.key, item.mark).name for key, item in self.all().items() if key.endswith(RECEIPT)}
         for path in (self._files.root / "receipts").glob("*/*"):
             if path.name not in now:
                 path.unlink(missing_ok=True)

@@ -98,23 +98,23 @@ def find_remote(pattern: str, directory: Url, params: StoreParams) -> list[Remot
     """Files below `directory` that match `pattern` (``*``, ``?``, ``[…]``, ``**/``), with what belongs to them."""
     fixed = re.match(r"(?:[^*?\[/]+/)*", pattern)
     below = fixed[0].strip("/") if fixed else ""
-    held = list(objects_at(directory, params).list(below))
+    objects = list(objects_at(directory, params).list(below))
     wanted = pattern.split("/")
-    matching = (h for h in held if path_matches(h.key.split("/"), wanted, hidden=True))
-    return [_with_beside(h, held, directory, params) for h in matching]
+    matching = (h for h in objects if path_matches(h.key.split("/"), wanted, hidden=True))
+    return [_with_beside(h, objects, directory, params) for h in matching]
 
 
 def directory_outside(url: Url, params: StoreParams) -> RemoteFile:
     """A whole directory (a model)."""
-    held = list(objects_at(url.parent, params).list(url.name))
-    return RemoteFile(url, tuple((h.key, h.size, h.mark.e_tag or "") for h in held), params)
+    objects = list(objects_at(url.parent, params).list(url.name))
+    return RemoteFile(url, tuple((h.key, h.size, h.mark.e_tag or "") for h in objects), params)
 
 
-def _with_beside(one: Held, held: Iterable[Held], directory: Url, params: StoreParams) -> RemoteFile:
+def _with_beside(one: Held, objects: Iterable[Held], directory: Url, params: StoreParams) -> RemoteFile:
     path, _, name = one.key.rpartition("/")
     stem = Path(name).stem.lower()
     own = []
-    for other in held:
+    for other in objects:
         there, _, called = other.key.rpartition("/")
         if there == path and (called == name or (Path(called).stem.lower() == stem and _goes_with(name, called))):
             own.append((called, other.size, other.mark.e_tag or ""))

@@ -254,7 +254,7 @@ class Store:
         self._files.put_once(f"store/{kind}/{digest}.json", lambda: to_json(value))
         return digest
 
-    def _kept(self, kind: str, digest: str) -> Any:
+    def _read_setting(self, kind: str, digest: str) -> Any:
         """What receipts name by `digest`; None where it was not recorded, or is damaged."""
         try:
             return self.recall(f"{kind}/{digest}.json") if digest else None
@@ -263,7 +263,7 @@ class Store:
 
     def params(self, receipt: Receipt) -> Any:
         """The parameters that a part was made with, as plain data; None where they were not recorded."""
-        return self._kept("params", receipt.params)
+        return self._read_setting("params", receipt.params)
 
     def libraries(self, receipt: Receipt) -> Mapping[str, str] | None:
         """What a part was made with (`libraries.fingerprint`); None where that is not known."""
@@ -271,13 +271,13 @@ class Store:
 
     def fingerprint(self, digest: str) -> Mapping[str, str] | None:
         """What receipts name by `digest`."""
-        return known(digest, lambda: self._kept("libraries", digest))
+        return known(digest, lambda: self._read_setting("libraries", digest))
 
     def fingerprints(self) -> list[Mapping[str, str]]:
         """Every fingerprint that was kept."""
         names = [n for n in self._lookup.names("store/libraries") if n.endswith(".json")]
-        kept = (self.fingerprint(name.removesuffix(".json")) for name in names)
-        return [f for f in kept if f is not None]
+        fingerprints = (self.fingerprint(name.removesuffix(".json")) for name in names)
+        return [f for f in fingerprints if f is not None]
 
     # what goes
 

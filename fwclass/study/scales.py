@@ -55,14 +55,14 @@ def scale_selection(config: Config, runner: Runner, pick: str = "best") -> dict[
             do='--set "classify.refine.between=[building, vegetation]"',
         )
     plan = until_tiles(deciding(config), runner)
-    done = require_all(runner, ancestors(until_labels(plan) + tasks_of(plan, LEARNING), [(MERGED, "all")]))
+    receipts = require_all(runner, ancestors(until_labels(plan) + tasks_of(plan, LEARNING), [(MERGED, "all")]))
     layer = fine_layer(plan)
     if layer is None:
         raise ConfigError("there is no second layer", where="classify.refine")
     trials = _Trials(config, runner, layer)
     search_ = forward(trials.labels, trials, lambda t: score(t, np.ones(2), config.select.score), config.select)
     sampled = [t for t in plan.layout.tiles if runner.is_done("refine-sample", t.key)]
-    tile = max(sampled, key=lambda t: (int(done["refine-sample", t.key].meta["rows"]), t.key))
+    tile = max(sampled, key=lambda t: (int(receipts["refine-sample", t.key].meta["rows"]), t.key))
     cost = costs(runner, plan.layout, tile, sets_to_time(search_))
     sample = trials.sample
     result = plain_result(search_, cost, pick)
@@ -128,10 +128,10 @@ class _Trials:
     def __call__(self, subsets: Sequence[Names], ranked: bool = False) -> list[Trial]:
         folds = range(self.config.select.folds)
         tasks = {(s, f): self._task(s, f) for s in subsets for f in folds}
-        done = require_all(self.runner, list(tasks.values()))
+        receipts = require_all(self.runner, list(tasks.values()))
         trials = []
         for s in subsets:
-            matrices = np.array([done[tasks[s, f].name].meta["matrix"] for f in folds], np.int64)
+            matrices = np.array([receipts[tasks[s, f].name].meta["matrix"] for f in folds], np.int64)
             trials.append(Trial(s, matrices, None))
         return trials
 

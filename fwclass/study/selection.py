@@ -73,8 +73,8 @@ def training(config: Config, runner: Runner, names: Names, computed: Names) -> t
     """Walk until the placed sample of the training areas is there, of `names` among `computed`; what it says."""
     plan = until_tiles(Plan(config, names, computed), runner)
     tasks = [*until_labels(plan), *sample_tasks(plan.layout, names)]
-    done = require_all(runner, ancestors(tasks, [(TRAINING, "all")]))
-    return plan.layout, dict(done[TRAINING, "all"].meta)
+    receipts = require_all(runner, ancestors(tasks, [(TRAINING, "all")]))
+    return plan.layout, dict(receipts[TRAINING, "all"].meta)
 
 
 def _search(

@@ -22,12 +22,12 @@ def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
     layout = plan.layout
     rates = rate_tasks(layout, names)
     wanted = ancestors([*until_labels(plan), *rates], [t.name for t in rates])
-    done = require_all(runner, wanted)
+    receipts = require_all(runner, wanted)
     boxes = config.areas.boxes("train")
     trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
     timing = cost_task(layout, max(trained, key=lambda t: _echoes(runner, t.key)), names)
     cost = require_all(runner, [timing])[timing.name].meta
-    return plain_curve(config, names, {r: done[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
+    return plain_curve(config, names, {r: receipts[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
 
 
 def _echoes(runner: Runner, key: str) -> int:

@@ -79,11 +79,11 @@ def class_changes(first: Path, second: Path, sizes: tuple[float, float]) -> Clas
 def _pairs(first: Path, second: Path, sizes: tuple[float, float]) -> Iterator[tuple[Table, Table]]:
     """Every tile of the first delivery with the echoes of the second that may lie in it."""
     there = {path.stem for path in second.glob("*.parquet")}
-    kept = lru_cache(maxsize=16)(lambda key: read_table(second / f"{key}.parquet", _COLUMNS))
+    second_table = lru_cache(maxsize=16)(lambda key: read_table(second / f"{key}.parquet", _COLUMNS))
     mine, theirs = (TileGrid(size) for size in sizes)
     for path in sorted(first.glob("*.parquet")):
         box = mine.tile(path.stem).box
-        near = [kept(t.key) for t in theirs.touching(box) if t.key in there]
+        near = [second_table(t.key) for t in theirs.touching(box) if t.key in there]
         inside = [t.take(box.contains(t["x"], t["y"])) for t in near]
         joined = Table({n: np.concatenate([t[n] for t in inside]) for n in _COLUMNS}) if inside else None
         yield read_table(path, _COLUMNS), joined if joined is not None else Table.empty(_COLUMNS)

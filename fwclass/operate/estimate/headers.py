@@ -197,8 +197,8 @@ def sampled(source: LasSource, points: int, facts: SourceFacts | None = None) ->
     x, y, _ = coordinates(source, read)
     even = source.n_points / max(1.0, sum(b.area for b, _ in (facts or facts_of(source)).where))
     edge = math.sqrt(PER_CELL / even)
-    _, held = np.unique(np.c_[np.floor(x / edge), np.floor(y / edge)], axis=0, return_counts=True)
-    others = float((held * (held - 1)).sum()) / len(x)  # as points meet it: rims count little, chance nothing
+    _, counts = np.unique(np.c_[np.floor(x / edge), np.floor(y / edge)], axis=0, return_counts=True)
+    others = float((counts * (counts - 1)).sum()) / len(x)  # as points meet it: rims count little, chance nothing
     returns = np.maximum(1, np.asarray(read["number_of_returns"], np.int64))
     return Sample(source.path, len(x), others / edge**2, even, len(x) / float((1.0 / returns).sum()))
 

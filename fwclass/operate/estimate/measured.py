@@ -65,8 +65,10 @@ def measured_base(measured_costs: Measured, estimate: Estimate, base_mib: float)
 
     `estimate` was reckoned with `base_mib`.
     """
-    held = [s.memory_mib - base_mib for s in estimate.stages if s.name in measured_costs.stages and s.name not in WHOLE]
-    return max(0.0, measured_costs.peak_mib - max(held, default=0.0))
+    needs = [
+        s.memory_mib - base_mib for s in estimate.stages if s.name in measured_costs.stages and s.name not in WHOLE
+    ]
+    return max(0.0, measured_costs.peak_mib - max(needs, default=0.0))
 
 
 def _cost(known: StageCost, observed: list[tuple[float, float, float]]) -> StageCost:

@@ -110,18 +110,18 @@ def spread_of(pieces: tuple[Piece, ...], size: float) -> Spread:
 
 def held_squares(boxes: Sequence[Box], size: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Columns and rows of the squares of edge `size` [m] that are held for `boxes`."""
-    return tuple(_held([(b.bounds[k], b.bounds[k + 2]) for b in boxes], size) for k in range(2))  # type: ignore[return-value]
+    return tuple(_occupied_squares([(b.bounds[k], b.bounds[k + 2]) for b in boxes], size) for k in range(2))  # type: ignore[return-value]
 
 
-def _held(spans: Iterable[tuple[float, float]], size: float) -> NDArray[np.int64]:
+def _occupied_squares(spans: Iterable[tuple[float, float]], size: float) -> NDArray[np.int64]:
     """Numbers of the squares of edge `size` along one axis that `spans` [m] touch, and those of gaps between them:
     of the first `KEPT` metres of a wider one."""
-    kept = math.ceil(KEPT / size) + 1
+    most = math.ceil(KEPT / size) + 1
     pieces, end = [], None
     for low, high in sorted(spans):
         first, last = math.floor(low / size), max(math.floor(low / size) + 1, math.ceil(high / size))
         if end is not None:
-            pieces.append(np.arange(end, min(max(first, end), end + kept)))
+            pieces.append(np.arange(end, min(max(first, end), end + most)))
             first = max(first, end)
         pieces.append(np.arange(first, max(first, last)))
         end = last if end is None else max(end, last)

@@ -110,12 +110,12 @@ def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str
     return tuple(glob.escape(str(p)) for p in near or files)
 
 
-def trial(asked: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
+def trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
     """Run the `count` tiles with most echoes of those that are whole; return their keys, the fullest first."""
-    config: Config = asked.config
+    config: Config = job.config
     plan = until_tiles(deciding(config), runner)
     tiles = plan.layout.tiles
-    whole = whole_tiles([t.key for t in tiles], [t.box for t in tiles], asked.left, halo)
+    whole = whole_tiles([t.key for t in tiles], [t.box for t in tiles], job.left, halo)
     if not whole:
         raise InputError(
             "no tile of the dry run is whole",

@@ -68,7 +68,7 @@ class Inbox:
     params: ScheduleSection
     _since: dict[Path, tuple[Mark, float]] = field(default_factory=dict)
     _judged: dict[Path, tuple[tuple[Mark, ...], str]] = field(default_factory=dict)
-    _held: float | None = None
+    _waiting_since: float | None = None
 
     def look(self, now: Now) -> InboxState:
         """All files as they stand. A directory that cannot be read raises `OSError`."""
@@ -97,10 +97,10 @@ class Inbox:
     def ready(self, look: InboxState, now: Now) -> tuple[Delivery, ...]:
         """The complete ones, once no other is on its way, or after `hold` seconds at most."""
         if not look.complete:
-            self._held = None
+            self._waiting_since = None
             return ()
-        self._held = now.steady if self._held is None else self._held
-        if any(w.changing for w in look.waiting) and now.steady - self._held < self.params.hold:
+        self._waiting_since = now.steady if self._waiting_since is None else self._waiting_since
+        if any(w.changing for w in look.waiting) and now.steady - self._waiting_since < self.params.hold:
             return ()
         return look.complete
 

@@ -179,10 +179,10 @@ def apart(
     run's blocks, and compare these."""
     columns = stage.columns(plan)
     stage_of_tiles = gathering(plan, columns)
-    done, echoes, off = 0, 0, 0
+    blocks, echoes, off = 0, 0, 0
     heights: list[NDArray[np.float64]] = []
     for place in moved:
-        if done == count:
+        if blocks == count:
             break
         block, layout = place.tile, plan.layout
         present = layout.around(stage.box(plan, block), layout.keys)
@@ -196,11 +196,11 @@ def apart(
             now = read_table(directory / TABLE)
         wrong, differences = _off(stored.take(near), now.take(near), within)
         heights += differences
-        done, echoes, off = done + 1, echoes + len(wrong), off + int(wrong.sum())
+        blocks, echoes, off = blocks + 1, echoes + len(wrong), off + int(wrong.sum())
         display.say(f"{stage.name:<12} block moved to {', '.join(f'{v:.0f}' for v in block.box.bounds[:2])}")
     every = np.concatenate(heights) if heights else np.empty(0)
     distances = (float(np.quantile(every, 0.999)), float(every.max())) if every.size else (None, None)
-    return BlockShiftEffect(stage_of_tiles, done, echoes, off, within, *distances)
+    return BlockShiftEffect(stage_of_tiles, blocks, echoes, off, within, *distances)
 
 
 def _off(stored: Table, now: Table, within: float) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:

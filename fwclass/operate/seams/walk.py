@@ -145,8 +145,8 @@ def _moved(
     pairs, seed = [], plan.config.seams.seed
     for stage in stages:
         here = shifted_blocks(stage, plan)
-        done = set(whole_blocks("", [p.tile for p in here], plan.layout, look, partial(stage.box, plan)))
-        here = [p for p in here if p.tile in done]
+        whole = set(whole_blocks("", [p.tile for p in here], plan.layout, look, partial(stage.box, plan)))
+        here = [p for p in here if p.tile in whole]
         here = [here[k] for k in drawn([p.tile for p in here], seed)]
         count = _count(share, len(here))
         pairs.append(apart(stage, here, count, plan, PartInputs(tiles.store), WITHIN, display))

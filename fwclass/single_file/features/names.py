@@ -74,8 +74,8 @@ def wanted(named: str | None, listed: str | None) -> Wanted:
     if listed is not None:
         features = Wanted("--features", listed_once([n.strip() for n in listed.split(",") if n.strip()], "--features"))
     else:
-        asked = named if named is not None else DEFAULT
-        features = Wanted(asked, feature_set(asked).features)
+        text = named if named is not None else DEFAULT
+        features = Wanted(text, feature_set(text).features)
     if not features.names:
         raise ConfigError(
             "no feature is named", where=features.label, expected="for example height_std_c200,planarity_k20"

@@ -123,9 +123,9 @@ class Trial:
         """Confusion matrices (rows reference, columns filter; ground first) of the two halves."""
         if setting not in self.known:
             self.tell()
-            asked = with_values(self.quiet, dict(zip(self.ranges, setting, strict=True)))
+            params = with_values(self.quiet, dict(zip(self.ranges, setting, strict=True)))
             ground = np.zeros(len(self.truth), bool)
-            ground[self.rows] = ground_by_blocks(*self.points, self.last, asked).ground
+            ground[self.rows] = ground_by_blocks(*self.points, self.last, params).ground
             self.known[setting] = (
                 matrix_of(self.truth, ground, self.half == 0),
                 matrix_of(self.truth, ground, self.half == 1),
@@ -143,14 +143,14 @@ def _searched(trial: Trial, start: Setting, ranges: dict[str, Values], limits: G
     """The searches on all points and on either half, and what they found."""
     best = search(ranges, start, trial.kappa, limits)
     chosen = [search(ranges, start, partial(trial.kappa, half=half), limits).setting for half in (0, 1)]
-    held = trial.matrices(chosen[0])[1] + trial.matrices(chosen[1])[0]
+    held_out = trial.matrices(chosen[0])[1] + trial.matrices(chosen[1])[0]
     before, after = (sum(trial.matrices(s)) for s in (start, best.setting))
-    better = figure(held, "kappa") > figure(before, "kappa")
+    better = figure(held_out, "kappa") > figure(before, "kappa")
     values = named(ranges, best.setting if better else start)
     return {
         "start": {"parameters": named(ranges, start), **_figures(before)},
         "best": {"parameters": named(ranges, best.setting), **_figures(after)},
-        "held_out": {"parameters": [named(ranges, s) for s in chosen], **_figures(held)},
+        "held_out": {"parameters": [named(ranges, s) for s in chosen], **_figures(held_out)},
         "curves": {n: [list(p) for p in line] for n, line in curves(ranges, best.setting, trial.kappa).items()},
         "recommended": "best" if better else "start",
         "param": " ".join(f"--param {name}={value:g}" for name, value in values.items()),

@@ -149,7 +149,7 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
         Task(CHUNK, f"{at:09d}", VERSION, about, partial(chunk, work, at, min(at + step, count)), needs=(first.name,))
         for at in range(0, count, step)
     ]
-    done = require_all(runner, tasks)
+    receipts = require_all(runner, tasks)
     with (target / ANSWERS).open("wb") as file:
         file.write(Writer(_scan(meta).beams).head)
         for task in tasks:
@@ -157,11 +157,11 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
                 shutil.copyfileobj(part, file, 1 << 20)
         file.write(END)
     accuracy = _judged(runner, meta, model, target, block) if "labels" in meta["kept"] else None
-    most, cut = (f(done[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
-    held = 2 * work.params.most_frames + 1
+    most, cut = (f(receipts[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
+    most_frames = 2 * work.params.most_frames + 1
     summary = {
         **meta["counts"],
-        "neighbourhood": {"most_frames": most, "held": held, "cut": cut},
+        "neighbourhood": {"most_frames": most, "held": most_frames, "cut": cut},
         "accuracy": accuracy,
         "street": work.params.model_dump(mode="json"),
     }

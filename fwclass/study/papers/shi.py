@@ -127,8 +127,8 @@ def layer_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
         work = partial(layered, tile, classes, train, test, config.areas.gap, config.papers.block)
         tasks.append(Task("paper-layers", tile.key, VERSION, params, work, needs=needs_of(_COLUMNS, (tile.key,))))
     ranks = partial(ranked, names)
-    asked = {"features": list(names)}
-    tasks.append(Task("paper-fscore", "all", VERSION, asked, ranks, needs=(("paper-training", "all"),)))
+    score_params = {"features": list(names)}
+    tasks.append(Task("paper-fscore", "all", VERSION, score_params, ranks, needs=(("paper-training", "all"),)))
     return tasks
 
 

@@ -158,9 +158,9 @@ def radii(
                 by_radius.setdefault(scale.metres, []).append(base_of(name))
         return by_radius
 
-    asked, kept = at(candidates), at(chosen)
+    tried, ours = at(candidates), at(chosen)
     paper = {float(r): list(v) for r, v in printed.items()}
     return [
-        {"radius": r, "ours": kept.get(r, []), "of": len(asked.get(r, [])), "paper": paper.get(r)}
-        for r in sorted({*asked, *paper})
+        {"radius": r, "ours": ours.get(r, []), "of": len(tried.get(r, [])), "paper": paper.get(r)}
+        for r in sorted({*tried, *paper})
     ]

@@ -185,15 +185,15 @@ def useless(sample: Sample) -> dict[str, str]:
     return reasons
 
 
-_kept: dict[tuple[str, str], tuple[Placed, Folds]] = {}
+_loaded: dict[tuple[str, str], tuple[Placed, Folds]] = {}
 
 
 def training_of(inputs: PartInputs, names: tuple[str, ...]) -> tuple[Placed, Folds]:
     """The sample and its folds, kept in this process as long as they are the same."""
     key = (str(inputs.path(TRAINING, "all", FOLDS)), inputs.digest(TRAINING, "all"))
-    if key not in _kept:
-        _kept.clear()
+    if key not in _loaded:
+        _loaded.clear()
         arrays, _ = inputs.arrays(TRAINING, "all", FOLDS)
         folds = Folds(arrays["fold"], arrays["near"].astype(bool), int(inputs.meta(TRAINING, "all")["blocks"]))
-        _kept[key] = _load(inputs, TRAINING, "all", names), folds
-    return _kept[key]
+        _loaded[key] = _load(inputs, TRAINING, "all", names), folds
+    return _loaded[key]

@@ -135,10 +135,10 @@ def at_rate(
     key = canonical_key(table)
     _warm(x, y, z, key, thin)
     began = time.process_time()
-    kept = covering(x, y, z, key, uniform(x, y, z, key, thin), thin.reach)
+    sampled = covering(x, y, z, key, uniform(x, y, z, key, thin), thin.reach)
     seconds = {"sample": time.process_time() - began, "train": 0.0, "vote": 0.0}
-    notes = check_folds(folds, np.where(kept, reference, 255).astype(np.uint8), tuple(c.name for c in classes))
-    rows = np.flatnonzero(kept)
+    notes = check_folds(folds, np.where(sampled, reference, 255).astype(np.uint8), tuple(c.name for c in classes))
+    rows = np.flatnonzero(sampled)
     some = table.select(names).take(rows)
     X = sample_matrix(some, names, THINNING)
     answers = np.zeros(len(rows), np.int64)
@@ -158,7 +158,7 @@ def at_rate(
         answers[judged] = predict(X[judged], trees, names, classes)
         seconds["vote"] += time.process_time() - began
     began = time.process_time()
-    followed = taken_from((x, y, z), kept, thin.reach)
+    followed = taken_from((x, y, z), sampled, thin.reach)
     seconds["follow"] = time.process_time() - began
     return {
         "matrices": _matrices(reference, answers[followed], folds.fold, select.folds, len(classes)),

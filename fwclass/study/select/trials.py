@@ -39,10 +39,10 @@ class Trials:
         """The trials of `subsets`, in their order."""
         stage = RANKED if ranked else TRIAL
         tasks = {(s, f): self._task(stage, s, f) for s in subsets for f in range(self.config.select.folds)}
-        done = require_all(self.runner, list(tasks.values()))
+        receipts = require_all(self.runner, list(tasks.values()))
         trials = []
         for s in subsets:
-            metas = [done[tasks[s, f].name].meta for f in range(self.config.select.folds)]
+            metas = [receipts[tasks[s, f].name].meta for f in range(self.config.select.folds)]
             weight = np.mean([m["importance"] for m in metas], axis=0) if ranked else None
             trials.append(Trial(s, np.array([m["matrix"] for m in metas], np.int64), weight))
         return trials
