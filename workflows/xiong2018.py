@@ -18,6 +18,7 @@ from fwclass.study.papers import xiong
 from fwclass.study.papers.begin import require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
+from fwclass.study.select.thinning import measure_rates
 from fwclass.study.selection import selection
 from workflows.classification import classification
 
@@ -45,7 +46,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     receipts = dict(require_all(runner, data_tasks(plan.layout, names) + learn_tasks(config, names, variants)))
     receipts |= require_all(runner, importance_tasks(config, names, forest))
     receipts |= require_all(runner, comparison_tasks(config, xiong.comparisons(variants)))
-    thinned = xiong.thinned(config, aside, plan.layout, chosen)
+    thinned = measure_rates(config, aside, plan.layout, chosen)
     receipts |= require_all(runner, time_tasks(config, names, variants))
 
     def page() -> dict[str, Any]:

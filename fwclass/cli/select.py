@@ -69,8 +69,8 @@ def select(
     from fwclass import conf as configuration
     from fwclass.study.scales import scale_selection
     from fwclass.study.select import output
+    from fwclass.study.select.thinning import thinning
     from fwclass.study.selection import selection
-    from fwclass.study.thinning import thinning
 
     config = configuration.load(conf, settings)
     root = out if out is not None else Path("runs") / config.survey.name

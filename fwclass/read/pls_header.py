@@ -12,7 +12,7 @@ from typing import BinaryIO, NoReturn
 
 from fwclass.errors import InputError
 from fwclass.formats.checks import check_length, check_scales
-from fwclass.formats.las_header import MAX_EVLR_BODY, Record
+from fwclass.formats.las_header import MAX_EVLR_BODY, Record, text
 from fwclass.paths import open_regular
 
 SIGNATURE = b"PulseWavesPulse\0"
@@ -98,8 +98,8 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> PulseHeader:
     return PulseHeader(
         size,
         (head[172], head[173]),
-        _text(head[40:104]),
-        _text(head[104:168]),
+        text(head[40:104]),
+        text(head[104:168]),
         start,
         pulse_size,
         n_pulses,
@@ -213,10 +213,6 @@ def _record(stream: BinaryIO, head: int, body: int | None) -> Record:
     stream.seek(head)
     user, number, _, length = struct.unpack_from("<16sIIq", stream.read(RECORD_HEADER))
     if body is None or not 0 <= length <= MAX_EVLR_BODY:
-        return Record(_text(user), number, head, length, b"")
+        return Record(text(user), number, head, length, b"")
     stream.seek(body)
-    return Record(_text(user), number, head, length, stream.read(length))
-
-
-def _text(raw: bytes) -> str:
-    return raw.split(b"\0")[0].decode("latin1").strip()
+    return Record(text(user), number, head, length, stream.read(length))

@@ -104,6 +104,11 @@ class Store:
         stages = [name for name in self._lookup.names("store") if name not in NO_STAGES]
         return [(stage, part) for stage in stages for part in self._lookup.names(f"store/{stage}")]
 
+    def rows(self, stage: str, part: str) -> int:
+        """Rows of a part as its receipt counts them, 0 without one."""
+        receipt = self.receipt(stage, part)
+        return int(receipt.meta["rows"]) if receipt else 0
+
     def done(self, stage: str, part: str, key: str) -> Receipt | None:
         """The receipt if the part is done under this key and all its files are there."""
         receipt = self.receipt(stage, part)

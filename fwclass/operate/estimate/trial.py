@@ -123,11 +123,6 @@ def trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...
             got=f"{len(tiles)} tiles at the edges of its files",
             do="--dry-run with more tiles, or smaller tile.size",
         )
-    chosen = tuple(sorted(whole, key=lambda key: (-_rows(runner, key), key))[:count])
+    chosen = tuple(sorted(whole, key=lambda key: (-runner.store.rows("tile", key), key))[:count])
     until_report(plan, runner, after_tiles(classification.stages), frozenset(chosen))
     return chosen
-
-
-def _rows(runner: Runner, key: str) -> int:
-    receipt = runner.store.receipt("tile", key)
-    return int(receipt.meta["rows"]) if receipt else 0

@@ -9,8 +9,6 @@ import numpy as np
 
 from fwclass.assess.stage import figures
 from fwclass.conf import Config
-from fwclass.graph.layout import Layout
-from fwclass.run.runner import Runner, require_all
 from fwclass.select.work import scale_of
 from fwclass.study.papers.begin import base_of
 from fwclass.study.papers.claims import judge_claims
@@ -18,7 +16,6 @@ from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_c
 from fwclass.study.papers.variants import changed
 from fwclass.study.papers.work import Variant
 from fwclass.study.papers.xiong_claims import CLAIMS
-from fwclass.study.select.thinning import RATE, cost_task, plain_curve, rate_tasks
 
 SELECTED, ALL, SVM_SELECTED, SVM = "rf_selected", "rf", "svm_selected", "svm"
 _PRINTED = ("strategies", "samples", "selection", "radii", "groups", "thinning")
@@ -39,18 +36,6 @@ def comparisons(variants: Sequence[Variant]) -> list[tuple[Variant, Variant]]:
     by_name = {v.name: v for v in variants}
     pairs = ((SELECTED, ALL), (SVM_SELECTED, SVM), (SELECTED, SVM_SELECTED), (ALL, SVM))
     return [(by_name[a], by_name[b]) for a, b in pairs]
-
-
-def thinned(config: Config, runner: Runner, layout: Layout, names: tuple[str, ...]) -> dict[str, Any]:
-    """Accuracy and time over ``select.rates`` on the training areas, for a forest by `names` (made already)."""
-    done = require_all(runner, rate_tasks(layout, names))
-    boxes = config.areas.boxes("train")
-    trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
-    receipts = {t: runner.store.receipt("tile", t.key) for t in trained}
-    largest = max(trained, key=lambda t: (receipts[t].meta["rows"] if receipts[t] else 0, t.key))  # type: ignore[union-attr]
-    timing = cost_task(layout, largest, names)
-    cost = require_all(runner, [timing])[timing.name].meta
-    return plain_curve(config, names, {r: done[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
 
 
 def facts(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,22 +12,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.conf import Config
 from fwclass.features.params import Asked
 from fwclass.features.stage import FEATURES, features
 from fwclass.graph.areas import within
 from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
+from fwclass.graph.stage import Plan
+from fwclass.graph.stages import check_features
+from fwclass.graph.walk import until_labels, until_tiles
 from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.publish.selectplot import draw_rates
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
+from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.schema import Table, canonical_key
 from fwclass.select.folds import check_folds, spatial_folds
 from fwclass.select.params import SelectParams
 from fwclass.select.score import Names, Trial, as_good, score
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
-from fwclass.study.select.cost import computed
+from fwclass.study.select.cost import computed, microseconds
 from fwclass.study.select.trials import predict
 from fwclass.thin.follow import taken_from
 from fwclass.thin.params import ThinParams
@@ -103,15 +109,11 @@ def _timed(
 ) -> dict[str, Any]:
     whole = inputs.chunk(tile, halo, columns, present)
     echoes = whole.core[: select.timing_echoes]
-    seconds = np.zeros((select.timing_repeats + 1, len(select.rates)))
-    for turn in seconds:
-        for k, rate in enumerate(select.rates):
-            core = echoes[np.floor(np.arange(0, len(echoes), 1.0 / rate)).astype(np.int64)]
-            began = time.process_time()
-            features(Chunk(whole.table, core, tile), names, params)
-            turn[k] = time.process_time() - began
-    medians = np.median(seconds[1:], axis=0) / max(1, len(echoes)) * 1e6
-    return {"microseconds": [round(v, 3) for v in medians.tolist()]}
+    works = []
+    for rate in select.rates:
+        core = echoes[np.floor(np.arange(0, len(echoes), 1.0 / rate)).astype(np.int64)]
+        works.append(partial(features, Chunk(whole.table, core, tile), names, params))
+    return {"microseconds": microseconds(works, select.timing_repeats, len(echoes))}
 
 
 def at_rate(
@@ -201,6 +203,28 @@ def _matrices(
 ) -> list[list[list[int]]]:
     cell = (fold.astype(np.int64) * n + reference) * n + answers
     return np.bincount(cell, minlength=folds * n * n).reshape(folds, n, n).tolist()
+
+
+def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
+    """The curve over ``select.rates`` on the training areas, for a classifier by `names`; plain data."""
+    config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))  # all features are there then
+    check_features(config, names, "survey.features or --candidates")
+    plan = until_tiles(Plan(config, names, names), runner)
+    return measure_rates(config, runner, plan.layout, names, until_labels(plan))
+
+
+def measure_rates(
+    config: Config, runner: Runner, layout: Layout, names: Names, labels: Sequence[Task] = ()
+) -> dict[str, Any]:
+    """The same where the tiles are there; `labels` are the tasks until all labels are, where they may not be."""
+    rates = rate_tasks(layout, names)
+    receipts = require_all(runner, ancestors([*labels, *rates], [t.name for t in rates]))
+    boxes = config.areas.boxes("train")
+    trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
+    largest = max(trained, key=lambda t: (runner.store.rows("tile", t.key), t.key))
+    timing = cost_task(layout, largest, names)
+    cost = require_all(runner, [timing])[timing.name].meta
+    return plain_curve(config, names, {r: receipts[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
 
 
 def plain_curve(
