@@ -101,7 +101,7 @@ def describe(figures: dict[str, Any]) -> str:
     gap = [""] * (1 + bool(lost))
     body.append(["user's %", *map(_percent, figures["users_accuracy"]), *gap])
     body.append(["IoU %", *map(_percent, figures["iou"]), *gap])
-    lines = _aligned([["reference \\ predicted", *columns], *body])
+    lines = _align([["reference \\ predicted", *columns], *body])
     width = max(map(len, lines))
     lines.insert(1, "-" * width)
     lines.insert(len(names) + 2, "-" * width)
@@ -118,7 +118,7 @@ def _percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.1f}"
 
 
-def _aligned(rows: list[list[str]]) -> list[str]:
+def _align(rows: list[list[str]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(

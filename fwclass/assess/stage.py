@@ -6,7 +6,7 @@ from typing import Any
 
 from fwclass.assess.blocks import BlockCounts
 from fwclass.assess.confusion import confusion, describe, figures, unclassified
-from fwclass.assess.distribution import QUANTILES, distribution, packed, quantiles, summary, unpacked
+from fwclass.assess.distribution import QUANTILES, distribution, pack, quantiles, summary, unpack
 from fwclass.assess.intervals import caution, difference, intervals
 from fwclass.assess.params import AssessParams
 from fwclass.errors import QualityError
@@ -25,11 +25,11 @@ __all__ = [
     "figures",
     "intervals",
     "judge",
-    "packed",
+    "pack",
     "quantiles",
     "summary",
     "unclassified",
-    "unpacked",
+    "unpack",
 ]
 
 

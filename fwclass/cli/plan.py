@@ -55,7 +55,7 @@ def plan(
     from fwclass.operate.estimate.output import check_free, deliver
     from fwclass.operate.estimate.text import describe
     from fwclass.operate.estimate.whole import as_json as plain
-    from fwclass.operate.estimate.whole import planned
+    from fwclass.operate.estimate.whole import make_plan
     from workflows import workflow_of
 
     chosen = workflow_of(workflow)
@@ -74,7 +74,7 @@ def plan(
     facts = survey_facts(config, root)
     check_areas(config, facts.box)
     settled, stages = (config, STAGES) if chosen.settle is None else (chosen.settle(config), chosen.stages)
-    estimate = planned(settled, facts, number, room_at(root), stages=stages)
+    estimate = make_plan(settled, facts, number, room_at(root), stages=stages)
     if count is not None:
         estimate = _dry_run(estimate, count, root)
     paths = deliver(estimate, root)
@@ -89,7 +89,7 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
     """The plan again, by what the fullest tiles took."""
     from fwclass.errors import FwclassError
     from fwclass.operate.estimate.trial import trial, trial_of
-    from fwclass.operate.estimate.whole import planned
+    from fwclass.operate.estimate.whole import make_plan
     from fwclass.store.atomic import staged
 
     trial_ = trial_of(estimate, count, root)
@@ -105,7 +105,7 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
                 do="mend the cause; the run would fail too",
             )
         click.echo(f"dry run     tiles {', '.join(keys)} from {trial_.files:,} files", err=True)
-        return planned(estimate.config, estimate.facts, estimate.workers, estimate.room, store)
+        return make_plan(estimate.config, estimate.facts, estimate.workers, estimate.room, store)
 
 
 def _check(config: Any, workflow: str) -> None:

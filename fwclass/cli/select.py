@@ -13,7 +13,7 @@ from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError
 
 
-def _listed(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
+def _split_names(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
     """``a,b,c`` as names."""
     return tuple(word.strip() for word in text.split(",") if word.strip()) if text else ()
 
@@ -28,7 +28,7 @@ def _listed(context: click.Context, parameter: click.Parameter, text: str | None
 )
 @click.option("--candidates", metavar="SET|FILE|A,B,…", help="What to choose from (default: survey.features).")
 @click.option(
-    "--order", metavar="A,B,…", callback=_listed, help="With forward: add in this order, drop what gains nothing."
+    "--order", metavar="A,B,…", callback=_split_names, help="With forward: add in this order, drop what gains nothing."
 )
 @click.option(
     "--pick",

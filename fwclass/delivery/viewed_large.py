@@ -14,7 +14,7 @@ from fwclass.delivery.opened import Delivery
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_tile import positions
 from fwclass.errors import InputError
-from fwclass.formats.extra_bytes import published
+from fwclass.formats.extra_bytes import published_columns
 from fwclass.grid import TileGrid, quantised
 from fwclass.publish.copc import streamed
 from fwclass.publish.octree import drawn_by
@@ -59,7 +59,11 @@ class LargeRun(ViewedRun):
         with PointReader(source) as reader:
             points = reader.read(0, source.n_points)
             there = [f["name"] for f in table_fields(self._tile_path(next(iter(self.tiles))))]
-            more = {c.name: reader.extra_byte(points, c.las) for c in published(streamed(there)) if c.name != "pulse"}
+            more = {
+                c.name: reader.extra_byte(points, c.las)
+                for c in published_columns(streamed(there))
+                if c.name != "pulse"
+            }
         x, y, z = map(quantised, coordinates(source, points))
         echoes: dict[str, NDArray] = {
             **more,

@@ -61,7 +61,7 @@ class ExtraByte:
         return np.dtype("u1" if self.kind == "bool" else self.kind).newbyteorder("<")
 
 
-def published(names: Iterable[str]) -> tuple[Column, ...]:
+def published_columns(names: Iterable[str]) -> tuple[Column, ...]:
     """The columns among `names` that have a name as an extra byte, in the given order."""
     return tuple(c for c in map(column, names) if c.las)
 
@@ -119,7 +119,7 @@ def _end(extra: ExtraByte, value: float) -> float | None:
     """`value` as it is stored; None for what is no number."""
     if math.isnan(value):
         return None
-    number = stored(extra, np.array([value]))[0]
+    number = encode_values(extra, np.array([value]))[0]
     return float(number) if np.isfinite(number) else None
 
 
@@ -130,7 +130,7 @@ def _range(kind: str, no_data: int | None) -> tuple[int, int]:
     return low + (no_data == low), high - (no_data == high)
 
 
-def stored(extra: ExtraByte, values: NDArray) -> NDArray:
+def encode_values(extra: ExtraByte, values: NDArray) -> NDArray:
     """`values` as the file holds them.
 
     A whole type gets the nearest number (half to even), values beyond its range the nearest end of it, NaN the
@@ -180,7 +180,7 @@ def _wide(kind: str, value: float) -> bytes:
     return struct.pack("<q" if kind[0] == "i" else "<Q", int(value))
 
 
-def undescribed(length: int, name: str = "unknown") -> bytes:
+def undescribed_record(length: int, name: str = "unknown") -> bytes:
     """Descriptor of `length` bytes that the source does not explain; they must stand before new ones."""
     return struct.pack("<2xBB32s4x24x24x24x24x24x32s", 0, length, name.encode(), b"not described by the source")
 
@@ -213,7 +213,7 @@ def _old(head: LasHead) -> bytes:
     while rest > 0:
         names.append(free_name("unknown", names))
         length = _plain_length(rest)
-        old += undescribed(length, names[-1])
+        old += undescribed_record(length, names[-1])
         rest -= length
     return old
 
@@ -227,7 +227,7 @@ def _plain_length(rest: int) -> int:
     return next(n for n in range(min(rest, 255), 0, -1) if n & (SCALED | SHIFTED) == 0)
 
 
-def extended(head: LasHead, extras: Iterable[ExtraByte]) -> list[bytes]:
+def extend_records(head: LasHead, extras: Iterable[ExtraByte]) -> list[bytes]:
     """The records of `head`, with `extras` added behind the extra bytes that the points already have."""
     added = b"".join(map(descriptor, extras))
     if not added:
@@ -245,11 +245,11 @@ def extra_size(extras: Iterable[ExtraByte]) -> int:
     return sum(e.dtype.itemsize for e in extras)
 
 
-def packed(extras: Iterable[ExtraByte], values: Mapping[str, NDArray]) -> NDArray[np.uint8]:
+def pack_columns(extras: Iterable[ExtraByte], values: Mapping[str, NDArray]) -> NDArray[np.uint8]:
     """Columns side by side as bytes, shape (rows, bytes)."""
     items = tuple(extras)
     kind = np.dtype([(e.name, e.dtype) for e in items])
     out = np.zeros(len(values[items[0].name]) if items else 0, kind)
     for e in items:
-        out[e.name] = stored(e, values[e.name])
+        out[e.name] = encode_values(e, values[e.name])
     return out.view(np.uint8).reshape(len(out), kind.itemsize)

@@ -24,7 +24,7 @@ from fwclass.label.polygons import Polygons, from_polygons
 from fwclass.label.stage import LABEL, LabelParams, from_cloud, from_source
 from fwclass.label.values import codes_of, groups_of
 from fwclass.model import ClassDef
-from fwclass.read.polygons import open_polygons, read_polygons, reprojected
+from fwclass.read.polygons import open_polygons, read_polygons, reproject
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table
@@ -58,7 +58,7 @@ def polygons_read(
     codes, counts = codes_of(read, values, classes, f"{path}: field {field}")
     moved = ""
     if own_crs is not None and crs is not None:
-        shapes, moved = reprojected(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
+        shapes, moved = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
     polygons = Polygons.of(shapes, codes, groups_of(codes, classes), path)
     write_arrays(here.directory / POLYGONS, polygons.arrays())
     least_x, least_y, most_x, most_y = polygons.bounds

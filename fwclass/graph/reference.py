@@ -24,7 +24,7 @@ from fwclass.read.polygons import (
     open_polygons,
     read_lines,
     read_polygons,
-    reprojected,
+    reproject,
     source_crs,
     values_of,
 )
@@ -118,7 +118,7 @@ def _file_of_terrain(
     system = source_crs(opened, given, survey, f"--set {section}.crs=EPSG:<code>")
     shapes = read_polygons(opened, None)[1] if section == "water" else read_lines(opened)[0]
     if system is not None and survey is not None:
-        shapes, _ = reprojected(shapes, system, survey, path)
+        shapes, _ = reproject(shapes, system, survey, path)
     a, b = edges(shapes.x, shapes.y, shapes.ring_start)
     low, high = np.array(box.bounds[:2]), np.array(box.bounds[2:])
     near = ((np.maximum(a, b) >= low) & (np.minimum(a, b) <= high)).all(axis=1).any()

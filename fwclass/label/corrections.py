@@ -25,7 +25,7 @@ def last_of_each(table: Table) -> Table:
     return table.take(order[last])
 
 
-def matched(echoes: Table, labels: Table, reach: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def match_labels(echoes: Table, labels: Table, reach: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows of `echoes` that have a label, and the rows of `labels` that are theirs.
 
     A label is an echo's where strip, pulse and number are the same, and the echo lies at most `reach` [m] from where it

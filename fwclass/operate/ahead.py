@@ -29,7 +29,7 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
 
     `tell` hears now and then how far it is.
     """
-    began, wanted = time.perf_counter(), listed()
+    began, wanted = time.perf_counter(), listed_kernels()
     before, spoke, left = compiling.count(), began, list[str]()
     for number, (kernel, types) in enumerate(wanted):
         try:
@@ -48,7 +48,7 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
     }
 
 
-def listed() -> list[tuple[Kernel, list[Any]]]:
+def listed_kernels() -> list[tuple[Kernel, list[Any]]]:
     """Every kernel of the list, and the types of its arguments, as text."""
     rows = json.loads((conf_directory() / LIST).read_text(encoding="utf-8"))
     return [(_named(name), types) for name, *types in rows]

@@ -53,7 +53,7 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
                 got="none" if current is None else f"{current.name}, which is not",
                 do="finish the run first, or --keep latest",
             )
-        before = used(own)
+        before = bytes_used(own)
         generations = [] if keep == "deliveries" else store.generations.retire_earlier()
         parts = []
         if keep != "latest":
@@ -61,10 +61,10 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
             parts = [name for name in store.parts() if name[0] != "simulate" or name[1] not in simulated]
             store.remove_all(parts)
         store.clear_staging()
-        return Cleaned(tuple(generations), len(parts), before, used(own))
+        return Cleaned(tuple(generations), len(parts), before, bytes_used(own))
 
 
-def used(location: RunLocation) -> int:
+def bytes_used(location: RunLocation) -> int:
     """Bytes that a run takes: of files with several names once, as a delivery's are the store's."""
     if isinstance(location, Remote):
         return sum(item.size for item in location.objects.list(""))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.cost import counted
 from fwclass.errors import ConfigError, InputError
-from fwclass.formats.extra_bytes import ExtraByte, extended, extra_bytes, extra_size, names_of, packed
+from fwclass.formats.extra_bytes import ExtraByte, extend_records, extra_bytes, extra_size, names_of, pack_columns
 from fwclass.formats.las_bytes import (
     AT_ENCODING,
     AT_EVLRS,
@@ -165,7 +165,7 @@ def _copy(
         if heights is not None:
             heights.put(part, rows)
         if extras:
-            added = packed(extras, {e.name: extra[e.name][rows] for e in extras})
+            added = pack_columns(extras, {e.name: extra[e.name][rows] for e in extras})
             part = np.concatenate([part, added], axis=1)
         writer.write(part)
         first = rows.stop
@@ -187,7 +187,7 @@ def _reclassify(point_format: int, part: NDArray[np.uint8], classes: NDArray[np.
 
 
 def _new_head(head: LasHead, extras: tuple[ExtraByte, ...], packets: Packets) -> bytes:
-    return assemble(_block(head, extras, packets), extended(kept_records(head), extras), head.gap)
+    return assemble(_block(head, extras, packets), extend_records(kept_records(head), extras), head.gap)
 
 
 def _is_copc(head: LasHead) -> bool:

@@ -47,7 +47,7 @@ def is_beam_file(path: str | Path) -> bool:
     return (ending in PARQUET and is_raw_parquet(path)) or (ending in TEXTS and is_raw_csv(path))
 
 
-def _opened(path: Path) -> Opened:
+def _open(path: Path) -> Opened:
     if is_helios(path):
         layout = open_helios(path)
         bins = f"{layout.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * layout.bin_ns:g} there and back"
@@ -72,7 +72,7 @@ def open_beam_file(path: Path) -> BeamSource:
     InputError
         Damaged, without the columns that are needed, or with a row that is none.
     """
-    opened = _opened(path)
+    opened = _open(path)
     census = census_of(path, opened.layout)
     if census.rows != opened.layout.n_rows:
         raise InputError(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.formats.linear_units import linear_units
-from fwclass.read.beam_source import FAULTS, BeamRows, BeamSource, Ragged, turned
+from fwclass.read.beam_source import FAULTS, BeamRows, BeamSource, Ragged, turn_beams
 from fwclass.read.layout import SLACK, join_rows
 from fwclass.read.spans import Span
 from fwclass.read.wave_kernels import clear_of_last
@@ -56,7 +56,7 @@ def read_beam_rows(source: BeamSource, span: Span) -> Waveforms:
     The anchor is the row's own, `anchor_time` its time in the waveform. Of several channels of a pulse the first that
     can be used counts. Rows that cannot be used are counted in `faults`.
     """
-    rows = turned(source.layout.read(span.first_point, span.last_point), source)
+    rows = turn_beams(source.layout.read(span.first_point, span.last_point), source)
     pulse = np.cumsum(np.r_[0, rows.pulse[1:] != rows.pulse[:-1]]) if len(rows) else np.empty(0, np.int64)
     code = rows.fault
     faults = {FAULTS[i]: int(n) for i, n in enumerate(np.bincount(code, minlength=len(FAULTS))) if n and i}

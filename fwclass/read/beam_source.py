@@ -310,7 +310,7 @@ class BeamSource(Source):
         return "uint16"
 
 
-def turned(rows: BeamRows, source: BeamSource) -> BeamRows:
+def turn_beams(rows: BeamRows, source: BeamSource) -> BeamRows:
     """`rows` with the horizontal parts of their beams turned round where `source` is to be read so."""
     return replace(rows, step=rows.step * (-1.0, -1.0, 1.0)) if source.mirrored else rows
 
@@ -322,7 +322,7 @@ def bounds_of(census: Census) -> tuple[float, float, float, float, float, float]
 
 
 @lru_cache(maxsize=16)
-def _counted(path: Path, mark: tuple[int, int], layout: Any) -> Census:
+def _count(path: Path, mark: tuple[int, int], layout: Any) -> Census:
     census = Census()
     for rows in layout.blocks():
         census.add(rows)
@@ -332,7 +332,7 @@ def _counted(path: Path, mark: tuple[int, int], layout: Any) -> Census:
 def census_of(path: Path, layout: Any) -> Census:
     """One pass over a file, once in a process; `layout` must be hashable, and equal where it reads alike."""
     facts = path.stat()
-    census = _counted(path, (facts.st_size, facts.st_mtime_ns), layout)
+    census = _count(path, (facts.st_size, facts.st_mtime_ns), layout)
     if not census.ascending:
         raise InputError(
             "the rows of a pulse do not follow each other",

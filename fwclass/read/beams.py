@@ -16,7 +16,7 @@ from pyproj import CRS
 
 from fwclass.errors import InputError
 from fwclass.formats.projected import project_beams
-from fwclass.read.beam_source import turned
+from fwclass.read.beam_source import turn_beams
 from fwclass.read.packets import References, judge
 from fwclass.read.pls_waves import Samplings, find, read_records, waves_of
 from fwclass.read.points import PointReader, coordinates, gps_times
@@ -149,7 +149,7 @@ def _first_samples(source: Source) -> tuple[Floats, Floats]:
         step, time = waves.step[row], waves.time[row]
         place = waves.anchor[row] - parts.begin[first, None] * step
     elif isinstance(source, BeamSource):
-        rows = turned(source.layout.read(0, last), source)
+        rows = turn_beams(source.layout.read(0, last), source)
         rows = rows.take(rows.fault == 0)
         step, time, place = rows.step, rows.time, rows.ends()[0]
         row = np.arange(len(rows))

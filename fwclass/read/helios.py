@@ -71,7 +71,7 @@ class HeliosLayout(Layout):
         return self._rows(rows_between(self.path, 0, first, last), first)
 
     def _rows(self, lines: list[bytes], first: int) -> BeamRows:
-        head, samples = _parsed(self.path, lines, first)
+        head, samples = _parse(self.path, lines, first)
         n = len(lines)
         return BeamRows(
             pulse=np.arange(first, first + n),
@@ -99,7 +99,7 @@ def open_helios(path: Path) -> HeliosLayout:
     low, high, count = 0.0, math.inf, 0
     for _, data in line_blocks(path, 0):
         lines = rows_of(data)
-        head, samples = _parsed(path, lines, count)
+        head, samples = _parse(path, lines, count)
         length = np.sqrt((head[:, 4:7] ** 2).sum(axis=1))
         if len(head) and not np.abs(np.median(length) - 1.0) < UNIT:
             raise InputError(
@@ -137,7 +137,7 @@ def _simplest(low: float, high: float, path: Path) -> float:
     return middle
 
 
-def _parsed(path: Path, lines: list[bytes], first: int) -> tuple[NDArray[np.float64], Ragged]:
+def _parse(path: Path, lines: list[bytes], first: int) -> tuple[NDArray[np.float64], Ragged]:
     """Numbers before the samples (n, 10), and the samples."""
     head, parts = np.full((len(lines), HEAD), np.nan), []
     for k, line in enumerate(lines):

@@ -143,7 +143,7 @@ def values_of(opened: PolygonLayer, field: str) -> list[Any]:
     return vector.column(opened.path, opened.layer, field)
 
 
-def reprojected(shapes: Shapes, source: CRS, target: CRS, where: object) -> tuple[Shapes, str]:
+def reproject(shapes: Shapes, source: CRS, target: CRS, where: object) -> tuple[Shapes, str]:
     """`shapes` in `target`, and how it was done in words ("" where nothing had to be).
 
     Only the corners move: an edge stays straight. `InputError` where a corner has no place in `target`.

@@ -47,7 +47,7 @@ def spans_by_pulses(source: LasSource, wanted: int, most_points: int) -> list[Sp
     """Spans of about `wanted` pulses; one pass over the packet references, at most 40 bytes of memory a point."""
     keys, link = _keys_and_links(source)
     order = np.argsort(keys, kind="stable")
-    shared = _shared(source, keys, order)
+    shared = _shared_keys(source, keys, order)
     head = np.empty(len(keys), np.int64)
     pulse_heads(keys, order, OWN, MAX_RETURNS, head)
     if shared:
@@ -79,7 +79,7 @@ def _keys_and_links(source: LasSource) -> tuple[NDArray[np.uint64], NDArray[np.b
     return keys, links
 
 
-def _shared(source: LasSource, keys: NDArray[np.uint64], order: NDArray[np.int64]) -> tuple[int, ...]:
+def _shared_keys(source: LasSource, keys: NDArray[np.uint64], order: NDArray[np.int64]) -> tuple[int, ...]:
     """Keys of more than `MAX_RETURNS` points."""
     shared = np.empty(MAX_SHARED, np.uint64)
     count = int(crowded_keys(keys, order, OWN, MAX_RETURNS, shared))

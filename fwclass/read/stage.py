@@ -13,7 +13,7 @@ from fwclass.read.las_read import check_las, index_las, read_las
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
 from fwclass.read.points import PointReader, coordinates, gps_times
-from fwclass.read.projection import projected
+from fwclass.read.projection import project_waveforms
 from fwclass.read.source import BeamSource, PulseSource, Source, las_of
 from fwclass.read.source import open_source as open_source
 from fwclass.read.spans import Span
@@ -72,7 +72,7 @@ def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
         waves = read_beam_rows(source, span)
     else:
         waves = read_las(las_of(source), span)
-    return waves if source.target is None else projected(waves, source, source.target)
+    return waves if source.target is None else project_waveforms(waves, source, source.target)
 
 
 def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Table:

@@ -55,7 +55,7 @@ def layout_of(path: Path, data: bytes) -> Layout:
         if names is None and not numbers and (not commented or len(_known(words)) >= 3):
             names = words
         elif not commented:
-            raise refused(
+            raise refusal(
                 path,
                 "this line is neither numbers nor a header",
                 "x y z [label]",
@@ -63,7 +63,7 @@ def layout_of(path: Path, data: bytes) -> Layout:
                 "mend or remove the line",
                 number,
             )
-    raise refused(path, "the file has no points", "lines of x y z [label]", "none", "export it again")
+    raise refusal(path, "the file has no points", "lines of x y z [label]", "none", "export it again")
 
 
 def _separator(line: bytes) -> tuple[str, str]:
@@ -106,7 +106,7 @@ def _named(
     count = len(words)
     if names is None:
         if count not in (3, 4):
-            raise refused(
+            raise refusal(
                 path,
                 "a line has another number of columns",
                 "3 or 4: x y z [label]",
@@ -118,7 +118,7 @@ def _named(
     columns = tuple(map(_column, names))
     known = [c for c in columns if not c.startswith("?")]
     if len(names) != count:
-        raise refused(
+        raise refusal(
             path,
             "header and lines have different numbers of columns",
             f"{len(names)}: {' '.join(names)[:SHOWN]}",
@@ -127,7 +127,7 @@ def _named(
             line,
         )
     if {"x", "y", "z"} - set(known) or len(set(known)) < len(known):
-        raise refused(
+        raise refusal(
             path,
             "the header does not name x, y and z once each",
             "x y z and label or classification",
@@ -137,7 +137,7 @@ def _named(
     return Layout(delimiter, decimal, columns, start, line)
 
 
-def refused(path: Path, what: str, expected: object, got: object, do: str, line: int | None = None) -> InputError:
+def refusal(path: Path, what: str, expected: object, got: object, do: str, line: int | None = None) -> InputError:
     """The fault of a text file, with the number of the line where one is to blame."""
     where = path if line is None else f"{path}, line {line}"
     return InputError(what, where=where, expected=expected, got=got, do=do)

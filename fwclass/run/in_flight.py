@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterator
 from typing import Any, Protocol
 
-from fwclass.run.logs import attempted
+from fwclass.run.logs import log_attempt
 from fwclass.run.lost import Losses
 from fwclass.run.part import Name, Outcome, Task
 from fwclass.store.run_location import RunLocation
@@ -172,6 +172,6 @@ class InFlight:
     def _give_up(self, name: Name, message: str) -> Outcome:
         del self._order[name]
         outcome = self._losses.with_causes(Outcome(*name, "failed", message=message))
-        attempted(self._location, *name, {"status": "failed", "message": message})
+        log_attempt(self._location, *name, {"status": "failed", "message": message})
         self._failed[name] = outcome
         return outcome

@@ -24,7 +24,7 @@ def by_change(receipts: Iterable[Receipt], store: Store) -> tuple[Counter[str], 
     return parts, unknown
 
 
-def announced(store: Store, accepted: bool) -> list[str]:
+def announce(store: Store, accepted: bool) -> list[str]:
     """What a run says at its beginning of parts that others made, a line for each set of libraries.
 
     Receipts are read only where some run in this store had other libraries.
@@ -41,7 +41,7 @@ def announced(store: Store, accepted: bool) -> list[str]:
     return changed + (lines if unknown and not prints else [])
 
 
-def reported(runner: Runner) -> dict[str, Any]:
+def report_libraries(runner: Runner) -> dict[str, Any]:
     """What the report says: the libraries here, parts made with others that count as done, and parts that do not
     tell."""
     receipts = (runner.store.receipt(*name) for name, outcome in runner.outcomes.items() if outcome.ok)

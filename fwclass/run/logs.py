@@ -33,7 +33,7 @@ def log_path(location: RunLocation, stage: str, part: str) -> Path | Url:
     return address_of(location) / "logs" / stage / f"{part}.log"
 
 
-def attempted(location: RunLocation, stage: str, part: str, fields: Mapping[str, Value]) -> None:
+def log_attempt(location: RunLocation, stage: str, part: str, fields: Mapping[str, Value]) -> None:
     """Append one attempt at a part to its log: when (UTC), stage, part, host, pid, and `fields`.
 
     The one place that knows where logs go; it is called where the work was done, on a worker. On object storage, where

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from fwclass.errors import FwclassError
-from fwclass.run.logs import attempted
+from fwclass.run.logs import log_attempt
 from fwclass.run.part import Name, Outcome
 from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
@@ -53,7 +53,7 @@ class Losses:
             return "again"
         causes = self._causes.setdefault(name, [])
         causes.append(cause)
-        attempted(self.location, *name, {"status": "lost", "message": cause})
+        log_attempt(self.location, *name, {"status": "lost", "message": cause})
         if cause.startswith(TIME):
             return "failed"
         if alone:

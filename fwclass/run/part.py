@@ -13,7 +13,7 @@ from typing import Any, Literal
 from fwclass.errors import FwclassError, full_or, interrupted, system_error
 from fwclass.memory import keep_freed
 from fwclass.run.inputs import Declared, PartInputs
-from fwclass.run.logs import Value, attempted, log_path
+from fwclass.run.logs import Value, log_attempt, log_path
 from fwclass.store.cells import Within, digest_within
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.libraries import stale_by
@@ -150,7 +150,7 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
             key,
             digests,
             task.place,
-            lambda directory: _worked(task, inputs, directory),
+            lambda directory: _do_work(task, inputs, directory),
             task.version,
             task.params,
         )
@@ -159,14 +159,14 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
             raise KeyboardInterrupt from fault
         outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_message(location, task, fault))
         trace = "" if isinstance(fault, (FwclassError, OSError)) else "".join(traceback.format_exception(fault))
-        attempted(location, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
+        log_attempt(location, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
         return outcome
     outcome = Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
-    attempted(location, *task.name, _attempt(outcome, key) | _log_values(receipt))
+    log_attempt(location, *task.name, _attempt(outcome, key) | _log_values(receipt))
     return outcome
 
 
-def _worked(task: Task, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
+def _do_work(task: Task, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
     """The part's work; refused where a file that it reads is not, before and after, the one whose digest was taken."""
     for file in task.external:
         file.check()

@@ -101,7 +101,7 @@ def backward(candidates: Names, evaluate: Evaluate, scored: Scored, params: Sele
         if trial.importance is None:
             raise ValueError("backward elimination needs importances")
         importances = dict(zip(chosen, trial.importance.tolist(), strict=True))
-        ranks = ranks or ranked(importances)
+        ranks = ranks or rank(importances)
         count = min(max(1, math.floor(params.drop * len(chosen))), len(chosen) - params.least)
         if count <= 0:
             return Search(tuple(steps), ranks)
@@ -116,7 +116,7 @@ def by_fscore(
     """Add the candidates by falling F-score (Shi 2019, 2.3) of X (rows, features), y (rows,); a step for every length
     of the list."""
     figures = dict(zip(candidates, f_scores(X, y).tolist(), strict=True))
-    ranks = ranked(figures)
+    ranks = rank(figures)
     order = [name for name, _ in ranks]
     sets = [in_order(order[: k + 1], candidates) for k in range(len(order))]
     steps = [Step(scored(t), (name,)) for name, t in zip(order, evaluate(sets), strict=True)]
@@ -150,6 +150,6 @@ def in_order(names: Sequence[str], candidates: Names) -> Names:
     return tuple(c for c in candidates if c in chosen)
 
 
-def ranked(figures: dict[str, float]) -> tuple[tuple[str, float], ...]:
+def rank(figures: dict[str, float]) -> tuple[tuple[str, float], ...]:
     """(name, figure) by falling figure, of equals the one with less work, then by name."""
     return tuple(sorted(figures.items(), key=lambda item: (-item[1], extra_work(item[0], ()), item[0])))

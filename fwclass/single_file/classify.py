@@ -43,7 +43,6 @@ from fwclass.single_file.features.echoes import (
     with_radiometry,
 )
 from fwclass.single_file.ground.output import LAS, check_output
-from fwclass.single_file.ground.params import check_settings
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.single_file.refine import refine
 from fwclass.stage import Chunk
@@ -99,7 +98,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         A file or model that cannot be used, or lacks what the model decides by.
     """
     began = time.perf_counter()
-    check_settings(job.settings, SECTIONS, "leave it out; what decides is the model's")
+    conf.check_settings(job.settings, SECTIONS, "leave it out; what decides is the model's")
     source = _checked_source(job)
     model = load_model(job.model)
     check_output(job.source, job.output, job.overwrite)
@@ -111,7 +110,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     first = model.coarse if isinstance(model, TwoLayer) else model
     outside = RangeCounter.of(first.card, first.features)
     kept = Kept.of(conf.section("classify", job.settings))
-    results, without, medians, dense = _classified(echoes.table, first, asked, job.settings, tell, outside, kept)
+    results, without, medians, dense = _classify(echoes.table, first, asked, job.settings, tell, outside, kept)
     drifted = drift(first.card, [outside.counts()] if outside else [])
     boundary = None
     if isinstance(model, TwoLayer):
@@ -259,7 +258,7 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
     return FileEchoes(echoes.table, echoes.crs, (*echoes.notes, *notes), links)
 
 
-def _classified(
+def _classify(
     table: Table,
     model: Model,
     asked: Asked,

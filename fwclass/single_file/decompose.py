@@ -27,7 +27,6 @@ from fwclass.read.source import open_source, refuse_other_system
 from fwclass.read.stage import check_source
 from fwclass.read.trajectory import in_survey_time, read_trajectory
 from fwclass.schema import Table
-from fwclass.single_file.ground.params import check_settings
 from fwclass.single_file.strip import strip_of
 from fwclass.stage import Chunk
 from fwclass.waveforms import IMPLAUSIBLE
@@ -100,8 +99,8 @@ def decompose_file(
     if table.rows:
         ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
         refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
-    flown = flown_over(table, trajectory, system, undulation) if trajectory is not None else None
-    whole, notes = ranged(table, flown, params, trajectory)
+    flown = read_flight(table, trajectory, system, undulation) if trajectory is not None else None
+    whole, notes = add_radiometry(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
     shown = delivered if params["radiometry"].calibrates else without_reflectance(delivered)
@@ -126,7 +125,7 @@ def decompose_file(
 
 def _params(settings: tuple[str, ...]) -> dict[str, Any]:
     """The sections that the command obeys, changed by `settings`."""
-    check_settings(settings, SECTIONS)
+    conf.check_settings(settings, SECTIONS)
     return {name: conf.section(name, settings) for name in SECTIONS}
 
 
@@ -158,7 +157,9 @@ def _pulse_words(pulse: SystemPulse) -> str:
     return words + own + (f"; noise {noise} DN" if noise else "")
 
 
-def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Path | None) -> tuple[Table, list[str]]:
+def add_radiometry(
+    table: Table, flown: Table | None, params: dict[str, Any], where: Path | None
+) -> tuple[Table, list[str]]:
     """`table` with the radiometric columns, and what is to be said of them; as it is where no range is known."""
     settings: RadiometryParams = params["radiometry"]
     known = np.isfinite(table["beam_range"]).any()
@@ -195,7 +196,7 @@ def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Pat
     return table.with_columns(columns), notes
 
 
-def flown_over(table: Table, path: Path, crs: Any, undulation: float) -> Table:
+def read_flight(table: Table, path: Path, crs: Any, undulation: float) -> Table:
     """The trajectory in the file at `path`, in the time of the pulses of `table`."""
     times = table["gps_time"][np.isfinite(table["gps_time"])]
     ends = (float(times.min()), float(times.max())) if len(times) else (np.nan, np.nan)

@@ -67,9 +67,9 @@ def add_corrections(location: RunLocation, change: Change) -> EchoLabels:
     while True:
         try:
             if isinstance(location, Remote):
-                return _added(location, change)
+                return _add(location, change)
             with writer(location, WRITING):
-                return _added(location, change)
+                return _add(location, change)
         except (LostRace, LockedError):
             if time.monotonic() > until:
                 raise
@@ -114,7 +114,7 @@ def _read(location: RunLocation) -> tuple[EchoLabels, Mark | None]:
     return (read_echo_labels(path, where, signed=True), ANY) if path.is_file() else (EchoLabels.none(), None)
 
 
-def _added(location: RunLocation, change: Change) -> EchoLabels:
+def _add(location: RunLocation, change: Change) -> EchoLabels:
     before, mark = _read(location)
     new = change(before)
     if not new.rows:

@@ -59,7 +59,7 @@ def writer(root: Path, lock: Lock = WRITER) -> Iterator[Callable[[], None]]:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+") as stream:
         if not _try_lock(stream.fileno()):
-            raise LockedError(lock.refusal, where=root, got=named(_facts(stream) or {}), do=lock.do)
+            raise LockedError(lock.refusal, where=root, got=holder_text(_facts(stream) or {}), do=lock.do)
         stream.seek(0)
         stream.truncate()
         stream.write(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}))
@@ -90,7 +90,7 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
         return None
 
 
-def named(facts: Mapping[str, Any]) -> str:
+def holder_text(facts: Mapping[str, Any]) -> str:
     """Who holds a lock, in words."""
     return f"pid {facts.get('pid')} on {facts.get('host')}" if facts else "one that did not leave its name"
 

@@ -100,7 +100,7 @@ class Lookup:
         if data is None:
             return None
         try:
-            return parsed(data[0], key, str(self._files.where / key)), data[1]
+            return parse_receipt(data[0], key, str(self._files.where / key)), data[1]
         except DamagedError:
             return None, data[1]
 
@@ -182,7 +182,7 @@ class Lookup:
     def _copied(self, item: Held) -> tuple[Receipt, Mark, int] | None:
         try:
             data = self._copy_of(item.key, item.mark).read_bytes()
-            return parsed(data, item.key, item.key), item.mark, len(data)
+            return parse_receipt(data, item.key, item.key), item.mark, len(data)
         except (OSError, StoreError):
             return None
 
@@ -208,7 +208,7 @@ def part_key(stage: str, part: str) -> str:
     return f"store/{stage}/{part}"
 
 
-def parsed(data: bytes, key: str, where: str) -> Receipt:
+def parse_receipt(data: bytes, key: str, where: str) -> Receipt:
     """The receipt under `key`, which must be of the part that the key names (`StoreError`); `DamagedError` for none."""
     try:
         value = json.loads(data)

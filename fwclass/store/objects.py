@@ -67,7 +67,7 @@ class Objects:
 
     def __init__(self, url: Url, params: StoreParams) -> None:
         self.url, self.params = url, params
-        self._store = _opened(str(url), params)
+        self._store = _open_store(str(url), params)
         self._pool = ThreadPoolExecutor(params.parallel, thread_name_prefix="objects")
 
     def get(self, key: str) -> tuple[bytes, Mark] | None:
@@ -271,7 +271,7 @@ def objects_at(url: str, params: StoreParams) -> Objects:
     return Objects(Url(url), params)
 
 
-def _opened(url: str, params: StoreParams) -> Any:
+def _open_store(url: str, params: StoreParams) -> Any:
     try:
         from obstore.exceptions import BaseError
         from obstore.store import MemoryStore, from_url

@@ -21,7 +21,7 @@ from typing import Any
 import psutil
 
 from fwclass.errors import LockedError, StoreError, visible
-from fwclass.store.lock import WRITER, Lock, named
+from fwclass.store.lock import WRITER, Lock, holder_text
 from fwclass.store.objects import Mark, Objects
 from fwclass.store.refusals import LostRace
 
@@ -128,15 +128,15 @@ def _take(objects: Objects, lock: Lock, data: bytes, tell: Callable[[str], None]
             if present is None:
                 raise
     if facts := _facts(present[0]):
-        present = _watched(objects, lock, facts, present, tell)
+        present = _watch(objects, lock, facts, present, tell)
     try:
         return objects.put_over(key, data, present[1])
     except LostRace as fault:
         after = objects.get(key)
-        raise _refused(objects, lock, _facts(after[0]) if after else {}) from fault
+        raise _refusal(objects, lock, _facts(after[0]) if after else {}) from fault
 
 
-def _watched(
+def _watch(
     objects: Objects, lock: Lock, facts: Mapping[str, Any], stored: tuple[bytes, Mark], tell: Callable[[str], None]
 ) -> tuple[bytes, Mark]:
     """The lock as it is when its holder has been silent long enough; `StoreError` as soon as it shows life."""
@@ -155,12 +155,12 @@ def _watched(
         if now is None or now[1] != stored[1]:
             if now is not None and not _facts(now[0]):
                 return now  # it ended just now
-            raise _refused(objects, lock, facts)
+            raise _refusal(objects, lock, facts)
     return stored
 
 
-def _refused(objects: Objects, lock: Lock, facts: Mapping[str, Any]) -> LockedError:
-    return LockedError(lock.refusal, where=objects.url, got=named(facts), do=lock.do)
+def _refusal(objects: Objects, lock: Lock, facts: Mapping[str, Any]) -> LockedError:
+    return LockedError(lock.refusal, where=objects.url, got=holder_text(facts), do=lock.do)
 
 
 def check_token(objects: Objects, token: str, lock: Lock = WRITER) -> None:

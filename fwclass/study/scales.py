@@ -107,7 +107,7 @@ class _Trials:
         trees = {"method": refine.method, "trees": config.select.trees}
         self.train = config.train.model_copy(update=trees)
         self.rows = config.compare.rbf_svm.search_rows if refine.method == "rbf-svm" else 0
-        self.sample, self.folding = looked_at(PartInputs(runner.store), layer, self.rows, config.select)
+        self.sample, self.folding = load_folded(PartInputs(runner.store), layer, self.rows, config.select)
         self.compare = self._machine()
 
     def _machine(self) -> CompareParams:
@@ -116,7 +116,7 @@ class _Trials:
         if not self.rows or len(svm.c) * len(svm.gamma) == 1:
             return compare
         params = {"compare": plain(compare), **self._folds()}
-        work = partial(searched, self.layer, self.rows, self.config.select, compare)
+        work = partial(search_machine, self.layer, self.rows, self.config.select, compare)
         meta = require_all(self.runner, [Task(MACHINE, "all", VERSION, params, work, needs=((MERGED, "all"),))])
         best = meta[MACHINE, "all"].meta
         one = svm.model_copy(update={"c": (best["c"],), "gamma": (best["gamma"],)})
@@ -138,28 +138,28 @@ class _Trials:
     def _task(self, subset: Names, fold: int) -> Task:
         params = {"train": plain(self.train), "compare": plain(self.compare), "scales": list(subset), **self._folds()}
         work = partial(
-            tried, subset, fold, self.layer, self.rows, self.config.select, self.train, self.compare, self.classes
+            try_scales, subset, fold, self.layer, self.rows, self.config.select, self.train, self.compare, self.classes
         )
         part = f"{digest_of(list(subset))[:16]}-{fold:02d}"
         return Task(TRIAL, part, VERSION, params, work, needs=((MERGED, "all"),))
 
 
-def looked_at(inputs: PartInputs, layer: FineLayer, rows: int, select: SelectParams) -> tuple[Sample, Folding]:
+def load_folded(inputs: PartInputs, layer: FineLayer, rows: int, select: SelectParams) -> tuple[Sample, Folding]:
     """The second layer's training rows (`rows` of them, 0 for all), and their folds."""
     sample = load_sample(inputs, MERGED, "all", layer.names)
     sample = fewer(sample, rows, select.block) if rows else sample
     return sample, spatial(select.block, select.gap).folding(sample, select.folds)
 
 
-def searched(
+def search_machine(
     layer: FineLayer, rows: int, select: SelectParams, compare: CompareParams, inputs: PartInputs, directory: Path
 ) -> dict[str, Any]:
     """C and gamma with all scales."""
-    sample, folding = looked_at(inputs, layer, rows, select)
+    sample, folding = load_folded(inputs, layer, rows, select)
     return search(sample, folding, compare.rbf_svm, compare.scaling, None)
 
 
-def tried(
+def try_scales(
     subset: Names,
     fold: int,
     layer: FineLayer,
@@ -172,7 +172,7 @@ def tried(
     directory: Path,
 ) -> dict[str, Any]:
     """A second layer by some scales from the rows outside `fold`: its confusion matrix inside."""
-    sample, folding = looked_at(inputs, layer, rows, select)
+    sample, folding = load_folded(inputs, layer, rows, select)
     ends = {label.rpartition("_")[2] for label in subset}
     shares = ("eigenvalue_1_", "eigenvalue_2_", "eigenvalue_3_")
     at = [k for k, n in enumerate(sample.features) if not n.startswith(shares) or n.rpartition("_")[2] in ends]

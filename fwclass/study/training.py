@@ -15,7 +15,7 @@ from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING, check_features
 from fwclass.graph.walk import tasks_of, until_labels, until_tiles
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
-from fwclass.study.compare import compared
+from fwclass.study.compare import compare_methods
 
 NOTHING_TESTED = (
     "Nothing is left to test on: no labelled echo lies in a test area, or further than areas.gap from every training "
@@ -61,7 +61,7 @@ def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict
     columns = {*layout.columns(names).values(), "label", "tile"}
     wanted = [("training", "all"), *((stage, t.key) for t in layout.tiles for stage in columns if stage != "tile")]
     require_all(runner, ancestors([*tasks, *sample], wanted))
-    return compared(config, runner.store, layout, methods, runner.display.say)
+    return compare_methods(config, runner.store, layout, methods, runner.display.say)
 
 
 def _begin(config: Config, runner: Runner) -> tuple[Plan, Tasks]:

@@ -23,7 +23,7 @@ from fwclass.features.params import Asked, is_feature
 from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import room_at
-from fwclass.operate.estimate.whole import planned
+from fwclass.operate.estimate.whole import make_plan
 from fwclass.read.info import info
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
@@ -150,7 +150,7 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None) -> Draft
     holdings = look_into(files)
     paths = [Path(f["path"]) for f in holdings.facts]
     features = "default-waveform" if holdings.waveforms else "default"
-    classes, left, split = proposed(holdings, features)
+    classes, left, split = propose_classes(holdings, features)
     directory, patterns = sources_of(paths, beside)
     lines = [
         *_head(holdings),
@@ -168,7 +168,7 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None) -> Draft
     return Draft(text + _tile_lines(text, beside), tuple(_lacks(holdings, classes)))
 
 
-def proposed(holdings: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], Split | None]:
+def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], Split | None]:
     """Classes to learn; why others were left out; where to train."""
     classes = [m for m in MEANINGS if sum(holdings.codes[c] for c in m.codes) >= LEAST]
     left = _left_out(holdings.codes, classes)
@@ -290,7 +290,7 @@ def _tile_lines(text: str, beside: Path) -> str:
         file.flush()
         try:
             config = conf.load(file.name)
-            plan = planned(config, survey_facts(config, beside), config.run.workers, room_at(beside))
+            plan = make_plan(config, survey_facts(config, beside), config.run.workers, room_at(beside))
         except FwclassError:
             return ""  # what is missing stands in the notes; `fwclass plan` says the rest
     if plan.best is None or plan.best.size == config.tile.size:

@@ -146,7 +146,7 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
         reference = sum(open_source(local(p)).n_points for p in files)
     sources = tuple(_with_places(facts_of(s), s) for s in full)
     largest, of_it = max(zip(full, sources, strict=True), key=lambda pair: pair[0].n_points)
-    sample = sampled(largest, config.plan.sample_points, of_it) if isinstance(largest, LasSource) else None
+    sample = sample_points(largest, config.plan.sample_points, of_it) if isinstance(largest, LasSource) else None
     return SurveyFacts(sources, reference, crs, sample)
 
 
@@ -189,7 +189,7 @@ def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:
     return replace(facts, places=tuple((joint_box(boxes), float(n)) for boxes, n in places))
 
 
-def sampled(source: LasSource, points: int, facts: SourceFacts | None = None) -> Sample:
+def sample_points(source: LasSource, points: int, facts: SourceFacts | None = None) -> Sample:
     """The middle `points` of a file."""
     first = max(0, (source.n_points - points) // 2)
     with PointReader(source) as reader:

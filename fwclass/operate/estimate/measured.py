@@ -40,7 +40,7 @@ class Measured:
     peak_mib: float
 
 
-def measured(store: Store, costs: Costs, work: Mapping[str, Amount]) -> Measured:
+def measure_costs(store: Store, costs: Costs, work: Mapping[str, Amount]) -> Measured:
     """Costs from all receipts of `store`.
 
     A stage's time of a unit is the median over its parts, less what a part costs that holds nothing, so that the parts

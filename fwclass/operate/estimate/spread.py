@@ -60,7 +60,7 @@ class Spread:
 
     def grown(self, halo: float) -> NDArray[np.float64]:
         """Echoes of every square and `halo` [m] around it, evenly spread within each square."""
-        return _windowed(_windowed(self.counts, halo / self.size).T, halo / self.size).T
+        return _sum_windows(_sum_windows(self.counts, halo / self.size).T, halo / self.size).T
 
     @property
     def occupied(self) -> NDArray[np.bool_]:
@@ -75,7 +75,7 @@ class Spread:
     def within(self, margin: int) -> int:
         """How many squares are occupied or at most `margin` squares away from one that is."""
         wide = np.pad(self.occupied.astype(np.float64), margin)
-        return int((_windowed(_windowed(wide, margin).T, margin) > 0).sum())
+        return int((_sum_windows(_sum_windows(wide, margin).T, margin) > 0).sum())
 
     def heaviest(self, count: int) -> tuple[Tile, ...]:
         """The `count` squares with most echoes, the fullest first."""
@@ -136,7 +136,7 @@ def shares(low: float, high: float, size: float, first: int) -> tuple[int, list[
     return a - first, [v / total for v in lengths] if total > 0 else [1.0 / (b - a)] * (b - a)
 
 
-def _windowed(counts: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
+def _sum_windows(counts: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
     """Along the first axis: each row, and what lies within `reach` rows of its edges."""
     whole, part = math.floor(reach), reach - math.floor(reach)
     n = len(counts)

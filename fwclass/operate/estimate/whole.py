@@ -12,10 +12,10 @@ from fwclass.graph.stage import Stage
 from fwclass.graph.stages import STAGES
 from fwclass.operate.estimate.amounts import Counts, amounts, crowding, tile_halo
 from fwclass.operate.estimate.density import costs_at_density, too_dense
-from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimated, proposed
+from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimate_run, propose_size
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.limits import Limit, Room, allowed_mib, limits
-from fwclass.operate.estimate.measured import Measured, measured, measured_base
+from fwclass.operate.estimate.measured import Measured, measure_costs, measured_base
 from fwclass.operate.estimate.spread import Spread, spread_of
 from fwclass.store.run_store import Store
 
@@ -44,7 +44,7 @@ class Plan:
         return all(limit.fits for limit in self.limits)
 
 
-def planned(
+def make_plan(
     config: Config,
     facts: SurveyFacts,
     workers: int,
@@ -54,15 +54,15 @@ def planned(
 ) -> Plan:
     """The plan of `stages` by the costs of section `plan`, or, as far as it goes, by receipts of a dry run, `trial`."""
     size, counts = config.tile.size, Counts.of(config, facts)
-    observed = measured(trial, config.plan.stages, amounts(config, facts, size, stages)) if trial else None
+    observed = measure_costs(trial, config.plan.stages, amounts(config, facts, size, stages)) if trial else None
     costs = observed.costs if observed else costs_at_density(config, facts)
-    estimate = estimated(config, facts, size, workers, costs, stages)
+    estimate = estimate_run(config, facts, size, workers, costs, stages)
     if observed:
         base = measured_base(observed, estimate, config.plan.base_mib)
         config = replace(config, plan=config.plan.model_copy(update={"base_mib": base}))
-        estimate = estimated(config, facts, size, workers, costs, stages)
+        estimate = estimate_run(config, facts, size, workers, costs, stages)
     compared = tuple(choices(config, facts, workers, costs, allowed_mib(config, workers, room), stages))
-    best = proposed(config, list(compared))
+    best = propose_size(config, list(compared))
     return Plan(
         config,
         facts,

@@ -78,18 +78,20 @@ def _strips(keys: Iterable[str], size: float, width: float) -> Iterator[tuple[Bo
             yield Box(b.xmin, b.ymax - width, b.xmax, b.ymax + width), False
 
 
-def drawn(tiles: Sequence[Tile], seed: int) -> list[int]:
+def draw_order(tiles: Sequence[Tile], seed: int) -> list[int]:
     """Places in `tiles` in an order that only the seed and the tiles decide."""
     keys = np.array([((t.ix & 0xFFFFFFFF) << 32) | (t.iy & 0xFFFFFFFF) for t in tiles], np.uint64)
     return np.argsort(hashed(seed, keys), kind="stable").tolist()
 
 
-def chosen(candidates: Sequence[ShiftedSquare], share: float, length: float | None, seed: int) -> list[ShiftedSquare]:
+def choose_squares(
+    candidates: Sequence[ShiftedSquare], share: float, length: float | None, seed: int
+) -> list[ShiftedSquare]:
     """Places drawn until they have `share` of all borders, or `length` [m] of them; at least one if there is one."""
     wanted = share * sum(p.length for p in candidates) if length is None else length
     squares: list[ShiftedSquare] = []
     have = 0.0
-    for k in drawn([p.tile for p in candidates], seed):
+    for k in draw_order([p.tile for p in candidates], seed):
         if squares and have >= wanted:
             break
         squares.append(candidates[k])

@@ -25,7 +25,7 @@ from fwclass.operate.seams.measure import (
     shifted_blocks,
     tile_seams,
 )
-from fwclass.operate.seams.places import ShiftedSquare, chosen, drawn, places
+from fwclass.operate.seams.places import ShiftedSquare, choose_squares, draw_order, places
 from fwclass.operate.seams.summary import SeamResult
 from fwclass.operate.status.walk import StatusWalk
 from fwclass.run.inputs import PartInputs
@@ -54,7 +54,7 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
     try:
         workflow = workflow_of(asked.workflow)
         stages = tuple(s for s in after_tiles(workflow.stages) if s not in (CHECK_SEAMS, *JUDGING, *DELIVERY))
-        plan = _planned(config, look, workflow, stages)
+        plan = _make_plan(config, look, workflow, stages)
         compared = ComparableStages.of(s for s in stages if s.when(plan))
     except ConfigError:
         raise
@@ -69,14 +69,14 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
     candidates = places(keys, config.tile.size, asked.shift, config.seams.width)
     if not candidates:
         raise ConfigError("no two tiles of this run share a border", where=where, got=f"{len(keys)} tiles")
-    strips = chosen(candidates, asked.share, asked.length, config.seams.seed)
+    strips = choose_squares(candidates, asked.share, asked.length, config.seams.seed)
     total = sum(p.length for p in candidates)
     share = min(1.0, sum(p.length for p in strips) / total)
     tiles = Tiles(look.store, TileGrid(config.tile.size), layout.keys)
     of_tiles = [s for s in stages if s.name in compared.of_tiles]
     bounded = _strips(plan, of_tiles, strips, tiles, display)
     bounded += _blocks(plan, compared.of_blocks, share, look, tiles, display)
-    moved = _moved(plan, compared.of_blocks, share, look, tiles, display)
+    moved = _compare_moved(plan, compared.of_blocks, share, look, tiles, display)
     check_unchanged(look, tiles.used, (*compared.of_tiles, "tile", *compared.gathering))
     size = layout.config.tile.size * config.seams.tile
     return SeamResult(
@@ -92,7 +92,7 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
     )
 
 
-def _planned(config: Config, look: StatusWalk, workflow: Workflow, stages: tuple[Stage, ...]) -> Plan:
+def _make_plan(config: Config, look: StatusWalk, workflow: Workflow, stages: tuple[Stage, ...]) -> Plan:
     """The plan of a finished run, whose parts of `stages` are looked at."""
     plan = until_tiles(workflow.begin(config), look, workflow.stages)
     if workflow.name == xiong2018.NAME:
@@ -129,7 +129,7 @@ def _blocks(
         reads = partial(stage.box, plan)
         done = whole_blocks(stage.name, list(stage.all_parts(plan)), whole, look, reads)
         blocks = [b for b in done if b.key in whole.occupied[b.size]]
-        for k in drawn(blocks, config.seams.seed)[: _count(share, len(blocks))]:
+        for k in draw_order(blocks, config.seams.seed)[: _count(share, len(blocks))]:
             chosen.append((stage, blocks[k]))
             around |= set(grid.touching(reads(blocks[k])))
     config = replace(config, tile=config.tile.model_copy(update={"size": size}))
@@ -138,7 +138,7 @@ def _blocks(
     return block_seams(tasks, other, OtherTilesInputs(tiles.store, tiles, grid), config.seams.listed, display)
 
 
-def _moved(
+def _compare_moved(
     plan: Plan, stages: tuple[Stage, ...], share: float, look: StatusWalk, tiles: Tiles, display: Display
 ) -> list[BlockShiftEffect]:
     """Filter and terrain of blocks that lie elsewhere: what is not bounded."""
@@ -147,7 +147,7 @@ def _moved(
         here = shifted_blocks(stage, plan)
         whole = set(whole_blocks("", [p.tile for p in here], plan.layout, look, partial(stage.box, plan)))
         here = [p for p in here if p.tile in whole]
-        here = [here[k] for k in drawn([p.tile for p in here], seed)]
+        here = [here[k] for k in draw_order([p.tile for p in here], seed)]
         count = _count(share, len(here))
         pairs.append(apart(stage, here, count, plan, PartInputs(tiles.store), WITHIN, display))
     return pairs

@@ -18,7 +18,7 @@ def task_alone(looked: RunStatus, text: str, request: Request) -> Task:
             where="--only",
             expected="STAGE/PART, for example features/12_34",
             got=text,
-            do=_meant(looked, stage),
+            do=_suggestion(looked, stage),
         )
     late = [n for n in task.needs if looked.states[n].standing != "done"]
     if late:
@@ -32,7 +32,7 @@ def task_alone(looked: RunStatus, text: str, request: Request) -> Task:
     return task
 
 
-def _meant(looked: RunStatus, stage: str) -> str:
+def _suggestion(looked: RunStatus, stage: str) -> str:
     stages = list(dict.fromkeys(name for name, _ in looked.states))
     if stage not in stages:
         return nearest(stage, stages)

@@ -24,7 +24,7 @@ from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
 from fwclass.schema import IDENTITY, Table
-from fwclass.single_file.decompose import flown_over, ranged
+from fwclass.single_file.decompose import add_radiometry, read_flight
 from fwclass.single_file.ground.file import GROUND, HIGH_NOISE, LOW_NOISE
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.steps import Tell
@@ -222,8 +222,8 @@ def with_radiometry(echoes: FileEchoes, flight: Flight, settings: tuple[str, ...
     whole = table.with_columns({n: np.full(table.rows, np.nan) for n in missing})
     flown = None
     if flight.trajectory is not None:
-        flown = flown_over(table, flight.trajectory, echoes.crs, flight.undulation)
+        flown = read_flight(table, flight.trajectory, echoes.crs, flight.undulation)
     params = {name: conf.section(name, settings) for name in ("features", "radiometry")}
-    columns, notes = ranged(whole, flown, params, flight.trajectory)
+    columns, notes = add_radiometry(whole, flown, params, flight.trajectory)
     own = [n for n in RADIOMETRY.writes if n in columns]
     return FileEchoes(table.with_columns(columns.select(own)), echoes.crs, (*echoes.notes, *(notes if own else ())))

@@ -35,7 +35,6 @@ from fwclass.single_file.features.echoes import (
 )
 from fwclass.single_file.features.names import Wanted, wanted
 from fwclass.single_file.ground.output import check_places
-from fwclass.single_file.ground.params import check_settings
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.stage import Chunk
 from fwclass.tile.stage import morton
@@ -97,7 +96,7 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     """
     started = time.perf_counter()
     _check_output(job)
-    check_settings(job.settings, SECTIONS)
+    conf.check_settings(job.settings, SECTIONS)
     features = wanted(job.named, job.listed)
     params: FeaturesParams = conf.section("features", job.settings)
     size, publish = conf.section("tile", job.settings).size, conf.section("publish", job.settings)
@@ -105,8 +104,8 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     tell("reading")
     before = compiling.spent()
     echoes = _echoes(job, features, tell)
-    features, left_out = given(features, echoes.table, job.source, job.skip_missing)
-    table = _sorted(echoes.table)
+    features, left_out = available(features, echoes.table, job.source, job.skip_missing)
+    table = _sort(echoes.table)
     with tempfile.TemporaryDirectory(dir=job.output.parent, prefix=".fwclass-features-") as room:
         columns, tiles, crowd = _features(table, features, params, size, Path(room), tell)
         tell("writing")
@@ -161,7 +160,7 @@ def _echoes(job: FeaturesJob, wanted: Wanted, tell: Tell) -> FileEchoes:
     echoes = read_echoes(job.source, columns, job.settings, given_crs(job.crs, "--crs"), tell)
     flight = Flight(job.trajectory, job.undulation)
     later = (*TERRAIN.writes, *(RADIOMETRY.writes if ranges(echoes, flight, job.settings) else ()))
-    given(wanted, echoes.table, job.source, job.skip_missing, frozenset(later))
+    available(wanted, echoes.table, job.source, job.skip_missing, frozenset(later))
     if "height_above_ground" in wanted.names:
         by = GroundChoice(job.method, job.preset, job.assignments, job.skip_missing)
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
@@ -171,7 +170,7 @@ def _echoes(job: FeaturesJob, wanted: Wanted, tell: Tell) -> FileEchoes:
     return FileEchoes(echoes.table.select(keep), echoes.crs, echoes.notes)
 
 
-def _sorted(table: Table) -> Table:
+def _sort(table: Table) -> Table:
     """Rows by the cells of the tiles' spatial sort, then as they were (canonical)."""
     return table.take(np.argsort(morton(table["x"], table["y"]), kind="stable"))
 
@@ -234,7 +233,7 @@ _WHY = {
 """What a file lacks that does not have a column."""
 
 
-def given(
+def available(
     wanted: Wanted, table: Table, source: Path, skip: bool, later: frozenset[str] = frozenset()
 ) -> tuple[Wanted, dict[str, str]]:
     """The features that `table` can give; those that it cannot, with what it lacks. Columns `later` may still come.

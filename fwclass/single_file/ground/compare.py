@@ -24,7 +24,7 @@ from fwclass.publish.ground_page import disagreement_map, render_comparison
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.single_file.ground.file import filter_cloud, shown_points
 from fwclass.single_file.ground.labels import NAMES, labels_of, matrix_of
-from fwclass.single_file.ground.params import closest, ground_params, used
+from fwclass.single_file.ground.params import closest, ground_params, used_params
 from fwclass.single_file.ground.rasters import check_extent
 from fwclass.single_file.ground.search import check_directory
 from fwclass.single_file.ground.steps import Tell, quiet
@@ -154,7 +154,7 @@ def _one(
     seconds = time.perf_counter() - began
     summary = _summary(shown, truth, name, flags)
     rate = {"seconds": round(seconds, 3), "points_per_second": round(int(shown.sum()) / max(seconds, 1e-9))}
-    return flags, {**summary, **rate, "parameters": used(params)}
+    return flags, {**summary, **rate, "parameters": used_params(params)}
 
 
 def _summary(shown: NDArray[np.bool_], truth: NDArray[np.int8] | None, name: str, flags: Flags) -> dict[str, Any]:

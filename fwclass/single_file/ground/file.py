@@ -23,7 +23,7 @@ from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.las import LasSource
 from fwclass.single_file.ground.output import check_output, check_packets, write_points
-from fwclass.single_file.ground.params import ground_params, used, with_assignments
+from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.single_file.ground.stray import describe_stray, stray_points
@@ -115,7 +115,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "output": str(job.output),
         "method": params.method,
         "preset": job.preset,
-        "parameters": used(params),
+        "parameters": used_params(params),
         "measured": measured,
         "points": cloud.points,
         "unusable": unusable(cloud),

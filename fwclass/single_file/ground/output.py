@@ -127,7 +127,7 @@ def write_points(
 def _as_text(
     cloud: PointCloud, output: Path, classes: NDArray[np.uint8], z: NDArray[np.float64] | None
 ) -> dict[str, Any]:
-    x, y, own = written(cloud)
+    x, y, own = original_coordinates(cloud)
     facts = write_text(output, x, y, own if z is None else z, classes)
     notes = []
     if isinstance(cloud.source, LasSource):
@@ -137,7 +137,7 @@ def _as_text(
     return {**facts, "notes": notes}
 
 
-def written(cloud: PointCloud) -> tuple[NDArray[np.float64], ...]:
+def original_coordinates(cloud: PointCloud) -> tuple[NDArray[np.float64], ...]:
     """x, y, z in the file's own unit, with as many decimals as its scales have."""
     if not isinstance(cloud.source, LasSource):
         return cloud.source.x, cloud.source.y, cloud.source.z
@@ -161,7 +161,7 @@ def _text_as_las(
     z: NDArray[np.float64] | None,
     extra: dict[str, NDArray],
 ) -> dict[str, Any]:
-    x, y, own = written(cloud)
+    x, y, own = original_coordinates(cloud)
     own = own if z is None else z
     bad = ~(cloud.usable & np.isfinite(own))
     if bad.any():

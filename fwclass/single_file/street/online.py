@@ -38,7 +38,7 @@ WARM = 40
 """Frames that everything is gone through with before anything is listened to, so that nothing compiles later."""
 
 
-def classified(one: Seen, model: Model) -> Answer:
+def classify_frame(one: Seen, model: Model) -> Answer:
     """Classes and shares of a frame's returns."""
     here = ~np.isnan(one.frame.r)
     if not here.any():
@@ -77,7 +77,7 @@ class Loop:
     def _answer(self, one: Seen) -> Answer:
         self.cut += one.cut
         self.most = max(self.most, one.frames)
-        return classified(one, self.model)
+        return classify_frame(one, self.model)
 
 
 @dataclass

@@ -95,7 +95,7 @@ def look(
         inflation = float(noise["inflation"] or 1.0)
         views = (see(strip.waves(span), params, pulse, pulses, inflation) for span in wanted)
         recorded = _recorded(strip, settings)
-        chosen, counts = _named(views, pulses, pulse, path) if pulses else _telling(views, pulse)
+        chosen, counts = _named_pulses(views, pulses, pulse, path) if pulses else _telling(views, pulse)
     if not chosen:
         raise InputError("no waveform of the file can be drawn", where=path, do="see `fwclass info` for what is wrong")
     heading = f"{path.name}: {'chosen' if pulses else 'telling'} pulses, {_pulse_words(pulse)}"
@@ -151,7 +151,7 @@ def _with(spans: Sequence[StripSpan], pulses: tuple[int, ...], path: Path) -> li
     return [s for s in spans if any(0 <= p - s.span.first_pulse < s.span.n_pulses for p in pulses)]
 
 
-def _named(
+def _named_pulses(
     views: Iterator[Seen], pulses: tuple[int, ...], system: SystemPulse, path: Path
 ) -> tuple[list[Shown], dict[str, Any]]:
     """The pulses asked for, in that order."""
@@ -198,10 +198,10 @@ def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], d
             "incomplete_pulses": cropped,
             "strongest": strongest,
         }
-    return _merged([*best.items(), *((why, one) for why in SEVERAL for one in many.get(why, ()))]), counts
+    return _merge_reasons([*best.items(), *((why, one) for why in SEVERAL for one in many.get(why, ()))]), counts
 
 
-def _merged(chosen: Sequence[tuple[str, tuple[float, Shown]]]) -> list[Shown]:
+def _merge_reasons(chosen: Sequence[tuple[str, tuple[float, Shown]]]) -> list[Shown]:
     """Every chosen pulse once, with all that it stands for."""
     order = (*KINDS, *SEVERAL)
     reasons: dict[int, list[str]] = {}

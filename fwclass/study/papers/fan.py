@@ -13,7 +13,7 @@ from fwclass.study.papers.begin import base_of
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
 from fwclass.study.papers.fan_claims import CLAIMS
-from fwclass.study.papers.variants import all_classes, changed
+from fwclass.study.papers.variants import all_classes, make_variant
 from fwclass.study.papers.work import Variant
 
 WAVEFORM = ("amplitude", "width", "backscatter")
@@ -30,16 +30,16 @@ def variants(config: Config, names: tuple[str, ...], printed: Mapping[str, Any])
     """The paper's m, the SVMs, with and without waveform features for every seed, all features, all classes."""
     used = config.features_asked
     tried = [m for m in map(int, printed["splits"]) if m <= len(used)] or [len(used)]
-    variants = [changed(config, f"m{m}", used, features_per_split=m) for m in tried]
-    variants += [changed(config, name, used, method=name) for name in MACHINES]
-    variants += [changed(config, FEWER, used, rows=config.compare.rbf_svm.max_rows)]
+    variants = [make_variant(config, f"m{m}", used, features_per_split=m) for m in tried]
+    variants += [make_variant(config, name, used, method=name) for name in MACHINES]
+    variants += [make_variant(config, FEWER, used, rows=config.compare.rbf_svm.max_rows)]
     if waveforms(config):
         for seed in config.papers.seeds:
-            variants += [changed(config, f"with-{seed}", used, seed=seed)]
-            variants += [changed(config, f"without-{seed}", echoes_only(used), seed=seed)]
-    variants += [changed(config, "every-feature", names)]
+            variants += [make_variant(config, f"with-{seed}", used, seed=seed)]
+            variants += [make_variant(config, f"without-{seed}", echoes_only(used), seed=seed)]
+    variants += [make_variant(config, "every-feature", names)]
     if config.papers.more_classes:
-        variants += [changed(config, "every-class", used, len(all_classes(config)))]
+        variants += [make_variant(config, "every-class", used, len(all_classes(config)))]
     return tuple(variants)
 
 
@@ -63,7 +63,7 @@ def comparisons(config: Config, variants: Sequence[Variant]) -> list[tuple[Varia
     return pairs
 
 
-def timed(variants: Sequence[Variant]) -> list[Variant]:
+def timed_variants(variants: Sequence[Variant]) -> list[Variant]:
     """The paper's m and the SVMs."""
     return [v for v in variants if v.name in (variants[0].name, FEWER, *MACHINES)]
 
@@ -97,7 +97,7 @@ def facts(
         "unscored": _unscored(receipts, variants[0].name, classes, len(config.classes)),
         "differences": differences(receipts, comparisons(config, variants)),
         "thesis": _thesis(config, tables),
-        "times": times(receipts, timed(variants)),
+        "times": times(receipts, timed_variants(variants)),
     }
     return {**gathered, "claims": judge_claims(printed["claims"], CLAIMS, gathered)}
 

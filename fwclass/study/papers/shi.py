@@ -28,7 +28,7 @@ from fwclass.select.search import f_scores
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
 from fwclass.study.papers.shi_claims import CLAIMS
-from fwclass.study.papers.variants import VERSION, changed, learn_tasks, time_tasks
+from fwclass.study.papers.variants import VERSION, learn_tasks, make_variant, time_tasks
 from fwclass.study.papers.work import Variant, spans
 from fwclass.train.sample import Sample
 
@@ -67,16 +67,16 @@ def variants(config: Config, names: tuple[str, ...]) -> tuple[Variant, ...]:
         ()
         if ground is None
         else (
-            replace(changed(config, FILTERED, flat, method="rbf-svm"), filtered=ground),
-            replace(changed(config, HEIGHTS, names, method="rbf-svm"), filtered=ground),
+            replace(make_variant(config, FILTERED, flat, method="rbf-svm"), filtered=ground),
+            replace(make_variant(config, HEIGHTS, names, method="rbf-svm"), filtered=ground),
         )
     )
     steps = (
-        changed(config, WITHOUT, flat, method="rbf-svm"),
+        make_variant(config, WITHOUT, flat, method="rbf-svm"),
         *filtered,
-        changed(config, ALL, names, method="rbf-svm"),
-        changed(config, SVM, four, method="rbf-svm"),
-        changed(config, TRIMMED, four, method="rbf-svm"),
+        make_variant(config, ALL, names, method="rbf-svm"),
+        make_variant(config, SVM, four, method="rbf-svm"),
+        make_variant(config, TRIMMED, four, method="rbf-svm"),
     )
     return tuple(replace(one, squares=squares) for one in steps)
 
@@ -124,15 +124,15 @@ def layer_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
     }
     tasks = []
     for tile in layout.tiles:
-        work = partial(layered, tile, classes, train, test, config.areas.gap, config.papers.block)
+        work = partial(count_layers, tile, classes, train, test, config.areas.gap, config.papers.block)
         tasks.append(Task("paper-layers", tile.key, VERSION, params, work, needs=needs_of(_COLUMNS, (tile.key,))))
-    ranks = partial(ranked, names)
+    ranks = partial(rank_features, names)
     score_params = {"features": list(names)}
     tasks.append(Task("paper-fscore", "all", VERSION, score_params, ranks, needs=(("paper-training", "all"),)))
     return tasks
 
 
-def layered(
+def count_layers(
     tile: Tile,
     classes: tuple[ClassDef, ...],
     train: tuple[Box, ...],
@@ -166,7 +166,7 @@ def layered(
     }
 
 
-def ranked(names: tuple[str, ...], inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def rank_features(names: tuple[str, ...], inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """F-score of every feature on the training rows."""
     sample = Sample.from_arrays(names, inputs.arrays("paper-training", "all", SAMPLE)[0])
     return {"scores": dict(zip(names, f_scores(sample.X, sample.y).tolist(), strict=True))}

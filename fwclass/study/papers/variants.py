@@ -73,15 +73,25 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
             VERSION,
             judged,
             partial(
-                work.drawn, t, columns, also, names, train, test, config.areas.gap, classes, share, config.papers.seed
+                work.draw_test_echoes,
+                t,
+                columns,
+                also,
+                names,
+                train,
+                test,
+                config.areas.gap,
+                classes,
+                share,
+                config.papers.seed,
             ),
             needs=needs[t.key],
         )
         for t in layout.tiles
     ]
     for stage, of, work_, keys, params in (
-        ("paper-training", "paper-sample", work.training, tuple(t.key for t in chosen), drawn),
-        ("paper-tested", "paper-test", work.gathered, tuple(t.key for t in layout.tiles), judged),
+        ("paper-training", "paper-sample", work.merge_sample, tuple(t.key for t in chosen), drawn),
+        ("paper-tested", "paper-test", work.gather_test_echoes, tuple(t.key for t in layout.tiles), judged),
     ):
         tasks.append(
             Task(
@@ -107,7 +117,7 @@ def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varia
                 one.name,
                 _version(),
                 params,
-                partial(work.learned, one, names, config.compare, all_classes(config)),
+                partial(work.learn, one, names, config.compare, all_classes(config)),
                 needs=(("paper-training", "all"),),
             )
         )
@@ -117,7 +127,7 @@ def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varia
                 one.name,
                 1000 * CLASSIFY.version + VERSION,
                 {**params, "block": config.papers.block},
-                partial(work.judged, one, names, all_classes(config), config.papers.block),
+                partial(work.judge, one, names, all_classes(config), config.papers.block),
                 needs=(("paper-model", one.name), ("paper-tested", "all")),
             )
         )
@@ -135,7 +145,7 @@ def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varian
                 one.name,
                 _version(),
                 facts_of(config, one),
-                partial(work.timed, one, names, config.compare, all_classes(config)),
+                partial(work.time_variant, one, names, config.compare, all_classes(config)),
                 needs=needs,
             )
         )
@@ -155,7 +165,7 @@ def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> li
                 batches[-1],
                 TRAIN_IMPORTANCE.version,
                 {**params, "count": count},
-                partial(work.dropped, one, names, first, count, config.papers.repeats),
+                partial(work.measure_drops, one, names, first, count, config.papers.repeats),
                 needs=(("paper-training", "all"), ("paper-model", one.name)),
             )
         )
@@ -189,7 +199,7 @@ def _version() -> int:
     return 1000 * OTHERS_VERSION + TRAIN_TREES.version
 
 
-def changed(
+def make_variant(
     config: Config, name: str, features: Sequence[str], classes: int | None = None, rows: int = 0, **train: Any
 ) -> Variant:
     """The run's own classifier with other features, classes or training parameters."""
@@ -208,7 +218,7 @@ def comparison_tasks(config: Config, pairs: Iterable[tuple[Variant, Variant]]) -
                 f"{one.name}-{other.name}",
                 VERSION,
                 {"classes": known, "block": config.papers.block},
-                partial(work.compared, one.name, other.name, known, config.papers.block),
+                partial(work.compare, one.name, other.name, known, config.papers.block),
                 needs=(("paper-judged", one.name), ("paper-judged", other.name), ("paper-tested", "all")),
             )
         )

@@ -64,7 +64,7 @@ class Variant:
     filtered: int | None = None
 
 
-def drawn(
+def draw_test_echoes(
     tile: Tile,
     columns: Mapping[str, str],
     also: Mapping[str, str],
@@ -96,7 +96,7 @@ def drawn(
     return {"rows": len(rows)}
 
 
-def gathered(
+def gather_test_echoes(
     tiles: tuple[str, ...], names: tuple[str, ...], params: TrainParams, inputs: PartInputs, directory: Path
 ) -> dict[str, Any]:
     """The test echoes of all tiles, by key."""
@@ -110,7 +110,7 @@ def gathered(
     return {"rows": len(order)}
 
 
-def training(
+def merge_sample(
     tiles: tuple[str, ...], names: tuple[str, ...], params: TrainParams, inputs: PartInputs, directory: Path
 ) -> dict[str, Any]:
     """The sample of all tiles."""
@@ -138,7 +138,7 @@ def _known(one: Variant) -> NDArray[np.int64]:
     return np.array([k for k in range(one.classes) if k != one.filtered], np.int64)
 
 
-def fitted(sample: Sample, one: Variant, compare: CompareParams, classes: tuple[ClassDef, ...]) -> Model:
+def fit_variant(sample: Sample, one: Variant, compare: CompareParams, classes: tuple[ClassDef, ...]) -> Model:
     """A variant's classifier, trained on `sample`; `classes` are all, also those that it does not know."""
     known, params = tuple(classes[k] for k in _known(one)), one.train
     if params.method == "forest":
@@ -147,7 +147,7 @@ def fitted(sample: Sample, one: Variant, compare: CompareParams, classes: tuple[
     return train_other(sample, params, compare, known, params.method, places)
 
 
-def learned(
+def learn(
     one: Variant,
     names: tuple[str, ...],
     compare: CompareParams,
@@ -156,7 +156,7 @@ def learned(
     directory: Path,
 ) -> dict[str, Any]:
     """A variant's model."""
-    model = fitted(sample_for(inputs, names, one), one, compare, classes)
+    model = fit_variant(sample_for(inputs, names, one), one, compare, classes)
     save_model(directory / MODEL, model)
     card = model.card
     bag = card.get("out_of_bag") or {}
@@ -178,7 +178,7 @@ def _test(inputs: PartInputs) -> dict[str, NDArray]:
     return inputs.arrays("paper-tested", "all", TEST)[0]
 
 
-def judged(
+def judge(
     one: Variant,
     names: tuple[str, ...],
     classes: tuple[ClassDef, ...],
@@ -218,7 +218,7 @@ def spans(change: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
     return {f: dict(zip(("value", "low", "high"), v, strict=True)) for f, v in ends.items()}
 
 
-def compared(name: str, other: str, known: int, edge: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def compare(name: str, other: str, known: int, edge: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """How much better `name` is than `other`: ``{"blocks", figure: {"value", "low", "high"}}``, fractions; low and high
     are None where there are too few blocks for an interval."""
     test = _test(inputs)
@@ -234,7 +234,7 @@ def compared(name: str, other: str, known: int, edge: float, inputs: PartInputs,
     return {"blocks": change["blocks"], **spans(change)}
 
 
-def timed(
+def time_variant(
     one: Variant,
     names: tuple[str, ...],
     compare: CompareParams,
@@ -255,7 +255,7 @@ def timed(
     if params.method == "forest":
         grow_trees(sample, known, 0, params.trees, params)
     else:
-        fitted(sample, one, compare, classes)
+        fit_variant(sample, one, compare, classes)
     trained = time.process_time()
     answer(X, model)
     return {
@@ -275,7 +275,7 @@ def trees_of(model: Forest, first: int, count: int) -> list[Tree]:
     ]
 
 
-def dropped(
+def measure_drops(
     one: Variant, names: tuple[str, ...], first: int, count: int, repeats: int, inputs: PartInputs, directory: Path
 ) -> dict[str, Any]:
     """What permuting a feature takes from some of the trees."""

@@ -13,7 +13,7 @@ from fwclass.select.work import scale_of
 from fwclass.study.papers.begin import base_of
 from fwclass.study.papers.claims import judge_claims
 from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
-from fwclass.study.papers.variants import changed
+from fwclass.study.papers.variants import make_variant
 from fwclass.study.papers.work import Variant
 from fwclass.study.papers.xiong_claims import CLAIMS
 
@@ -24,10 +24,10 @@ _PRINTED = ("strategies", "samples", "selection", "radii", "groups", "thinning")
 def variants(config: Config, names: tuple[str, ...], chosen: tuple[str, ...]) -> tuple[Variant, ...]:
     """The paper's four strategies."""
     return (
-        changed(config, SELECTED, chosen),
-        changed(config, ALL, names),
-        changed(config, SVM_SELECTED, chosen, method="linear-svm"),
-        changed(config, SVM, names, method="linear-svm"),
+        make_variant(config, SELECTED, chosen),
+        make_variant(config, ALL, names),
+        make_variant(config, SVM_SELECTED, chosen, method="linear-svm"),
+        make_variant(config, SVM, names, method="linear-svm"),
     )
 
 

@@ -50,7 +50,7 @@ def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> 
         "echoes": config.select.timing_echoes,
     }
     work = partial(
-        timed,
+        time_sets,
         tile,
         halo,
         columns,
@@ -67,7 +67,7 @@ def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> 
     return {s: by_set[computed(s)] for s in sets}
 
 
-def timed(
+def time_sets(
     tile: Tile,
     halo: float,
     columns: Mapping[str, str],

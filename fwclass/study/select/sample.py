@@ -60,7 +60,7 @@ def sample_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
     tasks = []
     for tile in layout.tiles:
         if tile.key in chosen:
-            work = partial(_placed, tile, columns, names, boxes, train, config.classes)
+            work = partial(_place_rows, tile, columns, names, boxes, train, config.classes)
             needs = needs_of({**columns, "reference": "label"}, (tile.key,))
             tasks.append(Task(PLACED, tile.key, TRAIN_SAMPLE.version, drawn, work, needs=needs))
     folded = {n: plain(config.select)[n] for n in ("block", "gap", "folds")}
@@ -70,14 +70,14 @@ def sample_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
             "all",
             TRAIN_SAMPLE.version,
             {**drawn, **folded},
-            partial(_folded, chosen, names, train, config.select, config.classes),
+            partial(_fold_sample, chosen, names, train, config.select, config.classes),
             needs=tuple((PLACED, k) for k in chosen),
         )
     )
     return tasks
 
 
-def _placed(
+def _place_rows(
     tile: Tile,
     columns: Mapping[str, str],
     names: tuple[str, ...],
@@ -114,7 +114,7 @@ def _load(inputs: PartInputs, stage: str, part: str, names: Sequence[str]) -> Pl
     return Placed(Sample.from_arrays(names, arrays), arrays["place_x"] * 0.001, arrays["place_y"] * 0.001)
 
 
-def _folded(
+def _fold_sample(
     tiles: tuple[str, ...],
     names: tuple[str, ...],
     train: TrainParams,

@@ -92,11 +92,11 @@ def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
     columns = layout.columns(asked.reads)
     present = layout.around(tile.box.grown(halo), layout.keys)
     params = {**config.features.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}
-    work = partial(_timed, tile, halo, columns, present, names, config.features, config.select)
+    work = partial(_time_rates, tile, halo, columns, present, names, config.features, config.select)
     return Task(RATE_COST, digest_of(params)[:16], FEATURES.version, params, work, needs=needs_of(columns, present))
 
 
-def _timed(
+def _time_rates(
     tile: Tile,
     halo: float,
     columns: Mapping[str, str],
@@ -130,7 +130,7 @@ def at_rate(
 ) -> dict[str, Any]:
     """Labelled echoes of the training areas, thinned; every block classified by a forest of the other folds' sample,
     and every echo by its nearest sampled one."""
-    table = _labelled(tiles, columns, boxes, classes, inputs)
+    table = _read_labelled(tiles, columns, boxes, classes, inputs)
     x, y, z = (table[n] for n in "xyz")
     reference = class_index(table["reference"], classes).astype(np.uint8)
     folds = spatial_folds(x, y, reference, select.block, select.gap, select.folds)
@@ -181,7 +181,7 @@ def _warm(
     taken_from((x, y, z), np.arange(len(x)) % 2 == 0, thin.reach)
 
 
-def _labelled(
+def _read_labelled(
     tiles: tuple[str, ...],
     columns: Mapping[str, str],
     boxes: tuple[Box, ...],

@@ -58,7 +58,7 @@ class Trials:
             "repeats": select.repeats if stage == RANKED else None,
         }
         work = partial(
-            tried,
+            try_features,
             subset,
             fold,
             self.candidates,
@@ -70,7 +70,7 @@ class Trials:
         return Task(stage, part, VERSION * 1000 + TRAIN_TREES.version, params, work, needs=((TRAINING, "all"),))
 
 
-def tried(
+def try_features(
     subset: Names,
     fold: int,
     candidates: Names,
