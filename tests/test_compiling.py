@@ -258,7 +258,7 @@ def test_the_list_of_kernels_can_be_read_and_is_as_it_is_written() -> None:
 
 def test_an_entry_that_does_not_fit_its_kernel_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     kernel, types = next(row for row in listed_kernels() if row[0].__name__ == "levels")
-    monkeypatch.setattr(ahead, "listed", lambda: [(kernel, types[1:]), (kernel, types)])
+    monkeypatch.setattr(ahead, "listed_kernels", lambda: [(kernel, types[1:]), (kernel, types)])
     made = ahead.compile_all()
     assert made["listed"] == 2 and len(made["left_out"]) == 1 and made["left_out"][0].startswith("levels: ")
 

@@ -55,7 +55,6 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
     }
     chosen = tuple(t for t in layout.tiles if any(t.box.touches(b) for b in train))
     also = {"ground": "ground"} if filtered else {}
-    needs = {t.key: needs_of({**columns, **also, "reference": "label"}, (t.key,)) for t in layout.tiles}
     if filtered:
         judged["filtered"] = True
     sampling = replace(
@@ -66,43 +65,19 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
         own=(*IDENTITY_AND_PLACE, *names, "reference"),
     )
     tasks = [sampling.task(Plan(config, tiled=layout), t) for t in chosen]
-    tasks += [
-        Task(
-            "paper-test",
-            t.key,
-            VERSION,
-            judged,
-            partial(
-                work.draw_test_echoes,
-                t,
-                columns,
-                also,
-                names,
-                train,
-                test,
-                config.areas.gap,
-                classes,
-                share,
-                config.papers.seed,
-            ),
-            needs=needs[t.key],
-        )
-        for t in layout.tiles
-    ]
-    for stage, of, work_, keys, params in (
-        ("paper-training", "paper-sample", work.merge_sample, tuple(t.key for t in chosen), drawn),
-        ("paper-tested", "paper-test", work.gather_test_echoes, tuple(t.key for t in layout.tiles), judged),
-    ):
-        tasks.append(
-            Task(
-                stage,
-                "all",
-                VERSION,
-                params,
-                partial(work_, keys, names, config.train),
-                needs=tuple((of, k) for k in keys),
-            )
-        )
+    draw = partial(
+        work.draw_test_echoes, columns, also, names, train, test, config.areas.gap, classes, share, config.papers.seed
+    )
+    reads = {**columns, **also, "reference": "label"}
+    for tile in layout.tiles:
+        needs = needs_of(reads, (tile.key,))
+        tasks.append(Task("paper-test", tile.key, VERSION, judged, partial(draw, tile), needs=needs))
+    keys = tuple(t.key for t in chosen)
+    merge = partial(work.merge_sample, keys, names, config.train)
+    tasks.append(Task("paper-training", "all", VERSION, drawn, merge, needs=tuple(("paper-sample", k) for k in keys)))
+    keys = tuple(t.key for t in layout.tiles)
+    gather = partial(work.gather_test_echoes, keys)
+    tasks.append(Task("paper-tested", "all", VERSION, judged, gather, needs=tuple(("paper-test", k) for k in keys)))
     return tasks
 
 
@@ -110,27 +85,13 @@ def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varia
     """A model of every variant, and its answers on the test echoes."""
     tasks = []
     for one in variants:
-        params = facts_of(config, one)
-        tasks.append(
-            Task(
-                "paper-model",
-                one.name,
-                _version(),
-                params,
-                partial(work.learn, one, names, config.compare, all_classes(config)),
-                needs=(("paper-training", "all"),),
-            )
-        )
-        tasks.append(
-            Task(
-                "paper-judged",
-                one.name,
-                1000 * CLASSIFY.version + VERSION,
-                {**params, "block": config.papers.block},
-                partial(work.judge, one, names, all_classes(config), config.papers.block),
-                needs=(("paper-model", one.name), ("paper-tested", "all")),
-            )
-        )
+        params, classes = facts_of(config, one), all_classes(config)
+        learn = partial(work.learn, one, names, config.compare, classes)
+        tasks.append(Task("paper-model", one.name, _version(), params, learn, needs=(("paper-training", "all"),)))
+        params = {**params, "block": config.papers.block}
+        judge = partial(work.judge, one, names, classes, config.papers.block)
+        needs = (("paper-model", one.name), ("paper-tested", "all"))
+        tasks.append(Task("paper-judged", one.name, 1000 * CLASSIFY.version + VERSION, params, judge, needs=needs))
     return tasks
 
 
@@ -139,16 +100,8 @@ def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Varian
     tasks = []
     for one in variants:
         needs = (("paper-model", one.name), ("paper-tested", "all"), ("paper-training", "all"))
-        tasks.append(
-            Task(
-                "paper-time",
-                one.name,
-                _version(),
-                facts_of(config, one),
-                partial(work.time_variant, one, names, config.compare, all_classes(config)),
-                needs=needs,
-            )
-        )
+        work_ = partial(work.time_variant, one, names, config.compare, all_classes(config))
+        tasks.append(Task("paper-time", one.name, _version(), facts_of(config, one), work_, needs=needs))
     return tasks
 
 
@@ -158,28 +111,15 @@ def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> li
     params = {**facts_of(config, one), "repeats": config.papers.repeats}
     for first in range(0, one.train.trees, TREES_PER_PART):
         count = min(TREES_PER_PART, one.train.trees - first)
-        batches.append(f"{first:05d}")
-        tasks.append(
-            Task(
-                "paper-drops",
-                batches[-1],
-                TRAIN_IMPORTANCE.version,
-                {**params, "count": count},
-                partial(work.measure_drops, one, names, first, count, config.papers.repeats),
-                needs=(("paper-training", "all"), ("paper-model", one.name)),
-            )
-        )
-    tasks.append(
-        Task(
-            "paper-importance",
-            "all",
-            VERSION,
-            params,
-            partial(work.importance, tuple(batches), one.features),
-            needs=tuple(("paper-drops", b) for b in batches),
-        )
-    )
-    return tasks
+        part = f"{first:05d}"
+        batches.append(part)
+        measure = partial(work.measure_drops, one, names, first, count, config.papers.repeats)
+        reads = (("paper-training", "all"), ("paper-model", one.name))
+        counted = {**params, "count": count}
+        tasks.append(Task("paper-drops", part, TRAIN_IMPORTANCE.version, counted, measure, needs=reads))
+    merge = partial(work.importance, tuple(batches), one.features)
+    needs = tuple(("paper-drops", b) for b in batches)
+    return [*tasks, Task("paper-importance", "all", VERSION, params, merge, needs=needs)]
 
 
 def facts_of(config: Config, one: Variant) -> dict[str, Any]:
@@ -212,14 +152,8 @@ def comparison_tasks(config: Config, pairs: Iterable[tuple[Variant, Variant]]) -
     tasks = []
     for one, other in pairs:
         known = min(one.classes, other.classes)
-        tasks.append(
-            Task(
-                "paper-difference",
-                f"{one.name}-{other.name}",
-                VERSION,
-                {"classes": known, "block": config.papers.block},
-                partial(work.compare, one.name, other.name, known, config.papers.block),
-                needs=(("paper-judged", one.name), ("paper-judged", other.name), ("paper-tested", "all")),
-            )
-        )
+        params = {"classes": known, "block": config.papers.block}
+        compare = partial(work.compare, one.name, other.name, known, config.papers.block)
+        needs = (("paper-judged", one.name), ("paper-judged", other.name), ("paper-tested", "all"))
+        tasks.append(Task("paper-difference", f"{one.name}-{other.name}", VERSION, params, compare, needs=needs))
     return tasks

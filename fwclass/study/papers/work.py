@@ -65,7 +65,6 @@ class Variant:
 
 
 def draw_test_echoes(
-    tile: Tile,
     columns: Mapping[str, str],
     also: Mapping[str, str],
     names: tuple[str, ...],
@@ -75,6 +74,7 @@ def draw_test_echoes(
     classes: tuple[ClassDef, ...],
     share: float,
     seed: int,
+    tile: Tile,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
@@ -96,9 +96,7 @@ def draw_test_echoes(
     return {"rows": len(rows)}
 
 
-def gather_test_echoes(
-    tiles: tuple[str, ...], names: tuple[str, ...], params: TrainParams, inputs: PartInputs, directory: Path
-) -> dict[str, Any]:
+def gather_test_echoes(tiles: tuple[str, ...], inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """The test echoes of all tiles, by key."""
     parts = [inputs.arrays("paper-test", t, TEST)[0] for t in tiles]
     order = np.argsort(np.concatenate([p["key"] for p in parts]), kind="stable")

@@ -64,17 +64,9 @@ def sample_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
             needs = needs_of({**columns, "reference": "label"}, (tile.key,))
             tasks.append(Task(PLACED, tile.key, TRAIN_SAMPLE.version, drawn, work, needs=needs))
     folded = {n: plain(config.select)[n] for n in ("block", "gap", "folds")}
-    tasks.append(
-        Task(
-            TRAINING,
-            "all",
-            TRAIN_SAMPLE.version,
-            {**drawn, **folded},
-            partial(_fold_sample, chosen, names, train, config.select, config.classes),
-            needs=tuple((PLACED, k) for k in chosen),
-        )
-    )
-    return tasks
+    work = partial(_fold_sample, chosen, names, train, config.select, config.classes)
+    needs = tuple((PLACED, k) for k in chosen)
+    return [*tasks, Task(TRAINING, "all", TRAIN_SAMPLE.version, {**drawn, **folded}, work, needs=needs)]
 
 
 def _place_rows(

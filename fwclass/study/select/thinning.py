@@ -64,22 +64,11 @@ def rate_tasks(layout: Layout, names: Names) -> list[Task]:
         "features": list(names),
         "areas": [list(b.bounds) for b in boxes],
     }
-    tasks = []
+    keys, version, tasks = tuple(t.key for t in chosen), 1000 * THIN.version + TRAIN_TREES.version, []
     for rate in config.select.rates:
         thin = config.thin.model_copy(update={"rate": rate})
-        work = partial(
-            at_rate, tuple(t.key for t in chosen), columns, names, boxes, thin, train, config.select, config.classes
-        )
-        tasks.append(
-            Task(
-                RATE,
-                f"{rate:g}",
-                1000 * THIN.version + TRAIN_TREES.version,
-                {**params, "thin": plain(thin)},
-                work,
-                needs,
-            )
-        )
+        work = partial(at_rate, keys, columns, names, boxes, thin, train, config.select, config.classes)
+        tasks.append(Task(RATE, f"{rate:g}", version, {**params, "thin": plain(thin)}, work, needs))
     return tasks
 
 

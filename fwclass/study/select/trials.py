@@ -57,15 +57,8 @@ class Trials:
             "features": list(subset),
             "repeats": select.repeats if stage == RANKED else None,
         }
-        work = partial(
-            try_features,
-            subset,
-            fold,
-            self.candidates,
-            self.train,
-            self.config.classes,
-            select.repeats if stage == RANKED else 0,
-        )
+        repeats = select.repeats if stage == RANKED else 0
+        work = partial(try_features, subset, fold, self.candidates, self.train, self.config.classes, repeats)
         part = f"{digest_of(list(subset))[:16]}-{fold:02d}"
         return Task(stage, part, VERSION * 1000 + TRAIN_TREES.version, params, work, needs=((TRAINING, "all"),))
 
