@@ -21,7 +21,7 @@ from fwclass.errors import StoreError
 from fwclass.store.atomic import digest_of, file_digest, files_below, staged, to_json
 from fwclass.store.digests import Looks, remember
 from fwclass.store.directory import FACTS, GENERATIONS, MANIFEST, Directory, Facts, Sealing, failure_key
-from fwclass.store.objects import MOST_COPIED, Held, Mark, Objects, Wanted, objects_at
+from fwclass.store.objects import MOST_COPIED, Download, Mark, Objects, StoredObject, objects_at
 from fwclass.store.params import StoreParams
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_lock import check_token
@@ -90,7 +90,7 @@ class Bucket:
 
     # files
 
-    def list(self, below: str) -> Iterator[Held]:
+    def list(self, below: str) -> Iterator[StoredObject]:
         return self.objects.list(below)
 
     def names(self, below: str) -> Sequence[str]:
@@ -142,7 +142,7 @@ class Bucket:
         self.delete(key for key in keys if not key.endswith(f"/{first}"))
 
     def fetch(self, below: str, files: Mapping[str, Facts]) -> None:
-        wanted = {n: Wanted(f"{below}/{n}", int(f["bytes"]), self.root / below / n) for n, f in files.items()}
+        wanted = {n: Download(f"{below}/{n}", int(f["bytes"]), self.root / below / n) for n, f in files.items()}
         digests = {n: str(f["digest"]) for n, f in files.items()}
         try:
             self.remote.scratch.need(self.objects, f"{self.root.name}/{below}", wanted, digests)

@@ -15,7 +15,7 @@ from fwclass.paths import name_fault
 from fwclass.store.atomic import digest_of
 from fwclass.store.bucket import Files
 from fwclass.store.digests import Looks
-from fwclass.store.objects import Held, Mark
+from fwclass.store.objects import Mark, StoredObject
 from fwclass.store.receipts import Receipt
 
 Name = tuple[str, str]
@@ -45,7 +45,7 @@ class Lookup:
         self._files, self._lists, self._keeps = files, lists, lists or files.far
         self._receipts: OrderedDict[Name, tuple[Receipt | None, Mark, int] | None] = OrderedDict()
         self._bytes = 0
-        self._list: dict[str, Held] | None = None
+        self._list: dict[str, StoredObject] | None = None
         self._renewed: set[Name] = set()
 
     def receipt(self, name: Name) -> tuple[Receipt | None, Mark] | None:
@@ -123,10 +123,10 @@ class Lookup:
         key = receipt_key(*name)
         if self._list is not None and name in self._renewed:
             self._renewed.discard(name)
-            self._list[key] = Held(key, len(data), mark, 0.0)
+            self._list[key] = StoredObject(key, len(data), mark, 0.0)
             for output, facts in receipt.outputs.items():
                 file = f"{self._files.unit(receipt)}/{output}"
-                self._list[file] = Held(file, int(facts["bytes"]), Mark(None), 0.0)
+                self._list[file] = StoredObject(file, int(facts["bytes"]), Mark(None), 0.0)
         if self._files.far and self._lists:
             path = self._copy_of(key, mark)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -141,7 +141,7 @@ class Lookup:
 
     # the list of all objects
 
-    def listed(self) -> dict[str, Held] | None:
+    def listed(self) -> dict[str, StoredObject] | None:
         """Every object of the store by key, where they are to be listed."""
         if self._lists and self._files.far and self._list is None:
             self._list = self._all()
@@ -150,10 +150,10 @@ class Lookup:
             self.look_up((words[1], words[2]) for words in lacking)
         return self._list
 
-    def _all(self) -> dict[str, Held]:
+    def _all(self) -> dict[str, StoredObject]:
         return {item.key: item for item in self._files.list("store")}
 
-    def all(self) -> Mapping[str, Held]:
+    def all(self) -> Mapping[str, StoredObject]:
         """Every file of the store by key."""
         listed = self.listed()
         return self._all() if listed is None else listed
@@ -179,7 +179,7 @@ class Lookup:
         name = digest_of([key, mark.e_tag, mark.version])
         return self._files.root / "receipts" / name[:2] / name
 
-    def _copied(self, item: Held) -> tuple[Receipt, Mark, int] | None:
+    def _copied(self, item: StoredObject) -> tuple[Receipt, Mark, int] | None:
         try:
             data = self._copy_of(item.key, item.mark).read_bytes()
             return parse_receipt(data, item.key, item.key), item.mark, len(data)

@@ -43,7 +43,7 @@ class Mark:
 
 
 @dataclass(frozen=True)
-class Held:
+class StoredObject:
     """An object as a list shows it: key below the prefix, bytes, mark, when it was written [s since the epoch]."""
 
     key: str
@@ -53,7 +53,7 @@ class Held:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Download:
     """An object to be written to the file `target`: its bytes, and its version if that matters."""
 
     key: str
@@ -139,15 +139,17 @@ class Objects:
                 do="let only one run work below this address, then run the same again",
             ) from fault
 
-    def list(self, below: str = "") -> Iterator[Held]:
+    def list(self, below: str = "") -> Iterator[StoredObject]:
         """Every object whose key begins with ``below/`` (all)."""
         import obstore
 
-        def read() -> list[Held]:
+        def read() -> list[StoredObject]:
             prefix = below or None
             batches = obstore.list(self._store, prefix, chunk_size=1000)
             return [
-                Held(o["path"], o["size"], _mark(o), o["last_modified"].timestamp()) for batch in batches for o in batch
+                StoredObject(o["path"], o["size"], _mark(o), o["last_modified"].timestamp())
+                for batch in batches
+                for o in batch
             ]
 
         yield from self._again(read, below)
@@ -171,7 +173,7 @@ class Objects:
                 "a part's file is gone", where=self.url / source, do="run again; the missing parts are made"
             ) from fault
 
-    def fetch(self, wanted: Sequence[Wanted]) -> None:
+    def fetch(self, wanted: Sequence[Download]) -> None:
         """Write objects to files, several at a time, and several pieces of large ones.
 
         Raises
@@ -191,7 +193,7 @@ class Objects:
                     handle = stream.fileno()
                     self.all(lambda piece, one=one, handle=handle: self._piece(one, handle, piece), pieces)  # type: ignore[misc]
 
-    def _whole(self, one: Wanted) -> None:
+    def _whole(self, one: Download) -> None:
         with one.target.open("wb") as stream:
             if one.size:
                 self._piece(one, stream.fileno(), (0, one.size))
@@ -206,7 +208,7 @@ class Objects:
             return None
         return state.hexdigest()
 
-    def _piece(self, one: Wanted, handle: int, piece: tuple[int, int]) -> None:
+    def _piece(self, one: Download, handle: int, piece: tuple[int, int]) -> None:
         at, data = piece[0], self._range(one.key, piece, one.e_tag)
         while data:
             wrote = os.pwrite(handle, data, at)

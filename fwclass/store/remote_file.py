@@ -11,7 +11,7 @@ from fwclass.errors import InputError, StoreError
 from fwclass.paths import path_matches
 from fwclass.store.atomic import digest_of
 from fwclass.store.digests import looks
-from fwclass.store.objects import Held, Wanted, objects_at
+from fwclass.store.objects import Download, StoredObject, objects_at
 from fwclass.store.params import StoreParams
 from fwclass.store.refusals import LostRace
 from fwclass.store.scratch import scratch_of
@@ -56,7 +56,7 @@ class RemoteFile:
         """
         scratch = scratch_of(self.params)
         unit = f"outside/{digest_of([self.url, self.held])}"
-        files = {n: Wanted(n, size, scratch.root / unit / n, mark or None) for n, size, mark in self.held}
+        files = {n: Download(n, size, scratch.root / unit / n, mark or None) for n, size, mark in self.held}
         known = {n: digests[Path(n).name] for n in files if Path(n).name in digests}
         try:
             scratch.need(objects_at(self.url.parent, self.params), unit, files, known)
@@ -110,7 +110,7 @@ def directory_outside(url: Url, params: StoreParams) -> RemoteFile:
     return RemoteFile(url, tuple((h.key, h.size, h.mark.e_tag or "") for h in objects), params)
 
 
-def _with_beside(one: Held, objects: Iterable[Held], directory: Url, params: StoreParams) -> RemoteFile:
+def _with_beside(one: StoredObject, objects: Iterable[StoredObject], directory: Url, params: StoreParams) -> RemoteFile:
     path, _, name = one.key.rpartition("/")
     stem = Path(name).stem.lower()
     own = []

@@ -16,7 +16,7 @@ from fwclass.features.params import Asked as Features
 from fwclass.operate.seams.differ import Seam, differs
 from fwclass.operate.seams.places import choose_squares, places, shift_of
 from fwclass.operate.seams.summary import as_data, as_text
-from fwclass.operate.seams.walk import Asked, seams
+from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent, look_at
 from fwclass.run.inputs import PartInputs
 from fwclass.store.lock import writer
@@ -30,7 +30,7 @@ SMALL = "tile.size=30"
 
 def measured(survey, root, *settings, shift=(50.0, 50.0), tiles=None):
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *CHECK, *settings))
-    return seams(config, root, Asked(shift, config.seams.share, None, tiles), Silent())
+    return seams(config, root, SeamRequest(shift, config.seams.share, None, tiles), Silent())
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from fwclass.operate.estimate.density import costs_at_density, too_dense
 from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimate_run, propose_size
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.limits import Limit, Room, allowed_mib, limits
-from fwclass.operate.estimate.measured import Measured, measure_costs, measured_base
+from fwclass.operate.estimate.measured import MeasuredCosts, measure_costs, measured_base
 from fwclass.operate.estimate.spread import Spread, spread_of
 from fwclass.store.run_store import Store
 
@@ -36,7 +36,7 @@ class Plan:
     choices: tuple[Choice, ...]
     best: Choice | None
     limits: tuple[Limit, ...]
-    measured: Measured | None = None
+    measured: MeasuredCosts | None = None
 
     @property
     def fits(self) -> bool:

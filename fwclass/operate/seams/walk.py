@@ -35,7 +35,7 @@ from workflows import workflow_of, xiong2018
 
 
 @dataclass(frozen=True)
-class Asked:
+class SeamRequest:
     """`shift` of the tiles [m]; `share` of the borders, or `length` of them [m]; `tiles` that the run was restricted to
     (None: all), by `workflow`."""
 
@@ -46,7 +46,7 @@ class Asked:
     workflow: str = "classification"
 
 
-def seams(config: Config, location: RunLocation, asked: Asked, display: Display) -> SeamResult:
+def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Display) -> SeamResult:
     """Compute strips along tile borders, and some blocks, once more and compare; the run is only read."""
     check_idle(location)
     look = StatusWalk(location, config.run.accept_libraries)

@@ -33,7 +33,7 @@ from fwclass.single_file.features.echoes import (
     with_heights,
     with_radiometry,
 )
-from fwclass.single_file.features.names import Wanted, wanted
+from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.stage import Chunk
@@ -142,7 +142,7 @@ def _check_output(job: FeaturesJob) -> None:
     check_places(job.source, [job.output], job.overwrite)
 
 
-def _check_reach(wanted: Wanted, params: FeaturesParams) -> None:
+def _check_reach(wanted: FeatureList, params: FeaturesParams) -> None:
     reach = wanted.around.reach(params)
     if reach > MAX_REACH:
         raise ConfigError(
@@ -154,7 +154,7 @@ def _check_reach(wanted: Wanted, params: FeaturesParams) -> None:
         )
 
 
-def _echoes(job: FeaturesJob, wanted: Wanted, tell: Tell) -> FileEchoes:
+def _echoes(job: FeaturesJob, wanted: FeatureList, tell: Tell) -> FileEchoes:
     """The echoes with everything that the features and the output read."""
     columns = dict.fromkeys((*wanted.around.reads, *wanted.names))
     echoes = read_echoes(job.source, columns, job.settings, given_crs(job.crs, "--crs"), tell)
@@ -176,7 +176,7 @@ def _sort(table: Table) -> Table:
 
 
 def _features(
-    table: Table, wanted: Wanted, params: FeaturesParams, size: float, room: Path, tell: Tell
+    table: Table, wanted: FeatureList, params: FeaturesParams, size: float, room: Path, tell: Tell
 ) -> tuple[dict[str, NDArray[np.float32]], int, Crowd | None]:
     """Features of a neighbourhood of all rows, by name, those of many in files below `room`; how many tiles it took;
     dense places."""
@@ -204,7 +204,7 @@ def _features(
 
 
 def _row_groups(
-    table: Table, wanted: Wanted, columns: dict[str, NDArray[np.float32]], size: int, empty: dict[str, int]
+    table: Table, wanted: FeatureList, columns: dict[str, NDArray[np.float32]], size: int, empty: dict[str, int]
 ) -> Iterator[Table]:
     """The output's columns, row group by row group; echoes without a value are counted to `empty`, by feature."""
     plain = [n for n in dict.fromkeys((*PLACE, *wanted.names)) if n in table]
@@ -234,8 +234,8 @@ _WHY = {
 
 
 def available(
-    wanted: Wanted, table: Table, source: Path, skip: bool, later: frozenset[str] = frozenset()
-) -> tuple[Wanted, dict[str, str]]:
+    wanted: FeatureList, table: Table, source: Path, skip: bool, later: frozenset[str] = frozenset()
+) -> tuple[FeatureList, dict[str, str]]:
     """The features that `table` can give; those that it cannot, with what it lacks. Columns `later` may still come.
 
     Raises
@@ -256,7 +256,7 @@ def available(
             got=missing,
             do=some if left else "ask for other features: `fwclass features --list` shows all",
         )
-    return Wanted(wanted.label, left), lost
+    return FeatureList(wanted.label, left), lost
 
 
 def _lacks(name: str, there: set[str]) -> str:

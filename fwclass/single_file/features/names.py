@@ -28,7 +28,7 @@ FLAG_BITS = ("fit_flags", "radiometry_flags")
 
 
 @dataclass(frozen=True)
-class Wanted:
+class FeatureList:
     """Names of the features in order, and what they are called together."""
 
     label: str
@@ -61,7 +61,7 @@ def sorted_settings(words: Iterable[str]) -> tuple[str | None, tuple[str, ...]]:
     return (sets[0] if sets else None), tuple(w for w in words if "=" in w)
 
 
-def wanted(named: str | None, listed: str | None) -> Wanted:
+def wanted(named: str | None, listed: str | None) -> FeatureList:
     """The features of a set (name or file) or of a list ``a,b,c``; without both the set `DEFAULT`.
 
     Raises
@@ -72,10 +72,12 @@ def wanted(named: str | None, listed: str | None) -> Wanted:
     if named is not None and listed is not None:
         raise ConfigError("features are named twice", where="--set and --features", do="leave one of them out")
     if listed is not None:
-        features = Wanted("--features", listed_once([n.strip() for n in listed.split(",") if n.strip()], "--features"))
+        features = FeatureList(
+            "--features", listed_once([n.strip() for n in listed.split(",") if n.strip()], "--features")
+        )
     else:
         text = named if named is not None else DEFAULT
-        features = Wanted(text, feature_set(text).features)
+        features = FeatureList(text, feature_set(text).features)
     if not features.names:
         raise ConfigError(
             "no feature is named", where=features.label, expected="for example height_std_c200,planarity_k20"

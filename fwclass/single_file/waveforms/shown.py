@@ -19,7 +19,7 @@ JITTER = 1.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class WaveformView:
     """The echoes of a span beside the vendor's returns; times from the first sample of the pulse [ns].
 
     Attributes
@@ -61,7 +61,7 @@ class Seen:
 
 def see(
     waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, only: tuple[int, ...], inflation: float = 1.0
-) -> Seen:
+) -> WaveformView:
     """Fit the waveforms (of pulses `only`, if there are any) and tie echoes to returns.
 
     `inflation`: standard deviation of the matched filter's output over what the fit takes it for.
@@ -81,7 +81,7 @@ def see(
     matched, gap = tie(owner, time, fits.amplitude, place[returns], return_time, params.vendor_tolerance)
     matched = np.where(matched >= 0, returns[matched], -1) if len(returns) else matched
     chance = noise_chances(fits, waves, pulse, inflation)
-    return Seen(
+    return WaveformView(
         waves, fits, ids, of_row, owner, time, matched, gap, complete, chance, returns, place[returns], return_time
     )
 

@@ -26,7 +26,7 @@ from fwclass.publish.waveplot import WavePicture, draw_waveforms
 from fwclass.read.source import open_source
 from fwclass.read.stage import ReadParams, check_source
 from fwclass.single_file.strip import FileStrip, strip_of
-from fwclass.single_file.waveforms.shown import Seen, see
+from fwclass.single_file.waveforms.shown import WaveformView, see
 
 STRONGEST = 20
 """Echoes without a vendor return that are listed."""
@@ -152,7 +152,7 @@ def _with(spans: Sequence[StripSpan], pulses: tuple[int, ...], path: Path) -> li
 
 
 def _named_pulses(
-    views: Iterator[Seen], pulses: tuple[int, ...], system: SystemPulse, path: Path
+    views: Iterator[WaveformView], pulses: tuple[int, ...], system: SystemPulse, path: Path
 ) -> tuple[list[Shown], dict[str, Any]]:
     """The pulses asked for, in that order."""
     rows = {}
@@ -167,7 +167,7 @@ def _named_pulses(
     return [rows[number] for number in dict.fromkeys(pulses)], {}
 
 
-def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], dict[str, Any]]:
+def _telling(views: Iterator[WaveformView], system: SystemPulse) -> tuple[list[Shown], dict[str, Any]]:
     """One pulse of every kind that a user wants to see, and the figures of the whole file."""
     best: dict[str, tuple[float, Shown]] = {}
     many: dict[str, list[tuple[float, Shown]]] = {}
@@ -220,7 +220,7 @@ def _merge_reasons(chosen: Sequence[tuple[str, tuple[float, Shown]]]) -> list[Sh
     return out
 
 
-def _scores_of_several(seen: Seen) -> dict[str, NDArray[np.float64]]:
+def _scores_of_several(seen: WaveformView) -> dict[str, NDArray[np.float64]]:
     """As `_scores`, of the kinds of which several are shown."""
     n, fits = len(seen.ids), seen.fits
     surest, extra, misfit = np.full(n, -np.inf), np.full(n, -np.inf), np.full(n, -np.inf)
@@ -234,7 +234,7 @@ def _scores_of_several(seen: Seen) -> dict[str, NDArray[np.float64]]:
     return dict(zip(SEVERAL, (best, worst, extra), strict=True))
 
 
-def _scores(seen: Seen) -> dict[str, NDArray[np.float64]]:
+def _scores(seen: WaveformView) -> dict[str, NDArray[np.float64]]:
     """How well every pulse stands for a kind; minus infinity where it is not of the kind."""
     n, fits = len(seen.ids), seen.fits
     count = np.bincount(seen.pulse, minlength=n)
@@ -264,7 +264,7 @@ def _scores(seen: Seen) -> dict[str, NDArray[np.float64]]:
     return dict(zip(KINDS, scores, strict=True))
 
 
-def _listed(seen: Seen, echoes: NDArray[np.int64]) -> list[dict[str, Any]]:
+def _listed(seen: WaveformView, echoes: NDArray[np.int64]) -> list[dict[str, Any]]:
     """The most significant of `echoes`."""
     strength = np.nan_to_num(seen.significance[echoes], nan=-1.0)
     top = echoes[np.argsort(-strength, kind="stable")[:STRONGEST]]
@@ -280,7 +280,7 @@ def _listed(seen: Seen, echoes: NDArray[np.int64]) -> list[dict[str, Any]]:
     ]
 
 
-def _echo(seen: Seen, e: int) -> dict[str, Any]:
+def _echo(seen: WaveformView, e: int) -> dict[str, Any]:
     """One echo as plain data."""
     fits = seen.fits
     names = ("amplitude", "amplitude_sigma", "width", "width_sigma", "time_sigma")
@@ -298,7 +298,7 @@ def _echo(seen: Seen, e: int) -> dict[str, Any]:
     }
 
 
-def pulse_picture(seen: Seen, at: int, system: SystemPulse) -> Shown:
+def pulse_picture(seen: WaveformView, at: int, system: SystemPulse) -> Shown:
     """Pulse `at` of `seen` as a picture and as plain data."""
     rows, mine = np.flatnonzero(seen.of_row == at), np.flatnonzero(seen.pulse == at)
     fits, pulses = seen.fits, seen.waves.pulses
@@ -341,7 +341,7 @@ def pulse_picture(seen: Seen, at: int, system: SystemPulse) -> Shown:
     return picture, facts
 
 
-def _segment(seen: Seen, row: int, system: SystemPulse) -> dict[str, NDArray]:
+def _segment(seen: WaveformView, row: int, system: SystemPulse) -> dict[str, NDArray]:
     """One row of a pulse for `WavePicture`; a NaN ends its curves."""
     pulses, fits = seen.waves.pulses, seen.fits
     samples = seen.waves.samples[seen.waves.offsets[row] : seen.waves.offsets[row + 1]].astype(np.float64)
