@@ -97,9 +97,9 @@ def _adapting(options: dict[str, Any], tell: Any) -> Any:
 
 def _study(source: Path, output: Path | None, methods: str | None, as_json: bool, options: dict[str, Any]) -> None:
     """Filters are looked at, no points are written."""
-    alien = [f"--{n.replace('_', '-')}" for n in ("keep_classes", "use_flagged", *RASTERS, "cell") if options.pop(n)]
-    if output is not None or alien:
-        raise click.UsageError(f"{alien[0] if alien else 'OUT'} has no place here: nothing is classified; see --out")
+    unused = [f"--{n.replace('_', '-')}" for n in ("keep_classes", "use_flagged", *RASTERS, "cell") if options.pop(n)]
+    if output is not None or unused:
+        raise click.UsageError(f"{unused[0] if unused else 'OUT'} has no place here: nothing is classified; see --out")
     from fwclass.single_file.ground.steps import Steps
 
     auto = options.pop("auto")

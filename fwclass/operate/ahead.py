@@ -27,7 +27,7 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
     """Compile what the cache lacks; how many kernels and seconds, which do not fit their list, and where they lie, as
     plain data.
 
-    `tell` hears now and then how far it is.
+    `tell` is called now and then with how far it is.
     """
     began, wanted = time.perf_counter(), listed_kernels()
     before, spoke, left = compiling.count(), began, list[str]()

@@ -157,8 +157,8 @@ def describe_pulses(info: dict[str, Any]) -> list[tuple[str, str]]:
         ("echo widths", WORDS[info["quantities"]["width"]]),
     ]
     for d in waves["descriptors"]:
-        afloat = ", anchors at no fixed distance from the optical centre" if d["optical_centre_ns"] is None else ""
-        rows.append(("descriptor", f"{d['index']}: {d['pulses']:,} pulses{afloat}"))
+        anchors = ", anchors at no fixed distance from the optical centre" if d["optical_centre_ns"] is None else ""
+        rows.append(("descriptor", f"{d['index']}: {d['pulses']:,} pulses{anchors}"))
         for s in d["samplings"]:
             text = f"{s['type']}, {s['segments']} segments of {s['samples']} samples of {s['bits']} bits"
             rows.append(("", f"{text} every {s['spacing_ns']} ns"))

@@ -155,14 +155,14 @@ def reproject(shapes: Shapes, source: CRS, target: CRS, where: object) -> tuple[
         transformer = Transformer.from_crs(_flat(source), _flat(target), always_xy=True)
         x, y = transformer.transform(shapes.x, shapes.y)
     except ProjError as fault:
-        raise _homeless(where, 0, str(fault)) from fault
+        raise _no_place_fault(where, 0, str(fault)) from fault
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     lost = np.flatnonzero(~(np.isfinite(x) & np.isfinite(y)))
     if len(lost):
         ring = int(np.searchsorted(shapes.ring_start, lost[0], "right")) - 1
         part = int(np.searchsorted(shapes.part_start, ring, "right")) - 1
         at = f"{shapes.x[lost[0]]:.10g}, {shapes.y[lost[0]]:.10g}"
-        raise _homeless(where, int(shapes.feature[part]) + 1, at)
+        raise _no_place_fault(where, int(shapes.feature[part]) + 1, at)
     accuracy = transformer.accuracy
     sure = f", to {accuracy:g} m" if accuracy is not None and accuracy > 0 and math.isfinite(accuracy) else ""
     return replace(shapes, x=x, y=y), f"from {source.name} to {target.name}{sure}"
@@ -187,7 +187,7 @@ def _check_degrees(shapes: Shapes, source: CRS, where: object) -> None:
         )
 
 
-def _homeless(where: object, number: int, got: str) -> InputError:
+def _no_place_fault(where: object, number: int, got: str) -> InputError:
     return InputError(
         "a polygon cannot be brought into the survey's coordinate system",
         where=f"{where}: feature {number}" if number else where,

@@ -186,8 +186,8 @@ class _Quantities:
 
     def _of_chunks(self, stage: Stage, plan: Plan) -> Amount | None:
         counts, chunk = self.counts, self._chunk()
-        mine = np.ones(len(counts.pulses), bool) if stage.waves is None else counts.waves == stage.waves
-        pulses = counts.pulses[mine]
+        chosen = np.ones(len(counts.pulses), bool) if stage.waves is None else counts.waves == stage.waves
+        pulses = counts.pulses[chosen]
         number = int((pulses // self.config.read.chunk_pulses + 1).sum())
         return Amount(number, float(pulses.sum()), min(chunk, float(pulses.max())), chunk) if len(pulses) else None
 

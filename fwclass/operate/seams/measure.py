@@ -77,16 +77,16 @@ def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display:
     display.expect(Counter(t.stage for some in by_place.values() for t in some))
     seams: dict[str, Seam] = {}
     for part, some in by_place.items():
-        mine = replace(inputs, fresh={})
-        place = mine.stored(part, {})
+        here = replace(inputs, fresh={})
+        place = here.stored(part, {})
         if not place.rows:  # a strip without echoes
             some = []
         for task in some:
             with _scratch() as directory:
-                task.work(mine, directory)
+                task.work(here, directory)
                 now = read_table(directory / TABLE)
-            mine = replace(mine, fresh={**mine.fresh, task.name: now})
-            stored = mine.stored(part, dict.fromkeys(now, task.stage))
+            here = replace(here, fresh={**here.fresh, task.name: now})
+            stored = here.stored(part, dict.fromkeys(now, task.stage))
             seams.setdefault(task.stage, Seam(task.stage, "tile", "echoes", listed)).add(part, stored, now, place)
             display.ended(Outcome(*task.name, "computed"))
     return list(seams.values())

@@ -36,6 +36,6 @@ def _suggestion(looked: RunStatus, stage: str) -> str:
     stages = list(dict.fromkeys(name for name, _ in looked.states))
     if stage not in stages:
         return nearest(stage, stages)
-    mine: list[Name] = [n for n in looked.states if n[0] == stage]
-    known = ", ".join(p for _, p in mine[:3])
-    return f"{stage} has {len(mine)} parts, for example {known}; `fwclass status --parts` lists all"
+    parts: list[Name] = [n for n in looked.states if n[0] == stage]
+    known = ", ".join(p for _, p in parts[:3])
+    return f"{stage} has {len(parts)} parts, for example {known}; `fwclass status --parts` lists all"

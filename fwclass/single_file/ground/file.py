@@ -74,7 +74,8 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
 
     Ground becomes class 2, what the filter takes for noise class 7, everything else class 1. With `keep_classes` the
     others keep the class they came with (but 2, which becomes 1), and points that came as noise (7, 18) stay what
-    they are and the filter does not see them. Nothing is written before all of it is known. `tell` hears every step.
+    they are and the filter does not see them. Nothing is written before all of it is known. `tell` is called with every
+    step.
 
     Raises
     ------
@@ -253,7 +254,7 @@ def _flat(cloud: PointCloud, shown: NDArray[np.bool_]) -> bool:
 
 
 def adapting(choose: bool, settings: tuple[str, ...] = (), tell: Tell = quiet) -> Adapt:
-    """What changes parameters to suit a cloud; with `choose` the filter too. `tell` hears how much is tried."""
+    """What changes parameters to suit a cloud; with `choose` the filter too. `tell` gets how much is tried."""
     rules: GroundAutoParams = conf.section("ground_auto", settings)
 
     def adapt(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams) -> tuple[GroundParams, dict[str, Any]]:

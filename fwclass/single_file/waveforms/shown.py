@@ -98,9 +98,9 @@ def noise_chances(fits: Fits, waves: Waveforms, pulse: SystemPulse, inflation: f
     known = [*(c for c in pulse.channels if c.freedom > 0.0), None]
     error, sigma = np.full(len(spacing), np.nan), np.full(len(spacing), np.nan)
     for k, (own, channel) in enumerate(zip(kinds, known, strict=True)):
-        mine = (kind == k) & (spacing > 0.0)
-        error[mine] = height_error(own, channel) if channel else np.sqrt(spacing[mine] / own.energy)
-        sigma[mine] = own.fwhm / (FWHM_PER_SIGMA * spacing[mine])
+        of_shape = (kind == k) & (spacing > 0.0)
+        error[of_shape] = height_error(own, channel) if channel else np.sqrt(spacing[of_shape] / own.energy)
+        sigma[of_shape] = own.fwhm / (FWHM_PER_SIGMA * spacing[of_shape])
     row = fits.row
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         height = fits.amplitude / (fits.noise * error * inflation)[row] if len(row) else fits.amplitude

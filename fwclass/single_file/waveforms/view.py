@@ -300,7 +300,7 @@ def _echo(seen: WaveformView, e: int) -> dict[str, Any]:
 
 def pulse_picture(seen: WaveformView, at: int, system: SystemPulse) -> Shown:
     """Pulse `at` of `seen` as a picture and as plain data."""
-    rows, mine = np.flatnonzero(seen.of_row == at), np.flatnonzero(seen.pulse == at)
+    rows, echoes = np.flatnonzero(seen.of_row == at), np.flatnonzero(seen.pulse == at)
     fits, pulses = seen.fits, seen.waves.pulses
     vendor = np.sort(seen.return_time[seen.return_pulse == at])
     misfit = [float(v) for v in fits.misfit[rows] if np.isfinite(v)]
@@ -314,7 +314,7 @@ def pulse_picture(seen: WaveformView, at: int, system: SystemPulse) -> Shown:
         "noise": float(fits.noise[rows[0]]),
         "misfit": max(misfit, default=math.nan),
         "returns": vendor.tolist(),
-        "echoes": [_echo(seen, e) for e in mine.tolist()],
+        "echoes": [_echo(seen, e) for e in echoes.tolist()],
     }
     parts = [_segment(seen, int(row), system) for row in rows]
     k = sum(len(p["curves"]) for p in parts)
@@ -325,7 +325,7 @@ def pulse_picture(seen: WaveformView, at: int, system: SystemPulse) -> Shown:
         first += len(p["curves"])
         curves.append(mine_only)
     joined = {n: np.concatenate([p[n] for p in parts]) for n in parts[0] if n != "curves"}
-    by_row = mine[np.argsort(fits.row[mine], kind="stable")]
+    by_row = echoes[np.argsort(fits.row[echoes], kind="stable")]
     time = f"GPS time {facts['gps_time']:.6f} s" if np.isfinite(facts["gps_time"]) else "no GPS time"
     fit = f"misfit {facts['misfit']:.2f}" if misfit else "no echo fitted"
     picture = WavePicture(

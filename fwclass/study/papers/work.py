@@ -82,8 +82,8 @@ def draw_test_echoes(
     table = inputs.rows(tile.key, {**_TABLE, **columns, **also, "reference": "label"})
     index = class_index(table["reference"], classes)
     key = canonical_key(table)
-    lucky = hashed(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
-    rows = np.flatnonzero(tested(table, train, test, gap) & (index >= 0) & lucky)
+    sampled = hashed(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
+    rows = np.flatnonzero(tested(table, train, test, gap) & (index >= 0) & sampled)
     arrays: dict[str, NDArray] = {
         "X": sample_matrix(table.take(rows), names, tile.key),
         "y": index[rows].astype(np.uint8),
@@ -227,8 +227,8 @@ def compare(name: str, other: str, known: int, edge: float, inputs: PartInputs, 
     change = difference(*both)
     if change is None:
         gain = np.diff([scores(b.sum(axis=0)[None])[0] for b in both], axis=0)[0]
-        lone = {f: {"value": float(v), "low": None, "high": None} for f, v in zip(FIGURES, gain, strict=True)}
-        return {"blocks": len(both[0]), **lone}
+        change_alone = {f: {"value": float(v), "low": None, "high": None} for f, v in zip(FIGURES, gain, strict=True)}
+        return {"blocks": len(both[0]), **change_alone}
     return {"blocks": change["blocks"], **spans(change)}
 
 
