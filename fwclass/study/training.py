@@ -52,7 +52,7 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
 
 
 def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict[str, Any]:
-    """Several kinds of classifier on one sample and the same test echoes; see `compared`. Nothing is thinned."""
+    """Several kinds of classifier on one sample and the same test echoes; see `compare_methods`. Nothing is thinned."""
     _check_labelled(config)
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))
     plan, tasks = _begin(config, runner)
