@@ -34,7 +34,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     printed, names = paper(NAME), config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
     aside = runner.beside()
-    choice, final = selected(config, aside)
+    choice, final = select_features(config, aside)
     chosen = final.features_asked
     plan = without_corrections(until_tiles(Plan(config, names, names), runner))
     best = replace(plan, config=final, names=chosen, tiled=replace(plan.layout, config=final))
@@ -56,13 +56,11 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     return runner.tell(page)
 
 
-def selected(config: Config, runner: Runner) -> tuple[dict[str, Any], Config]:
-    """What the selection among the survey's features tells, and `config` with the set that it chose."""
-    selection_of_features = selection(config, runner, config.features_asked, "rffs")
-    survey = config.survey.model_copy(update={"features": tuple(selection_of_features["chosen"])})
-    return selection_of_features, replace(
-        config, survey=survey, features=config.features.model_copy(update={"also": ()})
-    )
+def select_features(config: Config, runner: Runner) -> tuple[dict[str, Any], Config]:
+    """The selection among the survey's features, as plain data, and `config` with the set that it chose."""
+    choice = selection(config, runner, config.features_asked, "rffs")
+    survey = config.survey.model_copy(update={"features": tuple(choice["chosen"])})
+    return choice, replace(config, survey=survey, features=config.features.model_copy(update={"also": ()}))
 
 
 xiong2018 = Workflow(NAME, "Xiong 2018: features are chosen, figures beside the paper's", classification.stages, walk)
