@@ -96,7 +96,7 @@ def _make_plan(config: Config, look: StatusWalk, workflow: Workflow, stages: tup
     """The plan of a finished run, whose parts of `stages` are looked at."""
     plan = until_tiles(workflow.begin(config), look, workflow.stages)
     if workflow.name == xiong2018.NAME:
-        _, config = xiong2018.selected(config, look.beside())
+        _, config = xiong2018.select_features(config, look.beside())
         names = config.features_asked
         plan = replace(plan, config=config, names=names, tiled=replace(plan.layout, config=config))
     for stage in stages:
