@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from fwclass.graph.ground import CHECK_SEAMS
-from fwclass.graph.quality import MEASURE_QUALITY
-from fwclass.graph.stages import CLASSIFYING, DELIVERY, JUDGING, LEARNING, OF_VECTORS, OF_WAVEFORMS, TO_LABELS, TO_TILES
+from fwclass.graph.stages import (
+    CLASSIFYING,
+    DELIVERY,
+    JUDGING,
+    LEARNING,
+    OF_QUALITY,
+    OF_VECTORS,
+    OF_WAVEFORMS,
+    TO_LABELS,
+    TO_TILES,
+)
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.workflow import Workflow
 
@@ -16,7 +25,7 @@ classification = Workflow(
         *TO_TILES,
         *TO_LABELS,
         CHECK_SEAMS,  # long, and one part: not at the end
-        MEASURE_QUALITY,
+        *OF_QUALITY,
         *LEARNING,
         *CLASSIFYING,
         *JUDGING,

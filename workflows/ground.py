@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from fwclass.graph.ground import CHECK_SEAMS
 from fwclass.graph.ground_classes import CLASSIFY_GROUND, without_classifier
-from fwclass.graph.quality import MEASURE_QUALITY
 from fwclass.graph.sources import INDEX
-from fwclass.graph.stages import DELIVERY, OF_GROUND, OF_STRIPS
+from fwclass.graph.stages import DELIVERY, OF_GROUND, OF_QUALITY, OF_STRIPS
 from fwclass.graph.survey import SIMULATE
 from fwclass.graph.tiling import TILE_ECHOES
 from fwclass.graph.workflow import Workflow
@@ -14,16 +13,6 @@ from fwclass.graph.workflow import Workflow
 ground = Workflow(
     "ground",
     "from waveforms or points to ground, terrain and heights, without labels or a model",
-    stages=(
-        SIMULATE,
-        INDEX,
-        *OF_STRIPS,
-        TILE_ECHOES,
-        *OF_GROUND,
-        CHECK_SEAMS,
-        CLASSIFY_GROUND,
-        MEASURE_QUALITY,
-        *DELIVERY,
-    ),
+    stages=(SIMULATE, INDEX, *OF_STRIPS, TILE_ECHOES, *OF_GROUND, CHECK_SEAMS, CLASSIFY_GROUND, *OF_QUALITY, *DELIVERY),
     settle=without_classifier,
 )

@@ -41,7 +41,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class PolygonFile:
-    """Polygons or breaklines; `crs`: of the file's coordinates (WKT; None: the survey's)."""
+    """Polygons, breaklines or check points; `crs`: of the file's coordinates (WKT; None: the survey's)."""
 
     path: Location
     digests: FileDigests
@@ -57,7 +57,8 @@ class Survey:
     `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests); `polygons` are the
     reference's files of polygons; `quantities`: what amplitudes and widths are, by name of the file; `echo_labels`:
     the reference's labels by echo; `corrections`: what corrects labels of any kind, `water`: what is
-    flattened, `breaklines`: what the terrain passes through, all None for nothing.
+    flattened, `breaklines`: what the terrain passes through, `check_points`: what heights are held against, all None
+    for nothing.
     """
 
     strips: tuple[Strip, ...]
@@ -71,6 +72,7 @@ class Survey:
     corrections: tuple[Location, FileDigests] | None = None
     water: PolygonFile | None = None
     breaklines: PolygonFile | None = None
+    check_points: PolygonFile | None = None
 
 
 @dataclass(frozen=True)

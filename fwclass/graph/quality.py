@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass import __version__
+from fwclass.formats.wkb import point_wkb
+from fwclass.graph.check_points import CHECK_POINTS, FILE, has_check_points
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
@@ -24,6 +26,7 @@ from fwclass.publish.params import PublishParams
 from fwclass.publish.qgis_style import MANY, ramp_raster_style, style_file
 from fwclass.publish.raster_styles import Spread
 from fwclass.quality.block import READS, block_quality, pairs_from, pieces_from
+from fwclass.quality.check_points import CHECKED, check_remarks, compared_points
 from fwclass.quality.density import Density
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
@@ -108,10 +111,16 @@ def deliver_quality(
     density_facts = density.facts()
     least = (params.void_spacings * (density_facts["spacing"] or 0.0)) ** 2
     voids = sorted((v for one in empty for v in one.voids(least)), key=lambda v: (-v.area, v.box.bounds))
+    layers, checked = list[Layer](), None
     if voids:
         areas = np.array([v.area for v in voids[:LISTED]])
-        layer = Layer("voids", box_wkb([v.box for v in voids[:LISTED]]), {"area_m2": areas})
-        write_gpkg([layer], here.directory / POLYGONS, system)
+        layers.append(Layer("voids", box_wkb([v.box for v in voids[:LISTED]]), {"area_m2": areas}))
+    if here.parts(CHECK_POINTS):
+        points = here.inputs.arrays(CHECK_POINTS, "all", FILE)[0]
+        layers.append(Layer("check_points", point_wkb(points["x"], points["y"]), compared_points(points)))
+        checked = {k: v for k, v in here.inputs.meta(CHECK_POINTS, "all").items() if k in CHECKED}
+    if layers:
+        write_gpkg(layers, here.directory / POLYGONS, system)
     echoes, noise = (sum(int(m[name]) for m in metas) for name in ("echoes", "noise"))
     facts = {
         "survey": survey,
@@ -122,7 +131,12 @@ def deliver_quality(
         "density": density_facts,
         "voids": void_facts(voids, least, density_facts["area"]),
         "strips": strips,
-        "remarks": [*(["all echoes are noise"] if not echoes else []), *strip_remarks(strips)],
+        "check_points": checked,
+        "remarks": [
+            *(["all echoes are noise"] if not echoes else []),
+            *strip_remarks(strips),
+            *(check_remarks(checked, params.check_points.reach) if checked else ()),
+        ],
     }
     write_json(here.directory / FACTS, facts)
     largest = Box(*max(places.values(), key=lambda b: (Box(*b).area, b)))
@@ -215,7 +229,7 @@ MEASURE_QUALITY = Stage(
     quality_of_block,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"params": plan.config.quality},
-    silent=THRESHOLDS | {"strips"},
+    silent=THRESHOLDS | {"strips", "check_points"},
     reads=READS,
     halo=0.0,
 )
@@ -234,8 +248,11 @@ DELIVER_QUALITY = Stage(
         "block": plan.config.terrain.block,
         "places": {site.name: site.box.bounds for site in sites(plan.layout)},
     },
-    silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS,
-    after=(MEASURE_QUALITY.name,),
-    needs=lambda plan, part: [(MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)],
+    silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS | {"file"},
+    after=(MEASURE_QUALITY.name, CHECK_POINTS),
+    needs=lambda plan, part: [
+        *((MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)),
+        *([(CHECK_POINTS, "all")] if has_check_points(plan) else []),
+    ],
     where="deliver",
 )

@@ -20,6 +20,7 @@ from fwclass.graph.backscatter import (
 )
 from fwclass.graph.breaklines import READ_BREAKLINES
 from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
+from fwclass.graph.check_points import MEASURE_CHECK_POINTS
 from fwclass.graph.classify import CLASSIFY_ECHOES, CLASSIFY_THINNED
 from fwclass.graph.contours import CONTOUR_BLOCKS, DELIVER_CONTOURS
 from fwclass.graph.corrections import READ_CORRECTIONS, READ_ECHO_LABELS
@@ -108,6 +109,7 @@ TO_LABELS = (
     LABEL_BY_ECHOES,
 )
 """What is known of every echo before it is classified."""
+OF_QUALITY = (MEASURE_QUALITY, MEASURE_CHECK_POINTS)
 LEARNING = (
     DRAW_SAMPLE,
     MERGE_SAMPLE,
@@ -145,7 +147,7 @@ OF_WAVEFORMS = (SAMPLE_WAVES, FILL_VOXELS, FILL_PROFILES, DELIVER_SAMPLES, DELIV
 """For those who want the waveform, not echoes."""
 OF_VECTORS = (COUNT_PULSES, CHOOSE_CELL, FIND_BUILDINGS, FIND_TREES, DELIVER_VECTORS)
 STAGES = (
-    *(SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, MEASURE_QUALITY, *LEARNING, *CLASSIFYING, CLASSIFY_GROUND),
+    *(SIMULATE, *TO_TILES, *TO_LABELS, CHECK_SEAMS, *OF_QUALITY, *LEARNING, *CLASSIFYING, CLASSIFY_GROUND),
     *(*JUDGING, *DELIVERY, *OF_VECTORS, *OF_WAVEFORMS),
 )
 """Every stage that any run has; what a run takes is reckoned by this list."""

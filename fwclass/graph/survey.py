@@ -16,6 +16,7 @@ from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError, InputError
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
 from fwclass.formats.projected import project
+from fwclass.graph.check_points import check_point_file
 from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, find_files, joint_bounds
 from fwclass.graph.layout import Strip, Survey
@@ -168,11 +169,13 @@ def gather(config: Config, runner: Runner) -> Survey:
     water = water_polygons(config, directory, digests, crs, of_water, box)
     of_lines = given_crs(config.breaklines.crs, "breaklines.crs")
     breaklines = breakline_file(config, directory, digests, crs, of_lines, box)
+    of_points = given_crs(config.quality.check_points.crs, "quality.check_points.crs")
+    check_points = check_point_file(config, directory, digests, crs, of_points, box)
     corrections = reference_corrections(config, directory, digests, runner.store.where)
     digests.save()
     quantities = {s.path.name: quantities_of(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
-    of_terrain = {"water": water, "breaklines": breaklines}
-    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **of_terrain)
+    more_files = {"water": water, "breaklines": breaklines, "check_points": check_points}
+    return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more_files)
 
 
 def open_all(places: Sequence[Location], config: Config) -> list[Source]:

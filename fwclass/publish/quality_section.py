@@ -79,6 +79,23 @@ def _rows(summary: Mapping[str, Any], density: Mapping[str, Any], strips: Mappin
         ]
     if strips["apart"]:
         rows.append(("further apart", f"{number(strips['apart'])} pairs, taken for two surfaces"))
+    return [*rows, *_check_rows(summary.get("check_points"))]
+
+
+def _check_rows(checked: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    """What check points say: root mean square of the heights' differences, on open land and under plants."""
+    if checked is None:
+        return []
+    if checked["all"] is None:
+        return [("check points", f"{number(checked['given'])}, none of them compared")]
+    rows = [("check points", f"{number(checked['all']['count'])} of {number(checked['given'])} compared")]
+    for name, what in (("all", "heights"), ("open", "heights of open land"), ("vegetated", "heights under plants")):
+        figures = checked[name]
+        if figures is not None and (name == "all" or checked["vegetated"] is not None):
+            low, high = figures["rmse_interval"]
+            text = f"{_cm(figures['rmse'], sign=False)} cm root mean square ({_cm(low, False)} to {_cm(high, False)}), "
+            text += f"mean {_cm(figures['mean'])} cm, 95 % within {_cm(figures['percentile_95'], False)} cm"
+            rows.append((what, text))
     return rows
 
 

@@ -17,6 +17,9 @@ Floats = NDArray[np.float64]
 VEGETATED = (3, 4, 5)
 """Class codes of check points under plants (LAS 1.4: low, medium, high vegetation)."""
 
+CHECKED = ("given", "nearest_echo", "all", "open", "vegetated")
+"""Figures of `facts_of`."""
+
 FEWEST = 30
 """Check points that a statement of accuracy stands on (ASPRS Positional Accuracy Standards 2023, 7.11)."""
 
@@ -129,6 +132,18 @@ def check_remarks(facts: Mapping[str, Any], reach: float) -> list[str]:
             + (": are both heights of one kind (geoid or ellipsoid, metres)?" if abs(mean) > ANOTHER_DATUM else "")
         )
     return lines
+
+
+def compared_points(points: Mapping[str, NDArray]) -> dict[str, NDArray]:
+    """Columns of a layer of check points: heights of point and ground, their difference, and the distance to the
+    nearest ground echo, each (n,) [m] and NaN where there is none, and the class code, -1 for none."""
+    return {
+        "z": points["z"],
+        "ground_z": points["height"],
+        "dz": points["height"] - points["z"],
+        "nearest_echo": points["near"],
+        "class_code": points["code"],
+    }
 
 
 def facts_of(points: Sequence[Floats], height: Floats, near: Floats, code: NDArray[np.integer]) -> dict[str, Any]:

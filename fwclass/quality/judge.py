@@ -21,6 +21,7 @@ def judge_quality(summary: Mapping[str, Any], params: QualityParams) -> None:
         ("max_void", "the largest void [m²]", largest, params.max_void),
         ("max_dz", "the root mean square difference of strips [m]", strips["rms"], params.max_dz),
         ("max_noise", "the share of noise", summary["noise_share"], params.max_noise),
+        ("max_rmse_z", "the root mean square difference from check points [m]", _rmse(summary), params.max_rmse_z),
     )
     for sign, words, bounds in ((1, "at least", least), (-1, "at most", most)):
         for setting, what, value, bound in bounds:
@@ -32,3 +33,8 @@ def judge_quality(summary: Mapping[str, Any], params: QualityParams) -> None:
                     got="no value" if value is None else f"{value:.4g}",
                     do="look at quality.html, which tells where and why; or ask for less",
                 )
+
+
+def _rmse(summary: Mapping[str, Any]) -> float | None:
+    figures = (summary["check_points"] or {}).get("all")
+    return figures["rmse"] if figures else None

@@ -32,6 +32,21 @@ class PlaneParams(Params):
     max_tilt_error: float = Field(gt=0, le=100)
 
 
+class CheckPointParams(Params):
+    """Points surveyed on the ground, that the survey's heights are held against.
+
+    Attributes
+    ----------
+    file : text with x, y, z and, if there is one, a class code, relative to `survey.directory`; null for none.
+    crs : system of x and y, where it is not the survey's; heights are the survey's in any case.
+    reach : ground echoes so near to a point make the triangle that it is held against [m].
+    """
+
+    file: str | None
+    crs: str | None
+    reach: float = Field(gt=0, le=100)
+
+
 class QualityParams(Params):
     """What is measured of a survey's quality.
 
@@ -43,10 +58,12 @@ class QualityParams(Params):
         or files unless these hold several lines each that overlap (auto).
     line_gap : a strip by time ends where there is no echo for one to two times this [s].
     planes : where strips are compared.
+    check_points : what heights are held against.
     min_density, min_pulse_density : echoes and pulses per m², at least; None asks for nothing, here and below.
     max_void : area of the largest void, at most [m²].
     max_dz : root mean square difference of strips, at most [m].
     max_noise : share of the echoes, at most.
+    max_rmse_z : root mean square difference from the check points, at most [m].
     """
 
     cell: float = Field(ge=0.1, le=256)
@@ -54,12 +71,14 @@ class QualityParams(Params):
     strips: Literal["auto", "files", "times"]
     line_gap: float = Field(ge=0.1, le=100)
     planes: PlaneParams
+    check_points: CheckPointParams
     min_density: float | None = Field(gt=0)
     min_pulse_density: float | None = Field(gt=0)
     max_void: float | None = Field(ge=0)
     max_dz: float | None = Field(gt=0)
     max_noise: float | None = Field(ge=0, le=1)
+    max_rmse_z: float | None = Field(gt=0)
 
 
-THRESHOLDS = frozenset({"min_density", "min_pulse_density", "max_void", "max_dz", "max_noise"})
+THRESHOLDS = frozenset({"min_density", "min_pulse_density", "max_void", "max_dz", "max_noise", "max_rmse_z"})
 """They judge figures, and change none."""

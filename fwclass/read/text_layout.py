@@ -49,7 +49,7 @@ def layout_of(path: Path, data: bytes) -> Layout:
             continue
         delimiter, decimal = _separator(content)
         words = words_of(content, delimiter)
-        numbers = all(is_number(w, decimal) for w in words)
+        numbers = _are_numbers(words, decimal, names)
         if not commented and numbers:
             return _named(path, names, words, delimiter, decimal, at, number)
         if names is None and not numbers and (not commented or len(_known(words)) >= 3):
@@ -71,6 +71,13 @@ def _separator(line: bytes) -> tuple[str, str]:
     if b";" in line:
         return ";", "," if b"," in line and b"." not in line else "."
     return ("," if b"," in line else " "), "."
+
+
+def _are_numbers(words: list[str], decimal: str, names: list[str] | None) -> bool:
+    """Whether a line is one of points: every word is a number, but for columns that a header calls otherwise."""
+    if names is None or len(names) != len(words) or len(_known(names)) < 3:
+        return all(is_number(w, decimal) for w in words)
+    return all(is_number(w, decimal) for w, n in zip(words, names, strict=True) if not _column(n).startswith("?"))
 
 
 def words_of(line: bytes, delimiter: str) -> list[str]:

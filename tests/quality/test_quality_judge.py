@@ -16,6 +16,7 @@ MADE: dict[str, Any] = {
     "density": {"echoes": 5.0, "pulses": 4.0},
     "strips": {"rms": 0.06},
     "noise_share": 0.001,
+    "check_points": {"all": {"rmse": 0.08}},
 }
 
 
@@ -27,6 +28,7 @@ MADE: dict[str, Any] = {
         ("max_dz", 0.06, 0.05),
         ("max_void", 40.0, 39.0),
         ("max_noise", 0.001, 0.0),
+        ("max_rmse_z", 0.08, 0.079),
     ],
 )
 def test_each_threshold_judges_its_own_figure(base: dict[str, Any], name: str, met: float, missed: float) -> None:
@@ -42,6 +44,9 @@ def test_what_nobody_knows_meets_no_threshold(base: dict[str, Any]) -> None:
         "density": {"echoes": None, "pulses": None},
         "strips": {"rms": None},
         "noise_share": None,
+        "check_points": None,
     }
     with pytest.raises(QualityError, match="nothing tells the root mean square difference"):
         judge_quality(unknown, QualityParams(**{**base["quality"], "max_dz": 0.1}))
+    with pytest.raises(QualityError, match="nothing tells the root mean square difference from check points"):
+        judge_quality({**unknown, "check_points": {"all": None}}, QualityParams(**{**base["quality"], "max_rmse_z": 1}))

@@ -1,0 +1,137 @@
+"""Check points of a survey: their file, and the stage that holds the ground against them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+
+from fwclass.conf import Config
+from fwclass.errors import InputError
+from fwclass.graph.file_digests import Digests
+from fwclass.graph.files import box_text, find_files
+from fwclass.graph.layout import PolygonFile
+from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.water import source_of
+from fwclass.grid import Box, TileGrid
+from fwclass.quality.check_points import facts_of, ground_heights
+from fwclass.read.text import read_text
+from fwclass.store.arrays import write_arrays
+from fwclass.store.remote_file import local
+from fwclass.store.url import Url
+
+CHECK_POINTS = "check-points"
+FILE = "points"
+SETTING = "quality.check_points"
+MOST = 100_000
+"""Points of a file; a survey has some hundreds."""
+
+SQUARE = 64.0
+"""m, points in one square are held against the echoes around it together."""
+
+Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
+"""x, y, z [m], and class code, -1 for none."""
+
+
+def check_point_file(
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None, box: Box
+) -> PolygonFile | None:
+    """The file of check points; `InputError` where none of them lies in the survey's `box` [m]."""
+    params = config.quality.check_points
+    if params.file is None:
+        return None
+    places = find_files([params.file], directory, f"{SETTING}.file", config.path, config.store)
+    if len(places) > 1:
+        raise InputError(
+            f"{SETTING}.file is one file", where=config.path, got=f"{len(places)} files match", do="name one"
+        )
+    path, own = local(places[0]), user_crs.to_wkt() if user_crs is not None else None
+    x, y, _, _ = read_check_points(path, own, crs)
+    if not box.contains(x, y).any():
+        raise InputError(
+            "no check point lies in the survey",
+            where=path,
+            expected=f"points in {box_text(box)}",
+            got=box_text(Box(float(x.min()), float(y.min()), float(x.max()), float(y.max()))),
+            do=f"check the file, the order of its columns, and its coordinate system ({SETTING}.crs)",
+        )
+    return PolygonFile(places[0], digests.of([path], places[0]), "", own)
+
+
+def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> Points:
+    """Check points in the survey's system `crs` (WKT), from a text file in `own_crs`, or in the survey's.
+
+    Raises
+    ------
+    InputError : no text of x, y, z, a point without one of them, or more than `MOST` points.
+    """
+    cloud = read_text(path)
+    if len(cloud.x) > MOST:
+        raise InputError("too many check points", where=path, expected=f"at most {MOST:,}", got=f"{len(cloud.x):,}")
+    unknown = np.flatnonzero(~np.isfinite(np.stack(cloud.xyz)).all(axis=0))
+    if len(unknown):
+        raise InputError(
+            "a check point lacks a coordinate",
+            where=f"{path}: point {unknown[0] + 1}",
+            expected="x, y and z",
+            do="complete it, or remove it",
+        )
+    x, y = cloud.x, cloud.y
+    if own_crs is not None and crs is not None:
+        move = Transformer.from_crs(CRS.from_wkt(own_crs).to_2d(), CRS.from_wkt(crs).to_2d(), always_xy=True)
+        x, y = move.transform(x, y)
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            raise InputError(
+                "check points lie outside of their coordinate system",
+                where=path,
+                do=f"check {SETTING}.crs, and the order of the columns",
+            )
+    code = np.full(len(x), -1) if cloud.label is None else cloud.label.astype(np.int64)
+    return x, y, cloud.z, code
+
+
+def compare_heights(here: StageInputs, reach: float, own_crs: str | None, crs: str | None) -> Made:
+    """The ground at every check point [m], and how far its nearest ground echo is [m]."""
+    x, y, z, code = read_check_points(here.file(), own_crs, crs)
+    height, near = np.full(len(x), np.nan), np.full(len(x), np.nan)
+    for rows, box in _together(x, y, reach):
+        echoes = here.inputs.inside(box, here.tile_size, here.columns, here.present)
+        echoes = echoes.take(echoes["ground"] & ~echoes["noise"])
+        ground = echoes["x"], echoes["y"], echoes["z"]
+        height[rows], near[rows] = ground_heights((x[rows], y[rows]), ground, reach)
+    write_arrays(here.directory / FILE, {"x": x, "y": y, "z": z, "code": code, "height": height, "near": near})
+    return facts_of((x, y, z), height, near, code)
+
+
+def _together(x: NDArray[np.float64], y: NDArray[np.float64], reach: float) -> Iterable[tuple[NDArray[np.int64], Box]]:
+    """Rows of the points of a square, and the box that the echoes around them lie in."""
+    squares, member = np.unique(np.stack(TileGrid(SQUARE).indices(x, y), axis=1), axis=0, return_inverse=True)
+    for k in range(len(squares)):
+        rows = np.flatnonzero(member.reshape(-1) == k)
+        box = Box(float(x[rows].min()), float(y[rows].min()), float(x[rows].max()), float(y[rows].max()))
+        yield rows, box.grown(reach + 0.001)
+
+
+def has_check_points(plan: Plan) -> bool:
+    """Whether a run holds its heights against check points."""
+    return plan.config.quality.check_points.file is not None
+
+
+MEASURE_CHECK_POINTS = Stage(
+    CHECK_POINTS,
+    1,
+    "survey",
+    "part",
+    compare_heights,
+    when=has_check_points,
+    arguments=lambda plan: {
+        "reach": plan.config.quality.check_points.reach,
+        "own_crs": plan.survey.check_points.crs if plan.survey.check_points else None,
+        "crs": plan.survey.crs,
+    },
+    reads=("x", "y", "z", "ground", "noise"),
+    source=lambda plan, part: source_of(plan.survey.check_points),
+)
