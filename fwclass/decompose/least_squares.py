@@ -240,7 +240,7 @@ def _span(p, count, pad, n, look):  # type: ignore[no-untyped-def]
 
 @kernel
 def lay(p, count, y, pad, n, look, residual, basis, window):  # type: ignore[no-untyped-def]
-    """Lay the `count` echoes of `p` under the waveform.
+    """Take the level and the `count` echoes of `p` off the waveform.
 
     Fills ``residual``, ``window[k]`` (first, past the last sample of echo k, in the padded buffer; its cell in width
     and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window. Times count as `held`.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.water import Points, read_as, source_of
 from fwclass.grid import Box, quantise
 from fwclass.read.polygons import open_polygons, read_lines, reprojected
@@ -17,7 +17,7 @@ BREAKLINES = "breaklines"
 FILE = "knots"
 
 
-def breaklines_read(here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float) -> Made:
+def breaklines_read(here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float) -> Result:
     """Places every `step` [m] at most along the lines, with heights between those of their points."""
     path = here.file()
     shapes, z = read_lines(open_polygons(path, layer))

@@ -12,7 +12,7 @@ from fwclass.graph.assess import COUNT_CONFUSION
 from fwclass.graph.outputs import DELIVER_TILE, NO_BYTE, TILE_ENDING, TILES, class_names, columns_of_tiles, crs_of
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
-from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.vectors import vector_layers
 from fwclass.grid import Box, TileGrid
 from fwclass.publish.copc import copc_columns, write_tile_copc
@@ -40,7 +40,7 @@ def deliver_overview(
     standard_time: bool,
     calibrated: bool,
     names: Mapping[str, str],
-) -> Made:
+) -> Result:
     """A fair sample of all echoes as COPC, drawn by the hash that the tiles' levels are drawn by."""
     total = sum(here.inputs.meta("tile", tile)["rows"] for tile in here.present)
     share = min(1.0, params.overview_echoes / max(1, total))
@@ -77,7 +77,7 @@ def deliver_catalogue(
     polygons: Names,
     vectors: Names = (),
     contours: bool = False,
-) -> Made:
+) -> Result:
     """The list of tiles for QGIS and PDAL, and a project that shows all of the delivery."""
     tiles = _facts(here)
     facts, system = sum_tiles(tiles), crs_of(crs)
@@ -103,7 +103,7 @@ def deliver_catalogue(
 
 def deliver_polygons(
     here: StageInputs, crs: str | None, names: Mapping[str, str], size: float, areas: Mapping[str, list[list[float]]]
-) -> Made:
+) -> Result:
     """The tiles as polygons with their figures, and the training and test areas."""
     tiles = _facts(here)
     layers = [_tile_layer(here, tiles, _present(sum_tiles(tiles), names), size), *_area_layers(areas)]

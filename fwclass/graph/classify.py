@@ -16,7 +16,7 @@ from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping, source_of
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.learn import MODEL
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import thins
 from fwclass.model import Model, sample_matrix
 from fwclass.model.ranges import Outside
@@ -61,7 +61,7 @@ def _model(here: StageInputs, digest: str | None) -> Model:
 
 def classify_tile(
     here: StageInputs, names: tuple[str, ...], probabilities: bool, model: str | None, kept: Kept | None = None
-) -> Made:
+) -> Result:
     """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
 
     `names`: the features that decide; `model`: digest of a given one, None for the run's own; `kept`: which echoes
@@ -89,7 +89,7 @@ def classify_thinned_tile(
     reach: float,
     thin: int,
     kept: Kept | None = None,
-) -> Made:
+) -> Result:
     """As `classify_tile`, for a thinned run (of the sample's version `thin`): the model is asked about sampled echoes,
     in the halo too, and every other echo takes the answer to its nearest one within `reach` [m]."""
     chunk = here.chunk()

@@ -15,7 +15,7 @@ from fwclass.store.remote_file import local
 
 @dataclass(frozen=True)
 class FineLayer:
-    """Where it answers, and what it decides by.
+    """The second layer: where it answers, and what it decides by.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ from fwclass.graph.corrections import (
     reach_here,
 )
 from fwclass.graph.layout import PolygonFile
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.label.polygons import Polygons, from_polygons
 from fwclass.label.stage import LABEL, LabelParams, from_cloud, from_source
 from fwclass.label.values import codes_of, groups_of
@@ -47,7 +47,7 @@ def polygons_read(
     crs: str | None,
     layer: str,
     own_crs: str | None,
-) -> Made:
+) -> Result:
     """Polygons of a file with their codes, in whole millimetres of the survey's system (`crs`, WKT).
 
     `own_crs`: the system that the file's coordinates are in (WKT; None: the survey's).
@@ -90,13 +90,13 @@ def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
     return _loaded[key]
 
 
-def label_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+def label_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
     """Reference classes from the source's own classification; corrections lie within `reach` [m] of their echo."""
     chunk = here.chunk()
     return _counted(*_corrected(here, chunk, from_source(chunk, params), reach))
 
 
-def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
     """Reference classes from the nearest point of another cloud."""
     box, clouds = here.tile.box.grown(here.halo), here.parts("reference")
     cloud = here.inputs.inside(box, here.tile_size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
@@ -105,7 +105,7 @@ def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -
     return _counted(*_corrected(here, chunk, from_cloud(chunk, cloud.take(order), params), reach))
 
 
-def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
     """Reference classes by strip, pulse and number of the echo."""
     chunk = here.chunk()
     echoes = chunk.table.take(chunk.core)
@@ -115,7 +115,7 @@ def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) 
     return table, {**facts, "by_echo": known}
 
 
-def label_by_polygons(here: StageInputs, reach: float = 0.0) -> Made:
+def label_by_polygons(here: StageInputs, reach: float = 0.0) -> Result:
     """Reference classes from the polygons that the echoes lie in; implausible echoes have none, whatever is above."""
     chunk = here.chunk()
     table, ambiguous = from_polygons(chunk, polygons_at(here.parts("polygons"), here.inputs).within(here.tile.box))

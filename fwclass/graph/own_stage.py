@@ -17,7 +17,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.features.params import MAX_REACH
 from fwclass.graph.classify import CLASSIFY_ECHOES
 from fwclass.graph.ground import FILTER_GROUND, around_block, of_flags
-from fwclass.graph.stage import Made, Stage, StageInputs, always, plain_values
+from fwclass.graph.stage import Result, Stage, StageInputs, always, plain_values
 from fwclass.ground.filters import Flags
 from fwclass.schema import Column, Table, column
 
@@ -190,7 +190,7 @@ class Adapter:
 class OfChunk(Adapter):
     """The adapter of a function over a chunk."""
 
-    def __call__(self, here: StageInputs, **settings: Any) -> Made:
+    def __call__(self, here: StageInputs, **settings: Any) -> Result:
         chunk = here.chunk()
         return self.columns(self.function(chunk, **settings), len(chunk.core), here.writes)
 
@@ -199,7 +199,7 @@ class OfChunk(Adapter):
 class OfRows(Adapter):
     """The adapter of a classifier of a tile's rows."""
 
-    def __call__(self, here: StageInputs, classes: tuple[ClassDef, ...], **settings: Any) -> Made:
+    def __call__(self, here: StageInputs, classes: tuple[ClassDef, ...], **settings: Any) -> Result:
         rows = here.rows()
         table = self.columns(self.function(rows, **settings), rows.rows, CLASSIFY.writes)
         codes, counts = np.unique(table["classification"], return_counts=True)
@@ -222,7 +222,7 @@ class OfRows(Adapter):
 class OfBlock(Adapter):
     """The adapter of a ground filter."""
 
-    def __call__(self, here: StageInputs, block: float, **settings: Any) -> Made:
+    def __call__(self, here: StageInputs, block: float, **settings: Any) -> Result:
         around = around_block(here)
         given = self.function(around.table, **settings)
         flags = [np.asarray(f) for f in given] if isinstance(given, (tuple, list)) else []
@@ -240,7 +240,7 @@ class OfBlock(Adapter):
 class OfDelivery(Adapter):
     """The adapter of a function that writes files of a tile."""
 
-    def __call__(self, here: StageInputs, **settings: Any) -> Made:
+    def __call__(self, here: StageInputs, **settings: Any) -> Result:
         table = here.rows()
         self.function(table, here.directory, here.part, **settings)
         names = [p.relative_to(here.directory).as_posix() for p in here.directory.rglob("*") if p.is_file()]

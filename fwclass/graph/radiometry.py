@@ -12,7 +12,7 @@ import numpy as np
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.layout import FileDigests, Layout
-from fwclass.graph.stage import Flown, Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Flown, Plan, Result, Stage, StageInputs
 from fwclass.radiometry.stage import (
     CALIBRATE,
     OVERLAP,
@@ -69,7 +69,7 @@ def check_altitude(layout: Layout) -> None:
         )
 
 
-def flown(here: StageInputs, crs: str | None, undulation: float, times: tuple[float, float]) -> Made:
+def flown(here: StageInputs, crs: str | None, undulation: float, times: tuple[float, float]) -> Result:
     """A file's trajectory on the time scale of a survey of `times`, sorted by time."""
     path = here.file()
     table = in_survey_time(thinned(read_trajectory(path, crs, undulation), SPACING), *times, where=path)
@@ -87,7 +87,7 @@ def flown_by(plan: Plan, receipts: Mapping[Name, Receipt]) -> Flown:
     return known
 
 
-def pointing(here: StageInputs, params: RadiometryParams) -> Made:
+def pointing(here: StageInputs, params: RadiometryParams) -> Result:
     """Refuses a trajectory that the beams of some tiles do not come from."""
     echoes = Table.concat([here.inputs.table("tile", key, _POINTING) for key in here.parts("tile")])
     flights = here.parts("trajectory")
@@ -113,7 +113,7 @@ def _around(here: StageInputs, flight: str, times: Any) -> Table:
     return here.inputs.groups("trajectory", flight, sorted(g for g in groups if 0 <= g < len(begins)))
 
 
-def compare_strips(here: StageInputs, params: RadiometryParams) -> Made:
+def compare_strips(here: StageInputs, params: RadiometryParams) -> Result:
     """What a tile says about the gains of its strips."""
     chunk = here.chunk()
     trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None
@@ -121,7 +121,7 @@ def compare_strips(here: StageInputs, params: RadiometryParams) -> Made:
     return {}
 
 
-def calibrate_strips(here: StageInputs, params: RadiometryParams) -> Made:
+def calibrate_strips(here: StageInputs, params: RadiometryParams) -> Result:
     """The gains of the strips and the constant of the survey."""
     tiles = here.parts("overlap")
     calibration = calibrate((Overlap.from_arrays(here.inputs.arrays("overlap", t, COUNTS)[0]) for t in tiles), params)
@@ -130,7 +130,7 @@ def calibrate_strips(here: StageInputs, params: RadiometryParams) -> Made:
     return {"calibration": facts}
 
 
-def measure_radiometry(here: StageInputs, params: RadiometryParams) -> Made:
+def measure_radiometry(here: StageInputs, params: RadiometryParams) -> Result:
     """Radiometric columns of a tile's echoes."""
     chunk = here.chunk()
     trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None

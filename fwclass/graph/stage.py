@@ -157,7 +157,7 @@ class StageInputs:
         return self.inputs.chunks(self.tile, self.halo, self.columns, self.present)
 
 
-Made = Table | Mapping[str, Any] | tuple[Table, Mapping[str, Any]]
+Result = Table | Mapping[str, Any] | tuple[Table, Mapping[str, Any]]
 """What a stage's function returns: the part's table, what its receipt says besides, or both."""
 
 
@@ -165,7 +165,7 @@ Made = Table | Mapping[str, Any] | tuple[Table, Mapping[str, Any]]
 class Work:
     """The adapter that every part runs in: loads, calls the stage's function, checks the columns, writes."""
 
-    function: Callable[..., Made]
+    function: Callable[..., Result]
     arguments: Mapping[str, Any]
     part: str
     needs: tuple[Name, ...]
@@ -272,7 +272,7 @@ class Stage:
     version: int
     over: Over
     unit: Unit
-    function: Callable[..., Made]
+    function: Callable[..., Result]
     when: Callable[[Plan], bool] = always
     parts: Callable[[Plan], Sequence[Any]] | None = None
     waves: bool | None = None

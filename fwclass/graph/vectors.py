@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass.formats.wkb import point_wkb, polygon_wkb
 from fwclass.graph.outputs import NO_BYTE, class_names, crs_of
 from fwclass.graph.rasters import owned
-from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, Window
 from fwclass.ground.stage import last_of
 from fwclass.publish.geoparquet import write_shape_parquet
@@ -40,7 +40,7 @@ VECTORS = "vectors.gpkg"
 UNITS = {"height": "m", "height_median": "m", "area": "m2", "crown_area": "m2"}
 
 
-def count_pulses(here: StageInputs, square: float) -> Made:
+def count_pulses(here: StageInputs, square: float) -> Result:
     """How many squares of a block hold how many pulses."""
     window = owned(here.tile, square)
     table = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
@@ -48,7 +48,7 @@ def count_pulses(here: StageInputs, square: float) -> Made:
     return {"squares": {str(n): k for n, k in pulses_by_square(table["x"], table["y"], window).items()}}
 
 
-def choose_cell(here: StageInputs, params: VectorParams) -> Made:
+def choose_cell(here: StageInputs, params: VectorParams) -> Result:
     """The density of the survey's pulses, and the cell that vectors are made in."""
     squares: Counter[int] = Counter()
     for block in here.parts(COUNT_PULSES.name):
@@ -57,7 +57,7 @@ def choose_cell(here: StageInputs, params: VectorParams) -> Made:
     return {"density": density, "cell": cell_of(density, params), "sparse": density < params.sparse}
 
 
-def building_block(here: StageInputs, params: VectorParams) -> Made:
+def building_block(here: StageInputs, params: VectorParams) -> Result:
     """The buildings that lie in one block, and the cells of those that may go on beyond its edge."""
     cell = here.inputs.meta(CELL, "all")["cell"]
     core = owned(here.tile, cell)
@@ -70,7 +70,7 @@ def building_block(here: StageInputs, params: VectorParams) -> Made:
     return {"buildings": shapes.rows.rows, "beyond": beyond.rows}
 
 
-def tree_block(here: StageInputs, params: VectorParams) -> Made:
+def tree_block(here: StageInputs, params: VectorParams) -> Result:
     """The trees whose tops lie in one block."""
     cell = max(here.inputs.meta(CELL, "all")["cell"], params.trees.cell)
     core = owned(here.tile, cell)
@@ -96,7 +96,7 @@ def _read(here: StageInputs, stage: Stage, columns: Names) -> list[Shapes]:
     return [Shapes(tables(stage.name, b, columns, ROWS), tables(stage.name, b, CORNERS, RINGS)) for b in blocks]
 
 
-def deliver_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Made:
+def deliver_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Result:
     """All buildings and trees as GeoParquet and GeoPackage; buildings that cross blocks are put together first."""
     facts, layers = dict(here.inputs.meta(CELL, "all")), []
     if here.parts(FIND_BUILDINGS.name):

@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from fwclass.errors import InputError
 from fwclass.graph.layout import FileDigests, PolygonFile
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Window, millimetres
 from fwclass.label.polygons import Polygons, owners
 from fwclass.read.polygons import open_polygons, read_polygons, reprojected
@@ -88,7 +88,7 @@ def water_of(here: StageInputs) -> Water | None:
 
 def water_read(
     here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float, stretch: float
-) -> Made:
+) -> Result:
     """Polygons of water in whole millimetres of the survey's system, and places every `step` [m] along their shores."""
     path = here.file()
     shapes = read_polygons(open_polygons(path, layer), None)[1]
@@ -114,7 +114,7 @@ def _line(arrays: Mapping[str, NDArray]) -> Shoreline:
     return Shoreline(arrays["shore_x"], arrays["shore_y"], arrays["body"], arrays["stretch"])
 
 
-def shore_measured(here: StageInputs, reach: float) -> Made:
+def shore_measured(here: StageInputs, reach: float) -> Result:
     """Ground echoes of a tile within `reach` [m] of a shore: which place of it is nearest, and their heights; and how
     many of those further inside lie at which height, by body."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
@@ -130,7 +130,7 @@ def shore_measured(here: StageInputs, reach: float) -> Made:
     return {"echoes": len(rows), "inside": len(inside)}
 
 
-def water_levelled(here: StageInputs, params: WaterParams) -> Made:
+def water_levelled(here: StageInputs, params: WaterParams) -> Result:
     """The level of every body of water, those that are level with their shores, and what a user should know."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
     tiles = [here.inputs.arrays(SHORE, key, FILE)[0] for key in here.parts(SHORE)]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass.assess.intervals import FIGURES, caution, difference, intervals, scores
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
-from fwclass.graph.areas import tested
+from fwclass.graph.areas import rows_to_test
 from fwclass.graph.learn import SAMPLE
 from fwclass.graph.machine_search import spatial
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
@@ -58,7 +58,7 @@ def drawn(
     index = class_index(table["reference"], classes)
     key = canonical_key(table)
     lucky = hash_keys(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
-    rows = np.flatnonzero(tested(table, train, test, gap) & (index >= 0) & lucky)
+    rows = np.flatnonzero(rows_to_test(table, train, test, gap) & (index >= 0) & lucky)
     arrays: dict[str, NDArray] = {
         "X": sample_matrix(table.take(rows), names, tile.key),
         "y": index[rows].astype(np.uint8),
