@@ -39,7 +39,7 @@ def pulse_variances(chunk: Chunk, names: tuple[str, ...], params: FeaturesParams
         values = chunk.table[MEASURED[name]].astype(np.float64)
         out = np.empty(chunk.table.rows, np.float32)
         out[order] = _variances(x[order], y[order], values[order], first, limit)
-        out[lone] = _joined(x[lone], y[lone], number[lone], values[lone], firsts, limit)
+        out[lone] = _variances_by_x(x[lone], y[lone], number[lone], values[lone], firsts, limit)
         variances[name] = out[chunk.core]
     return variances
 
@@ -70,7 +70,7 @@ def _alone(
 
 
 @kernel
-def _joined(x, y, number, values, first, limit):  # type: ignore[no-untyped-def]
+def _variances_by_x(x, y, number, values, first, limit):  # type: ignore[no-untyped-def]
     """As `_variances`, of groups in order of x; NaN where an echo number occurs twice within reach."""
     out, held = np.empty(len(x), np.float32), np.zeros(4, np.uint64)
     for p in range(len(first) - 1):

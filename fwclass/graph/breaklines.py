@@ -37,13 +37,13 @@ def breaklines_in(here: StageInputs, box: Box) -> list[Points]:
     return [(arrays["x"][rows], arrays["y"][rows], arrays["z"][rows])]
 
 
-def _wanted(plan: Plan) -> bool:
+def _is_wanted(plan: Plan) -> bool:
     return plan.config.breaklines.file is not None
 
 
 def breaklines_needed(plan: Plan) -> list[Name]:
     """The part that holds the survey's breaklines, for a stage that makes terrain."""
-    return [(BREAKLINES, "all")] if _wanted(plan) else []
+    return [(BREAKLINES, "all")] if _is_wanted(plan) else []
 
 
 READ_BREAKLINES = Stage(
@@ -52,7 +52,7 @@ READ_BREAKLINES = Stage(
     "survey",
     "part",
     breaklines_read,
-    when=_wanted,
+    when=_is_wanted,
     arguments=lambda plan: {**read_as(plan.survey.breaklines, plan.survey.crs), "step": plan.config.terrain.thin},
     source=lambda plan, part: source_of(plan.survey.breaklines),
 )

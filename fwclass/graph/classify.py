@@ -122,7 +122,7 @@ def codes_of(table: Table) -> dict[str, int]:
     return {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
 
 
-def _asked(plan: Plan) -> Mapping[str, Any]:
+def _arguments(plan: Plan) -> Mapping[str, Any]:
     shares = plan.config.classify.probabilities
     asked = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
     return {**asked, **keeping(plan)}
@@ -151,7 +151,7 @@ CLASSIFY_ECHOES = Stage(
     "echo",
     classify_tile,
     when=lambda plan: not thins(plan.config) and fine_layer(plan) is None,
-    arguments=_asked,
+    arguments=_arguments,
     own=lambda plan: (*plan.names, *deciding_column(plan)),
     writes=classes_written,
     after=("train",),
@@ -162,7 +162,7 @@ CLASSIFY_THINNED = replace(
     CLASSIFY_ECHOES,
     function=classify_thinned_tile,
     when=lambda plan: thins(plan.config),
-    arguments=lambda plan: {**_asked(plan), "reach": plan.config.thin.reach, "thin": THIN.version},
+    arguments=lambda plan: {**_arguments(plan), "reach": plan.config.thin.reach, "thin": THIN.version},
     reads=lambda plan: (*_PLACE, *plan.names, *THIN.writes),
     own=deciding_column,
     halo=lambda plan: plan.config.thin.reach,

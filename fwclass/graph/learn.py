@@ -106,7 +106,7 @@ def load_sample(inputs: PartInputs, stage: str, part: str, names: tuple[str, ...
     return Sample.from_arrays(names, inputs.arrays(stage, part, SAMPLE)[0])
 
 
-def merged_sample(inputs: PartInputs, names: tuple[str, ...]) -> Sample:
+def survey_sample(inputs: PartInputs, names: tuple[str, ...]) -> Sample:
     """The sample of the whole survey."""
     return load_sample(inputs, "training", "all", names)
 
@@ -115,7 +115,7 @@ def grow_part(
     here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...], count: int
 ) -> Result:
     """Some of the forest's trees, from that on which the part is named after."""
-    trees = grow_trees(merged_sample(here.inputs, names), classes, int(here.part), count, params)
+    trees = grow_trees(survey_sample(here.inputs, names), classes, int(here.part), count, params)
     arrays: dict[str, NDArray] = {}
     for number, (feature, threshold, child) in enumerate(trees, int(here.part)):
         arrays |= {f"{number:05d}-feature": feature, f"{number:05d}-threshold": threshold, f"{number:05d}-child": child}
@@ -133,7 +133,7 @@ def permute_features(
     here: StageInputs, names: tuple[str, ...], params: TrainParams, count: int, repeats: int
 ) -> Result:
     """What some of the forest's trees lose when a feature is permuted."""
-    sample, trees = merged_sample(here.inputs, names), _load_trees(here.inputs, here.part)
+    sample, trees = survey_sample(here.inputs, names), _load_trees(here.inputs, here.part)
     lost, judged = drops(sample, trees, int(here.part), params, repeats)
     write_arrays(here.directory / DROPS, {"drops": lost, "judged": judged})
     return {"rows": int(judged.sum())}
@@ -152,7 +152,7 @@ def deliver_forest(
     if params.importance_repeats:
         parts = [here.inputs.arrays("importance", b, DROPS)[0] for b in here.parts("importance")]
         lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
-    forest = stamp(train(merged_sample(here.inputs, names), trees, params, classes, lost), computed)
+    forest = stamp(train(survey_sample(here.inputs, names), trees, params, classes, lost), computed)
     save_model(here.directory / MODEL, forest)
     return {"card": dict(forest.card), "trees": forest.trees, "nodes": len(forest.feature)}
 
@@ -168,7 +168,7 @@ def train_baseline(
     gap: float,
 ) -> Result:
     """The classifier that ``train.method`` names where it is no forest, delivered as the run's model."""
-    sample, places = merged_sample(here.inputs, names), spatial(block, gap)
+    sample, places = survey_sample(here.inputs, names), spatial(block, gap)
     parts = here.parts(MACHINE_SEARCH)
     search = gather_trials(here.inputs, parts, sample, compare.rbf_svm, places) if parts else None
     model: Model = stamp(train_other(sample, params, compare, classes, params.method, places, search), computed)
@@ -188,7 +188,7 @@ def try_machine(
     trial: tuple[float, float, int],
 ) -> Result:
     """How often the machine of one (C, gamma, fold) is right."""
-    sample, places = merged_sample(here.inputs, names), spatial(block, gap)
+    sample, places = survey_sample(here.inputs, names), spatial(block, gap)
     weights = machine_weights(fewer(sample, machine.max_rows, places.edge), params, classes)
     return judge(here, sample, trial, machine, scaling, weights, places)
 
@@ -237,7 +237,7 @@ def parameters_of(plan: Plan, names: tuple[str, ...]) -> Mapping[str, Any]:
     return computed(names, config.features, config.ground.method, plan.layout.quantities)
 
 
-def _computed(plan: Plan) -> Mapping[str, Any]:
+def _feature_settings(plan: Plan) -> Mapping[str, Any]:
     return parameters_of(plan, plan.config.features_asked)
 
 
@@ -317,7 +317,7 @@ TRAIN_FOREST = Stage(
     deliver_forest,
     when=lambda plan: _one_layer(plan) and forest_learns(plan),
     parts=lambda plan: ("model",),
-    arguments=lambda plan: {**growing(plan), "computed": _computed(plan)},
+    arguments=lambda plan: {**growing(plan), "computed": _feature_settings(plan)},
     after=("training", "trees", "importance"),
     needs=lambda plan, part: [
         ("training", "all"),
@@ -356,7 +356,7 @@ TRAIN_BASELINE = Stage(
     arguments=lambda plan: {
         **growing(plan),
         "compare": plan.config.compare,
-        "computed": _computed(plan),
+        "computed": _feature_settings(plan),
         **_squares(plan),
     },
     after=("training", MACHINE_SEARCH),

@@ -179,7 +179,7 @@ def _legacy_codes(plan: Plan, part: _Strip) -> Mapping[str, Any]:
     return {"codes": codes}
 
 
-def _read_again(plan: Plan, part: _Strip) -> list[Name]:
+def _chunks_of_returns(plan: Plan, part: _Strip) -> list[Name]:
     """The chunks whose returns are asked for their own class."""
     waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if deciding_column(plan) else ()
     return [("read", c) for c in part.chunks if c in waves]
@@ -231,7 +231,7 @@ DELIVER_STRIP = Stage(
     after=("read", "decompose", "classify", "tile"),
     needs=lambda plan, part: [
         *(("decompose", c) for c in part.chunks),
-        *_read_again(plan, part),
+        *_chunks_of_returns(plan, part),
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
     ],
     source=lambda plan, part: (part.strip.path, part.strip.digests),

@@ -63,13 +63,13 @@ def chunk_stage(
             got=wrong[0] if wrong else "none",
         )
     return Stage(
-        _named(name),
+        _check_name(name),
         version,
         "tile",
         "echo",
         OfChunk(name, function),
         arguments=_constant(name, settings),
-        reads=_read(name, reads),
+        reads=_column_names(name, reads),
         writes=tuple(c.name for c in columns),
         declares=columns,
         halo=_halo(name, halo),
@@ -110,7 +110,7 @@ def classifier_stage(
         function=OfRows(CLASSIFY.name, function),
         when=always,
         arguments=lambda plan: {**arguments(plan), "classes": plan.config.classes},
-        own=_read(CLASSIFY.name, reads),
+        own=_column_names(CLASSIFY.name, reads),
         writes=CLASSIFY.writes,
         after=(),
         needs=lambda plan, tile: (),
@@ -125,13 +125,13 @@ def delivery_stage(
     at the paths that they have in the delivery; `table` has the columns `reads`, `tile` is the tile's key, which the
     files' names must have in them."""
     return Stage(
-        _named(name),
+        _check_name(name),
         version,
         "tile",
         "echo",
         OfDelivery(name, function),
         arguments=_constant(name, settings),
-        own=_read(name, reads),
+        own=_column_names(name, reads),
         where="deliver",
     )
 
@@ -155,9 +155,9 @@ class Adapter:
         if set(values) != set(names):
             got = ", ".join(map(str, values)) or "nothing"
             raise self.fault("a function gives other columns than its stage writes", ", ".join(names), got, "name them")
-        return Table({n: self._checked(n, v, rows) for n, v in values.items()})
+        return Table({n: self._check(n, v, rows) for n, v in values.items()})
 
-    def _checked(self, name: str, value: Any, rows: int) -> NDArray:
+    def _check(self, name: str, value: Any, rows: int) -> NDArray:
         values = np.asarray(value)
         if values.shape != (rows,):
             raise self.fault(
@@ -261,7 +261,7 @@ _PROGRAM = ("laz/", "parquet/", "rasters/", "model/", "report")
 """Where the program's own deliveries lie."""
 
 
-def _named(name: str) -> str:
+def _check_name(name: str) -> str:
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ConfigError(
             "this cannot be the name of a stage",
@@ -272,7 +272,7 @@ def _named(name: str) -> str:
     return name
 
 
-def _read(name: str, reads: Iterable[str]) -> tuple[str, ...]:
+def _column_names(name: str, reads: Iterable[str]) -> tuple[str, ...]:
     if isinstance(reads, str):
         raise ConfigError(
             "the columns that a stage reads are a list",

@@ -156,7 +156,7 @@ def _params(plan: Plan) -> Mapping[str, Any]:
     return {"params": plan.config.radiometry}
 
 
-def _ranged(plan: Plan) -> bool:
+def _has_range(plan: Plan) -> bool:
     return has_range(plan.config)
 
 
@@ -186,13 +186,13 @@ def has_pointing(plan: Plan) -> bool:
     return has_range(plan.config) and bool(plan.flown) and bool(_over(plan, _probes(plan)))
 
 
-def _checked(plan: Plan) -> list[Name]:
+def _pointing_parts(plan: Plan) -> list[Name]:
     return [("pointing", "all")] if plan.pointing else []
 
 
 def _overlap_needs(plan: Plan, tile: Any) -> list[Name]:
     box = tile.box.grown(OVERLAP.halo(plan.config.radiometry))
-    return [*_over(plan, plan.layout.around(box, plan.layout.keys)), *_checked(plan)]
+    return [*_over(plan, plan.layout.around(box, plan.layout.keys)), *_pointing_parts(plan)]
 
 
 READ_TRAJECTORY = Stage(
@@ -241,7 +241,7 @@ CALIBRATE_STRIPS = Stage(
     "survey",
     "part",
     calibrate_strips,
-    when=_ranged,
+    when=_has_range,
     arguments=_params,
     after=("overlap",),
     needs=lambda plan, part: [("overlap", t.key) for t in COMPARE_STRIPS.all_parts(plan)],
@@ -252,10 +252,10 @@ MEASURE_RADIOMETRY = Stage(
     "tile",
     "echo",
     measure_radiometry,
-    when=_ranged,
+    when=_has_range,
     arguments=_params,
     own=RADIOMETRY.reads,
     writes=RADIOMETRY.writes,
     after=("calibrate", "trajectory", "pointing"),
-    needs=lambda plan, tile: [(CALIBRATE.name, "all"), *_over(plan, (tile.key,)), *_checked(plan)],
+    needs=lambda plan, tile: [(CALIBRATE.name, "all"), *_over(plan, (tile.key,)), *_pointing_parts(plan)],
 )

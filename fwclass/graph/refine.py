@@ -247,7 +247,7 @@ def _wide_reads(plan: Plan) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*_PLACE, COARSE[0], *Asked.of(_layer(plan).wide).reads)))
 
 
-def _drawn_by(plan: Plan) -> Mapping[str, Any]:
+def _drawing_arguments(plan: Plan) -> Mapping[str, Any]:
     refine = plan.config.classify.refine
     drawing = plan.config.train.model_copy(update={"samples_per_class": refine.samples_per_class})
     return {"rows": refine.rows, "drawing": drawing}
@@ -287,7 +287,7 @@ DRAW_BOUNDARY = Stage(
         "areas": plan.config.areas.boxes("train"),
         "params": plan.config.features,
         "classes": _pair(plan),
-        **_drawn_by(plan),
+        **_drawing_arguments(plan),
     },
     each=taught_here,
     silent=NOT_OF_THE_SAMPLE | {"also"},
@@ -309,7 +309,7 @@ MERGE_BOUNDARY = Stage(
     "row",
     merge_fine_samples,
     when=_learns,
-    arguments=lambda plan: {"layer": _layer(plan), "classes": _pair(plan), **_drawn_by(plan)},
+    arguments=lambda plan: {"layer": _layer(plan), "classes": _pair(plan), **_drawing_arguments(plan)},
     silent=NOT_OF_THE_SAMPLE,
     after=(DRAWN,),
     needs=lambda plan, part: [(DRAWN, t.key) for t in training_tiles(plan)],

@@ -112,7 +112,7 @@ def write_report(
             *_of_accuracy(accuracy, counted, config, names),
             *(plausible or {}).get("remarks", ()),
             *(drifted or {}).get("remarks", ()),
-            *_crowded(runner, config),
+            *_crowd_remarks(runner, config),
             *_empty(files),
             *_of_parts(runner),
             *(class_remarks(source, known_codes(config.classes), kept) if classified else ()),
@@ -169,7 +169,7 @@ def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:
 
 def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
     faults: Counter[str] = Counter()
-    for meta in _read(runner):
+    for meta in _chunk_facts(runner):
         faults.update(meta["faults"])
     indexed = {r.part: r.meta for r in receipts_of_run(runner, "index")}
     files = []
@@ -196,13 +196,13 @@ def _empty(files: Mapping[str, Any]) -> list[str]:
     return [f"files without any point: {', '.join(names[:SHOWN])}{more}"] if names else []
 
 
-def _read(runner: Runner) -> list[Mapping[str, Any]]:
+def _chunk_facts(runner: Runner) -> list[Mapping[str, Any]]:
     """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
     return [r.meta for stage in ("read", "decompose") for r in receipts_of_run(runner, stage) if "returns" in r.meta]
 
 
 def _counts(runner: Runner) -> dict[str, int]:
-    reads = _read(runner)
+    reads = _chunk_facts(runner)
     tiles = receipts_of_run(runner, "tile")
     return {
         "pulses": sum(r.meta["pulses"] for r in receipts_of_run(runner, "index")),
@@ -226,7 +226,7 @@ def _drift(runner: Runner) -> dict[str, Any] | None:
     return drift(cards[0] if cards else {RANGES: {}}, counts)
 
 
-def _crowded(runner: Runner, config: Config) -> list[str]:
+def _crowd_remarks(runner: Runner, config: Config) -> list[str]:
     """That some places are too dense for all echoes of a neighbourhood to count."""
     crowd = Crowd.of_parts(r.meta.get("dense") for r in receipts_of_run(runner, "features"))
     return [crowd.text(config.features)] if crowd else []

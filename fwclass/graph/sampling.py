@@ -53,7 +53,7 @@ def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
     ----------
     counted : receipts of `COUNT_LABELS`. Where one is missing nothing is said: its echoes may have what is lacking.
     """
-    if not _counted(plan) or len(counted) < len(plan.layout.tiles):
+    if not _counts_labels(plan) or len(counted) < len(plan.layout.tiles):
         return {}
     config = plan.config
     train = config.areas.boxes("train")
@@ -69,7 +69,7 @@ def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
     return dict(whole)
 
 
-def _counted(plan: Plan) -> bool:
+def _counts_labels(plan: Plan) -> bool:
     return trains(plan) and has_reference(plan)
 
 
@@ -79,7 +79,7 @@ COUNT_LABELS = Stage(
     "tile",
     "echo",
     labels_counted,
-    when=_counted,
+    when=_counts_labels,
     arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},
     each=reach_around,
     own=(*IDENTITY_AND_PLACE, "z", "reference"),
@@ -93,7 +93,7 @@ COUNT_SAMPLES = Stage(
     "tile",
     "echo",
     samples_counted,
-    when=_counted,
+    when=_counts_labels,
     parts=training_tiles,
     arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},
     own=(*IDENTITY_AND_PLACE, "reference"),

@@ -74,7 +74,7 @@ def deliver_stack(here: StageInputs, params: PublishParams, crs: str | None, sta
     return {"rows": table.rows}
 
 
-def _enabled(plan: Plan) -> bool:
+def _is_enabled(plan: Plan) -> bool:
     return plan.config.stack.enabled
 
 
@@ -122,7 +122,7 @@ MAKE_FIRST_TERRAIN = Stage(
     "block",
     "echo",
     first_terrain_block,
-    when=_enabled,
+    when=_is_enabled,
     parts=lambda plan: terrain_blocks(plan.layout),
     arguments=lambda plan: {"params": plan.config.terrain},
     reads=TERRAIN.reads,
@@ -135,7 +135,7 @@ STACK_PULSES = Stage(
     "block",
     "pulse",
     stack_block,
-    when=_enabled,
+    when=_is_enabled,
     parts=_blocks,
     arguments=lambda plan: {
         "params": plan.config.stack,
@@ -155,7 +155,7 @@ DELIVER_STACK = Stage(
     "block",
     "part",
     deliver_stack,
-    when=_enabled,
+    when=_is_enabled,
     parts=_blocks,
     arguments=lambda plan: {
         "params": plan.config.publish,

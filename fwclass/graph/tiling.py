@@ -129,14 +129,14 @@ def gather_tile(here: StageInputs, params: TileParams, blocks: tuple[float, ...]
     table = assemble(_fragments(here, "split"), f"tile {here.part}")
     return table, {
         "rows": table.rows,
-        "blocks": {str(size): _occupied(table, size) for size in blocks},
+        "blocks": {str(size): _occupied_blocks(table, size) for size in blocks},
         "bounds": [float(f(table[n])) for f in (min_of, max_of) for n in "xyz"],
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
         "times": _passes(table),
     }
 
 
-def _occupied(table: Table, size: float) -> list[str]:
+def _occupied_blocks(table: Table, size: float) -> list[str]:
     ix, iy = TileGrid(size).indices(table["x"], table["y"])
     return sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))})
 

@@ -61,7 +61,7 @@ def building_block(here: StageInputs, params: VectorParams) -> Result:
     """The buildings that lie in one block, and the cells of those that may go on beyond its edge."""
     cell = here.inputs.meta(CELL, "all")["cell"]
     core = owned(here.tile, cell)
-    counts = _counted(here, core.grown(MARGIN), params.buildings.codes, params.buildings.low)
+    counts = _count(here, core.grown(MARGIN), params.buildings.codes, params.buildings.low)
     inner = core.within(core.grown(MARGIN))
     whole, beyond = pieces(roofs(counts)[inner], counts.within(inner), core)
     shapes = footprints(by_piece(whole), cell, params.buildings)
@@ -75,12 +75,12 @@ def tree_block(here: StageInputs, params: VectorParams) -> Result:
     cell = max(here.inputs.meta(CELL, "all")["cell"], params.trees.cell)
     core = owned(here.tile, cell)
     window = core.grown(math.ceil(params.trees.halo(cell) / cell))
-    shapes = trees(_counted(here, window, params.trees.codes, 0.0), window, core, params.trees)
+    shapes = trees(_count(here, window, params.trees.codes, 0.0), window, core, params.trees)
     _write(here, shapes)
     return {"trees": shapes.rows.rows}
 
 
-def _counted(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
+def _count(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
     return count_cells(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
 
 
@@ -219,7 +219,7 @@ def _largest(plan: Plan) -> float:
     return max(plan.config.vectors.cells[-1], plan.config.vectors.trees.cell)
 
 
-def _given(plan: Plan) -> Mapping[str, Any]:
+def _arguments(plan: Plan) -> Mapping[str, Any]:
     return {"params": plan.config.vectors}
 
 
@@ -244,7 +244,7 @@ CHOOSE_CELL = Stage(
     "part",
     choose_cell,
     when=lambda plan: bool(vector_layers(plan)),
-    arguments=_given,
+    arguments=_arguments,
     after=(COUNT_PULSES.name,),
     needs=_of_blocks(COUNT_PULSES.name),
 )
@@ -257,7 +257,7 @@ FIND_BUILDINGS = Stage(
     when=lambda plan: "buildings" in vector_layers(plan),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
-    arguments=_given,
+    arguments=_arguments,
     reads=("classification", "confidence", "height_above_ground"),
     halo=lambda plan: MARGIN * plan.config.vectors.cells[-1],
     area=_largest_cells,

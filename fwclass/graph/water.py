@@ -171,7 +171,7 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
     pairs = list(zip(facts, bodies, strict=True))
     sloping = [t for t, b in pairs if b.lowest is not None and t["highest"] - t["lowest"] > params.most_spread]
     if sloping:
-        some = _named([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
+        some = _first_of([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
         lines.append(
             f"{len(sloping)} {all_of} are not flattened: the level differs by more than "
             f"water.most_spread ({params.most_spread:g} m) from place to place, as of a river: {some}. Cut them into "
@@ -191,24 +191,24 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
             words = [f"feature {t['feature']} {t['inside_level']:.2f}, shore {t['shore_level']:.2f} m" for t in some_of]
             lines.append(
                 f"{len(some_of)} {all_of}: ground echoes in them lie {'below' if kept else 'above'} the shore by more "
-                f"than water.most_spread ({params.most_spread:g} m), {does}: {_named(words, '; ')}. Are the polygons "
+                f"than water.most_spread ({params.most_spread:g} m), {does}: {_first_of(words, '; ')}. Are the polygons "
                 "in their place?"
             )
     few = [str(t["feature"]) for t, b in pairs if b.level is None]
     if few:
         lines.append(
             f"{len(few)} {all_of} are not flattened: fewer than {params.least} ground echoes lie in them or within "
-            f"{params.shore:g} m of their shores (features {_named(few, ', ')})"
+            f"{params.shore:g} m of their shores (features {_first_of(few, ', ')})"
         )
     return lines
 
 
-def _named(words: Sequence[str], between: str) -> str:
+def _first_of(words: Sequence[str], between: str) -> str:
     more = f" and {len(words) - NAMED} more" if len(words) > NAMED else ""
     return between.join(words[:NAMED]) + more
 
 
-def _wanted(plan: Plan) -> bool:
+def _is_wanted(plan: Plan) -> bool:
     return plan.config.water.file is not None
 
 
@@ -224,7 +224,7 @@ def source_of(file: PolygonFile | None) -> tuple[Location, FileDigests] | None:
 
 def levels_needed(plan: Plan) -> list[Name]:
     """The part that holds the survey's water, for a stage that flattens it."""
-    return [(LEVELS, "all")] if _wanted(plan) else []
+    return [(LEVELS, "all")] if _is_wanted(plan) else []
 
 
 READ_WATER = Stage(
@@ -233,7 +233,7 @@ READ_WATER = Stage(
     "survey",
     "part",
     water_read,
-    when=_wanted,
+    when=_is_wanted,
     arguments=lambda plan: {
         **read_as(plan.survey.water, plan.survey.crs),
         "step": plan.config.terrain.thin,
@@ -247,7 +247,7 @@ MEASURE_SHORE = Stage(
     "tile",
     "echo",
     shore_measured,
-    when=_wanted,
+    when=_is_wanted,
     arguments=lambda plan: {"reach": plan.config.water.shore},
     own=("x", "y", "z", "ground", "noise"),
     after=(WATER,),
@@ -259,7 +259,7 @@ LEVEL_WATER = Stage(
     "survey",
     "part",
     water_levelled,
-    when=_wanted,
+    when=_is_wanted,
     arguments=lambda plan: {"params": plan.config.water},
     silent=frozenset({"file", "layer", "crs", "shore", "stretch"}),  # what is read tells them
     after=(WATER, SHORE),

@@ -135,7 +135,7 @@ def pose(params: SimulateParams, strip: StripPlan, time: NDArray[np.float64]) ->
     )
 
 
-def measured(params: SimulateParams, strip: StripPlan, at: Pose, time: NDArray[np.float64]) -> Pose:
+def measure_pose(params: SimulateParams, strip: StripPlan, at: Pose, time: NDArray[np.float64]) -> Pose:
     """The pose `at` [m, rad] as the navigation has it: with errors that drift slowly and differ from strip to strip."""
     random = np.random.default_rng([params.seed, 4, strip.number])
     metres, degrees = params.flight.position_error, params.flight.attitude_error
@@ -193,7 +193,7 @@ def fire(params: SimulateParams, strip: StripPlan, first: int, count: int) -> Pu
     line, place = np.divmod(number, strip.per_line)
     time = line * (strip.spacing / params.flight.speed) + place / params.sensor.pulse_rate
     at = pose(params, strip, time)
-    seen = measured(params, strip, at, time)
+    seen = measure_pose(params, strip, at, time)
     to_east = strip.left + (strip.right - strip.left) * (place + 0.5) / strip.per_line
     scan = to_east if strip.north else -to_east
     direction = _beam(seen, scan)
