@@ -68,8 +68,8 @@ def class_remarks(
     sentences = []
     if stay:
         sentences.append(
-            f"{sum(stay.values()):,} {what} keep the class of their source ({_listing(stay)}): they are not classified, "
-            "have no confidence, and no accuracy counts them"
+            f"{sum(stay.values()):,} {what} keep the class of their source ({_listing(stay)}): they are not classified"
+            ", have no confidence, and no accuracy counts them"
         )
     elif kept:
         sentences.append(f"none of the {what} has a class that is to be kept (classify.only, classify.keep)")

@@ -171,7 +171,7 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
     pairs = list(zip(facts, bodies, strict=True))
     sloping = [t for t, b in pairs if b.lowest is not None and t["highest"] - t["lowest"] > params.most_spread]
     if sloping:
-        some = _first_of([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
+        some = _listing([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
         lines.append(
             f"{len(sloping)} {all_of} are not flattened: the level differs by more than "
             f"water.most_spread ({params.most_spread:g} m) from place to place, as of a river: {some}. Cut them into "
@@ -191,19 +191,19 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
             words = [f"feature {t['feature']} {t['inside_level']:.2f}, shore {t['shore_level']:.2f} m" for t in some_of]
             lines.append(
                 f"{len(some_of)} {all_of}: ground echoes in them lie {'below' if kept else 'above'} the shore by more "
-                f"than water.most_spread ({params.most_spread:g} m), {does}: {_first_of(words, '; ')}. Are the polygons "
+                f"than water.most_spread ({params.most_spread:g} m), {does}: {_listing(words, '; ')}. Are the polygons "
                 "in their place?"
             )
     few = [str(t["feature"]) for t, b in pairs if b.level is None]
     if few:
         lines.append(
             f"{len(few)} {all_of} are not flattened: fewer than {params.least} ground echoes lie in them or within "
-            f"{params.shore:g} m of their shores (features {_first_of(few, ', ')})"
+            f"{params.shore:g} m of their shores (features {_listing(few, ', ')})"
         )
     return lines
 
 
-def _first_of(words: Sequence[str], between: str) -> str:
+def _listing(words: Sequence[str], between: str) -> str:
     more = f" and {len(words) - NAMED} more" if len(words) > NAMED else ""
     return between.join(words[:NAMED]) + more
 
