@@ -420,12 +420,12 @@ def plain_values(values: Mapping[str, Any], silent: frozenset[str] = frozenset()
     return result
 
 
-def _disjoint(some: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
+def _disjoint(values: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
     """Both together; `TypeError` where one would hide a value of the other from the key."""
-    both = some.keys() & more.keys()
+    both = values.keys() & others.keys()
     if both:
         raise TypeError(f"two arguments of a stage enter its key as {', '.join(sorted(both))}: give one another name")
-    return {**some, **more}
+    return {**values, **others}
 
 
 def _plain(value: Any, silent: frozenset[str] = frozenset()) -> Any:
