@@ -124,8 +124,8 @@ def codes_of(table: Table) -> dict[str, int]:
 
 def _arguments(plan: Plan) -> Mapping[str, Any]:
     shares = plan.config.classify.probabilities
-    asked = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
-    return {**asked, **keeping(plan)}
+    arguments = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
+    return {**arguments, **keeping(plan)}
 
 
 def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:

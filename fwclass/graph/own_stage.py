@@ -224,13 +224,13 @@ class OfBlock(Adapter):
 
     def __call__(self, here: StageInputs, block: float, **settings: Any) -> Result:
         around = around_block(here)
-        given = self.function(around.table, **settings)
-        flags = [np.asarray(f) for f in given] if isinstance(given, (tuple, list)) else []
+        answer = self.function(around.table, **settings)
+        flags = [np.asarray(f) for f in answer] if isinstance(answer, (tuple, list)) else []
         if len(flags) != 2 or any(f.dtype != bool or f.shape != (around.table.rows,) for f in flags):
             raise self.fault(
                 "a ground filter gives two flags for every row: ground, and noise",
                 f"two bool arrays of {around.table.rows:,}",
-                ", ".join(f"{f.dtype} {f.shape}" for f in flags) or type(given).__name__,
+                ", ".join(f"{f.dtype} {f.shape}" for f in flags) or type(answer).__name__,
                 "return ground, noise",
             )
         return of_flags(around, Flags(*flags))

@@ -71,7 +71,7 @@ def write_report(
     from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
 
     source = source_codes({(SPLIT.name, r.part): r for r in receipts_of_run(runner, SPLIT.name)})
-    kept = Kept.of(config.classify)
+    keeps = Kept.of(config.classify)
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
@@ -79,7 +79,7 @@ def write_report(
         "counts": _counts(runner),
         "stages": [_stage(runner, name, tally) for name, tally in runner.tallies.items()],
         "graph": list(graph),
-        "classes": (classes := _classes(config, source, kept) if (classified := "classify" in runner.tallies) else []),
+        "classes": (classes := _classes(config, source, keeps) if (classified := "classify" in runner.tallies) else []),
         "accuracy": (accuracy := _accuracy(runner, config)),
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(runner, names),
@@ -115,9 +115,9 @@ def write_report(
             *_crowd_remarks(runner, config),
             *_empty(files),
             *_of_parts(runner),
-            *(class_remarks(source, known_codes(config.classes), kept) if classified else ()),
+            *(class_remarks(source, known_codes(config.classes), keeps) if classified else ()),
         ],
-        "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
+        "kept": {str(c): n for c, n in kept_codes(source, keeps).items()},
         "ground": _ground(runner, config),
         "water": [body for r in receipts_of_run(runner, LEVELS) for body in r.meta["bodies"]],
         "quality": next((r.meta["quality"] for r in receipts_of_run(runner, "publish-quality")), None),
