@@ -11,7 +11,7 @@ from pathlib import Path
 import laspy
 
 from fwclass import conf
-from fwclass.operate.status.walk import Looked, look_at
+from fwclass.operate.status.walk import RunStatus, look_at
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -52,7 +52,7 @@ def walk(
         return runner, report
 
 
-def looked(survey: Path, root: Path, *settings: str) -> Looked:
+def looked(survey: Path, root: Path, *settings: str) -> RunStatus:
     """How the run that `walk` makes stands."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *settings))
     return look_at(root, lambda runner: WORKFLOWS["classification"](config, runner, None))

@@ -13,7 +13,7 @@ import numpy as np
 from fwclass import conf
 from fwclass.cli.runner import open_runner
 from fwclass.graph.file_digests import Digests
-from fwclass.operate.history import recorded
+from fwclass.operate.history import record_run
 from fwclass.operate.request import Request
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Task
@@ -70,7 +70,7 @@ def tasks(parts: str, text: str, external: tuple = ()) -> list[Task]:
 
 def run(location: RunLocation, source: Path, parts: str, text: str) -> list[str]:
     """As `fwclass run`; the messages of parts that failed."""
-    with recorded(location, REQUEST) as entry, open_runner(location, 0, None, LIMITS) as runner:
+    with record_run(location, REQUEST) as entry, open_runner(location, 0, None, LIMITS) as runner:
         REQUEST.keep(runner.store)
         entry.begin(runner)
         digests = Digests(runner.store)

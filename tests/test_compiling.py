@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from fwclass import compiling
 from fwclass.cli import cli
 from fwclass.operate import ahead
-from fwclass.operate.ahead import _text, _type, listed
+from fwclass.operate.ahead import _text, _type, listed_kernels
 
 LOWER = """
 from fwclass.kernel import kernel, vectorised
@@ -249,7 +249,7 @@ def test_a_person_is_told_from_a_second_on(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_list_of_kernels_can_be_read_and_is_as_it_is_written() -> None:
-    kernels = listed()
+    kernels = listed_kernels()
     assert len(kernels) > 80
     for kernel, types in kernels:
         assert [_text(_type(told)) for told in types] == types, kernel
@@ -257,8 +257,8 @@ def test_the_list_of_kernels_can_be_read_and_is_as_it_is_written() -> None:
 
 
 def test_an_entry_that_does_not_fit_its_kernel_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    kernel, types = next(row for row in listed() if row[0].__name__ == "levels")
-    monkeypatch.setattr(ahead, "listed", lambda: [(kernel, types[1:]), (kernel, types)])
+    kernel, types = next(row for row in listed_kernels() if row[0].__name__ == "levels")
+    monkeypatch.setattr(ahead, "listed_kernels", lambda: [(kernel, types[1:]), (kernel, types)])
     made = ahead.compile_all()
     assert made["listed"] == 2 and len(made["left_out"]) == 1 and made["left_out"][0].startswith("levels: ")
 

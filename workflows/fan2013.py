@@ -47,12 +47,12 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     }
     variants = fan.variants(config, names, printed)
     columns = tuple(dict.fromkeys((*names, *used)))  # the run's own forest may decide by what the paper lacks
-    made = dict(require_all(runner, data_tasks(plan.layout, columns) + learn_tasks(config, columns, variants)))
-    made |= require_all(runner, comparison_tasks(config, fan.comparisons(config, variants)))
-    made |= require_all(runner, time_tasks(config, columns, fan.timed(variants)))
+    receipts = dict(require_all(runner, data_tasks(plan.layout, columns) + learn_tasks(config, columns, variants)))
+    receipts |= require_all(runner, comparison_tasks(config, fan.comparisons(config, variants)))
+    receipts |= require_all(runner, time_tasks(config, columns, fan.timed_variants(variants)))
 
     def page() -> dict[str, Any]:
-        facts = fan.facts(config, printed, report, curves, variants, made)
+        facts = fan.facts(config, printed, report, curves, variants, receipts)
         return deliver(config, runner, plan.layout, report, facts)
 
     return runner.tell(page)

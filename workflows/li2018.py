@@ -10,8 +10,7 @@ from fwclass.errors import ConfigError
 from fwclass.graph.area_of_interest import Area
 from fwclass.graph.workflow import Workflow
 from fwclass.run.runner import Runner, require_all
-from fwclass.study.papers.li import drive_tasks, facts, table_tasks
-from fwclass.study.papers.li_page import deliver
+from fwclass.study.papers.li import deliver, drive_tasks, facts, table_tasks
 
 NAME = "li2018"
 
@@ -24,10 +23,10 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     if tiles is not None:
         raise ConfigError("a street has no tiles", where="--tiles", do="leave --tiles out")
     printed = paper(NAME)
-    made = dict(require_all(runner, drive_tasks(config)))
-    made |= require_all(runner, table_tasks(config, printed))
+    receipts = dict(require_all(runner, drive_tasks(config)))
+    receipts |= require_all(runner, table_tasks(config, printed))
     runner.finish(whole=True)
-    return runner.tell(lambda: deliver(runner, facts(config, printed, made)))
+    return runner.tell(lambda: deliver(runner, facts(config, printed, receipts)))
 
 
 li2018 = Workflow(NAME, "Li 2018: street-tree crowns from a 2-D scanner, figures beside the paper's", (), walk)

@@ -5,28 +5,15 @@ from __future__ import annotations
 from fwclass.graph.ground import FILTER_GROUND, GATHER_GROUND
 from fwclass.graph.ground_classes import without_classifier
 from fwclass.graph.quality import DELIVER_QUALITY, MEASURE_QUALITY
-from fwclass.graph.sources import DECOMPOSE_RETURNS, DECOMPOSE_WAVES, INDEX, MEASURE_PLACES, MEASURE_PULSE, READ_SPAN
+from fwclass.graph.sources import INDEX
+from fwclass.graph.stages import OF_STRIPS
 from fwclass.graph.survey import SIMULATE
-from fwclass.graph.tiling import SPLIT_ECHOES, TILE_ECHOES
+from fwclass.graph.tiling import TILE_ECHOES
 from fwclass.graph.workflow import Workflow
 
 quality = Workflow(
     "quality",
     "how good a survey is: density, noise, differences of strips; without labels or a model",
-    stages=(
-        SIMULATE,
-        INDEX,
-        READ_SPAN,
-        MEASURE_PULSE,
-        MEASURE_PLACES,
-        DECOMPOSE_WAVES,
-        DECOMPOSE_RETURNS,
-        SPLIT_ECHOES,
-        TILE_ECHOES,
-        FILTER_GROUND,
-        GATHER_GROUND,
-        MEASURE_QUALITY,
-        DELIVER_QUALITY,
-    ),
+    stages=(SIMULATE, INDEX, *OF_STRIPS, TILE_ECHOES, FILTER_GROUND, GATHER_GROUND, MEASURE_QUALITY, DELIVER_QUALITY),
     settle=without_classifier,
 )

@@ -43,17 +43,17 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         return report
     variants = shi.variants(config, names)
     columns = tuple(dict.fromkeys((*names, *used)))
-    made = dict(
+    receipts = dict(
         require_all(runner, data_tasks(plan.layout, columns, True) + shi.ladder_tasks(config, columns, variants))
     )
-    made |= require_all(runner, shi.layer_tasks(plan.layout, columns))
-    made |= require_all(runner, comparison_tasks(config, shi.comparisons(variants)))
-    made |= require_all(runner, shi.clock_tasks(config, columns, variants))
+    receipts |= require_all(runner, shi.layer_tasks(plan.layout, columns))
+    receipts |= require_all(runner, comparison_tasks(config, shi.comparisons(variants)))
+    receipts |= require_all(runner, shi.clock_tasks(config, columns, variants))
 
     def page() -> dict[str, Any]:
-        facts = shi.facts(config, printed, report, names, variants, plan.layout, made)
+        facts = shi.facts(config, printed, report, variants, plan.layout, receipts)
         inputs = PartInputs(runner.store)
-        return deliver(config, runner, plan.layout, report, facts, scenes=scenes(plan.layout, made, inputs))
+        return deliver(config, runner, plan.layout, report, facts, scenes=scenes(plan.layout, receipts, inputs))
 
     return runner.tell(page)
 

@@ -18,6 +18,7 @@ from fwclass.study.papers import xiong
 from fwclass.study.papers.begin import require_whole
 from fwclass.study.papers.page import deliver
 from fwclass.study.papers.variants import comparison_tasks, data_tasks, importance_tasks, learn_tasks, time_tasks
+from fwclass.study.select.thinning import measure_rates
 from fwclass.study.selection import selection
 from workflows.classification import classification
 
@@ -33,7 +34,7 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
     printed, names = paper(NAME), config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
     aside = runner.beside()
-    choice, final = selected(config, aside)
+    choice, final = select_features(config, aside)
     chosen = final.features_asked
     plan = without_corrections(until_tiles(Plan(config, names, names), runner))
     best = replace(plan, config=final, names=chosen, tiled=replace(plan.layout, config=final))
@@ -42,26 +43,24 @@ def walk(config: Config, runner: Runner, tiles: frozenset[str] | Area | None = N
         return report
     variants = xiong.variants(config, names, chosen)
     forest = next(v for v in variants if v.name == xiong.ALL)
-    made = dict(require_all(runner, data_tasks(plan.layout, names) + learn_tasks(config, names, variants)))
-    made |= require_all(runner, importance_tasks(config, names, forest))
-    made |= require_all(runner, comparison_tasks(config, xiong.comparisons(variants)))
-    thinned = xiong.thinned(config, aside, plan.layout, chosen)
-    made |= require_all(runner, time_tasks(config, names, variants))
+    receipts = dict(require_all(runner, data_tasks(plan.layout, names) + learn_tasks(config, names, variants)))
+    receipts |= require_all(runner, importance_tasks(config, names, forest))
+    receipts |= require_all(runner, comparison_tasks(config, xiong.comparisons(variants)))
+    thinned = measure_rates(config, aside, plan.layout, chosen)
+    receipts |= require_all(runner, time_tasks(config, names, variants))
 
     def page() -> dict[str, Any]:
-        facts = xiong.facts(config, printed, report, choice, thinned, variants, made)
+        facts = xiong.facts(config, printed, report, choice, thinned, variants, receipts)
         return deliver(config, runner, plan.layout, report, facts)
 
     return runner.tell(page)
 
 
-def selected(config: Config, runner: Runner) -> tuple[dict[str, Any], Config]:
-    """What the selection among the survey's features tells, and `config` with the set that it chose."""
-    selection_of_features = selection(config, runner, config.features_asked, "rffs")
-    survey = config.survey.model_copy(update={"features": tuple(selection_of_features["chosen"])})
-    return selection_of_features, replace(
-        config, survey=survey, features=config.features.model_copy(update={"also": ()})
-    )
+def select_features(config: Config, runner: Runner) -> tuple[dict[str, Any], Config]:
+    """The selection among the survey's features, as plain data, and `config` with the set that it chose."""
+    choice = selection(config, runner, config.features_asked, "rffs")
+    survey = config.survey.model_copy(update={"features": tuple(choice["chosen"])})
+    return choice, replace(config, survey=survey, features=config.features.model_copy(update={"also": ()}))
 
 
 xiong2018 = Workflow(NAME, "Xiong 2018: features are chosen, figures beside the paper's", classification.stages, walk)

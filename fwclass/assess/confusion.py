@@ -89,27 +89,27 @@ def _kappa(right: NDArray[np.int64], rows: NDArray[np.int64], columns: NDArray[n
     return _share(total * int(right.sum()) - chance, everything - chance)
 
 
-def describe(made: dict[str, Any]) -> str:
+def describe(figures: dict[str, Any]) -> str:
     """The figures as a table for a terminal: counts with the reference in rows, then percentages."""
-    names = [str(n) for n in made["classes"]]
-    lost = made.get("unclassified")
+    names = [str(n) for n in figures["classes"]]
+    lost = figures.get("unclassified")
     columns = [*names, *(["none"] if lost else []), "producer's %"]
     body = [
         [name, *(f"{v:,}".replace(",", " ") for v in (*row, *([lost[i]] if lost else []))), _percent(p)]
-        for i, (name, row, p) in enumerate(zip(names, made["confusion"], made["producers_accuracy"], strict=True))
+        for i, (name, row, p) in enumerate(zip(names, figures["confusion"], figures["producers_accuracy"], strict=True))
     ]
     gap = [""] * (1 + bool(lost))
-    body.append(["user's %", *map(_percent, made["users_accuracy"]), *gap])
-    body.append(["IoU %", *map(_percent, made["iou"]), *gap])
-    lines = _aligned([["reference \\ predicted", *columns], *body])
+    body.append(["user's %", *map(_percent, figures["users_accuracy"]), *gap])
+    body.append(["IoU %", *map(_percent, figures["iou"]), *gap])
+    lines = _align([["reference \\ predicted", *columns], *body])
     width = max(map(len, lines))
     lines.insert(1, "-" * width)
     lines.insert(len(names) + 2, "-" * width)
     summary = [("overall accuracy", "overall_accuracy"), ("mean IoU", "mean_iou")]
-    if "type_i" in made:
+    if "type_i" in figures:
         summary += [("type I", "type_i"), ("type II", "type_ii"), ("total error", "total_error")]
-    totals = [f"{label} {_percent(made[key])} %".replace("- %", "-") for label, key in summary]
-    kappa = made["kappa"]
+    totals = [f"{label} {_percent(figures[key])} %".replace("- %", "-") for label, key in summary]
+    kappa = figures["kappa"]
     totals.append(f"kappa {kappa:.3f}" if kappa is not None else "kappa -")
     return "\n".join([*lines, "", ", ".join(totals)])
 
@@ -118,7 +118,7 @@ def _percent(value: float | None) -> str:
     return "-" if value is None else f"{100 * value:.1f}"
 
 
-def _aligned(rows: list[list[str]]) -> list[str]:
+def _align(rows: list[list[str]]) -> list[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(

@@ -42,7 +42,7 @@ def distribution(
     return {name: _histogram(values, index, len(classes)) for name, values in features.items()}
 
 
-def packed(
+def pack(
     features: Table, reference: NDArray[np.uint8], classes: Sequence[ClassDef]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The histograms of `distribution`, one after another, without their empty bins: places and counts.
@@ -59,10 +59,10 @@ def packed(
     return np.concatenate(places), np.concatenate(counts)
 
 
-def unpacked(
+def unpack(
     parts: Iterable[tuple[NDArray[np.int64], NDArray[np.int64]]], names: Sequence[str], classes: int
 ) -> dict[str, NDArray[np.int64]]:
-    """The sum of `packed` histograms of the columns `names`, each (classes, BINS)."""
+    """The sum of `pack` histograms of the columns `names`, each (classes, BINS)."""
     total = np.zeros(len(names) * classes * BINS, np.int64)
     for places, counts in parts:
         total[places] += counts

@@ -43,10 +43,10 @@ def intervals(blocks: ArrayLike) -> dict[str, Any] | None:
     ``{"level", "blocks", figure: [low, high]}``, plain data for JSON; the same for the same counts in any order of
     the blocks. A figure that is 0 / 0 in a resample leaves that one out; None where it is in all.
     """
-    counts = _ordered(_counts(blocks))
+    counts = _sort_blocks(_counts(blocks))
     if len(counts) < LEAST:
         return None
-    drawn = scores(_resampled(counts))
+    drawn = scores(_resample(counts))
     return {"level": LEVEL, "blocks": len(counts), **_ends(drawn)}
 
 
@@ -67,10 +67,10 @@ def difference(first: ArrayLike, second: ArrayLike) -> dict[str, Any] | None:
     if a.shape[:2] != b.shape[:2] or (a.sum(axis=2) != b.sum(axis=2)).any():
         raise ValueError("two maps are compared on the same reference in the same blocks")
     split = a.shape[2]
-    both = _ordered(_counts(np.concatenate([a, b], axis=2)))
+    both = _sort_blocks(_counts(np.concatenate([a, b], axis=2)))
     if len(both) < LEAST:
         return None
-    drawn = _resampled(both)
+    drawn = _resample(both)
     ends = _ends(scores(drawn[:, :, split:]) - scores(drawn[:, :, :split]))
     whole = both.sum(axis=0)[None]
     gain = (scores(whole[:, :, split:]) - scores(whole[:, :, :split]))[0]
@@ -119,13 +119,13 @@ def _counts(blocks: ArrayLike) -> NDArray[np.int64]:
     return counts[counts.any(axis=(1, 2))]
 
 
-def _ordered(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+def _sort_blocks(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """The blocks sorted by their counts, so that the order they came in does not matter."""
     flat = counts.reshape(len(counts), counts.shape[1] * counts.shape[2])
     return counts[np.lexsort(flat.T[::-1])]
 
 
-def _resampled(counts: NDArray[np.int64]) -> NDArray[np.float64]:
+def _resample(counts: NDArray[np.int64]) -> NDArray[np.float64]:
     """(DRAWS, ...) sums of `counts` over as many blocks, drawn with replacement; exact, as whole numbers below 2^53."""
     blocks, rest = len(counts), counts.shape[1:]
     flat = counts.reshape(blocks, -1).astype(float)

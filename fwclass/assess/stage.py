@@ -6,7 +6,7 @@ from typing import Any
 
 from fwclass.assess.blocks import BlockCounts
 from fwclass.assess.confusion import confusion, describe, figures, unclassified
-from fwclass.assess.distribution import QUANTILES, distribution, packed, quantiles, summary, unpacked
+from fwclass.assess.distribution import QUANTILES, distribution, pack, quantiles, summary, unpack
 from fwclass.assess.intervals import caution, difference, intervals
 from fwclass.assess.params import AssessParams
 from fwclass.errors import QualityError
@@ -25,18 +25,18 @@ __all__ = [
     "figures",
     "intervals",
     "judge",
-    "packed",
+    "pack",
     "quantiles",
     "summary",
     "unclassified",
-    "unpacked",
+    "unpack",
 ]
 
 
-def judge(made: dict[str, Any], params: AssessParams) -> None:
+def judge(result: dict[str, Any], params: AssessParams) -> None:
     """`QualityError` naming the first figure of `figures` that misses its threshold, or that has no value."""
     for key, least in (("overall_accuracy", params.min_overall_accuracy), ("kappa", params.min_kappa)):
-        value = made[key]
+        value = result[key]
         if least is not None and (value is None or value < least):
             raise QualityError(
                 f"{key.replace('_', ' ')} misses its threshold",

@@ -21,13 +21,13 @@ def compile_kernels(as_json: bool) -> None:
     from fwclass.operate.ahead import compile_all
 
     compiling.listeners.clear()
-    done = compile_all(lambda text: click.echo(f"compiling        {text}", err=True))
+    result = compile_all(lambda text: click.echo(f"compiling        {text}", err=True))
     click.echo(
-        f"{done['compiled']} kernels compiled in {done['seconds']:g} s; all {done['listed']} that are called lie in "
-        f"{done['directory']}",
+        f"{result['compiled']} kernels compiled in {result['seconds']:g} s; all {result['listed']} that are called "
+        f"lie in {result['directory']}",
         err=True,
     )
-    for text in done["left_out"]:
+    for text in result["left_out"]:
         click.echo(f"left out: {text}; it is compiled when it is called", err=True)
     if as_json:
-        click.echo(json.dumps(done, indent=1))
+        click.echo(json.dumps(result, indent=1))

@@ -28,14 +28,14 @@ CRS = click.option(
 @SET
 @SCHEDULER
 @WORKERS
-def voxels(source: Path, size: float | None, settings: tuple[str, ...], **asked: Any) -> None:
+def voxels(source: Path, size: float | None, settings: tuple[str, ...], **options: Any) -> None:
     """Voxels: returned energy, hits, passes, occlusion, transmittance, as one Zarr group.
 
     Of a survey (CONF), or of one file of waveforms; nothing is classified. What the run directory has of it already is
     not made again.
     """
     settings += ("voxels.write=true", *((f"voxels.size={size}",) if size is not None else ()))
-    _made(source, settings, **asked)
+    _run(source, settings, **options)
 
 
 @cli.command()
@@ -47,17 +47,17 @@ def voxels(source: Path, size: float | None, settings: tuple[str, ...], **asked:
 @SET
 @SCHEDULER
 @WORKERS
-def profile(source: Path, cell: float | None, settings: tuple[str, ...], **asked: Any) -> None:
+def profile(source: Path, cell: float | None, settings: tuple[str, ...], **options: Any) -> None:
     """Vertical profiles by cell: energy a metre of height above ground, relative heights, cover, as one Zarr group.
 
     Of a survey (CONF), or of one file of waveforms; nothing is classified. What the run directory has of it already is
     not made again.
     """
     settings += ("profile.write=true", *((f"profile.cell={cell}",) if cell is not None else ()))
-    _made(source, settings, **asked)
+    _run(source, settings, **options)
 
 
-def _made(
+def _run(
     source: Path,
     settings: tuple[str, ...],
     out: Any,

@@ -38,7 +38,7 @@ SETS = click.option(
 @OVERWRITE
 @JSON
 def features(
-    source: Path | None, output: Path | None, words: tuple[str, ...], show: bool, as_json: bool, **asked: Any
+    source: Path | None, output: Path | None, words: tuple[str, ...], show: bool, as_json: bool, **options: Any
 ) -> None:
     """Features of every echo of one file as GeoParquet; or, with --list, which features and sets there are.
 
@@ -51,7 +51,7 @@ def features(
 
     named, settings = sorted_settings(words)
     if show:
-        if output is not None or settings or asked["listed"]:
+        if output is not None or settings or options["listed"]:
             raise click.UsageError("--list shows features, or those of one set: --list NAME")
         _list(*((str(source), "--list") if source is not None else (named, "--set")), as_json)
         return
@@ -62,7 +62,7 @@ def features(
     from fwclass.single_file.ground.steps import Steps
 
     with Steps() as steps:
-        summary = features_file(FeaturesJob(source, output, named, settings=settings, **asked), steps.tell)
+        summary = features_file(FeaturesJob(source, output, named, settings=settings, **options), steps.tell)
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))

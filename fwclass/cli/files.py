@@ -62,8 +62,8 @@ def _info_waveforms(
 
     if len(files) > 1:
         raise click.UsageError("--waveforms takes one file")
-    seen = look(files[0], pulses, settings, out, overwrite)
-    click.echo(json.dumps(seen, indent=1) if as_json else describe(seen))
+    report = look(files[0], pulses, settings, out, overwrite)
+    click.echo(json.dumps(report, indent=1) if as_json else describe(report))
 
 
 def _info_facts(files: tuple[Path, ...], as_json: bool) -> None:

@@ -46,7 +46,9 @@ FLAGGED = click.option("--use-flagged", is_flag=True, help="Show withheld and sy
 @click.option("--out", type=PATH, help="With --optimize or --compare: directory of what they write.")
 @OVERWRITE
 @JSON
-def ground(source: Path, output: Path | None, optimize: bool, compare: str | None, as_json: bool, **asked: Any) -> None:
+def ground(
+    source: Path, output: Path | None, optimize: bool, compare: str | None, as_json: bool, **options: Any
+) -> None:
     """Ground points of one file: class 2, everything else class 1, noise class 7.
 
     IN is LAS, LAZ, COPC or text (x y z [label]); OUT is LAS, LAZ or text. Points keep their order and all their other
@@ -55,67 +57,67 @@ def ground(source: Path, output: Path | None, optimize: bool, compare: str | Non
     if optimize and compare is not None:
         raise click.UsageError("--optimize and --compare are two commands: give one of them")
     if optimize or compare is not None:
-        _study(source, output, compare, as_json, asked)
+        _study(source, output, compare, as_json, options)
         return
     if output is None:
         raise click.UsageError("Missing argument 'OUT': where the points go")
-    if asked.pop("reference") is not None or asked.pop("out") is not None:
+    if options.pop("reference") is not None or options.pop("out") is not None:
         raise click.UsageError("--reference and --out belong to --optimize and --compare")
-    _classify(source, output, as_json, asked)
+    _classify(source, output, as_json, options)
 
 
-def _classify(source: Path, output: Path, as_json: bool, asked: dict[str, Any]) -> None:
+def _classify(source: Path, output: Path, as_json: bool, options: dict[str, Any]) -> None:
     from fwclass.single_file.ground.file import GroundJob, ground_file
     from fwclass.single_file.ground.steps import Steps
     from fwclass.single_file.ground.text import describe
 
-    auto = asked.pop("auto")
-    wanted = {name: asked.pop(name) for name in RASTERS}
+    auto = options.pop("auto")
+    wanted = {name: options.pop(name) for name in RASTERS}
     rasters = {name: path for name, path in wanted.items() if path is not None}
-    if (cell := asked.pop("cell")) is not None:
+    if (cell := options.pop("cell")) is not None:
         if not rasters:
             raise click.UsageError("--cell is that of the rasters, and none is asked for; the filter's is a --param")
-        asked["settings"] += (f"terrain.cell={cell}",)
+        options["settings"] += (f"terrain.cell={cell}",)
     with Steps() as steps:
         if auto:
-            asked["adapt"] = _adapting(asked, steps.tell)
-        summary = ground_file(GroundJob(source, output, rasters=rasters, **asked), steps.tell)
+            options["adapt"] = _adapting(options, steps.tell)
+        summary = ground_file(GroundJob(source, output, rasters=rasters, **options), steps.tell)
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
 
 
-def _adapting(asked: dict[str, Any], tell: Any) -> Any:
+def _adapting(options: dict[str, Any], tell: Any) -> Any:
     """``--auto``; the filter is chosen too where nothing names one."""
     from fwclass.single_file.ground.file import adapting
 
-    named = asked["method"] or asked["preset"] or any(s.startswith("ground.method") for s in asked["settings"])
-    return adapting(not named, asked["settings"], tell)
+    named = options["method"] or options["preset"] or any(s.startswith("ground.method") for s in options["settings"])
+    return adapting(not named, options["settings"], tell)
 
 
-def _study(source: Path, output: Path | None, methods: str | None, as_json: bool, asked: dict[str, Any]) -> None:
+def _study(source: Path, output: Path | None, methods: str | None, as_json: bool, options: dict[str, Any]) -> None:
     """Filters are looked at, no points are written."""
-    alien = [f"--{n.replace('_', '-')}" for n in ("keep_classes", "use_flagged", *RASTERS, "cell") if asked.pop(n)]
-    if output is not None or alien:
-        raise click.UsageError(f"{alien[0] if alien else 'OUT'} has no place here: nothing is classified; see --out")
+    unused = [f"--{n.replace('_', '-')}" for n in ("keep_classes", "use_flagged", *RASTERS, "cell") if options.pop(n)]
+    if output is not None or unused:
+        raise click.UsageError(f"{unused[0] if unused else 'OUT'} has no place here: nothing is classified; see --out")
     from fwclass.single_file.ground.steps import Steps
 
-    auto = asked.pop("auto")
+    auto = options.pop("auto")
     if methods is None:
         if auto:
             raise click.UsageError("--optimize searches what --auto would measure: give one of them")
         from fwclass.single_file.ground.search import describe, optimize
 
         with Steps() as steps:
-            result = optimize(source, say=steps.say, tell=steps.tell, **asked)
+            result = optimize(source, say=steps.say, tell=steps.tell, **options)
     else:
         from fwclass.single_file.ground.compare import compare, describe
 
-        if asked.pop("method") or asked.pop("assignments"):
+        if options.pop("method") or options.pop("assignments"):
             raise click.UsageError("--compare names its filters itself; give parameters with --set")
         with Steps() as steps:
-            adapt = _adapting({**asked, "method": "each its own"}, steps.tell) if auto else None
-            result = compare(source, methods, say=steps.say, tell=steps.tell, adapt=adapt, **asked)
+            adapt = _adapting({**options, "method": "each its own"}, steps.tell) if auto else None
+            result = compare(source, methods, say=steps.say, tell=steps.tell, adapt=adapt, **options)
     click.echo(describe(result), err=True)
     if as_json:
         click.echo(json.dumps(result, indent=1))
@@ -134,7 +136,7 @@ def _study(source: Path, output: Path | None, methods: str | None, as_json: bool
 @CRS
 @OVERWRITE
 @JSON
-def normalize(source: Path, output: Path, as_json: bool, **asked: Any) -> None:
+def normalize(source: Path, output: Path, as_json: bool, **options: Any) -> None:
     """Heights above ground of one file in place of z.
 
     The ground is what has class 2; with --method, --preset or --param it is looked for. All other fields stay.
@@ -144,7 +146,7 @@ def normalize(source: Path, output: Path, as_json: bool, **asked: Any) -> None:
     from fwclass.single_file.ground.text import describe_heights
 
     with Steps() as steps:
-        summary = normalize_file(NormalizeJob(source, output, **asked), steps.tell)
+        summary = normalize_file(NormalizeJob(source, output, **options), steps.tell)
     click.echo(describe_heights(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))

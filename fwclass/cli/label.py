@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from fwclass.cli.base import PATH, cli
-from fwclass.cli.status import chosen
+from fwclass.cli.status import chosen_tiles
 
 
 def _login() -> str:
@@ -35,7 +35,7 @@ def checkout(run: Path, directory: Path, tiles: str | None, least_sure: int | No
 
     if (tiles is None) == (least_sure is None):
         raise click.UsageError("give either --tiles or --least-sure")
-    keys = chosen(tiles, None) if least_sure is None else least_sure_tiles(run, least_sure)
+    keys = chosen_tiles(tiles, None) if least_sure is None else least_sure_tiles(run, least_sure)
     click.echo(check_out(run, directory, keys if isinstance(keys, frozenset) else ()), err=True)
 
 

@@ -33,7 +33,7 @@ def train(
     compare: str | None,
     out: Path | None,
     settings: tuple[str, ...],
-    **asked: Any,
+    **options: Any,
 ) -> None:
     """Train a model on a survey's training areas, and judge it on its test areas.
 
@@ -51,9 +51,9 @@ def train(
     config = configuration.load(conf, settings)
     root = out if out is not None else Path("runs") / config.survey.name
     if target is not None:
-        _train(config, root, target, asked)
+        _train(config, root, target, options)
     elif compare is not None:
-        _compare(config, root, _methods(compare), asked)
+        _compare(config, root, _methods(compare), options)
 
 
 def _known(method: str, where: str) -> str:
@@ -72,32 +72,32 @@ def _methods(text: str) -> tuple[str, ...]:
     return METHODS if text == "all" else tuple(dict.fromkeys(_known(n.strip(), "--compare") for n in text.split(",")))
 
 
-def _count(config: Any, asked: dict[str, Any]) -> int:
-    return int(config.run.workers if asked["workers"] is None else asked["workers"])
+def _count(config: Any, options: dict[str, Any]) -> int:
+    return int(config.run.workers if options["workers"] is None else options["workers"])
 
 
-def _train(config: Any, root: Path, target: Path, asked: dict[str, Any]) -> None:
+def _train(config: Any, root: Path, target: Path, options: dict[str, Any]) -> None:
     from fwclass.single_file.model_directory import check_target, deliver
     from fwclass.study.training import training
     from fwclass.study.training_text import describe
 
-    check_target(target, asked["overwrite"])
-    with open_runner(root, _count(config, asked), asked["scheduler"], config.run) as runner:
-        result = training(config, runner, asked["assess"])
-        deliver(runner.store.path("train", "model", "model"), target, asked["overwrite"])
+    check_target(target, options["overwrite"])
+    with open_runner(root, _count(config, options), options["scheduler"], config.run) as runner:
+        result = training(config, runner, options["assess"])
+        deliver(runner.store.path("train", "model", "model"), target, options["overwrite"])
     click.echo(f"{describe(result)}\nmodel       {target}", err=True)
-    if asked["as_json"]:
+    if options["as_json"]:
         click.echo(json.dumps({**result, "model": str(target)}, indent=1))
 
 
-def _compare(config: Any, root: Path, methods: tuple[str, ...], asked: dict[str, Any]) -> None:
+def _compare(config: Any, root: Path, methods: tuple[str, ...], options: dict[str, Any]) -> None:
     from fwclass.study.compare import describe
     from fwclass.study.training import comparison
 
-    with open_runner(root, _count(config, asked), asked["scheduler"], config.run) as runner:
+    with open_runner(root, _count(config, options), options["scheduler"], config.run) as runner:
         table = comparison(config, runner, methods)
-    click.echo(describe(table), err=asked["as_json"])
-    if asked["as_json"]:
+    click.echo(describe(table), err=options["as_json"])
+    if options["as_json"]:
         click.echo(json.dumps(table, indent=1))
 
 
@@ -167,7 +167,7 @@ def classify(
     only: str | None,
     keep: str | None,
     settings: tuple[str, ...],
-    **asked: Any,
+    **options: Any,
 ) -> None:
     """Classify the points of one file by a trained model.
 
@@ -180,11 +180,11 @@ def classify(
     from fwclass.single_file.features.echoes import Flight
     from fwclass.single_file.ground.steps import Steps
 
-    if asked["own_ground"] and (asked["method"] or asked["preset"] or asked["assignments"]):
+    if options["own_ground"] and (options["method"] or options["preset"] or options["assignments"]):
         raise click.UsageError("--own-ground takes the file's ground: no filter is run")
     settings += (f"classify.only={only}",) if only else ()
     settings += (f"classify.keep={keep}",) if keep else ()
-    job = ClassifyJob(source, output, settings=settings, flight=Flight(trajectory, undulation), **asked)
+    job = ClassifyJob(source, output, settings=settings, flight=Flight(trajectory, undulation), **options)
     with Steps() as steps:
         summary = classify_file(job, steps.tell)
     click.echo(describe(summary), err=True)

@@ -25,13 +25,13 @@ class Output:
         if self._stream is None:
             self._lost = self._lost or bool(text)
             return len(text)
-        with _told():
+        with _as_fault():
             return self._stream.write(text)
 
     def flush(self) -> None:
         """As of a text file."""
         if self._stream is not None:
-            with _told():
+            with _as_fault():
                 self._stream.flush()
 
     def check(self) -> None:
@@ -42,7 +42,7 @@ class Output:
 
 
 @contextmanager
-def _told() -> Iterator[None]:
+def _as_fault() -> Iterator[None]:
     try:
         yield
     except BrokenPipeError:

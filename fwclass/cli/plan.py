@@ -55,15 +55,15 @@ def plan(
     from fwclass.operate.estimate.output import check_free, deliver
     from fwclass.operate.estimate.text import describe
     from fwclass.operate.estimate.whole import as_json as plain
-    from fwclass.operate.estimate.whole import planned
+    from fwclass.operate.estimate.whole import make_plan
     from workflows import workflow_of
 
-    asked = workflow_of(workflow)
-    if count is not None and asked.settle is not None:
+    chosen = workflow_of(workflow)
+    if count is not None and chosen.settle is not None:
         raise ConfigError(
             "tiles are tried with the stages of `classification` alone", where="--dry-run", do="leave one of them out"
         )
-    config = configuration.load(conf, settings, asked.classifies)
+    config = configuration.load(conf, settings, chosen.classifies)
     if graph:
         _tell_graph(config, workflow, as_json)
         return
@@ -73,8 +73,8 @@ def plan(
     _check(config, workflow)
     facts = survey_facts(config, root)
     check_areas(config, facts.box)
-    settled, stages = (config, STAGES) if asked.settle is None else (asked.settle(config), asked.stages)
-    estimate = planned(settled, facts, number, room_at(root), stages=stages)
+    settled, stages = (config, STAGES) if chosen.settle is None else (chosen.settle(config), chosen.stages)
+    estimate = make_plan(settled, facts, number, room_at(root), stages=stages)
     if count is not None:
         estimate = _dry_run(estimate, count, root)
     paths = deliver(estimate, root)
@@ -89,13 +89,13 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
     """The plan again, by what the fullest tiles took."""
     from fwclass.errors import FwclassError
     from fwclass.operate.estimate.trial import trial, trial_of
-    from fwclass.operate.estimate.whole import planned
+    from fwclass.operate.estimate.whole import make_plan
     from fwclass.store.atomic import staged
 
-    asked = trial_of(estimate, count, root)
+    trial_ = trial_of(estimate, count, root)
     with staged(root / "plan") as scratch:
         with open_runner(scratch, estimate.workers, None, estimate.config.run) as runner:
-            keys = trial(asked, runner, count, estimate.halo)
+            keys = trial(trial_, runner, count, estimate.halo)
             failures, store = runner.failures, runner.store
         if failures:
             first = failures[0]
@@ -104,8 +104,8 @@ def _dry_run(estimate: Any, count: int, root: Path) -> Any:
                 got=first.message.splitlines()[0] if first.message else "",
                 do="mend the cause; the run would fail too",
             )
-        click.echo(f"dry run     tiles {', '.join(keys)} from {asked.files:,} files", err=True)
-        return planned(estimate.config, estimate.facts, estimate.workers, estimate.room, store)
+        click.echo(f"dry run     tiles {', '.join(keys)} from {trial_.files:,} files", err=True)
+        return make_plan(estimate.config, estimate.facts, estimate.workers, estimate.room, store)
 
 
 def _check(config: Any, workflow: str) -> None:

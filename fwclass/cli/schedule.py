@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from fwclass.cli.base import JSON, PATH, RUN, SCHEDULER, SET, WORKERS, cli
-from fwclass.cli.status import WORKFLOW, location_of_run, requested, run_at
+from fwclass.cli.status import WORKFLOW, location_of_run, read_request, run_at
 from fwclass.errors import ConfigError, visible
 
 
@@ -53,7 +53,7 @@ def schedule(
     """
     from fwclass.operate.schedule.loop import Schedule
 
-    config, request = requested(conf, out, (*settings, *_asked(every, cron, inbox)), workflow, None)
+    config, request = read_request(conf, out, (*settings, *_settings_of(every, cron, inbox)), workflow, None)
     own = any(setting.strip().startswith("schedule.command") for setting in settings)
     if config.schedule.command and not (allow_command or own):
         raise ConfigError(
@@ -71,7 +71,7 @@ def schedule(
     sys.exit(Schedule(config, request, location, tuple(words), once, lambda text: click.echo(text, err=True)).keep())
 
 
-def _asked(every: str | None, cron: str | None, inbox: Path | None) -> list[str]:
+def _settings_of(every: str | None, cron: str | None, inbox: Path | None) -> list[str]:
     """The options as settings, checked like those of the configuration that they replace."""
     if every is not None and cron is not None:
         raise ConfigError("--every and --cron exclude one another", where="--every, --cron", do="give one of them")

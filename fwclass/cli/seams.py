@@ -43,7 +43,7 @@ def seams(
     from fwclass.operate.request import Request
     from fwclass.operate.seams.places import shift_of
     from fwclass.operate.seams.summary import as_data, as_text, check_free, write_gpkg
-    from fwclass.operate.seams.walk import Asked
+    from fwclass.operate.seams.walk import SeamRequest
     from fwclass.operate.seams.walk import seams as measured
     from fwclass.run.progress import Display
     from fwclass.store.run_location import open_store
@@ -57,7 +57,7 @@ def seams(
     request = Request.kept(open_store(location, read_only=True), own_file(workflow))
     classifies = workflow_of(request.workflow).classifies
     config = configuration.load(request.conf, (*request.settings, *settings), classifies)
-    asked = Asked(
+    asked = SeamRequest(
         shift_of(shift, config.tile.size),
         config.seams.share if share is None else share,
         length,

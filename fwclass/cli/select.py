@@ -13,7 +13,7 @@ from fwclass.cli.runner import open_runner
 from fwclass.errors import ConfigError
 
 
-def _listed(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
+def _split_names(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
     """``a,b,c`` as names."""
     return tuple(word.strip() for word in text.split(",") if word.strip()) if text else ()
 
@@ -28,7 +28,7 @@ def _listed(context: click.Context, parameter: click.Parameter, text: str | None
 )
 @click.option("--candidates", metavar="SET|FILE|A,B,…", help="What to choose from (default: survey.features).")
 @click.option(
-    "--order", metavar="A,B,…", callback=_listed, help="With forward: add in this order, drop what gains nothing."
+    "--order", metavar="A,B,…", callback=_split_names, help="With forward: add in this order, drop what gains nothing."
 )
 @click.option(
     "--pick",
@@ -57,7 +57,7 @@ def select(
     workers: int | None,
     overwrite: bool,
     as_json: bool,
-    **asked: Any,
+    **options: Any,
 ) -> None:
     """Choose features on the training areas of a survey, and tell what they cost.
 
@@ -69,13 +69,13 @@ def select(
     from fwclass import conf as configuration
     from fwclass.study.scales import scale_selection
     from fwclass.study.select import output
+    from fwclass.study.select.thinning import thinning
     from fwclass.study.selection import selection
-    from fwclass.study.thinning import thinning
 
     config = configuration.load(conf, settings)
     root = out if out is not None else Path("runs") / config.survey.name
     names = output.candidates_of(config, candidates)
-    if method != "forward" and asked["order"]:
+    if method != "forward" and options["order"]:
         raise ConfigError("--order belongs to --method forward", where="--order", got=f"--method {method}")
     if method not in ("thinning", "scales") and len(names) < 2:
         raise ConfigError(
@@ -91,9 +91,9 @@ def select(
         if method == "thinning":
             result = thinning(config, runner, names)
         elif method == "scales":
-            result = scale_selection(config, runner, asked["pick"])
+            result = scale_selection(config, runner, options["pick"])
         else:
-            result = selection(config, runner, names, method, **asked)
+            result = selection(config, runner, names, method, **options)
     output.write(result, path)
     click.echo(output.describe(result, path), err=True)
     if as_json:

@@ -24,7 +24,7 @@ WORKFLOW = click.option(
 )
 
 
-def chosen(tiles: str | None, aoi: Path | None) -> frozenset[str] | Path | None:
+def chosen_tiles(tiles: str | None, aoi: Path | None) -> frozenset[str] | Path | None:
     """The keys of ``--tiles`` or the file of ``--aoi``, None for all."""
     if tiles and aoi:
         raise ConfigError("tiles are chosen twice", where="--tiles, --aoi", do="leave one of them out")
@@ -51,7 +51,7 @@ def out_directory(out: Any, config: Any) -> Any:
     return out if out is not None else Path("runs") / config.survey.name
 
 
-def requested(
+def read_request(
     conf: Path, out: Any, settings: tuple[str, ...], workflow: str, tiles: frozenset[str] | Path | None
 ) -> tuple[Any, Any]:
     """The configuration, and the `Request` that the words of the command make."""
@@ -103,7 +103,7 @@ def _remote(place: Any) -> Any:
     return location_of(place, configuration.section("store"))
 
 
-def _looked(config: Any, request: Any) -> Any:
+def _look(config: Any, request: Any) -> Any:
     """The parts of the run, looked at."""
     from fwclass.operate.status.walk import look_at
     from workflows import workflow_of
@@ -119,13 +119,13 @@ def alone(conf: Path, out: Any, settings: tuple[str, ...], workflow: str, only: 
     """Make the part `only` (stage/part) in the plain loop, and nothing else."""
     from fwclass.operate.status.replay import task_alone
 
-    config, request = requested(conf, out, settings, workflow, None)
-    from fwclass.operate.history import recorded
+    config, request = read_request(conf, out, settings, workflow, None)
+    from fwclass.operate.history import record_run
 
     location = location_of_run(request, config)
-    with recorded(location, request, only) as entry, open_runner(location, 0, None, config.run) as runner:
+    with record_run(location, request, only) as entry, open_runner(location, 0, None, config.run) as runner:
         entry.begin(runner)
-        task = task_alone(_looked(config, request), only, request)
+        task = task_alone(_look(config, request), only, request)
         runner.do([task])
         outcome = runner.outcomes[task.name]
         if not outcome.ok:
@@ -206,13 +206,13 @@ def status(
                 "configuration (a YAML file, or the name of one that comes with fwclass)",
                 do="give its path",
             )
-        config, request = requested(conf_or_run, out, settings, workflow, chosen(tiles, aoi))
+        config, request = read_request(conf_or_run, out, settings, workflow, chosen_tiles(tiles, aoi))
     from fwclass.operate.schedule.state import standing
     from fwclass.operate.status.summary import as_data, as_text
 
     location = location_of_run(request, config)
     writer, scheduled = held_by(location), standing(location)
-    looked = _looked(config, request)
+    looked = _look(config, request)
     from fwclass.operate.status import verify as verifying
 
     verified = verifying.verify(looked.store) if verify else None

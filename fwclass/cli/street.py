@@ -83,7 +83,9 @@ def simulate(conf: Path, out: Path, settings: tuple[str, ...], overwrite: bool) 
 @SET
 @OVERWRITE
 @JSON
-def train(conf: Path, target: Path, method: str | None, settings: tuple[str, ...], as_json: bool, **asked: Any) -> None:
+def train(
+    conf: Path, target: Path, method: str | None, settings: tuple[str, ...], as_json: bool, **options: Any
+) -> None:
     """Train a model on labelled recordings, at random or by stretches of road (street.split), and judge it."""
     from fwclass.cli.model import _known
     from fwclass.single_file.street.train import describe
@@ -91,7 +93,7 @@ def train(conf: Path, target: Path, method: str | None, settings: tuple[str, ...
 
     if method is not None:
         settings = (*settings, f"train.method={_known(method, '--method')}")
-    summary = training(_config(conf, settings), target, say=_say, **asked)
+    summary = training(_config(conf, settings), target, say=_say, **options)
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))
@@ -108,7 +110,7 @@ def train(conf: Path, target: Path, method: str | None, settings: tuple[str, ...
 @OVERWRITE
 @JSON
 def classify(
-    recording: Path, output: Path, model: Path, conf: Path | None, settings: tuple[str, ...], **asked: Any
+    recording: Path, output: Path, model: Path, conf: Path | None, settings: tuple[str, ...], **options: Any
 ) -> None:
     """Classify a recording: answers and prescription map in the directory OUT, the bytes of `street run`."""
     from fwclass.graph.street_recordings import TrajectoryFiles
@@ -118,17 +120,17 @@ def classify(
     from fwclass.single_file.street.output import prepare
 
     config = _config(conf, settings)
-    count = config.run.workers if asked["workers"] is None else asked["workers"]
+    count = config.run.workers if options["workers"] is None else options["workers"]
     job = Work(recording.resolve(), model.resolve(), config.street, TrajectoryFiles.of(config))
     check(job)
-    prepare(output, asked["overwrite"])
+    prepare(output, options["overwrite"])
     with (
         tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}-") as beside,
-        open_runner(Path(beside), int(count), asked["scheduler"], config.run) as runner,
+        open_runner(Path(beside), int(count), options["scheduler"], config.run) as runner,
     ):
         summary = work(job, output, runner, config.assess.block)
     click.echo(describe_batch(summary, output), err=True)
-    if asked["as_json"]:
+    if options["as_json"]:
         click.echo(json.dumps(summary, indent=1))
 
 
@@ -144,7 +146,7 @@ def classify(
 @OVERWRITE
 @JSON
 def run(
-    source: str, model: Path, target: Path, pace: str, conf: Path | None, settings: tuple[str, ...], **asked: Any
+    source: str, model: Path, target: Path, pace: str, conf: Path | None, settings: tuple[str, ...], **options: Any
 ) -> None:
     """Answer frames as they come: crowns while the vehicle drives.
 
@@ -156,10 +158,10 @@ def run(
     from fwclass.single_file.street.online import run as work
 
     config = _config(conf, settings)
-    job = Run(source, model, target, pace == "recorded", asked["overwrite"], TrajectoryFiles.of(config))
+    job = Run(source, model, target, pace == "recorded", options["overwrite"], TrajectoryFiles.of(config))
     summary = work(job, config.street, _say)
     click.echo(describe(summary, target), err=True)
-    if asked["as_json"]:
+    if options["as_json"]:
         click.echo(json.dumps(summary, indent=1))
 
 
@@ -174,7 +176,7 @@ def run(
 @OVERWRITE
 @JSON
 def annotate(
-    recording: Path, file: Path, conf: Path | None, settings: tuple[str, ...], as_json: bool, **asked: Any
+    recording: Path, file: Path, conf: Path | None, settings: tuple[str, ...], as_json: bool, **options: Any
 ) -> None:
     """Label returns by rectangles in slices of road (docs/street.md): check them, show them, go on where they end."""
     from fwclass.graph.street_recordings import TrajectoryFiles
@@ -182,7 +184,7 @@ def annotate(
     from fwclass.single_file.street.annotate import describe
 
     config = _config(conf, settings)
-    summary = work(recording, file, params=config.street, trajectory=TrajectoryFiles.of(config), **asked)
+    summary = work(recording, file, params=config.street, trajectory=TrajectoryFiles.of(config), **options)
     click.echo(describe(summary), err=True)
     if as_json:
         click.echo(json.dumps(summary, indent=1))

@@ -22,7 +22,7 @@ from fwclass.cli.base import (
     little_garbage,
 )
 from fwclass.cli.runner import open_runner, report_path, tell_failures
-from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen, location_of_run, out_directory, requested
+from fwclass.cli.status import AOI, TILES, WORKFLOW, alone, chosen_tiles, location_of_run, out_directory, read_request
 from fwclass.errors import FAILED, PARTIAL, ConfigError, FwclassError
 
 
@@ -41,12 +41,13 @@ class How:
 def run_survey(
     conf: Path, out: Any, settings: tuple[str, ...], tiles: frozenset[str] | Path | None, workflow: str, how: How
 ) -> None:
+    """Run a workflow on the survey in `conf` and print what came of it."""
     little_garbage()
-    config, request = requested(conf, out, settings, workflow, tiles)
+    config, request = read_request(conf, out, settings, workflow, tiles)
     root = out_directory(out, config)
     count = config.run.workers if how.workers is None else how.workers
     performance = report_path(how.page, root, count, how.scheduler)
-    from fwclass.operate.history import recorded
+    from fwclass.operate.history import record_run
 
     if request.aoi is not None:
         request.wanted.check()
@@ -54,7 +55,7 @@ def run_survey(
     from fwclass.store.run_location import unmade_again
 
     location = location_of_run(request, config)
-    with unmade_again(location), recorded(location, request) as entry:
+    with unmade_again(location), record_run(location, request) as entry:
         _walk(config, request, root, replace(how, workers=count), performance, entry)
 
 
@@ -210,7 +211,7 @@ def run(
     settings += ("read.mirror_beams=true",) if mirror_beams else ()
     if only is None:
         how = How(scheduler, workers, not keep_going, report, verify)
-        run_survey(conf, out, settings, chosen(tiles, aoi), workflow, how)
+        run_survey(conf, out, settings, chosen_tiles(tiles, aoi), workflow, how)
         return
     if tiles or aoi or scheduler or workers or verify or report is not None:
         raise ConfigError(

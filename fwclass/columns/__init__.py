@@ -38,9 +38,11 @@ COLUMNS: dict[str, Column] = {c.name: c for c in _DECLARED}
 def declare(columns: Iterable[Column]) -> None:
     """Make columns known in this process, as a user's own stage writes them; `ConfigError` for a name that is taken."""
     kinds = sorted({c.dtype for c in _DECLARED})
-    taken = {c.las for c in _DECLARED if c.las} | _LAS_FIELDS
+    las_names = {c.las for c in _DECLARED if c.las} | _LAS_FIELDS
     for column in columns:
-        if not _NAME.fullmatch(column.name) or (column.las and (len(column.las.encode()) > 32 or column.las in taken)):
+        if not _NAME.fullmatch(column.name) or (
+            column.las and (len(column.las.encode()) > 32 or column.las in las_names)
+        ):
             raise ConfigError(
                 "this cannot be the name of a column",
                 where=f"column {column.name!r}, las {column.las!r}",

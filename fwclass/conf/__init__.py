@@ -6,13 +6,13 @@ Everything is checked before anything runs; an unknown key is an error that name
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from fwclass.conf.files import conf_directory, find, merged, read, setting
+from fwclass.conf.files import conf_directory, find, merge, read, setting
 from fwclass.conf.model import PARAMS, Config
 from fwclass.conf.schedule import SECRET
 from fwclass.errors import ConfigError, nearest
@@ -31,8 +31,8 @@ def load(name: str | Path, settings: tuple[str, ...] = (), classifies: bool = Tr
     path = find(name)
     change = read(path)
     for text in settings:
-        change = merged(change, setting(text))
-    raw = _laid(change)
+        change = merge(change, setting(text))
+    raw = _lay_over(change)
     return build(path, raw, _origin(path, settings), classifies)
 
 
@@ -44,9 +44,24 @@ def section(name: str, settings: tuple[str, ...] = (), change: Mapping[str, Any]
     path = conf_directory() / "base.yaml"
     changes: dict[str, Any] = {}
     for text in settings:
-        changes = merged(changes, setting(text))
-    raw = _laid(merged(changes, dict(change or {})))
+        changes = merge(changes, setting(text))
+    raw = _lay_over(merge(changes, dict(change or {})))
     return _build(name, raw.get(name), _origin(path, settings))
+
+
+def check_settings(
+    settings: Iterable[str], sections: Iterable[str], do: str = "leave it out, or use `fwclass run`"
+) -> None:
+    """`ConfigError` for a setting of a section that the command does not look at; `do` is what to do instead."""
+    for text in settings:
+        if text.split(".")[0].strip() not in sections:
+            raise ConfigError(
+                "this setting has no effect here",
+                where=f"--set {text}",
+                expected=f"a key of {', '.join(sections)}",
+                got=text.split("=")[0],
+                do=do,
+            )
 
 
 def _origin(path: Path, settings: tuple[str, ...]) -> str:
@@ -54,15 +69,15 @@ def _origin(path: Path, settings: tuple[str, ...]) -> str:
     return " --set ".join([f"{path} with" if settings else str(path), *map(redacted_setting, settings)])
 
 
-def _laid(change: dict[str, Any]) -> dict[str, Any]:
+def _lay_over(change: dict[str, Any]) -> dict[str, Any]:
     """`change` over `conf/base.yaml`, with the ground preset that it names between them."""
     base = read(conf_directory() / "base.yaml")
     ground = change.get("ground")
     name = ground.get("preset") if isinstance(ground, dict) else None
     if name is not None:
         own = {key: value for key, value in preset(str(name)).items() if key != "about"}
-        base = merged(base, {"ground": own})
-    return dict(merged(base, change))
+        base = merge(base, {"ground": own})
+    return dict(merge(base, change))
 
 
 def presets() -> dict[str, dict[str, Any]]:
@@ -190,15 +205,18 @@ def _check(config: Config) -> None:
                 got=f"{cell:g} m",
                 do="choose another edge, 2 or 4 m for example",
             )
-    for name in config.classify.refine.between:
-        if name not in names:
-            raise ConfigError(
-                f"no class is called {name!r}",
-                where=f"{where}: classify.refine.between",
-                expected=", ".join(names),
-                got=name,
-                do=nearest(name, names),
-            )
+    weights = config.train.class_weights
+    weighted = weights if isinstance(weights, Mapping) else ()
+    for key, called in (("classify.refine.between", config.classify.refine.between), ("train.class_weights", weighted)):
+        for name in called:
+            if name not in names:
+                raise ConfigError(
+                    f"no class is called {name!r}",
+                    where=f"{where}: {key}",
+                    expected=", ".join(names),
+                    got=name,
+                    do=nearest(name, names),
+                )
     if config.classify.refine.between and config.thin.rate < 1.0:
         raise ConfigError(
             "a thinned run has no second layer: the features at a boundary would be those of few echoes",
@@ -206,16 +224,6 @@ def _check(config: Config) -> None:
             got=f"thin.rate {config.thin.rate:g}",
             do="--set thin.rate=1, or --set classify.refine.between=[]",
         )
-    weights = config.train.class_weights
-    for name in weights if isinstance(weights, Mapping) else ():
-        if name not in names:
-            raise ConfigError(
-                f"no class is called {name!r}",
-                where=f"{where}: train.class_weights",
-                expected=", ".join(names),
-                got=name,
-                do=nearest(name, names),
-            )
     for kind in ("train", "test"):
         for box in getattr(config.areas, kind):
             if not all(map(math.isfinite, box)) or box[0] >= box[2] or box[1] >= box[3]:

@@ -60,9 +60,9 @@ def find(name: str | Path) -> Path:
 
 def public_data(named: str, where: Path, origin: str | None) -> Path:
     """The directory of public data that ``data:NAME`` names, below the one of the environment variable FWCLASS_DATA."""
-    name, given = named.removeprefix(PUBLIC), os.environ.get(VARIABLE)
-    if given:
-        return Path(given).absolute() / name
+    name, path = named.removeprefix(PUBLIC), os.environ.get(VARIABLE)
+    if path:
+        return Path(path).absolute() / name
     raise ConfigError(
         "the files of this survey do not come with fwclass",
         where=f"{where}: survey.directory",
@@ -158,11 +158,11 @@ def plain(text: str, shipped: bool = False) -> Any:
 
 def _shipped(text: str) -> Any:
     """As `plain`, of a file that comes with fwclass: read again and again, and parsed once."""
-    return copy.deepcopy(_parsed(text))
+    return copy.deepcopy(_parse(text))
 
 
 @lru_cache(maxsize=8)
-def _parsed(text: str) -> Any:
+def _parse(text: str) -> Any:
     return plain(text, shipped=True)
 
 
@@ -221,10 +221,10 @@ def _message(fault: Exception, name: str) -> str:
     return ", ".join(text for text in (fault.context, fault.problem) if text) + place
 
 
-def merged(base: Any, change: Any) -> Any:
+def merge(base: Any, change: Any) -> Any:
     """`change` laid over `base`: mappings merge, everything else is replaced."""
     if isinstance(base, dict) and isinstance(change, dict):
-        return {k: merged(base.get(k), change[k]) if k in change else base[k] for k in {**base, **change}}
+        return {k: merge(base.get(k), change[k]) if k in change else base[k] for k in {**base, **change}}
     return change
 
 

@@ -43,6 +43,8 @@ from fwclass.water.params import BreaklineParams, WaterParams
 
 
 class Section(BaseModel):
+    """Keys of a configuration: frozen, and closed to any other key."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
@@ -59,9 +61,9 @@ class ClassSection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _own_code(cls, given: Any) -> Any:
+    def _own_code(cls, value: Any) -> Any:
         """A class that names no codes of the reference counts its own."""
-        return {"codes": [given["code"]], **given} if isinstance(given, dict) and "code" in given else given
+        return {"codes": [value["code"]], **value} if isinstance(value, dict) and "code" in value else value
 
     @field_validator("name")
     @classmethod
@@ -312,6 +314,7 @@ class Config:
 
     @property
     def classes(self) -> tuple[ClassDef, ...]:
+        """The survey's classes, in its order."""
         return tuple(ClassDef(**c.model_dump()) for c in self.survey.classes)
 
     @property

@@ -153,10 +153,10 @@ def paper(name: str) -> dict[str, Any]:
         A key that the file must not have or lacks, or a value of another kind.
     """
     path = conf_directory() / "papers" / f"{name}.yaml"
-    return checked(name, read(path), path)
+    return check_printed(name, read(path), path)
 
 
-def checked(name: str, printed: dict[str, Any], where: object) -> dict[str, Any]:
+def check_printed(name: str, printed: dict[str, Any], where: object) -> dict[str, Any]:
     """`printed` itself, once it has been held against what the file of paper `name` holds."""
     try:
         _MODELS[name].model_validate(printed)

@@ -17,13 +17,13 @@ from fwclass.publish.copc import copc_columns
 from fwclass.publish.files import whole_directory
 from fwclass.schema import IDENTITY, Table, canonical_key
 from fwclass.view.blocks import DRAWN, identity_block
-from fwclass.view.folder import Told, write_folder
+from fwclass.view.folder import UnsureEcho, write_folder
 from fwclass.view.params import ViewParams
 from fwclass.view.pyramid import Node
 
 
 class ExportedRun(ViewedRun):
-    """See `fwclass.view.folder.Kept`."""
+    """See `fwclass.view.folder.WholeScene`."""
 
     def colours(self) -> Sequence[str]:
         """The columns that the delivered COPC has, strips, and what is right and differs."""
@@ -41,27 +41,27 @@ class ExportedRun(ViewedRun):
         return about
 
     def nodes(self) -> Iterator[Node]:
-        """See `Kept.nodes`; one tile is open at a time."""
+        """See `WholeScene.nodes`; one tile is open at a time."""
         yield from (n for n in self._skim().nodes if n[0] < self.pyramid.own)
         for key in self.tiles:
             yield from (n for n in self._tile(key).nodes if n[0] >= self.pyramid.own)
 
     def identities(self, node: Node) -> bytes:
-        """See `Kept.identities`."""
+        """See `WholeScene.identities`."""
         opened = self._holder(node)
         rows = opened.order[slice(*opened.nodes[node])]
         return identity_block(node, *(opened.columns[n][rows] for n in IDENTITY))
 
-    def told(self) -> list[list[Told]]:
+    def unsure_echoes(self) -> list[list[UnsureEcho]]:
         """The least sure echoes of every place, `view.export` each; equally sure ones by strip, pulse and echo."""
         parts = [self._unsure(number, key) for number, key in enumerate(self.tiles)]
         place, tile, row = (np.concatenate([p[k] for p in parts]) for k in ("place", "tile", "row"))
         order = _first_of_each(place, np.concatenate([p["order"] for p in parts]), self.params.export)
-        out: list[dict[int, Told]] = [{} for _ in self.work_list().places]
+        out: list[dict[int, UnsureEcho]] = [{} for _ in self.work_list().places]
         for number, key in enumerate(self.tiles):
             mine = np.flatnonzero(tile[order] == number)
-            for at, echo in zip(mine.tolist(), self._describe(key, row[order[mine]]), strict=True):
-                out[int(place[order[at]])][at] = echo
+            for at, unsure_echoes in zip(mine.tolist(), self._unsure_echoes(key, row[order[mine]]), strict=True):
+                out[int(place[order[at]])][at] = unsure_echoes
         return [[one for _, one in sorted(echoes.items())] for echoes in out]
 
     def _unsure(self, number: int, key: str) -> dict[str, NDArray]:
@@ -76,7 +76,7 @@ class ExportedRun(ViewedRun):
         best = _first_of_each(place, order, self.params.export)
         return {"place": place[best], "tile": np.full(len(best), number), "row": row[best], "order": order[best]}
 
-    def _describe(self, key: str, rows: NDArray[np.int64]) -> list[Told]:
+    def _unsure_echoes(self, key: str, rows: NDArray[np.int64]) -> list[UnsureEcho]:
         if not len(rows):
             return []
         path = self.delivery.path / "parquet" / f"{key}.parquet"
@@ -88,7 +88,7 @@ class ExportedRun(ViewedRun):
             x, y, z = (round(values[a] - o, 3) for a, o in zip("xyz", self.origin, strict=True))
             strip, pulse, number = (int(values[n]) for n in IDENTITY)
             self._asked[strip, pulse, number] = key, row
-            out.append(Told(node, int(at[0]), strip, pulse, number, (x, y, z), self._about(key, row, values)))
+            out.append(UnsureEcho(node, int(at[0]), strip, pulse, number, (x, y, z), self._about(key, row, values)))
         return out
 
     def _tile_bytes(self, key: str, name: str) -> NDArray[np.uint8]:

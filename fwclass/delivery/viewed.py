@@ -38,7 +38,7 @@ from fwclass.schema import IDENTITY, Table
 from fwclass.view.blocks import DRAWN, NO_VALUE, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
 from fwclass.view.params import ViewParams
-from fwclass.view.pyramid import Node, Pyramid, levels_of, placed
+from fwclass.view.pyramid import Node, Pyramid, levels_of, order_blocks
 from fwclass.view.scene import ECHOES
 from fwclass.view.worklist import UnsureEchoes, WorkList
 
@@ -258,7 +258,7 @@ class ViewedRun:
 
     def _arranged(self, columns: Mapping[str, NDArray]) -> OpenTile:
         level = levels_of(self.pyramid, _rank(columns))
-        return OpenTile(columns, *placed(self.pyramid, level, columns["x"], columns["y"]))
+        return OpenTile(columns, *order_blocks(self.pyramid, level, columns["x"], columns["y"]))
 
     def _read(self, key: str) -> dict[str, NDArray]:
         columns = self._columns(key, (*DRAWN, *IDENTITY))

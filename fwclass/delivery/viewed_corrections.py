@@ -15,7 +15,7 @@ from fwclass.delivery.opened import Delivery
 from fwclass.errors import InputError, visible
 from fwclass.formats.echo_labels import LONGEST_NAME, TAKEN_BACK, EchoLabels
 from fwclass.grid import TileGrid
-from fwclass.label.corrections import COLUMNS, matched
+from fwclass.label.corrections import COLUMNS, match_labels
 from fwclass.schema import Table
 from fwclass.store.corrections import CORRECTIONS, add_corrections, check_writable, read_corrections
 from fwclass.store.run_store import Store
@@ -186,7 +186,7 @@ def in_place(
     classes = np.asarray(columns["classification"], np.uint8)
     if not labels.rows:
         return classes, np.empty(0, np.int64)
-    rows, own = matched(Table({n: columns[n] for n in COLUMNS[:-1]}), labels, reach)
+    rows, own = match_labels(Table({n: columns[n] for n in COLUMNS[:-1]}), labels, reach)
     out = classes.copy()
     out[rows] = labels["label_code"][own]
     return out, rows

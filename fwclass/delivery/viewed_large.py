@@ -14,7 +14,7 @@ from fwclass.delivery.opened import Delivery
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewed_tile import positions
 from fwclass.errors import InputError
-from fwclass.formats.extra_bytes import published
+from fwclass.formats.extra_bytes import published_columns
 from fwclass.grid import TileGrid, quantise
 from fwclass.publish.copc import copc_columns
 from fwclass.publish.octree import echo_hashes
@@ -60,7 +60,9 @@ class LargeRun(ViewedRun):
             points = reader.read(0, source.n_points)
             there = [f["name"] for f in table_fields(self._tile_path(next(iter(self.tiles))))]
             more = {
-                c.name: reader.extra_byte(points, c.las) for c in published(copc_columns(there)) if c.name != "pulse"
+                c.name: reader.extra_byte(points, c.las)
+                for c in published_columns(copc_columns(there))
+                if c.name != "pulse"
             }
         x, y, z = map(quantise, coordinates(source, points))
         echoes: dict[str, NDArray] = {

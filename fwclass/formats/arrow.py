@@ -20,10 +20,10 @@ def arrow_array(values: NDArray) -> pa.Array:
     """An Arrow array (n,) of numbers or truth values (n,), without missing values; numbers are not copied."""
     kind = pa.from_numpy_dtype(values.dtype)
     if values.dtype == bool:
-        held = np.packbits(values, bitorder="little")
+        buffer = np.packbits(values, bitorder="little")
     else:
-        held = np.ascontiguousarray(values)
-    return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(held)])
+        buffer = np.ascontiguousarray(values)
+    return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(buffer)])
 
 
 def numpy_values(column: pa.ChunkedArray) -> NDArray:
@@ -34,14 +34,14 @@ def numpy_values(column: pa.ChunkedArray) -> NDArray:
     dtype = np.dtype(np.uint8 if truth else column.type.to_pandas_dtype())
     pieces = []
     for chunk in column.chunks:
-        held, first, rows = chunk.buffers()[1], chunk.offset, len(chunk)
-        if held is None or not rows:
+        buffer, first, rows = chunk.buffers()[1], chunk.offset, len(chunk)
+        if buffer is None or not rows:
             continue
         if truth:
-            bits = np.unpackbits(np.frombuffer(held, np.uint8), count=first + rows, bitorder="little")
+            bits = np.unpackbits(np.frombuffer(buffer, np.uint8), count=first + rows, bitorder="little")
             pieces.append(bits[first:].astype(bool))
         else:
-            pieces.append(np.frombuffer(held, dtype, first + rows)[first:])
+            pieces.append(np.frombuffer(buffer, dtype, first + rows)[first:])
     if not pieces:
         return np.empty(0, bool if truth else dtype)
     return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)

@@ -12,13 +12,13 @@ from fwclass.errors import InputError
 
 def check_length(path: Path, size: int, start: int, record_length: int, count: int, what: str) -> None:
     """`InputError` where `count` records (`what`: points, pulses) do not fit into the file behind byte `start`."""
-    held = (size - start) // record_length
-    if count > held:
+    records = (size - start) // record_length
+    if count > records:
         raise InputError(
             "the file is cut short",
             where=path,
             expected=f"{count} {what} of {record_length} bytes from byte {start}",
-            got=f"room for {held} {what}",
+            got=f"room for {records} {what}",
             do="copy the file again",
         )
 

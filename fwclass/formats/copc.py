@@ -136,16 +136,16 @@ def nodes_of(header: Header) -> tuple[Node, ...]:
     if not is_copc(header) or len(header.vlrs[0].body) < INFO.size:
         _refuse(header, "an info record of 160 bytes as the first record", "none")
     *_, root, size, _, _ = INFO.unpack_from(header.vlrs[0].body)
-    pages, seen, nodes = [(int(root), int(size))], set[int](), dict[tuple[int, int, int, int], Node]()
+    pages, visited, nodes = [(int(root), int(size))], set[int](), dict[tuple[int, int, int, int], Node]()
     left = header.size // ENTRY.size
     with header.path.open("rb") as file:
         while pages:
             at, size = pages.pop()
-            if at in seen:
+            if at in visited:
                 _refuse(header, "every page once", f"that at byte {at} again")
             if size % ENTRY.size or size < 0 or at + size > header.size:
                 _refuse(header, f"pages of whole entries inside {header.size} bytes", f"{size} bytes at byte {at}")
-            seen.add(at)
+            visited.add(at)
             left -= size // ENTRY.size
             if left < 0 or len(nodes) > MAX_NODES:
                 _refuse(header, "no more entries than the file has room for", "more")

@@ -20,9 +20,13 @@ class Records(Protocol):
     """A header with its records."""
 
     @property
-    def global_encoding(self) -> int: ...
+    def global_encoding(self) -> int:
+        """Bits of a LAS header that say what kind of system is named."""
+        ...
 
-    def records(self, number: int, users: tuple[str, ...]) -> list[Record]: ...
+    def records(self, number: int, users: tuple[str, ...]) -> list[Record]:
+        """Records of a number, of any of `users`."""
+        ...
 
 
 def crs_of(header: Records, faults: list[str]) -> Any:

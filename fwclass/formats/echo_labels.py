@@ -61,6 +61,7 @@ class EchoLabels:
 
     @property
     def rows(self) -> int:
+        """Number of labels."""
         return len(self.code)
 
     @property
@@ -94,6 +95,7 @@ class EchoLabels:
 
     @classmethod
     def none(cls) -> EchoLabels:
+        """No labels."""
         return cls(*(np.empty(0, kind) for kind in _DTYPES.values()))
 
     @classmethod
@@ -134,13 +136,7 @@ def read_echo_labels(source: Path | bytes, where: object, field: str = FIELD, si
     try:
         return _read(source, where, field, signed)
     except (pa.ArrowException, OSError, ValueError) as fault:
-        raise InputError(
-            "labels by echo cannot be read",
-            where=where,
-            expected="a Parquet table with strip, pulse, echo_number, class, x, y and z",
-            got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
-            do="it is cut short or damaged; write it again",
-        ) from fault
+        raise _unreadable(fault, where, "it is cut short or damaged; write it again") from fault
 
 
 def check_echo_labels(path: Path, field: str = FIELD) -> None:
@@ -151,13 +147,17 @@ def check_echo_labels(path: Path, field: str = FIELD) -> None:
         with pq.ParquetFile(path) as file:
             _check_columns(file.schema_arrow, path, field)
     except (pa.ArrowException, OSError, ValueError) as fault:
-        raise InputError(
-            "labels by echo cannot be read",
-            where=path,
-            expected="a Parquet table with strip, pulse, echo_number, class, x, y and z",
-            got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
-            do="name a Parquet file of labels by echo (docs/corrections.md)",
-        ) from fault
+        raise _unreadable(fault, path, "name a Parquet file of labels by echo (docs/corrections.md)") from fault
+
+
+def _unreadable(fault: Exception, where: object, do: str) -> InputError:
+    return InputError(
+        "labels by echo cannot be read",
+        where=where,
+        expected="a Parquet table with strip, pulse, echo_number, class, x, y and z",
+        got=str(fault).splitlines()[0][:200] if str(fault) else type(fault).__name__,
+        do=do,
+    )
 
 
 def echo_labels_bytes(labels: EchoLabels) -> bytes:
@@ -189,8 +189,8 @@ def _read(source: Path | bytes, where: object, field: str, signed: bool) -> Echo
     rows = len(code)
     time = _times(table.column("time")) if "time" in there else np.zeros(rows, np.int64)
     who = _names(table.column("who")) if "who" in there else np.full(rows, "", object)
-    made = {n: v.astype(_DTYPES[n]) for n, v in columns.items()}
-    return EchoLabels(**made, code=code, time=time, who=who)
+    identity = {n: v.astype(_DTYPES[n]) for n, v in columns.items()}
+    return EchoLabels(**identity, code=code, time=time, who=who)
 
 
 def _check_counts(stream: Any, size: int, where: object) -> None:

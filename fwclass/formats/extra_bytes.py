@@ -57,27 +57,28 @@ class ExtraByte:
 
     @property
     def dtype(self) -> np.dtype[Any]:
+        """As the file stores a value."""
         return np.dtype("u1" if self.kind == "bool" else self.kind).newbyteorder("<")
 
 
-def published(names: Iterable[str]) -> tuple[Column, ...]:
+def published_columns(names: Iterable[str]) -> tuple[Column, ...]:
     """The columns among `names` that have a name as an extra byte, in the given order."""
     return tuple(c for c in map(column, names) if c.las)
 
 
 def extra_bytes(
-    columns: Iterable[Column], values: Mapping[str, NDArray], taken: Iterable[str] = ()
+    columns: Iterable[Column], values: Mapping[str, NDArray], existing: Iterable[str] = ()
 ) -> tuple[ExtraByte, ...]:
-    """How `columns` are stored in a file that has extra bytes named `taken` already.
+    """How `columns` are stored in a file that has extra bytes named `existing` already.
 
-    No two extra bytes of a file have the same name, whatever their case: where `taken` has it the new one is called
+    No two extra bytes of a file have the same name, whatever their case: where `existing` has it the new one is called
     ``fw <name>``, then ``fw2 <name>`` and so on.
 
     Parameters
     ----------
     values : every value of every column, for the extremes.
     """
-    used, out = set(taken), []
+    used, out = set(existing), []
     for col in columns:
         name = free_name(col.las, used)
         used.add(name)
@@ -85,11 +86,11 @@ def extra_bytes(
     return tuple(out)
 
 
-def free_name(wanted: str, taken: Iterable[str]) -> str:
-    """`wanted`, or with the first of ``fw``, ``fw2``, … before it, such that no name in `taken` is the same."""
+def free_name(wanted: str, existing: Iterable[str]) -> str:
+    """`wanted`, or with the first of ``fw``, ``fw2``, … before it, such that no name in `existing` is the same."""
     if not wanted:
         raise ValueError("a column without a name as an extra byte cannot be published")
-    used = {name.strip().lower() for name in taken}
+    used = {name.strip().lower() for name in existing}
     name, number = wanted, 1
     while name.lower() in used:
         name = f"{PREFIX}{number if number > 1 else ''} {wanted}"
@@ -118,7 +119,7 @@ def _end(extra: ExtraByte, value: float) -> float | None:
     """`value` as it is stored; None for what is no number."""
     if math.isnan(value):
         return None
-    number = stored(extra, np.array([value]))[0]
+    number = encode_values(extra, np.array([value]))[0]
     return float(number) if np.isfinite(number) else None
 
 
@@ -129,7 +130,7 @@ def _range(kind: str, no_data: int | None) -> tuple[int, int]:
     return low + (no_data == low), high - (no_data == high)
 
 
-def stored(extra: ExtraByte, values: NDArray) -> NDArray:
+def encode_values(extra: ExtraByte, values: NDArray) -> NDArray:
     """`values` as the file holds them.
 
     A whole type gets the nearest number (half to even), values beyond its range the nearest end of it, NaN the
@@ -179,7 +180,7 @@ def _wide(kind: str, value: float) -> bytes:
     return struct.pack("<q" if kind[0] == "i" else "<Q", int(value))
 
 
-def undescribed(length: int, name: str = "unknown") -> bytes:
+def undescribed_record(length: int, name: str = "unknown") -> bytes:
     """Descriptor of `length` bytes that the source does not explain; they must stand before new ones."""
     return struct.pack("<2xBB32s4x24x24x24x24x24x32s", 0, length, name.encode(), b"not described by the source")
 
@@ -212,7 +213,7 @@ def _old(head: LasHead) -> bytes:
     while rest > 0:
         names.append(free_name("unknown", names))
         length = _plain_length(rest)
-        old += undescribed(length, names[-1])
+        old += undescribed_record(length, names[-1])
         rest -= length
     return old
 
@@ -226,7 +227,7 @@ def _plain_length(rest: int) -> int:
     return next(n for n in range(min(rest, 255), 0, -1) if n & (SCALED | SHIFTED) == 0)
 
 
-def extended(head: LasHead, extras: Iterable[ExtraByte]) -> list[bytes]:
+def extend_records(head: LasHead, extras: Iterable[ExtraByte]) -> list[bytes]:
     """The records of `head`, with `extras` added behind the extra bytes that the points already have."""
     added = b"".join(map(descriptor, extras))
     if not added:
@@ -244,11 +245,11 @@ def extra_size(extras: Iterable[ExtraByte]) -> int:
     return sum(e.dtype.itemsize for e in extras)
 
 
-def packed(extras: Iterable[ExtraByte], values: Mapping[str, NDArray]) -> NDArray[np.uint8]:
+def pack_columns(extras: Iterable[ExtraByte], values: Mapping[str, NDArray]) -> NDArray[np.uint8]:
     """Columns side by side as bytes, shape (rows, bytes)."""
     items = tuple(extras)
     kind = np.dtype([(e.name, e.dtype) for e in items])
     out = np.zeros(len(values[items[0].name]) if items else 0, kind)
     for e in items:
-        out[e.name] = stored(e, values[e.name])
+        out[e.name] = encode_values(e, values[e.name])
     return out.view(np.uint8).reshape(len(out), kind.itemsize)

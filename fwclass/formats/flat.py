@@ -47,17 +47,28 @@ NO_HEIGHT = 1e5
 """m, higher than anything over land or sea."""
 
 
-class Placed(Protocol):
+class PlacedFile(Protocol):
     """A file that says where its points lie: bounds (6) with the least x, y, z before the largest, steps of x, y, z."""
 
     @property
-    def path(self) -> Path: ...
+    def path(self) -> Path:
+        """Of the file, for messages."""
+        ...
+
     @property
-    def bounds(self) -> tuple[float, ...]: ...
+    def bounds(self) -> tuple[float, ...]:
+        """xmin, ymin, zmin, xmax, ymax, zmax as the header has them."""
+        ...
+
     @property
-    def scales(self) -> tuple[float, ...]: ...
+    def scales(self) -> tuple[float, ...]:
+        """Steps of x, y, z."""
+        ...
+
     @property
-    def crs(self) -> Any: ...
+    def crs(self) -> Any:
+        """The coordinate system, or None."""
+        ...
 
 
 def not_flat(crs: Any, low: Sequence[float], high: Sequence[float], step: float | None = None) -> str:
@@ -116,12 +127,12 @@ def refuse_unless_flat(
         )
 
 
-def refuse_source(source: Placed, crs: Any) -> None:
+def refuse_source(source: PlacedFile, crs: Any) -> None:
     """`InputError` where the header of `source` says that its coordinates are not flat; `crs` is what holds for it."""
     refuse_unless_flat(crs, source.bounds[:3], source.bounds[3:], source.path, max(source.scales[:2]))
 
 
-def flat_faults(source: Placed, low: Sequence[float], high: Sequence[float]) -> list[str]:
+def flat_faults(source: PlacedFile, low: Sequence[float], high: Sequence[float]) -> list[str]:
     """What `info` says of a file whose coordinates lie within `low` and `high`; its own degrees are told already."""
     kind = not_flat(source.crs, low, high, max(source.scales[:2]))
     if not kind or (source.crs is not None and source.crs.is_geographic):

@@ -71,11 +71,11 @@ def offline() -> Iterator[Any]:
     module = vector_gdal()
     with _alone, away_from(*_PROJ), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        kept = {name: os.environ.pop(name) for name in _EXCEPTIONS if name in os.environ}
+        saved = {name: os.environ.pop(name) for name in _EXCEPTIONS if name in os.environ}
         try:
             yield module
         finally:
-            os.environ.update(kept)
+            os.environ.update(saved)
 
 
 _LAST_CHANGE = "2000-01-01T00:00:00.000Z"

@@ -60,43 +60,53 @@ class LasHead:
 
     @property
     def minor(self) -> int:
+        """Minor version."""
         return self.block[25]
 
     @property
     def point_format(self) -> int:
+        """Point format without the bits of compression."""
         return self.block[AT_FORMAT] & 0x3F
 
     @property
     def compressed(self) -> bool:
+        """The points are compressed (LAZ)."""
         return bool(self.block[AT_FORMAT] & 0x80)
 
     @property
     def encoding(self) -> int:
+        """Global encoding."""
         return self._get("<H", AT_ENCODING)
 
     @property
     def point_offset(self) -> int:
+        """First byte of the points."""
         return self._get("<I", AT_OFFSET)
 
     @property
     def point_size(self) -> int:
+        """Bytes of a point."""
         return self._get("<H", 105)
 
     @property
     def points(self) -> int:
+        """Number of points."""
         count = self._get("<Q", 247) if self.minor >= 4 else 0
         return count or self._get("<I", 107)
 
     @property
     def packets_start(self) -> int:
+        """First byte of waveform packets in the file, 0 without any."""
         return self._get("<Q", AT_PACKETS) if self.minor >= 3 else 0
 
     @property
     def evlrs_start(self) -> int:
+        """First byte of the records after the points, 0 without any."""
         return self._get("<Q", AT_EVLRS) if self.minor >= 4 else 0
 
     @property
     def evlrs(self) -> int:
+        """Number of records after the points."""
         return self._get("<I", AT_EVLRS + 8) if self.minor >= 4 else 0
 
     def _get(self, kind: str, at: int) -> int:
@@ -105,8 +115,8 @@ class LasHead:
 
 def kept_records(head: LasHead) -> LasHead:
     """`head` without the records that say how points are stored (LASzip, COPC)."""
-    kept = tuple(r for r in head.records if (r.user, r.number) != LASZIP and r.user != "copc")
-    return replace(head, records=kept)
+    records = tuple(r for r in head.records if (r.user, r.number) != LASZIP and r.user != "copc")
+    return replace(head, records=records)
 
 
 def class_byte(point_format: int) -> int:
@@ -125,6 +135,7 @@ def copy_bytes(source: BinaryIO, target: BinaryIO, start: int, length: int) -> i
 
 
 def broken(path: Path, what: str, expected: object, got: object) -> InputError:
+    """What to raise for a damaged source."""
     return InputError(
         what,
         where=path,
@@ -135,6 +146,7 @@ def broken(path: Path, what: str, expected: object, got: object) -> InputError:
 
 
 def differs(copy: Path, what: str, wanted: object, got: object) -> StoreError:
+    """What to raise for a copy that is not as its source."""
     return StoreError(
         f"read back, {what} differs from the source",
         where=copy,

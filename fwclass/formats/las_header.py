@@ -47,6 +47,7 @@ class Record:
 
     @property
     def raw(self) -> bytes:
+        """The record with its head, as the file has it."""
         return self.head + self.body
 
     @property
@@ -98,9 +99,11 @@ class Header:
 
     @property
     def has_gps_time(self) -> bool:
+        """The point format has GPS times."""
         return self.point_format not in (0, 2)
 
     def records(self, number: int, users: tuple[str, ...]) -> list[Record]:
+        """Records of a number, of any of `users`."""
         return [r for r in (*self.vlrs, *self.evlrs) if r.number == number and r.user in users]
 
 

@@ -38,9 +38,10 @@ class LazWriter:
 
     def __init__(self, file: BinaryIO, head: bytes) -> None:
         self.file, self.head = file, head
-        self.zipper = laszip.LasZipper(file, _uncounted(head))
+        self.zipper = laszip.LasZipper(file, _without_counts(head))
 
     def write(self, points: NDArray[np.uint8]) -> None:
+        """Append points, uint8 (points, bytes of one)."""
         if points.size:
             self.zipper.compress(np.ascontiguousarray(points).reshape(-1))
 
@@ -58,7 +59,7 @@ class LazWriter:
         return end
 
 
-def _uncounted(head: bytes) -> bytes:
+def _without_counts(head: bytes) -> bytes:
     """`head` without counts of points, which LASzip takes itself: it refuses ones that contradict each other."""
     cleared = bytearray(head)
     (length,) = struct.unpack_from("<H", head, 94)
@@ -75,6 +76,7 @@ class LasWriter:
         file.write(head)
 
     def write(self, points: NDArray[np.uint8]) -> None:
+        """Append points, uint8 (points, bytes of one)."""
         self.file.write(np.ascontiguousarray(points).tobytes())
 
     def finish(self, block: bytes | None = None) -> int:

@@ -24,15 +24,16 @@ class LinearUnits:
     Attributes
     ----------
     xy, z : metres in one unit.
-    told : in words, where these come from.
+    source : in words, where these come from.
     """
 
     xy: float
     z: float
-    told: str
+    source: str
 
     @property
     def metres(self) -> bool:
+        """All coordinates are metres."""
         return self.xy == 1.0 and self.z == 1.0
 
 

@@ -23,14 +23,14 @@ _WANTED = (4, 1, 3, 5)
 _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(1, 13)
 
 
-def values_told(path: Path) -> int:
+def count_values(path: Path) -> int:
     """Values of all columns of all row groups; `ValueError` where the footer is damaged."""
     with path.open("rb") as stream:
         return values_in(stream, stream.seek(0, os.SEEK_END))
 
 
 def values_in(stream: BinaryIO, size: int) -> int:
-    """As `values_told`, of an open file of `size` bytes."""
+    """As `count_values`, of an open file of `size` bytes."""
     stream.seek(max(0, size - 8))
     tail = stream.read(8)
     length = struct.unpack("<I", tail[:4])[0] if len(tail) == 8 else 0

@@ -47,8 +47,8 @@ def project(source: CRS, target: CRS, places: Floats, where: object = "") -> Flo
     InputError
         `target` is not projected or not in metres, there is no way from one to the other, or a place is beyond it.
     """
-    given = np.asarray(places, np.float64).reshape(-1, 3)
-    x, y, z = given.T
+    points = np.asarray(places, np.float64).reshape(-1, 3)
+    x, y, z = points.T
     try:
         flat = target.to_2d()
         if not flat.is_projected or any(abs(a.unit_conversion_factor - 1.0) > 1e-9 for a in flat.axis_info):
@@ -73,13 +73,13 @@ def project(source: CRS, target: CRS, places: Floats, where: object = "") -> Flo
             got=str(fault),
         ) from None
     there = np.stack([x, y, z], axis=1)
-    lost = int((~np.isfinite(there).all(axis=1) & np.isfinite(given).all(axis=1)).sum())
+    lost = int((~np.isfinite(there).all(axis=1) & np.isfinite(points).all(axis=1)).sum())
     if lost:
         raise InputError(
             "places lie where the coordinate system does not reach",
             where=where,
             expected=f"{source.name} within the reach of {target.name}",
-            got=f"{lost} of {len(given)} places beyond it",
+            got=f"{lost} of {len(points)} places beyond it",
             do="name the system of this area",
         )
     return there

@@ -25,11 +25,11 @@ Header = dict[str, Any]
 def layers(path: Path) -> list[str]:
     """Names of the layers that hold geometries; `InputError` for a file that cannot be read or is cut short."""
     check_format(path)
-    names = _asked(path, lambda gdal, place: gdal.list_layers(place))
+    names = _query(path, lambda gdal, place: gdal.list_layers(place))
     return [str(name) for name, kind in names if kind is not None]
 
 
-def _asked(path: Path, question: Callable[[Any, Path], Any]) -> Any:
+def _query(path: Path, question: Callable[[Any, Path], Any]) -> Any:
     """What GDAL says of `path`; `InputError` where it finds a fault."""
     place = path.absolute()
     with offline() as gdal:
@@ -65,7 +65,7 @@ def header(path: Path, layer: str | None, setting: str = "survey.reference.layer
             "the file has no such layer", where=path, expected=", ".join(known), got=layer, do=nearest(layer, known)
         )
     chosen = layer or known[0]
-    about = _asked(path, lambda gdal, place: gdal.read_info(place, layer=chosen, force_feature_count=True))
+    about = _query(path, lambda gdal, place: gdal.read_info(place, layer=chosen, force_feature_count=True))
     types = [str(np.dtype(t)) if t != "object" else "text" for t in about["dtypes"]]
     return {
         "layer": chosen,
@@ -80,15 +80,16 @@ def rows(path: Path, layer: str, field: str | None, flat: bool = True) -> tuple[
     """Values of a field and geometries as well-known binary, in the file's order; no values without a field, and no
     heights where they are to be `flat`."""
     columns = [field] if field else []
-    found = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=columns, force_2d=flat))
-    geometries, fields = found[2], found[3]
+    _, _, geometries, fields, *_ = _query(
+        path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=columns, force_2d=flat)
+    )
     values = fields[0].tolist() if field else []
     return values, list(geometries)
 
 
 def column(path: Path, layer: str, field: str) -> list[Any]:
     """Values of one field, in the file's order."""
-    values = _asked(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=[field], read_geometry=False))
+    values = _query(path, lambda gdal, place: gdal.raw.read(place, layer=layer, columns=[field], read_geometry=False))
     return list(values[3][0].tolist())
 
 

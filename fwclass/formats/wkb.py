@@ -70,6 +70,7 @@ class Shapes:
 
     @property
     def parts(self) -> int:
+        """Number of parts."""
         return len(self.feature)
 
 
@@ -238,13 +239,13 @@ def _lines(data: bytes, where: object, number: int) -> list[Ring]:
         cursor = _Cursor(data)
         order, kind, _ = _head(cursor)
         if kind == MULTILINE:
-            made = [_line(cursor) for _ in range(cursor.count(order, 9, "lines"))]
+            lines = [_line(cursor) for _ in range(cursor.count(order, 9, "lines"))]
         else:
             cursor.at = 0
-            made = [_line(cursor)]
+            lines = [_line(cursor)]
         if cursor.left:
             raise WkbError(f"{cursor.left} bytes too many")
-        return made
+        return lines
     except WkbError as fault:
         raise InputError(
             "a feature of the breaklines is no line with heights",

@@ -50,7 +50,7 @@ class Area:
         ------
         InputError : no polygons, an unknown system, or nothing of the survey in them.
         """
-        from fwclass.read.polygons import open_polygons, read_polygons, reprojected, source_crs
+        from fwclass.read.polygons import open_polygons, read_polygons, reproject, source_crs
 
         opened = open_polygons(self.path)
         _, shapes = read_polygons(opened, None)
@@ -58,7 +58,7 @@ class Area:
         survey = CRS.from_wkt(crs) if crs is not None else None
         own = source_crs(opened, None, survey, "export them with their system: GeoPackage and GeoParquet keep it")
         if own is not None and survey is not None:
-            shapes, _ = reprojected(shapes, own, survey, self.path)
+            shapes, _ = reproject(shapes, own, survey, self.path)
         a, b = edges(shapes.x, shapes.y, shapes.ring_start)
         chosen = frozenset(t.key for t in layout.tiles if shares_area(t.box, a, b))
         if not chosen:

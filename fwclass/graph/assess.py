@@ -16,10 +16,10 @@ from fwclass.assess.stage import (
     confusion,
     figures,
     intervals,
-    packed,
+    pack,
     summary,
     unclassified,
-    unpacked,
+    unpack,
 )
 from fwclass.classify.kept import Kept
 from fwclass.conf.model import AreasSection
@@ -73,7 +73,7 @@ def count_tile(
     table = table.take(~stay)
     matrix = confusion(table["reference"], table["classification"], classes)
     lost = unclassified(table["reference"], table["classification"], classes)
-    places, counts = packed(table.select(names), table["reference"], classes)
+    places, counts = pack(table.select(names), table["reference"], classes)
     blocks = BlockCounts.of(table["x"], table["y"], table["reference"], table["classification"], classes, block)
     arrays = {"places": places, "counts": counts, "place": blocks.place, "blocks": blocks.counts}
     write_arrays(here.directory / COUNTS, arrays)
@@ -142,7 +142,7 @@ def assess_survey(
         parts.append(BlockCounts(arrays["place"], arrays["blocks"]))
     blocks = BlockCounts.merged(parts, n)
     write_arrays(here.directory / COUNTS, {"place": blocks.place, "blocks": blocks.counts})
-    histograms = unpacked(counted, names, n)
+    histograms = unpack(counted, names, n)
     called = [c.name for c in classes]
     accuracy = figures(matrix, called, lost) | {
         "intervals": intervals(blocks.counts),

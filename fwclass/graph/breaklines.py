@@ -8,7 +8,7 @@ from pyproj import CRS
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.water import Points, read_as, source_of
 from fwclass.grid import Box, quantise
-from fwclass.read.polygons import open_polygons, read_lines, reprojected
+from fwclass.read.polygons import open_polygons, read_lines, reproject
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
 from fwclass.water.along import knots_along
@@ -22,7 +22,7 @@ def breaklines_read(here: StageInputs, crs: str | None, layer: str, own_crs: str
     path = here.file()
     shapes, z = read_lines(open_polygons(path, layer))
     if own_crs is not None and crs is not None:
-        shapes, _ = reprojected(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
+        shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
     knots = knots_along(shapes.x, shapes.y, z, shapes.ring_start, step)
     write_arrays(here.directory / FILE, {n: quantise(v) for n, v in zip("xyz", knots, strict=True)})
     return {"lines": shapes.parts, "knots": len(knots[0])}

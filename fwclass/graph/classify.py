@@ -19,7 +19,7 @@ from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import thins
 from fwclass.model import Model, sample_matrix
-from fwclass.model.ranges import Outside
+from fwclass.model.ranges import RangeCounter
 from fwclass.run.part import Name
 from fwclass.schema import Table
 from fwclass.store.external_file import ExternalFile
@@ -69,7 +69,7 @@ def classify_tile(
     """
     used = _model(here, model)
     tables, missing = [], 0
-    outside = Outside.of(used.card, used.features)
+    outside = RangeCounter.of(used.card, used.features)
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
         source = rows["source_class"] if kept else NO_SOURCE
@@ -98,7 +98,7 @@ def classify_thinned_tile(
     used = _model(here, model)
     X = sample_matrix(some, used.features, here.part)
     answer = classify(X, used, probabilities)
-    outside = Outside.of(used.card, used.features)
+    outside = RangeCounter.of(used.card, used.features)
     if outside is not None:
         outside.add(X[np.isin(rows, chunk.core)])
     core = chunk.table.take(chunk.core)
@@ -111,7 +111,7 @@ def classify_thinned_tile(
     return table, facts | outside_facts(outside)
 
 
-def outside_facts(outside: Outside | None) -> dict[str, Any]:
+def outside_facts(outside: RangeCounter | None) -> dict[str, Any]:
     """What a part's meta says of values that the model has not seen, if the model says what it has."""
     return {} if outside is None else {OUTSIDE: outside.counts()}
 

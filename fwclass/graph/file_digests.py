@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from fwclass.errors import DamagedError
-from fwclass.store.external_file import ExternalFile, digested
+from fwclass.store.external_file import ExternalFile, digest_file
 from fwclass.store.remote_file import Location, RemoteFile, seen_as
 from fwclass.store.run_store import Store
-from fwclass.store.seal import sealed, unsealed
+from fwclass.store.seal import seal, unseal
 
 _INPUTS = "inputs.json"
 _SAVED_EVERY = 30.0
@@ -54,19 +54,19 @@ class Digests:
     def save(self) -> None:
         """Remember what is new; called when all files are known, and now and then before."""
         if self._changed and not self._read_only:
-            self._store.keep(_INPUTS, sealed(self._known))
+            self._store.keep(_INPUTS, seal(self._known))
         self._changed, self._saved = False, time.monotonic()
 
     def _digest(self, path: Path, size: int) -> str:
         if self._read_only and (path.name, size) not in self._sizes:
             return f"not read: {path}"
-        return digested(path)
+        return digest_file(path)
 
 
 def _load(store: Store) -> dict[str, Any]:
     """What was remembered; nothing where that is damaged, and all files are read again."""
     try:
-        known = unsealed(store.recall(_INPUTS) or {})
+        known = unseal(store.recall(_INPUTS) or {})
     except (DamagedError, TypeError, ValueError):
         return {}
     return known if all(isinstance(v, list) and len(v) >= 3 for v in known.values()) else {}

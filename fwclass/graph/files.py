@@ -11,7 +11,7 @@ from fwclass.errors import InputError
 from fwclass.grid import Box
 from fwclass.paths import path_matches, strange_kind
 from fwclass.store.params import StoreParams
-from fwclass.store.remote_file import Location, found_outside
+from fwclass.store.remote_file import Location, find_remote
 from fwclass.store.url import Url
 
 
@@ -39,7 +39,7 @@ def find_files(
 
 def _matches(pattern: str, directory: Path | Url, params: StoreParams) -> list[Location]:
     if isinstance(directory, Url):
-        return sorted(found_outside(pattern, directory, params), key=str)
+        return sorted(find_remote(pattern, directory, params), key=str)
     parts = Path(pattern).parts
     fixed = list(itertools.takewhile(lambda part: not glob.has_magic(part), parts))
     wild = parts[len(fixed) :]

@@ -24,7 +24,7 @@ from fwclass.label.polygons import Polygons, from_polygons
 from fwclass.label.stage import LABEL, LabelParams, from_cloud, from_source
 from fwclass.label.values import codes_of, groups_of
 from fwclass.model import ClassDef
-from fwclass.read.polygons import open_polygons, read_polygons, reprojected
+from fwclass.read.polygons import open_polygons, read_polygons, reproject
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import Table
@@ -58,7 +58,7 @@ def polygons_read(
     codes, counts = codes_of(read, values, classes, f"{path}: field {field}")
     moved = ""
     if own_crs is not None and crs is not None:
-        shapes, moved = reprojected(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
+        shapes, moved = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
     polygons = Polygons.of(shapes, codes, groups_of(codes, classes), path)
     write_arrays(here.directory / POLYGONS, polygons.arrays())
     least_x, least_y, most_x, most_y = polygons.bounds
@@ -93,7 +93,7 @@ def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
 def label_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
     """Reference classes from the source's own classification; corrections lie within `reach` [m] of their echo."""
     chunk = here.chunk()
-    return _with_counts(*_correct(here, chunk, from_source(chunk, params), reach))
+    return _with_counts(*_correct(here, chunk, from_source(chunk), reach))
 
 
 def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:

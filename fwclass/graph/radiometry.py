@@ -26,7 +26,7 @@ from fwclass.radiometry.stage import (
     pointing_error,
     radiometry,
 )
-from fwclass.read.trajectory import in_survey_time, read_trajectory, thinned
+from fwclass.read.trajectory import in_survey_time, read_trajectory, thin_trajectory
 from fwclass.run.inputs import TABLE
 from fwclass.run.part import Name
 from fwclass.schema import Table
@@ -72,7 +72,7 @@ def check_altitude(layout: Layout) -> None:
 def flown(here: StageInputs, crs: str | None, undulation: float, times: tuple[float, float]) -> Result:
     """A file's trajectory on the time scale of a survey of `times`, sorted by time."""
     path = here.file()
-    table = in_survey_time(thinned(read_trajectory(path, crs, undulation), SPACING), *times, where=path)
+    table = in_survey_time(thin_trajectory(read_trajectory(path, crs, undulation), SPACING), *times, where=path)
     write_table(here.directory / TABLE, table, FIXES)
     at = table["gps_time"]
     return {"fixes": table.rows, "begins": at[::FIXES].tolist(), "ends": float(at[-1])}

@@ -24,14 +24,14 @@ from fwclass.read.polygons import (
     open_polygons,
     read_lines,
     read_polygons,
-    reprojected,
+    reproject,
     source_crs,
     values_of,
 )
 from fwclass.read.source import open_source
 from fwclass.store.corrections import CORRECTIONS
 from fwclass.store.receipts import Receipt
-from fwclass.store.remote_file import Location, found_outside, local
+from fwclass.store.remote_file import Location, find_remote, local
 from fwclass.store.url import Url
 from fwclass.water.params import BreaklineParams, WaterParams
 
@@ -118,7 +118,7 @@ def _file_of_terrain(
     system = source_crs(opened, user_crs, survey, f"--set {section}.crs=EPSG:<code>")
     shapes = read_polygons(opened, None)[1] if section == "water" else read_lines(opened)[0]
     if system is not None and survey is not None:
-        shapes, _ = reprojected(shapes, system, survey, path)
+        shapes, _ = reproject(shapes, system, survey, path)
     a, b = edges(shapes.x, shapes.y, shapes.ring_start)
     low, high = np.array(box.bounds[:2]), np.array(box.bounds[2:])
     near = ((np.maximum(a, b) >= low) & (np.minimum(a, b) <= high)).all(axis=1).any()
@@ -159,7 +159,7 @@ def reference_corrections(
             [reference.corrections], directory, "survey.reference.corrections", config.path, config.store
         )
     elif isinstance(run, Url):
-        places = list(found_outside(CORRECTIONS, run, config.store))
+        places = list(find_remote(CORRECTIONS, run, config.store))
     else:
         places = [run / CORRECTIONS] if (run / CORRECTIONS).is_file() else []
     if len(places) > 1:

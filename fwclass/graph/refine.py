@@ -41,7 +41,7 @@ from fwclass.graph.learn import (
 from fwclass.graph.machine_search import spatial
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
-from fwclass.model.ranges import Outside
+from fwclass.model.ranges import RangeCounter
 from fwclass.schema import Table, canonical_key
 from fwclass.stage import Chunk
 from fwclass.store.arrays import write_arrays
@@ -68,7 +68,7 @@ def answer_coarse(here: StageInputs, names: tuple[str, ...], model: str | None) 
         both = model_at(here.file(), model, True)
         used = both.coarse if isinstance(both, TwoLayer) else both
     missing, tables = 0, []
-    outside = Outside.of(used.card, used.features)
+    outside = RangeCounter.of(used.card, used.features)
     for rows in here.cuts():
         X = sample_matrix(rows, used.features, here.part)
         if outside is not None:

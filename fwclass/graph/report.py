@@ -31,7 +31,7 @@ from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
 from fwclass.graph.water import LEVELS
 from fwclass.model.ranges import RANGES
 from fwclass.run.inputs import PartInputs
-from fwclass.run.libraries import reported
+from fwclass.run.libraries import report_libraries
 from fwclass.run.runner import Runner, Tally
 from fwclass.store.atomic import read_json, write_json
 from fwclass.store.directory import link
@@ -130,7 +130,7 @@ def write_report(
         ],
         "failed": [{"stage": o.stage, "part": o.part, "message": o.message} for o in runner.failures],
         "config": _plain(config.raw),
-        "libraries": reported(runner),
+        "libraries": report_libraries(runner),
         "whole": runner.whole,
         "seconds": round(max((t.ended for t in runner.tallies.values()), default=0.0) - runner.began, 3),
     }
@@ -160,7 +160,10 @@ def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:
         or standing.get("outputs") != _outputs(runner)
     ):
         return None
-    if runner.accept_libraries and (standing.get("libraries") or {}).get("accepted") != reported(runner)["accepted"]:
+    if (
+        runner.accept_libraries
+        and (standing.get("libraries") or {}).get("accepted") != report_libraries(runner)["accepted"]
+    ):
         return None
     for path in (report, page):
         link(path, runner.pending / path.name)

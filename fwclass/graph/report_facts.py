@@ -25,7 +25,7 @@ SHOWN_SAMPLES = 400
 
 def receipts_of_run(runner: Runner, stage: str) -> list[Receipt]:
     """Receipts of a stage's parts that are done in this run; what an earlier run left is not this run's result."""
-    parts = sorted(part for name, part in runner.outcomes if name == stage and runner.made(stage, part))
+    parts = sorted(part for name, part in runner.outcomes if name == stage and runner.is_done(stage, part))
     return [r for r in (runner.store.receipt(stage, part) for part in parts) if r is not None]
 
 

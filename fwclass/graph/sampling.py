@@ -20,7 +20,7 @@ from fwclass.graph.corrections import (
 )
 from fwclass.graph.learn import SAMPLE, trains
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
-from fwclass.label.census import census, lacking, taken, total
+from fwclass.label.census import census, count_training, lacking, total
 from fwclass.model import ClassDef
 from fwclass.run.part import Name
 from fwclass.schema import canonical_key
@@ -43,7 +43,7 @@ def samples_counted(here: StageInputs, areas: AreasSection, classes: tuple[Class
     """How many of a tile's echoes are in the survey's sample."""
     table = here.rows()
     arrays, _ = here.inputs.arrays("training", "all", SAMPLE, ("key",))
-    return taken(table, np.isin(canonical_key(table), arrays["key"]), areas.boxes("train"), classes)
+    return count_training(table, np.isin(canonical_key(table), arrays["key"]), areas.boxes("train"), classes)
 
 
 def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from fwclass.conf import Config
 from fwclass.grid import TileGrid
-from fwclass.label.census import remarks, total, total_taken
+from fwclass.label.census import remarks, total, total_training
 from fwclass.store.receipts import Receipt
 
 
@@ -33,7 +33,7 @@ def sampling(
         return None
     classes, train, test = config.classes, config.areas.boxes("train"), config.areas.boxes("test")
     whole = total((r.meta for r in counted), len(train), len(classes))
-    rows = total_taken((r.meta for r in drawn), len(train), len(classes)) if drawn else None
+    rows = total_training((r.meta for r in drawn), len(train), len(classes)) if drawn else None
     by_tile = {r.part: r.meta for r in drawn}
     ambiguous = sum(int(r.meta.get("ambiguous", 0)) for r in labelled)
     notes = remarks(whole, rows, by_tile, classes, train, test, config.areas.gap)

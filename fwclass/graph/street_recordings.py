@@ -176,7 +176,7 @@ class LasRecording:
             )
         units = linear_units(self.source.crs, self.source.header, self.path)
         if not units.metres:
-            raise self._refused("the coordinates are not metres", "metres", units.told, "reproject the file")
+            raise self._refused("the coordinates are not metres", "metres", units.source, "reproject the file")
 
     @cached_property
     def _way(self) -> Way:

@@ -36,7 +36,7 @@ from fwclass.read.pls_read import pulse_bounds
 from fwclass.read.pulsewaves import PulseSource
 from fwclass.read.quantities import quantities_of
 from fwclass.read.source import BeamSource, Source, open_source, refuse_other_system
-from fwclass.read.stage import as_told, check_source, read_cloud
+from fwclass.read.stage import check_source, read_cloud, with_settings
 from fwclass.run.part import Name
 from fwclass.run.runner import Runner
 from fwclass.simulate.params import SimulateParams
@@ -180,7 +180,7 @@ def open_all(places: Sequence[Location], config: Config) -> list[Source]:
     opened, faults = [], []
     for place in places:
         try:
-            source = as_told(open_source(local(place)), config.read)
+            source = with_settings(open_source(local(place)), config.read)
             check_source(source, config.read)
             opened.append(source)
         except InputError as fault:

@@ -15,7 +15,7 @@ from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Window, millimetres
 from fwclass.label.polygons import Polygons, owners
-from fwclass.read.polygons import open_polygons, read_polygons, reprojected
+from fwclass.read.polygons import open_polygons, read_polygons, reproject
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
 from fwclass.store.remote_file import Location
@@ -93,7 +93,7 @@ def water_read(
     path = here.file()
     shapes = read_polygons(open_polygons(path, layer), None)[1]
     if own_crs is not None and crs is not None:
-        shapes, _ = reprojected(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
+        shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
     features = np.zeros(1 + int(shapes.feature.max(initial=0)), np.int16)
     polygons = Polygons.of(shapes, features, features, path)
     if polygons.parts > MOST:

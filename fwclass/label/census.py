@@ -65,7 +65,9 @@ def census(
     }
 
 
-def taken(table: Table, chosen: NDArray[np.bool_], train: Sequence[Box], classes: Sequence[ClassDef]) -> Census:
+def count_training(
+    table: Table, chosen: NDArray[np.bool_], train: Sequence[Box], classes: Sequence[ClassDef]
+) -> Census:
     """Counts of the rows of one tile that train: ``train`` [class] and ``boxes`` [box][class], as in `census`."""
     some = table.take(chosen)
     index = class_index(some["reference"], classes)
@@ -111,8 +113,8 @@ def total(tiles: Iterable[Census], boxes: int, classes: int) -> Census:
     }
 
 
-def total_taken(tiles: Iterable[Census], boxes: int, classes: int) -> Census:
-    """The sum of what `taken` gave."""
+def total_training(tiles: Iterable[Census], boxes: int, classes: int) -> Census:
+    """The sum of what `count_training` gave."""
     counts = list(tiles)
     return {
         "train": _sum((c["train"] for c in counts), (classes,)),
@@ -141,8 +143,8 @@ def remarks(
     Parameters
     ----------
     whole : `total` of the survey.
-    rows : `total_taken`, None where nothing was trained.
-    tiles : what `taken` gave, by tile.
+    rows : `total_training`, None where nothing was trained.
+    tiles : what `count_training` gave, by tile.
     """
     names = [c.name for c in classes]
     return [

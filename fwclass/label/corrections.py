@@ -25,7 +25,7 @@ def last_of_each(table: Table) -> Table:
     return table.take(order[last])
 
 
-def matched(echoes: Table, labels: Table, reach: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def match_labels(echoes: Table, labels: Table, reach: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows of `echoes` that have a label, and the rows of `labels` that are theirs.
 
     A label is an echo's where strip, pulse and number are the same, and the echo lies at most `reach` [m] from where it
@@ -82,13 +82,13 @@ def reference_codes(code: NDArray[np.int16], classes: Sequence[ClassDef], where:
     """
     known = {0: 0, **{c: c for one in classes for c in one.codes}}
     known |= {c.code: c.code if c.code in c.codes else c.codes[0] for c in classes if c.codes}
-    alien = sorted(set(np.unique(code).tolist()) - known.keys())
-    if alien:
+    unknown = sorted(set(np.unique(code).tolist()) - known.keys())
+    if unknown:
         raise ConfigError(
             "corrections have codes that no class of the survey has",
             where=where,
             expected=", ".join(f"{c.code} ({c.name})" for c in classes) + ", or 0 for no class",
-            got=", ".join(f"{v} ({int((code == v).sum()):,} rows)" for v in alien),
+            got=", ".join(f"{v} ({int((code == v).sum()):,} rows)" for v in unknown),
             do="add the class to survey.classes, or take these corrections back",
         )
     table = np.zeros(256, np.int16)

@@ -176,7 +176,7 @@ def owners(
     band = (y - south) // BAND
     order = np.lexsort((x, band))
     start = np.searchsorted(band[order], np.arange(int(band.max()) + 2))
-    found_code, found_group = code[order], group[order]
+    sorted_code, sorted_group = code[order], group[order]
     low_x, low_y, high_x, high_y = polygons.bounds
     _mark(
         x[order],
@@ -193,10 +193,10 @@ def owners(
         high_y,
         polygons.code,
         polygons.group,
-        found_code,
-        found_group,
+        sorted_code,
+        sorted_group,
     )
-    code[order], group[order] = found_code, found_group
+    code[order], group[order] = sorted_code, sorted_group
     return code, group
 
 

@@ -52,21 +52,21 @@ def _same_pulse(echoes: Table, cloud: Table, limit: float) -> NDArray[np.int64]:
 
 
 @kernel
-def _nearest_in_range(px, py, pz, x, y, z, order, low, high, limit, found):  # type: ignore[no-untyped-def]
+def _nearest_in_range(px, py, pz, x, y, z, order, low, high, limit, nearest):  # type: ignore[no-untyped-def]
     for i in range(len(px)):
         best = limit * limit
         for k in range(low[i], high[i]):
             j = order[k]
             d = (px[i] - x[j]) ** 2 + (py[i] - y[j]) ** 2 + (pz[i] - z[j]) ** 2
-            if d < best or (d == best and found[i] < 0):
+            if d < best or (d == best and nearest[i] < 0):
                 best = d
-                found[i] = j
+                nearest[i] = j
 
 
 __all__ = ["LABEL", "LabelParams", "from_cloud", "from_polygons", "from_source"]
 
 
-def from_source(chunk: Chunk, params: LabelParams) -> Table:
+def from_source(chunk: Chunk) -> Table:
     """``reference``, uint8 (core,): the class that the source file gave to the nearest return of the echo's pulse."""
     return Table({"reference": chunk.table["source_class"][chunk.core]})
 

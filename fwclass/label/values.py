@@ -50,7 +50,7 @@ def codes_of(
     """
     texts = [text_of(v) for v in values]
     counts = Counter(t for t in texts if t is not None)
-    table = {text: _code(text, meaning, classes, where) for text in counts}
+    table = {text: _code(text, meaning, classes) for text in counts}
     unknown = sorted(text for text, code in table.items() if code is None)
     if unknown:
         listed = ", ".join(f"{text!r} ({counts[text]} features)" for text in unknown[:SHOWN])
@@ -73,11 +73,11 @@ def groups_of(codes: NDArray[np.int16], classes: Sequence[ClassDef]) -> NDArray[
     return np.where(index >= 0, index, 256 + codes).astype(np.int16)
 
 
-def _code(text: str, meaning: Meaning, classes: Sequence[ClassDef], where: object) -> int | None:
+def _code(text: str, meaning: Meaning, classes: Sequence[ClassDef]) -> int | None:
     """The code of one value, None where it stands for nothing known."""
-    given = {str(k).strip(): v for k, v in meaning.items()}
-    if text in given:
-        meant = given[text]
+    codes = {str(k).strip(): v for k, v in meaning.items()}
+    if text in codes:
+        meant = codes[text]
         if meant is None:
             return NO_CODE
         code = _plain_code(str(meant), classes)

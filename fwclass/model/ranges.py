@@ -28,15 +28,15 @@ def ranges_of(X: NDArray[np.float32], names: Sequence[str]) -> dict[str, list[fl
     -------
     By name [least, greatest]; None for a feature without any value.
     """
-    found: dict[str, list[float] | None] = {}
+    ranges: dict[str, list[float] | None] = {}
     for k, name in enumerate(names):
         values = X[:, k][np.isfinite(X[:, k])]
-        found[name] = [float(v) for v in np.quantile(values, QUANTILES)] if len(values) else None
-    return found
+        ranges[name] = [float(v) for v in np.quantile(values, QUANTILES)] if len(values) else None
+    return ranges
 
 
 @dataclass
-class Outside:
+class RangeCounter:
     """How many values of every feature lie outside of what the model has seen: `outside` and `seen`, int64 (features,),
     in the order of `names`. Values that are missing count as neither."""
 
@@ -47,7 +47,7 @@ class Outside:
     seen: NDArray[np.int64]
 
     @classmethod
-    def of(cls, card: Mapping[str, Any], names: Sequence[str]) -> Outside | None:
+    def of(cls, card: Mapping[str, Any], names: Sequence[str]) -> RangeCounter | None:
         """To count with; None where the card does not say what was seen, or says it wrongly."""
         ranges = card.get(RANGES)
         if not isinstance(ranges, Mapping):
@@ -72,10 +72,10 @@ class Outside:
 
 
 def shares(counts: Sequence[Mapping[str, Sequence[int]]]) -> dict[str, float]:
-    """The share of the values outside, by feature, over all `counts` (`Outside.counts`); the largest first."""
+    """The share of the values outside, by feature, over all `counts` (`RangeCounter.counts`); the largest first."""
     total: dict[str, NDArray[np.int64]] = {}
     for one in counts:
         for name, pair in one.items():
             total[name] = total.get(name, np.zeros(2, np.int64)) + np.asarray(pair, np.int64)
-    found = {name: float(n[0] / n[1]) for name, n in total.items() if n[1]}
-    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+    outside = {name: float(n[0] / n[1]) for name, n in total.items() if n[1]}
+    return dict(sorted(outside.items(), key=lambda item: (-item[1], item[0])))

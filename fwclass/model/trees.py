@@ -33,8 +33,8 @@ def threshold_fault(feature: NDArray[np.uint16], threshold: NDArray[np.float32])
 
     Plus infinity is none: it divides samples with a value from those without. NaN and minus infinity divide nothing.
     """
-    asked = threshold[feature != LEAF]
-    return "a node's threshold is not a number" if np.isnan(asked).any() or np.isneginf(asked).any() else ""
+    used = threshold[feature != LEAF]
+    return "a node's threshold is not a number" if np.isnan(used).any() or np.isneginf(used).any() else ""
 
 
 _FAULTS = (

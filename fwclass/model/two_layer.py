@@ -56,10 +56,10 @@ class TwoLayer(Model):
             return "a layer has layers of its own"
         if self.features != self.coarse.features or self.classes != self.coarse.classes:
             return "its card has other features or classes than its first layer"
-        strangers = [c.name for c in self.fine.classes if c not in self.coarse.classes]
-        if strangers or len(self.fine.codes) != 2:
-            told = ", ".join(strangers or (c.name for c in self.fine.classes))
-            return f"its second layer decides between two classes of the first, and names {told}"
+        unknown = [c.name for c in self.fine.classes if c not in self.coarse.classes]
+        if unknown or len(self.fine.codes) != 2:
+            names = ", ".join(unknown or (c.name for c in self.fine.classes))
+            return f"its second layer decides between two classes of the first, and names {names}"
         try:
             within = self.within
         except (KeyError, TypeError, ValueError, OverflowError) as fault:

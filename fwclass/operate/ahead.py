@@ -27,18 +27,18 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
     """Compile what the cache lacks; how many kernels and seconds, which do not fit their list, and where they lie, as
     plain data.
 
-    `tell` hears now and then how far it is.
+    `tell` is called now and then with how far it is.
     """
-    began, wanted = time.perf_counter(), listed()
+    began, wanted = time.perf_counter(), listed_kernels()
     before, spoke, left = compiling.count(), began, list[str]()
-    for done, (kernel, types) in enumerate(wanted):
+    for number, (kernel, types) in enumerate(wanted):
         try:
             kernel.compiled().compile(tuple(map(_type, types)))  # type: ignore[attr-defined]
         except TypeError as fault:
             left.append(f"{kernel.__name__}: {fault}")  # type: ignore[attr-defined]
         if time.perf_counter() - spoke > 10.0:
             spoke = time.perf_counter()
-            tell(f"{done + 1} of {len(wanted)}")
+            tell(f"{number + 1} of {len(wanted)}")
     return {
         "listed": len(wanted),
         "compiled": compiling.count() - before,
@@ -48,7 +48,7 @@ def compile_all(tell: Callable[[str], None] = lambda text: None) -> dict[str, An
     }
 
 
-def listed() -> list[tuple[Kernel, list[Any]]]:
+def listed_kernels() -> list[tuple[Kernel, list[Any]]]:
     """Every kernel of the list, and the types of its arguments, as text."""
     rows = json.loads((conf_directory() / LIST).read_text(encoding="utf-8"))
     return [(_named(name), types) for name, *types in rows]
@@ -59,20 +59,20 @@ def _named(name: str) -> Any:
     return getattr(importlib.import_module(module), own)
 
 
-def _type(told: Any) -> Any:
+def _type(type_: Any) -> Any:
     """numba's type."""
     from numba import types
     from numba.np.numpy_support import from_dtype
 
-    if isinstance(told, dict):
-        return _array(from_dtype(np.dtype([tuple(field) for field in told["dtype"]])), told["array"].split())
-    if isinstance(told, list):
-        kind, *fields = told
+    if isinstance(type_, dict):
+        return _array(from_dtype(np.dtype([tuple(field) for field in type_["dtype"]])), type_["array"].split())
+    if isinstance(type_, list):
+        kind, *fields = type_
         inner = [_type(field) for field in fields]
         return types.NamedTuple(inner, _named(kind)) if kind else types.Tuple(inner)
-    scalar, *rest = told.split()
-    found = types.none if scalar == "none" else getattr(types, scalar)
-    return _array(found, rest) if rest else found
+    scalar, *rest = type_.split()
+    scalar_type = types.none if scalar == "none" else getattr(types, scalar)
+    return _array(scalar_type, rest) if rest else scalar_type
 
 
 def _array(kind: Any, words: list[str]) -> Any:
@@ -82,9 +82,9 @@ def _array(kind: Any, words: list[str]) -> Any:
     return types.Array(kind, int(ndim), layout, readonly="readonly" in more, aligned="unaligned" not in more)
 
 
-def lines(asked: list[tuple[str, Any]]) -> Iterator[str]:
+def lines(kernels: list[tuple[str, Any]]) -> Iterator[str]:
     """Of `compiling.asked`, as the list has them."""
-    for name, types in asked:
+    for name, types in kernels:
         yield json.dumps([name, *map(_text, types)])
 
 

@@ -34,8 +34,8 @@ def assess_runs(first: Path, second: Path) -> dict[str, Any]:
             got=", ".join(other),
             do="compare runs with the same survey.classes and assess.block",
         )
-    _, mine, theirs = np.intersect1d(_keys(a), _keys(b), return_indices=True)
-    x, y = a.counts[mine], b.counts[theirs]
+    _, first_rows, second_rows = np.intersect1d(_keys(a), _keys(b), return_indices=True)
+    x, y = a.counts[first_rows], b.counts[second_rows]
     if len(x) != len(a.place) or len(x) != len(b.place) or (x.sum(axis=2) != y.sum(axis=2)).any():
         raise InputError(
             "the runs were not judged on the same echoes",

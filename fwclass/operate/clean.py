@@ -53,27 +53,27 @@ def clean(location: RunLocation, keep: Keep, tell: Callable[[str], None]) -> Cle
                 got="none" if current is None else f"{current.name}, which is not",
                 do="finish the run first, or --keep latest",
             )
-        before = used(own)
+        before = bytes_used(own)
         generations = [] if keep == "deliveries" else store.generations.retire_earlier()
         parts = []
         if keep != "latest":
-            kept = {receipt.part for receipt in store.receipts("simulate")}
-            parts = [name for name in store.parts() if name[0] != "simulate" or name[1] not in kept]
+            simulated = {receipt.part for receipt in store.receipts("simulate")}
+            parts = [name for name in store.parts() if name[0] != "simulate" or name[1] not in simulated]
             store.remove_all(parts)
         store.clear_staging()
-        return Cleaned(tuple(generations), len(parts), before, used(own))
+        return Cleaned(tuple(generations), len(parts), before, bytes_used(own))
 
 
-def used(location: RunLocation) -> int:
+def bytes_used(location: RunLocation) -> int:
     """Bytes that a run takes: of files with several names once, as a delivery's are the store's."""
     if isinstance(location, Remote):
-        return sum(held.size for held in location.objects.list(""))
-    seen: dict[tuple[int, int], int] = {}
+        return sum(item.size for item in location.objects.list(""))
+    sizes: dict[tuple[int, int], int] = {}
     for directory, _, names in os.walk(location):
         for name in names:
             try:
                 facts = os.lstat(f"{directory}/{name}")
             except FileNotFoundError:  # it went just now
                 continue
-            seen[facts.st_dev, facts.st_ino] = facts.st_size
-    return sum(seen.values())
+            sizes[facts.st_dev, facts.st_ino] = facts.st_size
+    return sum(sizes.values())

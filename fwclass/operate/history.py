@@ -80,10 +80,6 @@ def word_of(code: int) -> str:
     return WORDS.get(code, "failed")
 
 
-def why_manual() -> dict[str, Any]:
-    return {"trigger": "manual"}
-
-
 @dataclass
 class Entry:
     """A run's place in the history.
@@ -97,7 +93,7 @@ class Entry:
     request: Request
     only: str | None = None
     id: str = field(default_factory=lambda: uuid.uuid4().hex)
-    why: Mapping[str, Any] = field(default_factory=why_manual)
+    why: Mapping[str, Any] = field(default_factory=lambda: {"trigger": "manual"})
     runner: Any = None
     generation: int | None = None
     began: float = field(default_factory=time.time)
@@ -112,6 +108,7 @@ class Entry:
         self._write({"record": "begin", **self._facts()})
 
     def end(self, code: int, word: str, message: str = "") -> None:
+        """Write that the command ended, with its exit code."""
         self._write(self.ending(code, word, message))
 
     def ending(self, code: int, word: str, message: str = "") -> dict[str, Any]:
@@ -192,7 +189,7 @@ def entry_of(location: RunLocation, request: Request, only: str | None = None) -
 
 
 @contextmanager
-def recorded(location: RunLocation, request: Request, only: str | None = None) -> Iterator[Entry]:
+def record_run(location: RunLocation, request: Request, only: str | None = None) -> Iterator[Entry]:
     """Write into the history in `location` how the run within ends, however it ends; `Entry.begin` says that it began.
 
     A run that ended because object storage does not answer, or by Ctrl-C, does not wait for it once more.
@@ -230,7 +227,7 @@ def past_runs(location: RunLocation, last: int | None = None) -> list[dict[str, 
 
     None: all of them, or as many as are read of object storage unasked.
     """
-    runs = _joined(history.lines(location, last))
+    runs = _join_lines(history.lines(location, last))
     if any("word" not in run for run in runs):
         from fwclass.store.run_location import held_by
 
@@ -243,10 +240,10 @@ def past_runs(location: RunLocation, last: int | None = None) -> list[dict[str, 
 
 def past_run(location: RunLocation, name: str) -> dict[str, Any] | None:
     """What the history has of the run whose id is `name`, None for nothing."""
-    return next(iter(_joined(history.lines_of(location, name))), None)
+    return next(iter(_join_lines(history.lines_of(location, name))), None)
 
 
-def _joined(lines: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _join_lines(lines: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Runs, each of all its lines; a line whose values are of other kinds is damaged, and passed over."""
     runs: dict[str, dict[str, Any]] = {}
     for line in lines:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,7 @@ def _text(source: Path) -> str:
 survey:
   name: {json.dumps(_name(source))}
   directory: {json.dumps(str(source.parent))}
-  sources: [{json.dumps(_pattern(source.name))}]
+  sources: [{json.dumps(glob.escape(source.name))}]
   reference: {{kind: source}}
   classes:
     - {{name: ground, code: 2, codes: [2]}}
@@ -75,8 +76,3 @@ survey:
 areas:
   train: [[{-edge}, {-edge}, {edge}, {edge}]]
 """
-
-
-def _pattern(name: str) -> str:
-    """A pattern that finds this name alone."""
-    return "".join(f"[{c}]" if c in "*?[" else c for c in name)

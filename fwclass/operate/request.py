@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from fwclass.errors import ConfigError, DamagedError, StoreError
 from fwclass.store.run_store import Store
-from fwclass.store.seal import sealed, unsealed
+from fwclass.store.seal import seal, unseal
 from fwclass.store.url import Url
 
 _KEPT = "run.json"
@@ -82,7 +82,7 @@ class Request:
 
     def keep(self, store: Store) -> None:
         """Write it into the run (the holder of the lock calls this)."""
-        store.keep(_KEPT, sealed({n: v for n, v in asdict(self).items() if n != "root"}))
+        store.keep(_KEPT, seal({n: v for n, v in asdict(self).items() if n != "root"}))
 
     @classmethod
     def kept(cls, store: Store, own: str | None = None) -> Request:
@@ -100,7 +100,7 @@ class Request:
                 f"fwclass status CONF --out {shlex.quote(str(where))}",
             )
         try:
-            plain = unsealed(plain)
+            plain = unseal(plain)
             tiles, aoi = plain["tiles"], plain["aoi"]
             root = str(where if isinstance(where, Url) else where.resolve())
             workflow = str(plain["workflow"])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.cost import counted
 from fwclass.formats.copc import Cube, write_copc
-from fwclass.formats.extra_bytes import extra_bytes, packed, published
+from fwclass.formats.extra_bytes import extra_bytes, pack_columns, published_columns
 from fwclass.formats.laz_writer import record
 from fwclass.publish.files import whole
 from fwclass.publish.laz import (
@@ -51,7 +51,7 @@ PARQUET_ALONE = frozenset(
 
 def copc_columns(names: Iterable[str]) -> tuple[str, ...]:
     """Those of `names` that become extra bytes; a user's own columns are among them."""
-    return tuple(c.name for c in published(names) if _base(c.name) not in PARQUET_ALONE)
+    return tuple(c.name for c in published_columns(names) if _base(c.name) not in PARQUET_ALONE)
 
 
 def _base(name: str) -> str:
@@ -93,12 +93,12 @@ def write_tile_copc(
         A column is missing, or coordinates do not fit the format's 32 bits.
     """
     require(table, NEEDED, path)
-    extras = extra_bytes(published(copc_columns(table)), table)
+    extras = extra_bytes(published_columns(copc_columns(table)), table)
     offset, units = local_millimetres(table, path)
     points, counts = point_records(table, units)
     tree = octree(np.stack(units, axis=1), table, params.copc_leaf)
     rows = points.view(np.uint8).reshape(len(points), POINT6.itemsize)
-    rows = np.concatenate([rows, packed(extras, table)], axis=1) if extras else rows
+    rows = np.concatenate([rows, pack_columns(extras, table)], axis=1) if extras else rows
     records = [*header_records(extras, crs), class_lookup(names)]
     block = header_block(extras, points, offset, standard_time)
     with whole(path) as beside, beside.open("w+b") as file:

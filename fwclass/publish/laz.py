@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.cost import counted
 from fwclass.errors import InputError
-from fwclass.formats.extra_bytes import ExtraByte, descriptor, extra_bytes, extra_size, packed, published
+from fwclass.formats.extra_bytes import ExtraByte, descriptor, extra_bytes, extra_size, pack_columns, published_columns
 from fwclass.formats.las_bytes import EXTRA_BYTES, HEADER_SIZE, POINT_SIZE, WKT
 from fwclass.formats.laz_writer import assemble, point_writer, record
 from fwclass.grid import millimetres
@@ -82,12 +82,12 @@ def write_tile_laz(
         A column is missing, or coordinates do not fit the format's 32 bits.
     """
     require(table, NEEDED, path)
-    extras = extra_bytes(published(table), table)
+    extras = extra_bytes(published_columns(table), table)
     offset, whole_mm = local_millimetres(table, path)
     points, counts = point_records(table, whole_mm)
     head = assemble(header_block(extras, points, offset, standard_time), header_records(extras, crs))
     rows = points.view(np.uint8).reshape(len(points), POINT6.itemsize)
-    rows = np.concatenate([rows, packed(extras, table)], axis=1) if extras else rows
+    rows = np.concatenate([rows, pack_columns(extras, table)], axis=1) if extras else rows
     with whole(path) as beside:
         with beside.open("w+b") as file:
             writer = point_writer(path, file, head)

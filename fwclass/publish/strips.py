@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fwclass.cost import counted
 from fwclass.errors import ConfigError, InputError
-from fwclass.formats.extra_bytes import ExtraByte, extended, extra_bytes, extra_size, names_of, packed
+from fwclass.formats.extra_bytes import ExtraByte, extend_records, extra_bytes, extra_size, names_of, pack_columns
 from fwclass.formats.las_bytes import (
     AT_ENCODING,
     AT_EVLRS,
@@ -158,7 +158,7 @@ def _copy(
 ) -> int:
     """Write head, points and extended records; the number of points whose class differs."""
     block = _block(head, extras, packets)
-    writer = point_writer(output, file, assemble(block, extended(kept_records(head), extras), head.gap))
+    writer = point_writer(output, file, assemble(block, extend_records(kept_records(head), extras), head.gap))
     changed = first = 0
     for part in point_chunks(head, chunk):
         rows = slice(first, first + len(part))
@@ -166,7 +166,7 @@ def _copy(
         if heights is not None:
             heights.put(part, rows)
         if extras:
-            added = packed(extras, {e.name: extra[e.name][rows] for e in extras})
+            added = pack_columns(extras, {e.name: extra[e.name][rows] for e in extras})
             part = np.concatenate([part, added], axis=1)
         writer.write(part)
         first = rows.stop

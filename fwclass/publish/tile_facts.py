@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fwclass.formats.extra_bytes import published
+from fwclass.formats.extra_bytes import published_columns
 from fwclass.grid import millimetres
 from fwclass.publish.copc import copc_columns
 from fwclass.schema import Table
@@ -62,7 +62,7 @@ def _sure(table: Table) -> dict[str, float]:
 
 
 def _field(name: str) -> str:
-    return _NAMES.get(name) or published([name])[0].las
+    return _NAMES.get(name) or published_columns([name])[0].las
 
 
 def _figures(table: Table, name: str) -> dict[str, float] | None:
@@ -81,7 +81,7 @@ def _figures(table: Table, name: str) -> dict[str, float] | None:
 
 def point_schema(columns: tuple[str, ...]) -> list[dict[str, Any]]:
     """Dimensions of a delivered tile with `columns`, as PDAL names and types them."""
-    extras = published(copc_columns(columns))
+    extras = published_columns(copc_columns(columns))
     kinds = {"u": "unsigned", "i": "signed", "f": "floating", "b": "unsigned"}
     more = []
     for col in extras:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.formats.extra_bytes import ExtraByte, extended, packed
+from fwclass.formats.extra_bytes import ExtraByte, extend_records, pack_columns
 from fwclass.formats.las_bytes import (
     AT_ENCODING,
     AT_EVLRS,
@@ -46,7 +46,7 @@ def verify(
     copy_head = replace(read_head(copy), path=copy)
     _same(copy, "the header", _unchanged_header(head), _unchanged_header(copy_head))
     _storage(head, copy_head, packets, copy)
-    wanted = b"".join(extended(kept_records(head), extras))
+    wanted = b"".join(extend_records(kept_records(head), extras))
     _same(copy, "the variable length records", wanted, b"".join(r.raw for r in kept_records(copy_head).records))
     _same(copy, "the bytes before the points", head.gap, copy_head.gap)
     _verify_extended(head, copy_head, packets)
@@ -60,7 +60,7 @@ def verify(
             heights.put(old, rows)
         _verify_points(head, copy, old, new, classes[rows], first)
         if extras:
-            added = packed(extras, {e.name: extra[e.name][rows] for e in extras})
+            added = pack_columns(extras, {e.name: extra[e.name][rows] for e in extras})
             _same(copy, "the added extra bytes", added.tobytes(), new[:, head.point_size :].tobytes())
         first = rows.stop
 

@@ -20,7 +20,7 @@ PARQUET, TEXTS = (".parquet", ".geoparquet"), (".csv", ".txt", ".tsv")
 
 
 @dataclass(frozen=True)
-class Opened:
+class OpenedTable:
     """A format's own part of a source: how its rows are read, and what it says for all of them.
 
     `levels` : counts that the range of samples which are no whole numbers is laid out in, at most.
@@ -47,21 +47,21 @@ def is_beam_file(path: str | Path) -> bool:
     return (ending in PARQUET and is_raw_parquet(path)) or (ending in TEXTS and is_raw_csv(path))
 
 
-def _opened(path: Path) -> Opened:
+def _open(path: Path) -> OpenedTable:
     if is_helios(path):
-        found = open_helios(path)
-        bins = f"{found.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * found.bin_ns:g} there and back"
+        layout = open_helios(path)
+        bins = f"{layout.bin_ns:g} ns of one way, as the numbers of samples tell: {2 * layout.bin_ns:g} there and back"
         no_crs = "no usable CRS: name one in the configuration"
-        return Opened("HELIOS++ full waveforms", found, None, None, False, (("bins", bins),), (no_crs,), LEVELS)
+        return OpenedTable("HELIOS++ full waveforms", layout, None, None, False, (("bins", bins),), (no_crs,), LEVELS)
     if is_footprints(path):
-        shots, kind, system, told = open_footprints(path)
-        return Opened(kind, shots, system, None, False, tuple(told), ())
+        shots, kind, system, about = open_footprints(path)
+        return OpenedTable(kind, shots, system, None, False, tuple(about), ())
     raw, settings = open_raw_parquet(path) if path.suffix.lower() in PARQUET else open_raw_csv(path)
     faults: list[str] = []
     crs = settings.system(path, faults)
     kind = "raw waveforms, " + ("Parquet" if path.suffix.lower() in PARQUET else "text")
     notes = (("direction", raw.direction),)
-    return Opened(kind, raw, crs, settings.saturation, settings.standard, notes, tuple(faults))
+    return OpenedTable(kind, raw, crs, settings.saturation, settings.standard, notes, tuple(faults))
 
 
 def open_beam_file(path: Path) -> BeamSource:
@@ -72,7 +72,7 @@ def open_beam_file(path: Path) -> BeamSource:
     InputError
         Damaged, without the columns that are needed, or with a row that is none.
     """
-    opened = _opened(path)
+    opened = _open(path)
     census = census_of(path, opened.layout)
     if census.rows != opened.layout.n_rows:
         raise InputError(

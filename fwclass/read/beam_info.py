@@ -70,28 +70,28 @@ def beam_rows_info(source: BeamSource) -> dict[str, Any]:
 
 def _faults(source: BeamSource) -> list[str]:
     census = source.census
-    found = [f"{n} of {census.rows} rows: {FAULTS[i]}" for i, n in enumerate(census.faults) if n and i]
+    faults = [f"{n} of {census.rows} rows: {FAULTS[i]}" for i, n in enumerate(census.faults) if n and i]
     if census.rows and not census.faults[0]:
-        found.insert(0, "NO WAVEFORM CAN BE READ")
+        faults.insert(0, "NO WAVEFORM CAN BE READ")
     if census.samples and census.lengths[1] < FEW:
-        found.append(f"no waveform has more than {census.lengths[1]} samples: nothing tells its noise")
+        faults.append(f"no waveform has more than {census.lengths[1]} samples: nothing tells its noise")
     if census.samples and census.values[0] == census.values[1]:
-        found.append(f"every sample is {census.values[0]:g}")
-    return found
+        faults.append(f"every sample is {census.values[0]:g}")
+    return faults
 
 
-def describe_beam_rows(found: dict[str, Any]) -> list[tuple[str, str]]:
+def describe_beam_rows(info: dict[str, Any]) -> list[tuple[str, str]]:
     """Rows of `info.describe` that tell of waveforms."""
-    waves = found["waveforms"]
+    waves = info["waveforms"]
     rows = [
-        ("rows", f"{found['rows']:,} of {found['pulses']:,} pulses, {waves['usable']:,} with a usable waveform"),
-        ("outgoing", f"{found['outgoing']:,} rows with a recorded outgoing pulse"),
+        ("rows", f"{info['rows']:,} of {info['pulses']:,} pulses, {waves['usable']:,} with a usable waveform"),
+        ("outgoing", f"{info['outgoing']:,} rows with a recorded outgoing pulse"),
     ]
     if waves["samples"]:
         ends = {name: "{:g} to {:g}".format(*waves[name]) for name in ("samples", "spacing_ns", "values")}
         rows.append(("waveforms", f"{ends['samples']} samples every {ends['spacing_ns']} ns, of {ends['values']}"))
         rows.append(("saturation", f"{waves['saturation']:g}"))
-    if len(found["channels"]) > 1:
-        rows.append(("channels", ", ".join(map(str, found["channels"]))))
-    rows += [(name, text) for name, text in found["notes"]]
-    return [*rows, ("amplitudes", WORDS[found["quantities"]["amplitude"]])]
+    if len(info["channels"]) > 1:
+        rows.append(("channels", ", ".join(map(str, info["channels"]))))
+    rows += [(name, text) for name, text in info["notes"]]
+    return [*rows, ("amplitudes", WORDS[info["quantities"]["amplitude"]])]

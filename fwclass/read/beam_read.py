@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.formats.linear_units import linear_units
-from fwclass.read.beam_source import FAULTS, BeamRows, BeamSource, Ragged, turned
+from fwclass.read.beam_source import FAULTS, BeamRows, BeamSource, Ragged, turn_beams
 from fwclass.read.layout import SLACK, join_rows
 from fwclass.read.spans import Span
 from fwclass.read.wave_kernels import clear_of_last
@@ -28,7 +28,7 @@ def check_beam_rows(source: BeamSource) -> None:
                 "the places are not in metres",
                 where=source.path,
                 expected="places and beams of one unit, metres, in a projected system of metres",
-                got=units.told,
+                got=units.source,
                 do="bring the places into such a system first, and name it in the file",
             )
     counts = source.census.faults
@@ -56,7 +56,7 @@ def read_beam_rows(source: BeamSource, span: Span) -> Waveforms:
     The anchor is the row's own, `anchor_time` its time in the waveform. Of several channels of a pulse the first that
     can be used counts. Rows that cannot be used are counted in `faults`.
     """
-    rows = turned(source.layout.read(span.first_point, span.last_point), source)
+    rows = turn_beams(source.layout.read(span.first_point, span.last_point), source)
     pulse = np.cumsum(np.r_[0, rows.pulse[1:] != rows.pulse[:-1]]) if len(rows) else np.empty(0, np.int64)
     code = rows.fault
     faults = {FAULTS[i]: int(n) for i, n in enumerate(np.bincount(code, minlength=len(FAULTS))) if n and i}
@@ -119,7 +119,7 @@ def _outgoing(rows: BeamRows, source: BeamSource) -> tuple[Ragged, NDArray[np.fl
         sums = rows.outgoing.per_row(np.add, 0.0)
     has = rows.outgoing.lengths > 0
     fine = has & np.isfinite(sums) & (highest < source.scaling.top)
-    kept = Ragged(rows.outgoing.values, rows.outgoing.offsets).take(np.flatnonzero(fine))
+    pulses = Ragged(rows.outgoing.values, rows.outgoing.offsets).take(np.flatnonzero(fine))
     lengths = np.where(fine, rows.outgoing.lengths, 0)
     ends = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    return Ragged(kept.values, ends), np.where(fine, rows.outgoing_begin, np.nan), int((has & ~fine).sum())
+    return Ragged(pulses.values, ends), np.where(fine, rows.outgoing_begin, np.nan), int((has & ~fine).sum())

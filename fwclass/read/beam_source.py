@@ -66,6 +66,7 @@ class Ragged:
 
     @classmethod
     def none(cls, rows: int) -> Ragged:
+        """`rows` empty lists."""
         return cls(np.empty(0), np.zeros(rows + 1, np.int64))
 
     @classmethod
@@ -75,6 +76,7 @@ class Ragged:
 
     @property
     def lengths(self) -> Ints:
+        """Values of every row, int64 (rows,)."""
         return np.diff(self.offsets)
 
     def take(self, rows: NDArray) -> Ragged:
@@ -125,13 +127,15 @@ class BeamRows:
         return len(self.pulse)
 
     def take(self, rows: Any) -> BeamRows:
+        """The rows of an index, a mask or a slice."""
         rows = np.arange(len(self))[rows]
-        held: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        held = {n: v.take(rows) if isinstance(v, Ragged) else v[rows] for n, v in held.items()}
-        return BeamRows(**held)
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        values = {n: v.take(rows) if isinstance(v, Ragged) else v[rows] for n, v in values.items()}
+        return BeamRows(**values)
 
     @staticmethod
     def joined(parts: list[BeamRows]) -> BeamRows:
+        """`parts` one after the other."""
         if len(parts) == 1:
             return parts[0]
         whole: dict[str, Any] = {}
@@ -175,7 +179,9 @@ class Layout(Protocol):
     """How the rows of one format are read."""
 
     @property
-    def n_rows(self) -> int: ...
+    def n_rows(self) -> int:
+        """Rows of the file, one a waveform."""
+        ...
 
     def blocks(self) -> Iterator[BeamRows]:
         """All rows, a bounded number at a time."""
@@ -197,9 +203,11 @@ class Scaling:
 
     @property
     def exact(self) -> bool:
+        """The samples are whole numbers that are kept as they are."""
         return self.step == 1.0 and self.low == 0.0
 
     def counts(self, samples: NDArray) -> NDArray[np.uint16]:
+        """`samples` as the counts of a digitiser, uint16 of the same shape."""
         if self.exact and samples.dtype.kind in "iu":
             return samples.astype(np.uint16)
         return np.clip(np.rint((samples - self.low) / self.step), 0.0, TOP).astype(np.uint16)
@@ -227,6 +235,7 @@ class Census:
     ascending: bool = True
 
     def add(self, rows: BeamRows) -> None:
+        """Count a block of rows; blocks come in the file's order."""
         new = np.empty(len(rows), bool)
         new[1:] = rows.pulse[1:] != rows.pulse[:-1]
         new[:1] = self.last is None or rows.pulse[:1] != self.last
@@ -301,7 +310,7 @@ class BeamSource(Source):
         return "uint16"
 
 
-def turned(rows: BeamRows, source: BeamSource) -> BeamRows:
+def turn_beams(rows: BeamRows, source: BeamSource) -> BeamRows:
     """`rows` with the horizontal parts of their beams turned round where `source` is to be read so."""
     return replace(rows, step=rows.step * (-1.0, -1.0, 1.0)) if source.mirrored else rows
 
@@ -313,7 +322,7 @@ def bounds_of(census: Census) -> tuple[float, float, float, float, float, float]
 
 
 @lru_cache(maxsize=16)
-def _counted(path: Path, mark: tuple[int, int], layout: Any) -> Census:
+def _count(path: Path, mark: tuple[int, int], layout: Any) -> Census:
     census = Census()
     for rows in layout.blocks():
         census.add(rows)
@@ -323,7 +332,7 @@ def _counted(path: Path, mark: tuple[int, int], layout: Any) -> Census:
 def census_of(path: Path, layout: Any) -> Census:
     """One pass over a file, once in a process; `layout` must be hashable, and equal where it reads alike."""
     facts = path.stat()
-    census = _counted(path, (facts.st_size, facts.st_mtime_ns), layout)
+    census = _count(path, (facts.st_size, facts.st_mtime_ns), layout)
     if not census.ascending:
         raise InputError(
             "the rows of a pulse do not follow each other",

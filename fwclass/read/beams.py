@@ -16,7 +16,7 @@ from pyproj import CRS
 
 from fwclass.errors import InputError
 from fwclass.formats.projected import project_beams
-from fwclass.read.beam_source import turned
+from fwclass.read.beam_source import turn_beams
 from fwclass.read.packets import References, judge
 from fwclass.read.pls_waves import Samplings, find, read_records, waves_of
 from fwclass.read.points import PointReader, coordinates, gps_times
@@ -93,15 +93,15 @@ def check_beams(source: Source) -> None:
 def beam_fault(source: Source) -> str:
     """What is wrong with the beams of `source`, as a sentence; "" if nothing is, or too little is there to tell."""
     place, beam = _first_samples(source)
-    found = meeting(place, beam)
-    if found.sound:
+    crossing = meeting(place, beam)
+    if crossing.sound:
         return ""
     wrong = next((words for words, turned in TURNED.items() if meeting(place, turned(beam)).sound), "")
     if not wrong:
         up = float((beam[:, 2] > 0.0).mean()) if len(beam) else 0.0
         return f"{100 * up:.0f} % of the beams run up, not down to the ground" if up >= MOST else ""
     side = "below" if wrong == HORIZONTAL else "behind"
-    where = f"{-found.away:.0f} m {side} the ground" if found.meet and found.away < 0.0 else "nowhere"
+    where = f"{-crossing.away:.0f} m {side} the ground" if crossing.meet and crossing.away < 0.0 else "nowhere"
     return f"the beams of neighbouring pulses meet {where}: {wrong}"
 
 
@@ -143,13 +143,13 @@ def _first_samples(source: Source) -> tuple[Floats, Floats]:
     last = min(source.n_records, LOOKED_AT)
     if isinstance(source, PulseSource):
         kinds = Samplings.of(source)
-        found = find(source, read_records(source, 0, last), kinds, waves_of(source))
-        parts = found.segments.take(np.flatnonzero(kinds.kind[found.segments.sampling] == RETURNING))
+        waves = find(source, read_records(source, 0, last), kinds, waves_of(source))
+        parts = waves.segments.take(np.flatnonzero(kinds.kind[waves.segments.sampling] == RETURNING))
         row, first = np.unique(parts.pulse, return_index=True)
-        step, time = found.step[row], found.time[row]
-        place = found.anchor[row] - parts.begin[first, None] * step
+        step, time = waves.step[row], waves.time[row]
+        place = waves.anchor[row] - parts.begin[first, None] * step
     elif isinstance(source, BeamSource):
-        rows = turned(source.layout.read(0, last), source)
+        rows = turn_beams(source.layout.read(0, last), source)
         rows = rows.take(rows.fault == 0)
         step, time, place = rows.step, rows.time, rows.ends()[0]
         row = np.arange(len(rows))

@@ -73,6 +73,7 @@ class PointCloud:
 
     @property
     def points(self) -> int:
+        """Number of points, those without coordinates too."""
         return len(self.x)
 
 
@@ -136,8 +137,8 @@ def _of_las(source: LasSource, crs: Any) -> PointCloud:
             )
     x, y, z, last, classes, flagged = (np.concatenate(column) for column in zip(*parts, strict=True))
     xyz = x * units.xy, y * units.xy, z * units.z
-    told = (f"{cut:,} of {len(z):,} waveform packets reach past the end of those there are",) if cut else ()
-    return replace(_cloud(source.path, source, crs, units, xyz, last, classes, flagged), cut_packets=told)
+    remarks = (f"{cut:,} of {len(z):,} waveform packets reach past the end of those there are",) if cut else ()
+    return replace(_cloud(source.path, source, crs, units, xyz, last, classes, flagged), cut_packets=remarks)
 
 
 def _cloud(
@@ -154,9 +155,9 @@ def _cloud(
     usable = finite.copy()
     for values, limit in zip(xyz, (FAR, FAR, HIGH), strict=True):
         usable &= np.abs(values) <= limit
-    told = usable if usable.any() else finite
-    if told.any():
-        ends = [[float(f(a[told])) for a in xyz] for f in (np.min, np.max)]
+    judged = usable if usable.any() else finite
+    if judged.any():
+        ends = [[float(f(a[judged])) for a in xyz] for f in (np.min, np.max)]
         step = None if isinstance(source, TextCloud) else max(source.scales[:2])
         refuse_unless_flat(crs, ends[0], ends[1], path, step)
     if not usable.any():

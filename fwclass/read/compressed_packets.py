@@ -43,13 +43,13 @@ def decompress(
     samples : of every packet, 1 at least. The caller has seen that memory holds their sum.
     """
     ends = np.concatenate([[0], np.cumsum(samples)]).astype(np.int64)
-    found, sound = np.zeros(int(ends[-1]), np.uint16), np.zeros(len(start), np.bool_)
-    _decompress_all(data, start, size, wide, packed, ends, found, sound)
-    return found, ends, sound
+    unpacked, sound = np.zeros(int(ends[-1]), np.uint16), np.zeros(len(start), np.bool_)
+    _decompress_all(data, start, size, wide, packed, ends, unpacked, sound)
+    return unpacked, ends, sound
 
 
 @kernel
-def _decompress_all(data, start, size, wide, packed, ends, found, sound):  # type: ignore[no-untyped-def]
+def _decompress_all(data, start, size, wide, packed, ends, unpacked, sound):  # type: ignore[no-untyped-def]
     counts = np.empty((_MODELS, _MOST_SYMBOLS), np.int64)
     below = np.empty((_MODELS, _MOST_SYMBOLS), np.int64)
     models = np.empty((_MODELS, 4), np.int64)
@@ -64,7 +64,7 @@ def _decompress_all(data, start, size, wide, packed, ends, found, sound):  # typ
             if wide[i]:
                 last |= np.int64(data[at + 1]) << 8
             at += b >> 3
-            found[a + s] = last
+            unpacked[a + s] = last
         if not packed[i]:
             sound[i] = True
             continue
@@ -75,7 +75,7 @@ def _decompress_all(data, start, size, wide, packed, ends, found, sound):  # typ
         zero[_ZEROS], zero[_SEEN], zero[_CHANCE], zero[_PERIOD], zero[_UNTIL] = 1, 2, 1 << 12, 4, 4
         for s in range(1, n):
             last = (last + _difference(data, coder, counts, below, models, zero)) & ((1 << b) - 1)
-            found[a + s] = last
+            unpacked[a + s] = last
             if coder[_AT] > coder[_END]:
                 break
         sound[i] = coder[_AT] == coder[_END]

@@ -22,7 +22,7 @@ from pyproj import CRS
 
 from fwclass.errors import InputError
 from fwclass.formats.projected import project, utm_of
-from fwclass.read.beam_source import LONGEST, BeamRows, Floats, Ragged
+from fwclass.read.beam_source import LONGEST, BeamRows, Floats, Layout, Ragged
 from fwclass.units import METRES_PER_NS
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -49,7 +49,7 @@ class Beam:
 
 
 @dataclass(frozen=True)
-class FootprintLayout:
+class FootprintLayout(Layout):
     """`last` is the number N of the last sample of LVIS, 0 of GEDI; `names` of data sets, in small letters."""
 
     path: Path
@@ -119,9 +119,9 @@ class _Shots:
     def column(self, name: str, otherwise: float) -> Floats:
         if name not in self.names:
             return np.full(self.last - self.first, otherwise)
-        held = _data(self.path, self.group, self.names[name])
+        data = _data(self.path, self.group, self.names[name])
         with np.errstate(invalid="ignore"):
-            return np.asarray(held[self.first : self.last], np.float64)
+            return np.asarray(data[self.first : self.last], np.float64)
 
     def place(self, which: str) -> Floats:
         """Longitude, latitude, height (n, 3); NaN for what cannot be one."""
@@ -142,16 +142,16 @@ class _Shots:
         n = self.last - self.first
         if name not in self.names:
             return Ragged.none(n)
-        held = _data(self.path, self.group, self.names[name])
+        data = _data(self.path, self.group, self.names[name])
         start, count = self.column(f"{name} start", 1.0) - 1.0, self.column(f"{name} count", 0.0)
-        sound = (start >= 0) & (count >= 0) & (count <= LONGEST) & (start + count <= held.shape[0])
+        sound = (start >= 0) & (count >= 0) & (count <= LONGEST) & (start + count <= data.shape[0])
         at, size = (np.where(sound, v, 0.0).astype(np.int64) for v in (start, count))
         ends = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
-        if ends[-1] > held.shape[0]:
+        if ends[-1] > data.shape[0]:
             raise InputError(
                 "the waveforms of the shots overlap",
-                where=f"{self.path}: {held.name}",
-                expected=f"at most {held.shape[0]} samples",
+                where=f"{self.path}: {data.name}",
+                expected=f"at most {data.shape[0]} samples",
                 got=int(ends[-1]),
                 do="the file is damaged; download it again",
             )
@@ -162,10 +162,10 @@ class _Shots:
             if high - low <= 4 * len(values) + 1_000_000:
                 places = np.arange(ends[-1]) + np.repeat(at - low - ends[:-1], size)
                 with np.errstate(invalid="ignore"):  # signalling NaN of a damaged file
-                    values = np.asarray(held[low:high], np.float64)[places]
+                    values = np.asarray(data[low:high], np.float64)[places]
             else:
                 for k in full.tolist():
-                    values[ends[k] : ends[k + 1]] = held[at[k] : at[k] + size[k]]
+                    values[ends[k] : ends[k + 1]] = data[at[k] : at[k] + size[k]]
         return Ragged(values, ends)
 
 
@@ -217,10 +217,10 @@ def open_footprints(path: Path) -> tuple[FootprintLayout, str, CRS, list[tuple[s
     spacing = float(np.median(long))
     near = max(0.5, round(2.0 * spacing) / 2.0)
     spacing = near if abs(spacing / near - 1.0) <= NEAR else spacing
-    told = [("projected", f"degrees into {system.name}, the zone of the median shot; heights above the ellipsoid")]
+    notes = [("projected", f"degrees into {system.name}, the zone of the median shot; heights above the ellipsoid")]
     if np.isfinite(noise).any():
-        told.append(("noise", f"{float(np.nanmedian(noise)):.3g} as the file has it (median)"))
-    return FootprintLayout(path, beams, last, tuple(names.items()), spacing, system.to_wkt()), kind, system, told
+        notes.append(("noise", f"{float(np.nanmedian(noise)):.3g} as the file has it (median)"))
+    return FootprintLayout(path, beams, last, tuple(names.items()), spacing, system.to_wkt()), kind, system, notes
 
 
 def _lvis(path: Path, file: Any) -> tuple[dict[str, str], int, tuple[Beam, ...]]:
@@ -292,34 +292,34 @@ def _named(
 
 def _same_length(path: Path, group: Any, names: Mapping[str, str], shots: int) -> None:
     for key, name in names.items():
-        held = _data(path, group, name)
-        if held.shape[0] != shots and not (key in ("rx", "tx") and len(held.shape) == 1):
+        data = _data(path, group, name)
+        if data.shape[0] != shots and not (key in ("rx", "tx") and len(data.shape) == 1):
             raise InputError(
-                "data sets are not equally long", where=f"{path}: {name}", expected=f"{shots} shots", got=held.shape[0]
+                "data sets are not equally long", where=f"{path}: {name}", expected=f"{shots} shots", got=data.shape[0]
             )
 
 
 def _data(path: Path, group: Any, name: str, dimensions: int = 0) -> Any:
     """A data set of numbers in this very file, not larger than it can be."""
-    held = group[name]
-    shape = getattr(held, "shape", None)
-    sound = shape is not None and held.dtype.kind in "iuf" and len(shape) in ((dimensions,) if dimensions else (1, 2))
-    if not sound or held.external or held.is_virtual or held.file.id != group.file.id:
+    data = group[name]
+    shape = getattr(data, "shape", None)
+    sound = shape is not None and data.dtype.kind in "iuf" and len(shape) in ((dimensions,) if dimensions else (1, 2))
+    if not sound or data.external or data.is_virtual or data.file.id != group.file.id:
         raise InputError(
             "this is no array of numbers",
             where=f"{path}: {name}",
             expected=f"numbers in {dimensions or 'one or two'} dimensions, in the file itself",
-            got=f"{getattr(held, 'dtype', type(held).__name__)} {shape}",
+            got=f"{getattr(data, 'dtype', type(data).__name__)} {shape}",
         )
-    if held.nbytes > TIMES * path.stat().st_size:
+    if data.nbytes > TIMES * path.stat().st_size:
         raise InputError(
             "a data set counts more than the file can hold",
             where=f"{path}: {name}",
             expected=f"at most {TIMES * path.stat().st_size} bytes",
-            got=held.nbytes,
+            got=data.nbytes,
             do="the file is damaged or cut short; download it again",
         )
-    return held
+    return data
 
 
 @contextmanager

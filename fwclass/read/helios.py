@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.read.beam_source import BeamRows, Ragged
+from fwclass.read.beam_source import BeamRows, Layout, Ragged
 from fwclass.read.text_blocks import line_blocks, row_marks, rows_between, rows_of
 from fwclass.units import SPEED_OF_LIGHT
 
@@ -49,7 +49,7 @@ LOOKED_AT = 100_000
 
 
 @dataclass(frozen=True)
-class HeliosLayout:
+class HeliosLayout(Layout):
     """`bin_ns` is a bin's width in HELIOS's own time."""
 
     path: Path
@@ -71,7 +71,7 @@ class HeliosLayout:
         return self._rows(rows_between(self.path, 0, first, last), first)
 
     def _rows(self, lines: list[bytes], first: int) -> BeamRows:
-        head, samples = _parsed(self.path, lines, first)
+        head, samples = _parse(self.path, lines, first)
         n = len(lines)
         return BeamRows(
             pulse=np.arange(first, first + n),
@@ -96,10 +96,10 @@ def is_helios(path: Path) -> bool:
 
 def open_helios(path: Path) -> HeliosLayout:
     """Look at the first lines; `InputError` for none that HELIOS++ writes, or bins of no one width."""
-    low, high, seen = 0.0, math.inf, 0
+    low, high, count = 0.0, math.inf, 0
     for _, data in line_blocks(path, 0):
         lines = rows_of(data)
-        head, samples = _parsed(path, lines, seen)
+        head, samples = _parse(path, lines, count)
         length = np.sqrt((head[:, 4:7] ** 2).sum(axis=1))
         if len(head) and not np.abs(np.median(length) - 1.0) < UNIT:
             raise InputError(
@@ -113,8 +113,8 @@ def open_helios(path: Path) -> HeliosLayout:
         sound = np.isfinite(span) & (span > 0.0) & (n > 1)
         low = max(low, float((span[sound] / (n[sound] + 1)).max(initial=0.0)))
         high = min(high, float((span[sound] / (n[sound] - 1)).min(initial=math.inf)))
-        seen += len(lines)
-        if seen >= LOOKED_AT:
+        count += len(lines)
+        if count >= LOOKED_AT:
             break
     return HeliosLayout(path, _simplest(low, high, path) if math.isfinite(high) else math.nan)
 
@@ -137,7 +137,7 @@ def _simplest(low: float, high: float, path: Path) -> float:
     return middle
 
 
-def _parsed(path: Path, lines: list[bytes], first: int) -> tuple[NDArray[np.float64], Ragged]:
+def _parse(path: Path, lines: list[bytes], first: int) -> tuple[NDArray[np.float64], Ragged]:
     """Numbers before the samples (n, 10), and the samples."""
     head, parts = np.full((len(lines), HEAD), np.nan), []
     for k, line in enumerate(lines):

@@ -76,15 +76,15 @@ def files_in(directory: Path) -> tuple[Path, ...]:
 
     `.json` is not taken for polygons here: most such files are something else.
     """
-    found = tuple(sorted(p for p in directory.iterdir() if p.suffix.lower() in _ENDINGS and p.is_file()))
-    if not found:
+    files = tuple(sorted(p for p in directory.iterdir() if p.suffix.lower() in _ENDINGS and p.is_file()))
+    if not files:
         raise InputError(
             "a directory without files of points, pulses or polygons",
             where=directory,
             expected=f"names that end in {', '.join(sorted(_ENDINGS))}",
             do="name the files, or the directory that they lie in",
         )
-    return found
+    return files
 
 
 def info(path: str | Path) -> dict[str, Any]:
@@ -113,7 +113,7 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         extra_names = reader.extra_names
         for _, points in reader.blocks():
             tally.add(source, points, step)
-    held = source.n_points > 0
+    has_points = source.n_points > 0
     crs = source.crs
     return {
         "path": str(source.path),
@@ -128,14 +128,14 @@ def _las_info(source: LasSource) -> dict[str, Any]:
         "scales": list(source.scales),
         "offsets": list(source.offsets),
         "crs": {"name": crs.name, "epsg": crs.to_epsg(), "projected": bool(crs.is_projected)} if crs else None,
-        "bounds": [*tally.low.tolist(), *tally.high.tolist()] if held else None,
+        "bounds": [*tally.low.tolist(), *tally.high.tolist()] if has_points else None,
         "header_bounds": [_finite(v) for v in source.bounds],
         "gps_time": list(tally.gps) if np.isfinite(tally.gps[0]) else None,
         "returns": _counts(tally.pairs.sum(axis=1)),
         "numbers_of_returns": _counts(tally.pairs.sum(axis=0)),
         "classes": _counts(tally.classes),
         "intensity": {"min": tally.intensity[0], "max": tally.intensity[1], "zero": tally.zero_intensity}
-        if held
+        if has_points
         else None,
         "extra_bytes": extra_names,
         "quantities": quantities_of(source)._asdict(),
@@ -196,26 +196,26 @@ def _faults(source: LasSource, tally: _Tally, step: float) -> list[str]:
     n = source.n_points
     if n == 0:
         return []
-    found = [*_bounds_faults(source, tally)]
+    faults = [*_bounds_faults(source, tally)]
     outliers = _z_outliers(tally.heights, step)
     if outliers:
-        found.append(f"{outliers} z outliers: points far above or below all others")
+        faults.append(f"{outliers} z outliers: points far above or below all others")
     if tally.zero_intensity:
         share = "all" if tally.zero_intensity == n else f"{tally.zero_intensity} of {n}"
-        found.append(f"{share} intensities are zero")
+        faults.append(f"{share} intensities are zero")
     if tally.pairs[0].sum():
-        found.append(f"{tally.pairs[0].sum()} points have return number 0")
+        faults.append(f"{tally.pairs[0].sum()} points have return number 0")
     above = int(np.tril(tally.pairs, -1).sum())
     if above:
-        found.append(f"{above} points have a return number above their number of returns")
+        faults.append(f"{above} points have a return number above their number of returns")
     missing = _missing_returns(tally.pairs)
     if missing:
-        found.append(f"at least {missing} returns of pulses with several are missing (a cropped or filtered file)")
+        faults.append(f"at least {missing} returns of pulses with several are missing (a cropped or filtered file)")
     if source.has_waves and tally.packets[0] < n:
         if tally.packets[0] == 0:
-            found.append("NO WAVEFORM CAN BE READ: the returns alone can be used (read.missing_packets=keep)")
-        found += [f"{c} of {n} returns: {FAULTS[i]}" for i, c in enumerate(tally.packets) if c and i]
-    return found
+            faults.append("NO WAVEFORM CAN BE READ: the returns alone can be used (read.missing_packets=keep)")
+        faults += [f"{c} of {n} returns: {FAULTS[i]}" for i, c in enumerate(tally.packets) if c and i]
+    return faults
 
 
 def _bounds_faults(source: LasSource, tally: _Tally) -> list[str]:
@@ -250,49 +250,49 @@ def _missing_returns(pairs: NDArray[np.int64]) -> int:
     return missing
 
 
-def describe(found: dict[str, Any]) -> str:
+def describe(info_: dict[str, Any]) -> str:
     """`info` for a terminal."""
-    if "layers" in found:
-        return describe_polygons(found)
-    crs = found["crs"]
+    if "layers" in info_:
+        return describe_polygons(info_)
+    crs = info_["crs"]
     rows = [
-        ("file", f"{found['path']}  ({found['size']:,} bytes)"),
-        ("format", _format_text(found)),
-        ("written by", " / ".join(t for t in (found["system"], found["software"]) if t)),
+        ("file", f"{info_['path']}  ({info_['size']:,} bytes)"),
+        ("format", _format_text(info_)),
+        ("written by", " / ".join(t for t in (info_["system"], info_["software"]) if t)),
         ("CRS", f"{crs['name']}" + (f" (EPSG:{crs['epsg']})" if crs["epsg"] else "") if crs else "none"),
-        ("bounds", _bounds_text(found["bounds"])),
-        ("GPS time", "{:.3f} to {:.3f} s".format(*found["gps_time"]) if found["gps_time"] else "none"),
-        *_describe_rest(found),
+        ("bounds", _bounds_text(info_["bounds"])),
+        ("GPS time", "{:.3f} to {:.3f} s".format(*info_["gps_time"]) if info_["gps_time"] else "none"),
+        *_describe_rest(info_),
     ]
     lines = [f"{name:<12} {visible(text)}" for name, text in rows]
-    lines += [f"  ! {visible(fault)}" for fault in found["faults"]] or ["  no faults found"]
+    lines += [f"  ! {visible(fault)}" for fault in info_["faults"]] or ["  no faults found"]
     return "\n".join(lines)
 
 
-def _describe_rest(found: dict[str, Any]) -> list[tuple[str, str]]:
-    if "rows" in found:
-        return describe_beam_rows(found)
-    return describe_pulses(found) if "pulses" in found else _describe_points(found)
+def _describe_rest(info_: dict[str, Any]) -> list[tuple[str, str]]:
+    if "rows" in info_:
+        return describe_beam_rows(info_)
+    return describe_pulses(info_) if "pulses" in info_ else _describe_points(info_)
 
 
-def _format_text(found: dict[str, Any]) -> str:
-    if "format" in found:
-        return str(found["format"])
-    if "pulses" in found:
-        return f"PulseWaves {found['version']}"
-    kind = "COPC" if found["copc"] else "LAZ" if found["compressed"] else "LAS"
-    return f"{kind} {found['version']}, point format {found['point_format']}"
+def _format_text(info_: dict[str, Any]) -> str:
+    if "format" in info_:
+        return str(info_["format"])
+    if "pulses" in info_:
+        return f"PulseWaves {info_['version']}"
+    kind = "COPC" if info_["copc"] else "LAZ" if info_["compressed"] else "LAS"
+    return f"{kind} {info_['version']}, point format {info_['point_format']}"
 
 
-def _describe_points(found: dict[str, Any]) -> list[tuple[str, str]]:
-    waves = found["waveforms"]
+def _describe_points(info_: dict[str, Any]) -> list[tuple[str, str]]:
+    waves = info_["waveforms"]
     rows = [
-        ("points", f"{found['points']:,}"),
-        ("returns", _counts_text(found["returns"])),
-        ("classes", _counts_text(found["classes"])),
-        ("extra bytes", ", ".join(found["extra_bytes"]) or "none"),
-        ("amplitudes", WORDS[found["quantities"]["amplitude"]]),
-        ("echo widths", WORDS[found["quantities"]["width"]]),
+        ("points", f"{info_['points']:,}"),
+        ("returns", _counts_text(info_["returns"])),
+        ("classes", _counts_text(info_["classes"])),
+        ("extra bytes", ", ".join(info_["extra_bytes"]) or "none"),
+        ("amplitudes", WORDS[info_["quantities"]["amplitude"]]),
+        ("echo widths", WORDS[info_["quantities"]["width"]]),
     ]
     if waves:
         where = f"{waves['where']}, {waves['bytes']:,} bytes" if waves["where"] != "none" else waves["why_not"]

@@ -22,7 +22,7 @@ from fwclass.formats.las_header import (
     read_header,
 )
 from fwclass.formats.laz import check_laz
-from fwclass.read.base import Source, WaveStore
+from fwclass.read.base import Source, WaveStore, file_beside
 
 STANDARD_GPS_TIME = 1
 """Bit of the global encoding."""
@@ -48,10 +48,12 @@ class Descriptor:
 
     @property
     def bytes_per_sample(self) -> int:
+        """Bytes of a sample that is not compressed."""
         return (self.bits + 7) // 8
 
     @property
     def packet_bytes(self) -> int:
+        """Bytes of a packet that is not compressed."""
         return self.n_samples * self.bytes_per_sample
 
     @property
@@ -98,11 +100,11 @@ def open_las(path: Path) -> LasSource:
         check_laz(header)
     faults = list(header.faults)
     crs = crs_of(header, faults)
-    found = _descriptors(header, faults)
+    descriptors = _descriptors(header, faults)
     waves = _find_waves(header, faults, packet_endings((*header.vlrs, *header.evlrs)))
     if header.n_points == 0:
         faults.append("the file has no points")
-    if header.has_waves and not found:
+    if header.has_waves and not descriptors:
         faults.append("the point format has waveforms, but no waveform packet descriptor is in the file")
     copc = any(r.user == "copc" and r.number == 1 for r in header.vlrs)
     return LasSource(
@@ -121,15 +123,15 @@ def open_las(path: Path) -> LasSource:
         standard_gps_time=bool(header.global_encoding & STANDARD_GPS_TIME),
         faults=tuple(dict.fromkeys(faults)),
         is_copc=copc,
-        descriptors=found,
+        descriptors=descriptors,
         header=header,
     )
 
 
 def _descriptors(header: Header, faults: list[str]) -> dict[int, Descriptor]:
-    found: dict[int, Descriptor] = {}
+    descriptors: dict[int, Descriptor] = {}
     if not header.has_waves:
-        return found
+        return descriptors
     for record in (*header.vlrs, *header.evlrs):
         if record.user not in SPEC_USERS or not WPD_FIRST <= record.number <= WPD_LAST:
             continue
@@ -138,10 +140,10 @@ def _descriptors(header: Header, faults: list[str]) -> dict[int, Descriptor]:
             faults.append(f"waveform packet descriptor {index} is cut short")
             continue
         bits, compression, n, spacing, gain, offset = struct.unpack_from("<BBIIdd", record.body)
-        kept = found.setdefault(index, Descriptor(bits, compression, n, spacing * 1e-3, gain, offset))
-        if not kept.empty and not kept.has_unit:
+        descriptor = descriptors.setdefault(index, Descriptor(bits, compression, n, spacing * 1e-3, gain, offset))
+        if not descriptor.empty and not descriptor.has_unit:
             faults.append(f"waveform packet descriptor {index} has gain {gain:g} and offset {offset:g}: no volts")
-    return found
+    return descriptors
 
 
 def _find_waves(header: Header, faults: list[str], endings: tuple[str, ...]) -> WaveStore:
@@ -150,21 +152,21 @@ def _find_waves(header: Header, faults: list[str], endings: tuple[str, ...]) -> 
         return WaveStore("none", why_not="the point format has no waveforms")
     internal = bool(header.global_encoding & 2)
     for inside in (internal, not internal):
-        found = _internal(header, faults) if inside else _external(header, faults, endings)
-        if found is not None:
-            return found
+        waves = _internal(header, faults) if inside else _external(header, faults, endings)
+        if waves is not None:
+            return waves
     expected = header.path.with_suffix(endings[0]).name
     why = f"the waveforms are missing: put {expected} beside {header.path.name}"
     if internal:
         why = f"the waveforms that the header places in the file are not there, and there is no {expected}"
-    elif ".wdz" not in endings and (other := _beside(header.path, ".wdz")) is not None:
+    elif ".wdz" not in endings and (other := file_beside(header.path, ".wdz")) is not None:
         why += f" ({other.name} is there, but its descriptors are of packets that are not compressed)"
     faults.append(why)
     return WaveStore("none", why_not=why)
 
 
 def _external(header: Header, faults: list[str], endings: tuple[str, ...]) -> WaveStore | None:
-    path = next((p for p in (_beside(header.path, ending) for ending in endings) if p is not None), None)
+    path = next((p for p in (file_beside(header.path, ending) for ending in endings) if p is not None), None)
     if path is None:
         return None
     size = path.stat().st_size
@@ -176,15 +178,6 @@ def _external(header: Header, faults: list[str], endings: tuple[str, ...]) -> Wa
     if number != WDP_RECORD or user.split(b"\0")[0].decode("latin1") not in SPEC_USERS:
         faults.append(f"{path.name} does not start with a waveform record; its packets may be wrong")
     return WaveStore("external", path, 0, size)
-
-
-def _beside(path: Path, ending: str) -> Path | None:
-    """``name.wdp`` beside ``name.las``, in any case of letters."""
-    exact = path.with_suffix(ending)
-    if exact.is_file():
-        return exact
-    found = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
-    return found[0] if found else None
 
 
 def _internal(header: Header, faults: list[str]) -> WaveStore | None:

@@ -84,7 +84,7 @@ def index_las(source: LasSource, params: ReadParams) -> list[Span]:
     return spans_by_pulses(source, params.chunk_pulses, params.max_span_points)
 
 
-def read_las(source: LasSource, span: Span, params: ReadParams) -> Waveforms:
+def read_las(source: LasSource, span: Span) -> Waveforms:
     """Returns of `span` in file order, and the waveforms of its pulses that have a usable packet.
 
     Returns

@@ -67,15 +67,15 @@ def join_segments(order, pulse, begin, lasts, spacing, saturation, slack, row, h
 
 
 @kernel
-def crowded_keys(keys, order, own, most, found):  # type: ignore[no-untyped-def]
-    """Keys other than `own` that more than `most` points share, into `found`; how many there are."""
+def crowded_keys(keys, order, own, most, crowded):  # type: ignore[no-untyped-def]
+    """Keys other than `own` that more than `most` points share, into `crowded`; how many there are."""
     count, run = 0, 0
     for k in range(len(order)):
         key = keys[order[k]]
         run = run + 1 if k > 0 and keys[order[k - 1]] == key else 1
         if run == most + 1 and key != own:
-            if count < len(found):
-                found[count] = key
+            if count < len(crowded):
+                crowded[count] = key
             count += 1
     return count
 

@@ -118,9 +118,9 @@ def pulses_of(
 def sound_links(keys: NDArray[np.uint64], link: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """`link` without the points whose packet is no pulse's (key `OWN`)."""
     own = keys == OWN
-    kept = link & ~own
-    kept[1:] &= ~own[:-1]
-    return kept
+    sound = link & ~own
+    sound[1:] &= ~own[:-1]
+    return sound
 
 
 @dataclass(frozen=True)

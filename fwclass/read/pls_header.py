@@ -12,7 +12,7 @@ from typing import BinaryIO, NoReturn
 
 from fwclass.errors import InputError
 from fwclass.formats.checks import check_length, check_scales
-from fwclass.formats.las_header import MAX_EVLR_BODY, Record
+from fwclass.formats.las_header import MAX_EVLR_BODY, Record, text
 from fwclass.paths import open_regular
 
 SIGNATURE = b"PulseWavesPulse\0"
@@ -59,9 +59,11 @@ class PulseHeader:
 
     @property
     def global_encoding(self) -> int:
+        """As of a LAS header, for `crs_of`: no bit is set."""
         return 0
 
     def records(self, number: int, users: tuple[str, ...]) -> list[Record]:
+        """Records of a number, of any of `users`."""
         return [r for r in (*self.vlrs, *self.avlrs) if r.number == number and r.user in users]
 
 
@@ -96,8 +98,8 @@ def _parse(stream: BinaryIO, path: Path, size: int) -> PulseHeader:
     return PulseHeader(
         size,
         (head[172], head[173]),
-        _text(head[40:104]),
-        _text(head[104:168]),
+        text(head[40:104]),
+        text(head[104:168]),
         start,
         pulse_size,
         n_pulses,
@@ -173,7 +175,7 @@ def _check_layout(
 
 
 def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tuple[Record, ...]:
-    found, at = [], start
+    records, at = [], start
     for i in range(count):
         record = _record(stream, at, at + RECORD_HEADER) if at + RECORD_HEADER <= end else None
         if record is None or not 0 <= record.length <= end - at - RECORD_HEADER:
@@ -184,26 +186,26 @@ def _vlrs(stream: BinaryIO, path: Path, start: int, count: int, end: int) -> tup
                 got=f"{i} whole ones",
                 do="the header is damaged; copy or export the file again",
             )
-        found.append(record)
+        records.append(record)
         at += RECORD_HEADER + record.length
-    return tuple(found)
+    return tuple(records)
 
 
 def _avlrs(stream: BinaryIO, start: int, count: int, size: int, faults: list[str]) -> tuple[Record, ...]:
     """Records after the pulses: each ends in its header, the last in the file is read first."""
-    found: list[Record] = []
+    records: list[Record] = []
     at = size
     for _ in range(min(count if count >= 0 else MAX_AVLRS, MAX_AVLRS)):
         head = at - RECORD_HEADER
         record = _record(stream, head, None) if head >= start else None
         if record is None or not 0 <= record.length <= head - start:
-            faults.append(f"{len(found)} of the appended records lie whole in the file; the others are ignored")
+            faults.append(f"{len(records)} of the appended records lie whole in the file; the others are ignored")
             break
         if record.number == LAST_AVLR:
             break
         at = head - record.length
-        found.append(_record(stream, head, at))
-    return tuple(found)
+        records.append(_record(stream, head, at))
+    return tuple(records)
 
 
 def _record(stream: BinaryIO, head: int, body: int | None) -> Record:
@@ -211,10 +213,6 @@ def _record(stream: BinaryIO, head: int, body: int | None) -> Record:
     stream.seek(head)
     user, number, _, length = struct.unpack_from("<16sIIq", stream.read(RECORD_HEADER))
     if body is None or not 0 <= length <= MAX_EVLR_BODY:
-        return Record(_text(user), number, head, length, b"")
+        return Record(text(user), number, head, length, b"")
     stream.seek(body)
-    return Record(_text(user), number, head, length, stream.read(length))
-
-
-def _text(raw: bytes) -> str:
-    return raw.split(b"\0")[0].decode("latin1").strip()
+    return Record(text(user), number, head, length, stream.read(length))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.formats.flat import flat_faults
 from fwclass.read.beams import beam_fault
-from fwclass.read.pls_waves import FAULTS, SILENT, Found, Samplings, blocks_of, reach
+from fwclass.read.pls_waves import FAULTS, SILENT, Pulses, Samplings, blocks_of, reach
 from fwclass.read.pulsewaves import OUTGOING, RETURNING, PulseDescriptor, PulseSource
 from fwclass.read.quantities import WORDS, quantities_of
 
@@ -29,17 +29,17 @@ class _Tally:
     gps: tuple[float, float] = (np.inf, -np.inf)
     outgoing: int = 0
 
-    def add(self, records: NDArray[Any], found: Found, kinds: Samplings) -> None:
-        self.faults += np.bincount(found.fault, minlength=len(FAULTS))
+    def add(self, records: NDArray[Any], pulses: Pulses, kinds: Samplings) -> None:
+        self.faults += np.bincount(pulses.fault, minlength=len(FAULTS))
         self.descriptors += np.bincount(records["bits"] & 0xFF, minlength=256)
-        self.gps = min(self.gps[0], float(found.time.min())), max(self.gps[1], float(found.time.max()))
-        parts = found.segments
+        self.gps = min(self.gps[0], float(pulses.time.min())), max(self.gps[1], float(pulses.time.max()))
+        parts = pulses.segments
         kind = kinds.kind[parts.sampling]
         self.outgoing += len(np.unique(parts.pulse[kind == OUTGOING]))
         parts = parts.take(kind == RETURNING)
-        counts = np.bincount(parts.pulse, minlength=len(records))[(found.fault == 0) | (found.fault == SILENT)]
+        counts = np.bincount(parts.pulse, minlength=len(records))[(pulses.fault == 0) | (pulses.fault == SILENT)]
         self.segments += np.bincount(np.minimum(counts, _MOST_COUNTED), minlength=_MOST_COUNTED + 1)
-        low, high = reach(found, kinds)
+        low, high = reach(pulses, kinds)
         self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
 
 
@@ -47,8 +47,8 @@ def pulse_info(source: PulseSource) -> dict[str, Any]:
     """As `info.info`, of a file of pulses: the same keys, where they have a meaning, and ``pulses``, ``segments``,
     ``outgoing``. `bounds` are those of the first and last samples of all segments."""
     tally, kinds = _Tally(), Samplings.of(source)
-    for records, found in blocks_of(source):
-        tally.add(records, found, kinds)
+    for records, pulses in blocks_of(source):
+        tally.add(records, pulses, kinds)
     crs, header = source.crs, source.header
     return {
         "path": str(source.path),
@@ -124,12 +124,12 @@ def _samplings(descriptor: PulseDescriptor) -> list[dict[str, Any]]:
 
 def _faults(source: PulseSource, tally: _Tally) -> list[str]:
     n = source.n_records
-    found = [f"{c} of {n} pulses: {FAULTS[i]}" for i, c in enumerate(tally.faults) if c and 0 < i < SILENT]
+    faults = [f"{c} of {n} pulses: {FAULTS[i]}" for i, c in enumerate(tally.faults) if c and 0 < i < SILENT]
     if n and not tally.faults[0]:
-        found.insert(0, "NO WAVEFORM CAN BE READ")
+        faults.insert(0, "NO WAVEFORM CAN BE READ")
     if n and tally.faults[0] and not _inside(source, tally):
-        found.append("the header's bounds disagree with the samples")
-    return found
+        faults.append("the header's bounds disagree with the samples")
+    return faults
 
 
 def _inside(source: PulseSource, tally: _Tally) -> bool:
@@ -138,27 +138,27 @@ def _inside(source: PulseSource, tally: _Tally) -> bool:
     return bool((tally.low >= low - 1.0).all() and (tally.high <= high + 1.0).all())
 
 
-def _asked(outgoing: int) -> str:
+def _outgoing_text(outgoing: int) -> str:
     """That a header does not tell whether times count from the outgoing pulse."""
     return "; whether times count from it the echoes tell (info --waveforms, decompose)" if outgoing else ""
 
 
-def describe_pulses(found: dict[str, Any]) -> list[tuple[str, str]]:
+def describe_pulses(info: dict[str, Any]) -> list[tuple[str, str]]:
     """Rows of `info.describe` that tell of pulses."""
-    waves = found["waveforms"]
+    waves = info["waveforms"]
     where = f"{waves['where']}, {waves['bytes']:,} bytes" if waves["where"] != "none" else waves["why_not"]
-    counts = ", ".join(f"{key}: {n:,}" for key, n in found["segments"].items()) or "none"
+    counts = ", ".join(f"{key}: {n:,}" for key, n in info["segments"].items()) or "none"
     rows = [
-        ("pulses", f"{found['pulses']:,}, {waves['usable']:,} with a usable returning waveform"),
-        ("outgoing", f"{found['outgoing']:,} pulses with a recorded outgoing pulse{_asked(found['outgoing'])}"),
+        ("pulses", f"{info['pulses']:,}, {waves['usable']:,} with a usable returning waveform"),
+        ("outgoing", f"{info['outgoing']:,} pulses with a recorded outgoing pulse{_outgoing_text(info['outgoing'])}"),
         ("segments", f"{counts}  (of a pulse)"),
         ("waveforms", where),
-        ("amplitudes", WORDS[found["quantities"]["amplitude"]]),
-        ("echo widths", WORDS[found["quantities"]["width"]]),
+        ("amplitudes", WORDS[info["quantities"]["amplitude"]]),
+        ("echo widths", WORDS[info["quantities"]["width"]]),
     ]
     for d in waves["descriptors"]:
-        afloat = ", anchors at no fixed distance from the optical centre" if d["optical_centre_ns"] is None else ""
-        rows.append(("descriptor", f"{d['index']}: {d['pulses']:,} pulses{afloat}"))
+        anchors = ", anchors at no fixed distance from the optical centre" if d["optical_centre_ns"] is None else ""
+        rows.append(("descriptor", f"{d['index']}: {d['pulses']:,} pulses{anchors}"))
         for s in d["samplings"]:
             text = f"{s['type']}, {s['segments']} segments of {s['samples']} samples of {s['bits']} bits"
             rows.append(("", f"{text} every {s['spacing_ns']} ns"))

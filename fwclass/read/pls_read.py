@@ -38,8 +38,8 @@ def check_pls(source: PulseSource) -> None:
     Looks at pulses until the first usable one.
     """
     counts = np.zeros(len(FAULTS), np.int64)
-    for _, found in blocks_of(source):
-        counts += np.bincount(found.fault, minlength=len(FAULTS))
+    for _, pulses in blocks_of(source):
+        counts += np.bincount(pulses.fault, minlength=len(FAULTS))
         if counts[0]:
             return
     if source.n_records == 0:
@@ -63,8 +63,8 @@ def pulse_bounds(source: PulseSource) -> tuple[float, ...]:
     Reads the whole file.
     """
     kinds, low, high = Samplings.of(source), np.full(3, np.inf), np.full(3, -np.inf)
-    for _, found in blocks_of(source):
-        least, most = reach(found, kinds)
+    for _, pulses in blocks_of(source):
+        least, most = reach(pulses, kinds)
         low, high = np.minimum(low, least), np.maximum(high, most)
     return (*low.tolist(), *high.tolist()) if np.isfinite(low).all() else source.bounds
 
@@ -82,10 +82,10 @@ def read_pls(source: PulseSource, span: Span) -> Waveforms:
     centre to the anchor, 0 where they coincide. Of several channels the first that has samples counts.
     """
     kinds, data = Samplings.of(source), waves_of(source)
-    found = find(source, read_records(source, span.first_point, span.last_point), kinds, data)
-    counts = np.bincount(found.fault, minlength=len(FAULTS))
+    pulses = find(source, read_records(source, span.first_point, span.last_point), kinds, data)
+    counts = np.bincount(pulses.fault, minlength=len(FAULTS))
     faults = {name: int(n) for name, n in zip(FAULTS[:SILENT], counts, strict=False) if n and name}
-    segments, lost = _returning(found.segments, kinds)
+    segments, lost = _returning(pulses.segments, kinds)
     faults |= lost
     spacing, top = kinds.spacing[segments.sampling], kinds.top[segments.sampling]
     lasts = segments.samples * spacing
@@ -94,22 +94,22 @@ def read_pls(source: PulseSource, span: Span) -> Waveforms:
     head = layout.head
     ends = np.concatenate([[0], np.cumsum(segments.samples)]).astype(np.int64)
     first_of_row = np.searchsorted(layout.row[layout.order], np.arange(len(head) + 1))
-    _check_overlap(source, found.segments, kinds)
+    _check_overlap(source, pulses.segments, kinds)
     samples = _gather(source, segments, kinds, data, ends)
     at = segments.pulse[first_of_row[:-1]]
     spacing, top = spacing[head], top[head]
     begin = segments.begin[first_of_row[:-1]]
-    outgoing, out_offsets, out_start, unlike = _outgoing(source, found.segments, kinds, data, at, spacing, top)
+    outgoing, out_offsets, out_start, unlike = _outgoing(source, pulses.segments, kinds, data, at, spacing, top)
     if unlike:
         faults[BAD_OUTGOING] = unlike
-    rows = {f"anchor_{axis}": found.anchor[at, k] for k, axis in enumerate("xyz")}
-    rows |= {f"step_{axis}": found.step[at, k] for k, axis in enumerate("xyz")}
+    rows = {f"anchor_{axis}": pulses.anchor[at, k] for k, axis in enumerate("xyz")}
+    rows |= {f"step_{axis}": pulses.step[at, k] for k, axis in enumerate("xyz")}
     rows |= {
         "pulse": at + span.first_pulse,
-        "gps_time": found.time[at],
+        "gps_time": pulses.time[at],
         "anchor_time": -begin,
         "segment_start": layout.start,
-        "anchor_range": found.anchor_range[at],
+        "anchor_range": pulses.anchor_range[at],
         "outgoing_start": out_start,
         "sample_spacing": spacing,
         "saturation": top,

@@ -40,7 +40,7 @@ FAULTS = (
     "zeros in place of the waveforms",
     "no returning samples",
 )
-"""What a pulse lacks; the index is the code in `Found.fault`. The last one is no fault: nothing came back."""
+"""What a pulse lacks; the index is the code in `Pulses.fault`. The last one is no fault: nothing came back."""
 
 DAMAGED = (*FAULTS[2:4], FAULTS[-2])
 """Those that a file shows which was not copied whole, or has holes of zeros."""
@@ -115,6 +115,7 @@ class Samplings:
 
     @classmethod
     def of(cls, source: PulseSource) -> Samplings:
+        """The samplings of all pulse descriptors of a file."""
         described = np.zeros((256, 3), np.int64)
         state = np.full(256, FAULTS.index("unknown pulse descriptor"), np.uint8)
         unit, centre, sends = np.ones(256), np.full(256, np.nan), np.zeros(256, np.bool_)
@@ -159,13 +160,14 @@ class Segments:
     begin: NDArray[np.float64]
 
     def take(self, index: NDArray) -> Segments:
+        """The segments of an index or a mask."""
         return Segments(
             self.pulse[index], self.sampling[index], self.samples[index], self.byte[index], self.begin[index]
         )
 
 
 @dataclass(frozen=True)
-class Found:
+class Pulses:
     """Pulses and what their waves hold: anchor [m], step [m/ns] up the beam, `fault` codes, and all segments."""
 
     time: NDArray[np.float64]
@@ -176,7 +178,7 @@ class Found:
     segments: Segments
 
 
-def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDArray[np.uint8] | None) -> Found:
+def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDArray[np.uint8] | None) -> Pulses:
     """Look at pulses and walk through their waves (`data`: the bytes of the Waves file)."""
     index = (records["bits"] & 0xFF).astype(np.int64)
     scales, offsets = np.array(source.scales), np.array(source.offsets)
@@ -191,14 +193,14 @@ def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDA
     fault[(fault == 0) & ~sane] = FAULTS.index("no sane beam vector")
     if data is None:
         fault[fault == 0] = FAULTS.index("waveforms missing")
-        found, ends = np.empty((0, SEGMENT_COLUMNS), np.int64), np.zeros(len(index), np.int64)
+        table, ends = np.empty((0, SEGMENT_COLUMNS), np.int64), np.zeros(len(index), np.int64)
     else:
-        found, ends = _walk(source, data, records["waves"], np.where(fault == 0, index, -1), kinds)
+        table, ends = _walk(source, data, records["waves"], np.where(fault == 0, index, -1), kinds)
     codes = np.array([_BY_WALK[k] for k in range(len(_BY_WALK))], np.uint8)
     fault = np.where(fault == 0, codes[ends], fault)
-    sampling = found[:, 1]
-    begin = (found[:, 2] * kinds.scale[sampling] + kinds.offset[sampling]) * kinds.unit[index[found[:, 0]]]
-    segments = Segments(found[:, 0], sampling, found[:, 3], found[:, 4], begin)
+    sampling = table[:, 1]
+    begin = (table[:, 2] * kinds.scale[sampling] + kinds.offset[sampling]) * kinds.unit[index[table[:, 0]]]
+    segments = Segments(table[:, 0], sampling, table[:, 3], table[:, 4], begin)
     wild = ~(np.abs(begin) <= MAX_DURATION)
     fault[segments.pulse[wild]] = FAULTS.index("no sane duration from the anchor")
     segments = segments.take(fault[segments.pulse] == 0)
@@ -208,7 +210,7 @@ def find(source: PulseSource, records: NDArray[Any], kinds: Samplings, data: NDA
     rows = np.flatnonzero((fault == SILENT) & kinds.sends[index])
     fault[rows[_in_hole(data, records["waves"][rows])]] = SILENT - 1
     time = records["time"] * source.header.time_scale + source.header.time_offset
-    return Found(time, anchor, step, kinds.centre[index] * kinds.unit[index] * length, fault, segments)
+    return Pulses(time, anchor, step, kinds.centre[index] * kinds.unit[index] * length, fault, segments)
 
 
 def _in_hole(data: NDArray[np.uint8] | None, offset: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -229,15 +231,15 @@ def _walk(
     kinds: Samplings,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     ends = np.empty(len(offset), np.int64)
-    found = np.empty((2 * len(offset), SEGMENT_COLUMNS), np.int64)
+    table = np.empty((2 * len(offset), SEGMENT_COLUMNS), np.int64)
     arguments = (data, np.ascontiguousarray(offset), descriptor, kinds.described, kinds.table, WAVES_HEADER)
-    count = int(walk(*arguments, MAX_SEGMENTS, ends, found))
+    count = int(walk(*arguments, MAX_SEGMENTS, ends, table))
     if count > OVERLAP * len(data):  # every segment found has samples
         refuse_overlap(source, f"{count} segments")
-    if count > len(found):
-        found = np.empty((count, SEGMENT_COLUMNS), np.int64)
-        walk(*arguments, MAX_SEGMENTS, ends, found)
-    return found[:count], ends
+    if count > len(table):
+        table = np.empty((count, SEGMENT_COLUMNS), np.int64)
+        walk(*arguments, MAX_SEGMENTS, ends, table)
+    return table[:count], ends
 
 
 def waves_of(source: PulseSource) -> NDArray[np.uint8] | None:
@@ -245,7 +247,7 @@ def waves_of(source: PulseSource) -> NDArray[np.uint8] | None:
     return None if source.waves.path is None else np.asarray(np.memmap(source.waves.path, np.uint8, "r"))
 
 
-def blocks_of(source: PulseSource) -> Iterator[tuple[NDArray[Any], Found]]:
+def blocks_of(source: PulseSource) -> Iterator[tuple[NDArray[Any], Pulses]]:
     """(records, what they hold) of consecutive runs over the whole file."""
     kinds, data = Samplings.of(source), waves_of(source)
     for first in range(0, source.n_records, BLOCK):
@@ -253,19 +255,20 @@ def blocks_of(source: PulseSource) -> Iterator[tuple[NDArray[Any], Found]]:
         yield records, find(source, records, kinds, data)
 
 
-def reach(found: Found, kinds: Samplings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def reach(pulses: Pulses, kinds: Samplings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and greatest x, y, z of the first and last returning samples [m]; infinite where there are none."""
-    parts = found.segments.take(kinds.kind[found.segments.sampling] == RETURNING)
+    parts = pulses.segments.take(kinds.kind[pulses.segments.sampling] == RETURNING)
     lasts = np.maximum(0, parts.samples - 1) * kinds.spacing[parts.sampling]
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for t in (parts.begin, parts.begin + lasts):
-        place = found.anchor[parts.pulse] - t[:, None] * found.step[parts.pulse]
+        place = pulses.anchor[parts.pulse] - t[:, None] * pulses.step[parts.pulse]
         low = np.minimum(low, place.min(axis=0, initial=np.inf))
         high = np.maximum(high, place.max(axis=0, initial=-np.inf))
     return low, high
 
 
 def refuse_overlap(source: PulseSource, got: str) -> NoReturn:
+    """`InputError`: more samples are referred to than the file has."""
     raise InputError(
         "the waves of the pulses overlap",
         where=source.path,

@@ -67,6 +67,7 @@ class PointReader:
 
     @property
     def extra_names(self) -> list[str]:
+        """Names of the extra bytes."""
         return list(self._las.header.point_format.extra_dimension_names)
 
     def extra_byte(self, points: Any, *wanted: str) -> NDArray[np.float32]:

@@ -100,13 +100,13 @@ def check_field(opened: PolygonLayer, field: str) -> None:
 NAME_CRS = "--set survey.reference.crs=EPSG:<code>"
 
 
-def source_crs(opened: PolygonLayer, given: CRS | None, survey: CRS | None, do: str = NAME_CRS) -> CRS | None:
+def source_crs(opened: PolygonLayer, configured: CRS | None, survey: CRS | None, do: str = NAME_CRS) -> CRS | None:
     """The system that the polygons' coordinates are in: the one given, else the file's own.
 
     None where the survey has none either: they are taken as they are. `InputError` where it is unknown; `do` says what
     to do then.
     """
-    crs = given or opened.crs
+    crs = configured or opened.crs
     if crs is None and survey is not None:
         raise InputError(
             "the coordinate system of the polygons is unknown",
@@ -143,29 +143,29 @@ def values_of(opened: PolygonLayer, field: str) -> list[Any]:
     return vector.column(opened.path, opened.layer, field)
 
 
-def reprojected(made: Shapes, source: CRS, target: CRS, where: object) -> tuple[Shapes, str]:
-    """`made` in `target`, and how it was done in words ("" where nothing had to be).
+def reproject(shapes: Shapes, source: CRS, target: CRS, where: object) -> tuple[Shapes, str]:
+    """`shapes` in `target`, and how it was done in words ("" where nothing had to be).
 
     Only the corners move: an edge stays straight. `InputError` where a corner has no place in `target`.
     """
-    _check_degrees(made, source, where)
+    _check_degrees(shapes, source, where)
     if source.equals(target, ignore_axis_order=True) or _flat(source).equals(_flat(target), ignore_axis_order=True):
-        return made, ""
+        return shapes, ""
     try:
         transformer = Transformer.from_crs(_flat(source), _flat(target), always_xy=True)
-        x, y = transformer.transform(made.x, made.y)
+        x, y = transformer.transform(shapes.x, shapes.y)
     except ProjError as fault:
-        raise _homeless(where, 0, str(fault)) from fault
+        raise _no_place_fault(where, 0, str(fault)) from fault
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     lost = np.flatnonzero(~(np.isfinite(x) & np.isfinite(y)))
     if len(lost):
-        ring = int(np.searchsorted(made.ring_start, lost[0], "right")) - 1
-        part = int(np.searchsorted(made.part_start, ring, "right")) - 1
-        at = f"{made.x[lost[0]]:.10g}, {made.y[lost[0]]:.10g}"
-        raise _homeless(where, int(made.feature[part]) + 1, at)
+        ring = int(np.searchsorted(shapes.ring_start, lost[0], "right")) - 1
+        part = int(np.searchsorted(shapes.part_start, ring, "right")) - 1
+        at = f"{shapes.x[lost[0]]:.10g}, {shapes.y[lost[0]]:.10g}"
+        raise _no_place_fault(where, int(shapes.feature[part]) + 1, at)
     accuracy = transformer.accuracy
     sure = f", to {accuracy:g} m" if accuracy is not None and accuracy > 0 and math.isfinite(accuracy) else ""
-    return replace(made, x=x, y=y), f"from {source.name} to {target.name}{sure}"
+    return replace(shapes, x=x, y=y), f"from {source.name} to {target.name}{sure}"
 
 
 def _flat(crs: CRS) -> CRS:
@@ -173,10 +173,10 @@ def _flat(crs: CRS) -> CRS:
     return CRS(crs.sub_crs_list[0]) if crs.is_compound else crs.to_2d()
 
 
-def _check_degrees(made: Shapes, source: CRS, where: object) -> None:
-    if not source.is_geographic or not len(made.x):
+def _check_degrees(shapes: Shapes, source: CRS, where: object) -> None:
+    if not source.is_geographic or not len(shapes.x):
         return
-    most = max(float(np.abs(made.x).max()), float(np.abs(made.y).max()))
+    most = max(float(np.abs(shapes.x).max()), float(np.abs(shapes.y).max()))
     if most > MOST_DEGREES:
         raise InputError(
             "the polygons' coordinates are not the degrees that the file speaks of",
@@ -187,7 +187,7 @@ def _check_degrees(made: Shapes, source: CRS, where: object) -> None:
         )
 
 
-def _homeless(where: object, number: int, got: str) -> InputError:
+def _no_place_fault(where: object, number: int, got: str) -> InputError:
     return InputError(
         "a polygon cannot be brought into the survey's coordinate system",
         where=f"{where}: feature {number}" if number else where,

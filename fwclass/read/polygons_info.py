@@ -26,14 +26,14 @@ def polygon_info(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise InputError("no such file", where=path, do="check the path")
-    found, faults = [], []
+    contents, faults = [], []
     for name in layers(path):
         about, wrong = _layer(open_polygons(path, name))
-        found.append(about)
+        contents.append(about)
         faults += [f"{name}: {fault}" for fault in wrong]
-    if not found:
+    if not contents:
         faults.append("no layer with geometries")
-    return {"path": str(path), "size": path.stat().st_size, "layers": found, "faults": faults}
+    return {"path": str(path), "size": path.stat().st_size, "layers": contents, "faults": faults}
 
 
 def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
@@ -68,18 +68,18 @@ def _layer(opened: PolygonLayer) -> tuple[dict[str, Any], list[str]]:
 
 def _values(opened: PolygonLayer) -> dict[str, dict[str, int]]:
     """How many features have which value, of every field with few of them."""
-    found = {}
+    by_field = {}
     for field in opened.fields:
         counts = Counter("no value" if v is None or v != v else str(v) for v in values_of(opened, field))
         if len(counts) <= MOST_VALUES:
-            found[field] = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
-    return found
+            by_field[field] = dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+    return by_field
 
 
-def describe_polygons(found: dict[str, Any]) -> str:
+def describe_polygons(info: dict[str, Any]) -> str:
     """`polygon_info` for a terminal."""
-    rows = [("file", f"{found['path']}  ({found['size']:,} bytes)"), ("format", "polygons")]
-    for layer in found["layers"]:
+    rows = [("file", f"{info['path']}  ({info['size']:,} bytes)"), ("format", "polygons")]
+    for layer in info["layers"]:
         crs, box = layer["crs"], layer["bounds"]
         code = f" (EPSG:{crs['epsg']})" if crs and crs["epsg"] else ""
         rows += [
@@ -92,5 +92,5 @@ def describe_polygons(found: dict[str, Any]) -> str:
             text = ", ".join(f"{v}: {n:,}" for v, n in values.items()) if values else f"more than {MOST_VALUES} values"
             rows.append(("field", f"{name} ({kind})  {text}"))
     lines = [f"{name:<12} {visible(text)}" for name, text in rows]
-    lines += [f"  ! {visible(fault)}" for fault in found["faults"]] or ["  no faults found"]
+    lines += [f"  ! {visible(fault)}" for fault in info["faults"]] or ["  no faults found"]
     return "\n".join(lines)

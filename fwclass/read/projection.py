@@ -32,7 +32,7 @@ def to_project(source: Source, crs: Any) -> bool:
     return max(map(abs, (low[0], high[0]))) <= LONGEST and max(map(abs, (low[1], high[1]))) <= HIGHEST
 
 
-def projected(waves: Waveforms, source: Source, target: str) -> Waveforms:
+def project_waveforms(waves: Waveforms, source: Source, target: str) -> Waveforms:
     """`waves` of `source` in the system `target` (`project` says what becomes of heights).
 
     Beams are turned where their first sample lies, near what they hit: from the sensor on, the earth curves.

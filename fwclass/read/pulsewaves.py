@@ -16,7 +16,7 @@ from pathlib import Path
 from fwclass.errors import InputError
 from fwclass.formats.crs import crs_of
 from fwclass.paths import open_regular
-from fwclass.read.base import Source, WaveStore
+from fwclass.read.base import Source, WaveStore, file_beside
 from fwclass.read.pls_header import SIGNATURE, PulseHeader, read_pulse_header
 
 WAVES_SIGNATURE, WAVES_HEADER = b"PulseWavesWaves\0", 60
@@ -166,17 +166,17 @@ def open_pls(path: Path) -> PulseSource:
 
 
 def _descriptors(header: PulseHeader, faults: list[str]) -> dict[int, PulseDescriptor]:
-    found: dict[int, PulseDescriptor] = {}
+    descriptors: dict[int, PulseDescriptor] = {}
     for record in (*header.vlrs, *header.avlrs):
         if record.user != SPEC or not DESCRIPTOR_FIRST <= record.number <= DESCRIPTOR_LAST:
             continue
         index = record.number - DESCRIPTOR_FIRST + 1
-        kept = found.setdefault(index, _descriptor(record.body))
-        if kept.fault:
-            faults.append(f"pulse descriptor {index} cannot be used: {kept.fault}")
-    if not found:
+        descriptor = descriptors.setdefault(index, _descriptor(record.body))
+        if descriptor.fault:
+            faults.append(f"pulse descriptor {index} cannot be used: {descriptor.fault}")
+    if not descriptors:
         faults.append("no pulse descriptor is in the file")
-    return found
+    return descriptors
 
 
 def _descriptor(body: bytes) -> PulseDescriptor:
@@ -202,10 +202,10 @@ def _descriptor(body: bytes) -> PulseDescriptor:
 
 
 def _find_waves(path: Path, faults: list[str]) -> WaveStore:
-    waves, why = _beside(path, ".wvs"), ""
+    waves, why = file_beside(path, ".wvs"), ""
     if waves is None:
         why = f"the waveforms are missing: put {path.with_suffix('.wvs').name} beside {path.name}"
-        packed = _beside(path, ".wvz")
+        packed = file_beside(path, ".wvz")
         if packed is not None:
             why = f"{packed.name} is compressed: decompress it with PulseTools: pulsezip -i {path.name} -o OUT.pls"
     else:
@@ -219,12 +219,3 @@ def _find_waves(path: Path, faults: list[str]) -> WaveStore:
         faults.append(why)
         return WaveStore("none", why_not=why)
     return WaveStore("external", waves, 0, waves.stat().st_size)
-
-
-def _beside(path: Path, suffix: str) -> Path | None:
-    """``name.wvs`` beside ``name.pls``, in any case of letters."""
-    exact = path.with_suffix(suffix)
-    if exact.is_file():
-        return exact
-    found = sorted(p for p in path.parent.iterdir() if p.name.lower() == exact.name.lower() and p.is_file())
-    return found[0] if found else None

@@ -42,10 +42,10 @@ def quantities_of(source: Source) -> Quantities:
 
 def _extra_names(header: Header) -> set[str]:
     """Names of the extra bytes, in small letters."""
-    found = set()
+    names = set()
     for record in (*header.vlrs, *header.evlrs):
         if record.user in SPEC_USERS and record.number == _EXTRA_RECORD:
             for at in range(0, len(record.body) - _EXTRA_SIZE + 1, _EXTRA_SIZE):
                 name = record.body[at + 4 : at + 36].split(b"\0")[0]
-                found.add(name.decode("utf-8", "replace").strip().lower())
-    return found
+                names.add(name.decode("utf-8", "replace").strip().lower())
+    return names

@@ -49,8 +49,9 @@ class Settings:
     crs: str
 
     @classmethod
-    def of(cls, told: Mapping[str, str], path: Path) -> Settings:
-        spacing, saturation = (_number(told, key, path) for key in ("spacing_ns", "saturation"))
+    def of(cls, metadata: Mapping[str, str], path: Path) -> Settings:
+        """The settings in a file's metadata; `InputError` for a value that cannot be."""
+        spacing, saturation = (_number(metadata, key, path) for key in ("spacing_ns", "saturation"))
         if spacing is not None and not SPACINGS[0] <= spacing <= SPACINGS[1]:
             raise InputError(
                 "no scanner samples like this",
@@ -64,7 +65,8 @@ class Settings:
                 "this is no highest sample", where=f"{path}: metadata saturation", got=f"{saturation:g}",
                 expected="a number above 0, in the unit of the samples",
             )  # fmt: skip
-        return cls(spacing, saturation, told.get("standard_gps_time", "").lower() in ("true", "1"), told.get("crs", ""))
+        standard = metadata.get("standard_gps_time", "").lower() in ("true", "1")
+        return cls(spacing, saturation, standard, metadata.get("crs", ""))
 
     def system(self, path: Path, faults: list[str]) -> Any:
         """The coordinate system, or None."""
@@ -85,15 +87,16 @@ class Settings:
         return crs
 
 
-def _number(told: Mapping[str, str], key: str, path: Path) -> float | None:
-    if key not in told:
+def _number(metadata: Mapping[str, str], key: str, path: Path) -> float | None:
+    if key not in metadata:
         return None
+    text = metadata[key]
     try:
-        value = float(told[key])
+        value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError("this is no number", where=f"{path}: metadata {key}", expected="a number", got=told[key][:80])
+        raise InputError("this is no number", where=f"{path}: metadata {key}", expected="a number", got=text[:80])
     return value
 
 

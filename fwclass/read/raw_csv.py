@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fwclass.errors import InputError
 from fwclass.paths import open_regular
-from fwclass.read.beam_source import BeamRows, Ragged
+from fwclass.read.beam_source import BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
     KEYS,
     LISTS,
@@ -38,7 +38,7 @@ _LIST_MARKS = str.maketrans("[](){};,", " " * 8)
 
 
 @dataclass(frozen=True)
-class CsvLayout:
+class CsvLayout(Layout):
     """`columns` in their order, apart by `delimiter`; rows begin at byte `start`."""
 
     path: Path
@@ -116,8 +116,8 @@ def is_raw_csv(path: Path) -> bool:
 
 def open_raw_csv(path: Path) -> tuple[CsvLayout, Settings]:
     """Look at metadata, heading and first rows; `InputError` for what is no table of waveforms."""
-    told, columns, delimiter, start = _heading(path)
-    settings = Settings.of(told, path)
+    metadata, columns, delimiter, start = _heading(path)
+    settings = Settings.of(metadata, path)
     check_columns(list(columns), settings, path)
     layout = CsvLayout(path, settings, columns, delimiter, start)
     lines = next((rows_of(data)[:LOOKED_AT] for _, data in line_blocks(path, start)), [])
@@ -131,7 +131,7 @@ def _heading(path: Path) -> tuple[dict[str, str], tuple[str, ...], str, int]:
     """Metadata, columns of the heading, what stands between them, and the byte behind it."""
     with open_regular(path) as stream:
         head = stream.read(HEAD)
-    told: dict[str, str] = {}
+    metadata: dict[str, str] = {}
     at = 0
     for number, raw in enumerate(head.splitlines(keepends=True), 1):
         at += len(raw)
@@ -141,9 +141,9 @@ def _heading(path: Path) -> tuple[dict[str, str], tuple[str, ...], str, int]:
         if text.startswith("#"):
             key, _, value = text.lstrip("# ").partition(":")
             if key.strip().lower() in KEYS:
-                told[key.strip().lower()] = value.strip()
+                metadata[key.strip().lower()] = value.strip()
             continue
         delimiter = next((mark for mark in ",;\t" if mark in text), ",")
         names = tuple(word.strip().strip('"').strip() for word in text.split(delimiter))
-        return told, names, delimiter, at
+        return metadata, names, delimiter, at
     raise InputError("the file has no heading", where=path, expected="a line that names the columns", got="none")

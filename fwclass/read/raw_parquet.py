@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.parquet_footer import values_told
-from fwclass.read.beam_source import LONGEST, BeamRows, Ragged
+from fwclass.formats.parquet_footer import count_values
+from fwclass.read.beam_source import LONGEST, BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
     LISTS,
     OPTIONAL,
@@ -49,7 +49,7 @@ def is_raw_parquet(path: Path) -> bool:
 
 
 @dataclass(frozen=True)
-class ParquetLayout:
+class ParquetLayout(Layout):
     """The columns of a file; `groups` are the rows at which its row groups begin, and behind the last their number."""
 
     path: Path
@@ -66,9 +66,9 @@ class ParquetLayout:
         yield from self._rows(range(len(self.groups) - 1))
 
     def read(self, first: int, last: int) -> BeamRows:
-        held = [g for g in range(len(self.groups) - 1) if self.groups[g] < last and self.groups[g + 1] > first]
-        parts, at = [], self.groups[held[0]] if held else 0
-        for rows in self._rows(held):
+        groups = [g for g in range(len(self.groups) - 1) if self.groups[g] < last and self.groups[g + 1] > first]
+        parts, at = [], self.groups[groups[0]] if groups else 0
+        for rows in self._rows(groups):
             low, high = max(first - at, 0), min(last - at, len(rows))
             if low < high:
                 parts.append(rows.take(slice(low, high)))
@@ -98,13 +98,13 @@ def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
     """Look at schema and counts; `InputError` for what is no table of waveforms, or counts more than it can hold."""
     try:
         with pq.ParquetFile(path) as file:
-            schema, meta = file.schema_arrow, file.metadata
-            rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
-        values = values_told(path)
+            schema, footer = file.schema_arrow, file.metadata
+            rows = [footer.row_group(g).num_rows for g in range(footer.num_row_groups)]
+        values = count_values(path)
     except (pa.ArrowException, OSError, ValueError) as fault:
         raise _damaged(path, fault) from None
-    told = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
-    settings = Settings.of(told, path)
+    metadata = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}
+    settings = Settings.of(metadata, path)
     check_columns(list(schema.names), settings, path)
     for name in (n for n in schema.names if n in (*REQUIRED, *OPTIONAL)):
         kind = schema.field(name).type

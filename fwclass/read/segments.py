@@ -41,6 +41,7 @@ class Rows:
 
     @classmethod
     def of_points(cls, source: LasSource, points: Any) -> Rows:
+        """What is needed of a block of points, in its order."""
         return cls(
             packet_keys(points),
             gps_times(source, points),
@@ -51,11 +52,13 @@ class Rows:
         )
 
     def take(self, index: Any) -> Rows:
+        """The rows of an index or a mask."""
         refs = References(*(getattr(self.refs, f.name)[index] for f in fields(References)))
         return Rows(self.key[index], self.time[index], self.number[index], self.of[index], self.place[index], refs)
 
     @classmethod
     def concat(cls, a: Rows, b: Rows) -> Rows:
+        """The rows of `a`, then those of `b`."""
         names = [f.name for f in fields(References)]
         refs = References(*(np.concatenate([getattr(a.refs, n), getattr(b.refs, n)]) for n in names))
         both = np.concatenate

@@ -34,6 +34,7 @@ class Span:
 
     @property
     def n_points(self) -> int:
+        """Number of points."""
         return self.last_point - self.first_point
 
 
@@ -46,7 +47,7 @@ def spans_by_pulses(source: LasSource, wanted: int, most_points: int) -> list[Sp
     """Spans of about `wanted` pulses; one pass over the packet references, at most 40 bytes of memory a point."""
     keys, link = _keys_and_links(source)
     order = np.argsort(keys, kind="stable")
-    shared = _shared(source, keys, order)
+    shared = _shared_keys(source, keys, order)
     head = np.empty(len(keys), np.int64)
     pulse_heads(keys, order, OWN, MAX_RETURNS, head)
     if shared:
@@ -78,10 +79,10 @@ def _keys_and_links(source: LasSource) -> tuple[NDArray[np.uint64], NDArray[np.b
     return keys, links
 
 
-def _shared(source: LasSource, keys: NDArray[np.uint64], order: NDArray[np.int64]) -> tuple[int, ...]:
+def _shared_keys(source: LasSource, keys: NDArray[np.uint64], order: NDArray[np.int64]) -> tuple[int, ...]:
     """Keys of more than `MAX_RETURNS` points."""
-    found = np.empty(MAX_SHARED, np.uint64)
-    count = int(crowded_keys(keys, order, OWN, MAX_RETURNS, found))
+    shared = np.empty(MAX_SHARED, np.uint64)
+    count = int(crowded_keys(keys, order, OWN, MAX_RETURNS, shared))
     if count > MAX_SHARED:
         raise InputError(
             "the packet references of the points make no sense",
@@ -90,7 +91,7 @@ def _shared(source: LasSource, keys: NDArray[np.uint64], order: NDArray[np.int64
             got=f"{count} packets with more than {MAX_RETURNS} returns each",
             do="export the file again with its waveforms, or convert it to a point format without them",
         )
-    return tuple(int(k) for k in found[:count])
+    return tuple(int(k) for k in shared[:count])
 
 
 def _refuse_long(source: LasSource, spans: list[Span], most_points: int) -> None:

@@ -13,7 +13,7 @@ from fwclass.read.las_read import check_las, index_las, read_las
 from fwclass.read.params import ReadParams as ReadParams
 from fwclass.read.pls_read import check_pls, index_pls, read_pls
 from fwclass.read.points import PointReader, coordinates, gps_times
-from fwclass.read.projection import projected
+from fwclass.read.projection import project_waveforms
 from fwclass.read.source import BeamSource, PulseSource, Source, las_of
 from fwclass.read.source import open_source as open_source
 from fwclass.read.spans import Span
@@ -22,7 +22,7 @@ from fwclass.stage import Computation
 from fwclass.waveforms import Waveforms
 
 
-def as_told(source: Source, params: ReadParams) -> Source:
+def with_settings(source: Source, params: ReadParams) -> Source:
     """`source` as the settings have it read: with its beams turned round where `params.mirror_beams`, brought into
     `params.project_to` where it is in degrees or geocentric."""
     flat = source.crs is None or not (source.crs.is_geographic or source.crs.is_geocentric)
@@ -34,7 +34,7 @@ def check_source(source: Source, params: ReadParams) -> None:
 
     In a LAS file `params.missing_packets` ``keep`` takes its returns instead; a Pulse file has nothing but waveforms.
     """
-    source = as_told(source, params)
+    source = with_settings(source, params)
     if isinstance(source, PulseSource):
         check_pls(source)
     elif isinstance(source, BeamSource):
@@ -52,7 +52,7 @@ def index_source(source: Source, params: ReadParams) -> list[Span]:
     InputError
         Points that cannot be read, or a file sorted so that it cannot be cut.
     """
-    source = as_told(source, params)
+    source = with_settings(source, params)
     if isinstance(source, PulseSource):
         return index_pls(source, params.chunk_pulses)
     if isinstance(source, BeamSource):
@@ -65,14 +65,14 @@ def read_span(source: Source, span: Span, params: ReadParams) -> Waveforms:
 
     See `las_read.read_las`, `pls_read.read_pls` and `beam_read.read_beam_rows`.
     """
-    source = as_told(source, params)
+    source = with_settings(source, params)
     if isinstance(source, PulseSource):
         waves = read_pls(source, span)
     elif isinstance(source, BeamSource):
         waves = read_beam_rows(source, span)
     else:
-        waves = read_las(las_of(source), span, params)
-    return waves if source.target is None else projected(waves, source, source.target)
+        waves = read_las(las_of(source), span)
+    return waves if source.target is None else project_waveforms(waves, source, source.target)
 
 
 def read_cloud(path: str | Path, first: int = 0, last: int | None = None) -> Table:

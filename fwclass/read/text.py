@@ -20,7 +20,7 @@ from pyarrow import csv
 from fwclass.errors import InputError
 from fwclass.paths import open_regular
 from fwclass.read.text_kernels import tidy
-from fwclass.read.text_layout import NULLS, SHOWN, Layout, is_number, layout_of, refused, shown, words_of
+from fwclass.read.text_layout import NULLS, SHOWN, Layout, is_number, layout_of, refusal, shown, words_of
 
 SUFFIXES = (".txt", ".xyz", ".csv", ".asc", ".tsv")
 """Names of text files end so."""
@@ -90,8 +90,8 @@ def read_text(path: str | Path) -> TextCloud:
     path = Path(path)
     data = _text_of(path)
     layout = layout_of(path, data)
-    body = _tidied(data[layout.start :], layout.delimiter == " ")
-    values = _parsed(path, body, layout)
+    body = _tidy(data[layout.start :], layout.delimiter == " ")
+    values = _parse_columns(path, body, layout)
     label, kind = _labels(path, values, layout, body)
     dropped = tuple(n.removeprefix("?") for n in layout.columns if n.startswith("?"))
     return TextCloud(path, values["x"], values["y"], values["z"], label, kind, dropped)
@@ -104,12 +104,12 @@ def _text_of(path: Path) -> bytes:
     except OSError as fault:
         raise InputError("cannot open the file", where=path, got=fault, do="check the path and its rights") from fault
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise refused(path, "the text is UTF-16", "plain text (ASCII or UTF-8)", "UTF-16", "save it as UTF-8")
+        raise refusal(path, "the text is UTF-16", "plain text (ASCII or UTF-8)", "UTF-16", "save it as UTF-8")
     data = data.removeprefix(b"\xef\xbb\xbf")
     strange = data.translate(None, _ALLOWED)
     if strange:
         at = data.index(strange[:1])
-        raise refused(
+        raise refusal(
             path,
             "this is no text",
             "lines of x y z [label]",
@@ -117,7 +117,7 @@ def _text_of(path: Path) -> bytes:
             "give a LAS or LAZ file its own suffix, or export the points as text",
         )
     if not data or data.isspace():
-        raise refused(path, "the file has no points", "lines of x y z [label]", f"{len(data)} bytes", "export it again")
+        raise refusal(path, "the file has no points", "lines of x y z [label]", f"{len(data)} bytes", "export it again")
     return data
 
 
@@ -126,7 +126,7 @@ def _lines(data: bytes) -> io.BytesIO:
     return io.BytesIO(data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data)
 
 
-def _tidied(data: bytes, collapse: bool) -> bytes:
+def _tidy(data: bytes, collapse: bool) -> bytes:
     """`data` without comments; with `collapse`, one space for every run of blanks and none at the ends of lines."""
     if not collapse and b"#" not in data:
         return data
@@ -135,7 +135,7 @@ def _tidied(data: bytes, collapse: bool) -> bytes:
     return out[: tidy(text, collapse, out)].tobytes()
 
 
-def _parsed(path: Path, body: bytes, layout: Layout) -> dict[str, NDArray[np.float64]]:
+def _parse_columns(path: Path, body: bytes, layout: Layout) -> dict[str, NDArray[np.float64]]:
     wanted = [c for c in layout.columns if not c.startswith("?")]
     columns = [f"{c}{i}" if c.startswith("?") else c for i, c in enumerate(layout.columns)]
     try:
@@ -151,12 +151,12 @@ def _parsed(path: Path, body: bytes, layout: Layout) -> dict[str, NDArray[np.flo
             ),
         )
     except (pa.ArrowException, UnicodeDecodeError) as fault:
-        raise _explained(path, body, layout, str(fault)) from fault
+        raise _explain(path, body, layout, str(fault)) from fault
     missing = pa.scalar(float("nan"))
     return {c: table[c].combine_chunks().fill_null(missing).to_numpy(zero_copy_only=False) for c in wanted}
 
 
-def _explained(path: Path, body: bytes, layout: Layout, told: str) -> InputError:
+def _explain(path: Path, body: bytes, layout: Layout, reason: str) -> InputError:
     """Which line is wrong, and why."""
     count = len(layout.columns)
     for number, line in enumerate(_lines(body), start=layout.first):
@@ -165,7 +165,7 @@ def _explained(path: Path, body: bytes, layout: Layout, told: str) -> InputError
             continue
         words = words_of(content, layout.delimiter)
         if len(words) != count:
-            return refused(
+            return refusal(
                 path,
                 "a line has another number of columns",
                 f"{count}, as in line {layout.first}",
@@ -175,7 +175,7 @@ def _explained(path: Path, body: bytes, layout: Layout, told: str) -> InputError
             )
         for word, column in zip(words, layout.columns, strict=True):
             if not column.startswith("?") and not is_number(word, layout.decimal):
-                return refused(
+                return refusal(
                     path,
                     "this is no number",
                     f"a number as {column}",
@@ -183,7 +183,7 @@ def _explained(path: Path, body: bytes, layout: Layout, told: str) -> InputError
                     "mend or remove the line",
                     number,
                 )
-    return refused(path, "the text cannot be read", "lines of x y z [label]", told[:SHOWN], "export it again")
+    return refusal(path, "the text cannot be read", "lines of x y z [label]", reason[:SHOWN], "export it again")
 
 
 def _labels(
@@ -192,19 +192,19 @@ def _labels(
     name = next((n for n in ("code", "label") if n in values), None)
     if name is None:
         return None, "code"
-    given = values[name]
-    wrong = ~((given >= 0) & (given <= 255) & (given == np.floor(given)))
+    labels = values[name]
+    wrong = ~((labels >= 0) & (labels <= 255) & (labels == np.floor(labels)))
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
-        raise refused(
+        raise refusal(
             path,
             "the labels are no labels",
             "whole numbers from 0 to 255",
-            f"{given[row]:g}",
+            f"{labels[row]:g}",
             "if this column is something else, name the columns in a header line (x y z intensity)",
             _line_of(body, row, layout.first),
         )
-    label = given.astype(np.uint8)
+    label = labels.astype(np.uint8)
     isprs = name == "label" and not (label > 1).any()
     return label, "isprs" if isprs else "code"
 

@@ -53,11 +53,11 @@ def rows_of(data: bytes) -> list[bytes]:
 
 @lru_cache(maxsize=16)
 def _marked(path: Path, mark: tuple[int, int], start: int) -> tuple[tuple[int, int], ...]:
-    found, rows = [], 0
+    marks, rows = [], 0
     for at, data in line_blocks(path, start):
-        found.append((rows, at))
+        marks.append((rows, at))
         rows += len(rows_of(data))
-    return (*found, (rows, -1))
+    return (*marks, (rows, -1))
 
 
 def row_marks(path: Path, start: int) -> NDArray[np.int64]:

@@ -40,11 +40,11 @@ def layout_of(path: Path, data: bytes) -> Layout:
     """Separator and columns, from the first lines."""
     names: list[str] | None = None
     at = 0
-    for number, found in enumerate(re.finditer(rb"([^\r\n]*)(\r\n|\r|\n|$)", data), start=1):
-        line = found[1].strip()
+    for number, match in enumerate(re.finditer(rb"([^\r\n]*)(\r\n|\r|\n|$)", data), start=1):
+        line = match[1].strip()
         commented = line.startswith((b"#", b"//"))
         content = line.lstrip(b"#/").strip() if commented else line.split(b"#")[0].strip()
-        at = found.start()
+        at = match.start()
         if not content:
             continue
         delimiter, decimal = _separator(content)
@@ -55,7 +55,7 @@ def layout_of(path: Path, data: bytes) -> Layout:
         if names is None and not numbers and (not commented or len(_known(words)) >= 3):
             names = words
         elif not commented:
-            raise refused(
+            raise refusal(
                 path,
                 "this line is neither numbers nor a header",
                 "x y z [label]",
@@ -63,7 +63,7 @@ def layout_of(path: Path, data: bytes) -> Layout:
                 "mend or remove the line",
                 number,
             )
-    raise refused(path, "the file has no points", "lines of x y z [label]", "none", "export it again")
+    raise refusal(path, "the file has no points", "lines of x y z [label]", "none", "export it again")
 
 
 def _separator(line: bytes) -> tuple[str, str]:
@@ -74,12 +74,14 @@ def _separator(line: bytes) -> tuple[str, str]:
 
 
 def words_of(line: bytes, delimiter: str) -> list[str]:
+    """The columns of a line, without quotes and blanks around them."""
     text = line.decode("utf-8", "replace")
     words = text.split() if delimiter == " " else text.split(delimiter)
     return [w.strip().strip('"').strip() for w in words]
 
 
 def is_number(word: str, decimal: str = ".") -> bool:
+    """A word is a number with `decimal` as its mark, or one that stands for no value."""
     try:
         float(word.replace(decimal, ".") if decimal != "." else word)
     except ValueError:
@@ -104,7 +106,7 @@ def _named(
     count = len(words)
     if names is None:
         if count not in (3, 4):
-            raise refused(
+            raise refusal(
                 path,
                 "a line has another number of columns",
                 "3 or 4: x y z [label]",
@@ -116,7 +118,7 @@ def _named(
     columns = tuple(map(_column, names))
     known = [c for c in columns if not c.startswith("?")]
     if len(names) != count:
-        raise refused(
+        raise refusal(
             path,
             "header and lines have different numbers of columns",
             f"{len(names)}: {' '.join(names)[:SHOWN]}",
@@ -125,7 +127,7 @@ def _named(
             line,
         )
     if {"x", "y", "z"} - set(known) or len(set(known)) < len(known):
-        raise refused(
+        raise refusal(
             path,
             "the header does not name x, y and z once each",
             "x y z and label or classification",
@@ -135,7 +137,7 @@ def _named(
     return Layout(delimiter, decimal, columns, start, line)
 
 
-def refused(path: Path, what: str, expected: object, got: object, do: str, line: int | None = None) -> InputError:
+def refusal(path: Path, what: str, expected: object, got: object, do: str, line: int | None = None) -> InputError:
     """The fault of a text file, with the number of the line where one is to blame."""
     where = path if line is None else f"{path}, line {line}"
     return InputError(what, where=where, expected=expected, got=got, do=do)

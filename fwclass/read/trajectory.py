@@ -83,12 +83,12 @@ def read_trajectory(path: Path, crs: Any = None, undulation: float = 0.0) -> Tab
     if len(time) == 0:
         raise InputError("no usable fix in the trajectory", where=path, expected="rows of time, x, y, z")
     if geographic:
-        a, b, z = _projected(a, b, z, crs, path)
+        a, b, z = _project(a, b, z, crs, path)
     _, first = np.unique(time, return_index=True)
     return Table({"gps_time": time[first], "x": a[first], "y": b[first], "z": z[first] - undulation})
 
 
-def thinned(trajectory: Table, spacing: float) -> Table:
+def thin_trajectory(trajectory: Table, spacing: float) -> Table:
     """`trajectory` with about two fixes per `spacing` seconds: the first and the last of every slot of that length.
 
     The slots count from time 0, so it does not matter what else the trajectory holds; ends of gaps stay as they are. A
@@ -143,7 +143,7 @@ def _moves(begin: float, end: float, first: float, last: float) -> list[float]:
     return sorted(moves)
 
 
-def _projected(
+def _project(
     lon: NDArray[np.float64], lat: NDArray[np.float64], z: NDArray[np.float64], crs: Any, path: Path
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Degrees to the survey's CRS; heights stay as they are."""
@@ -227,9 +227,9 @@ def _layout(path: Path, head: bytes) -> tuple[int, str | None, Sequence[int], bo
         if len(words) >= 4 and all(_is_number(word) for word in words[:4]):
             return number, delimiter, (0, 1, 2, 3), False
         words = _UNIT.sub("", line).strip().lstrip("#").strip().split(delimiter)
-        found = _named([word.strip(' "').lower().replace(" ", "_") for word in words])
-        if found is not None:
-            return number + 1, delimiter, *found
+        heading = _heading([word.strip(' "').lower().replace(" ", "_") for word in words])
+        if heading is not None:
+            return number + 1, delimiter, *heading
     raise InputError(
         "no trajectory in this file",
         where=path,
@@ -238,7 +238,7 @@ def _layout(path: Path, head: bytes) -> tuple[int, str | None, Sequence[int], bo
     )
 
 
-def _named(words: list[str]) -> tuple[Sequence[int], bool] | None:
+def _heading(words: list[str]) -> tuple[Sequence[int], bool] | None:
     at = {name: next((words.index(w) for w in spellings if w in words), None) for name, spellings in _NAMES.items()}
     for horizontal, geographic in ((("x", "y"), False), (("longitude", "latitude"), True)):
         columns = [at[name] for name in ("gps_time", *horizontal, "z")]

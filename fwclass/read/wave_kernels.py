@@ -27,13 +27,13 @@ def whole_number(data, at, length):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def walk(data, offset, descriptor, described, samplings, header, most, ends, found):  # type: ignore[no-untyped-def]
+def walk(data, offset, descriptor, described, samplings, header, most, ends, table):  # type: ignore[no-untyped-def]
     """Find the segments of every pulse that have samples.
 
     `offset`, `descriptor` (n,): byte of the pulse's waves in `data`, and its row in `described` (-1: none). `header`
     is the length of the file's header, `most` the segments a pulse may have. ``ends[i]`` becomes what the walk of
-    pulse i ended in. `found` (m, 5) receives the segments of the pulses that ended well; gives their number, whether
-    or not they fit into `found`.
+    pulse i ended in. `table` (m, 5) receives the segments of the pulses that ended well; gives their number, whether
+    or not they fit into `table`.
     """
     size = len(data)
     count = 0
@@ -79,9 +79,9 @@ def walk(data, offset, descriptor, described, samplings, header, most, ends, fou
                     ends[i] = CUT_SHORT
                     break
                 if length > 0:
-                    if count < len(found):
-                        found[count, 0], found[count, 1], found[count, 2] = i, m, duration
-                        found[count, 3], found[count, 4] = length, at
+                    if count < len(table):
+                        table[count, 0], table[count, 1], table[count, 2] = i, m, duration
+                        table[count, 3], table[count, 4] = length, at
                     count += 1
                 at += length * samplings[m, SAMPLE_BYTES]
             if ends[i] != SOUND:

@@ -130,7 +130,7 @@ def _settle_tracker() -> None:
         return
     send, known = tracker._send, set[tuple[object, ...]]()
 
-    def told(command: str, name: str, kind: str) -> None:
+    def send_known(command: str, name: str, kind: str) -> None:
         tracker.ensure_running()
         thing = (tracker._pid, name, kind)
         if command == "REGISTER":
@@ -141,7 +141,7 @@ def _settle_tracker() -> None:
             known.remove(thing)
         send(command, name, kind)
 
-    tracker._send = told
+    tracker._send = send_known
 
 
 class Unheeding(WorkerPlugin):  # type: ignore[misc]
@@ -379,6 +379,7 @@ class Cluster:
         return heard if heard is not None else future.result()
 
     def cancel(self, futures: list[Future]) -> None:
+        """Give up parts that have not begun."""
         self._client.cancel(futures)
 
     def gone(self) -> FwclassError:
@@ -412,6 +413,7 @@ class Cluster:
 
     @property
     def window(self) -> int:
+        """How many parts the scheduler may know at a time."""
         return self._window
 
 

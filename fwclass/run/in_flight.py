@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterator
 from typing import Any, Protocol
 
-from fwclass.run.logs import attempted
+from fwclass.run.logs import log_attempt
 from fwclass.run.lost import Losses
 from fwclass.run.part import Name, Outcome, Task
 from fwclass.store.run_location import RunLocation
@@ -16,21 +16,44 @@ class Scheduler(Protocol):
     """What hands parts to workers, and knows what became of a worker that was lost."""
 
     @property
-    def window(self) -> int: ...
-    def submit(self, location: RunLocation, task: Task, upstream: list[Any], alone: bool) -> Any: ...
-    def cancel(self, futures: list[Any]) -> None: ...
-    def outcome(self, future: Any) -> Outcome: ...
-    def gone(self) -> Exception: ...
-    def turned_away(self, fault: Exception) -> bool: ...
-    def killed(self, fault: Exception, key: str) -> str | None: ...
-    def cause(self, worker: str) -> str: ...
+    def window(self) -> int:
+        """How many parts the scheduler may know at a time."""
+        ...
+
+    def submit(self, location: RunLocation, task: Task, upstream: list[Any], alone: bool) -> Any:
+        """The future of a part that is handed over, to run after those of `upstream`, and with no other if `alone`."""
+        ...
+
+    def cancel(self, futures: list[Any]) -> None:
+        """Give up parts that have not begun."""
+        ...
+
+    def outcome(self, future: Any) -> Outcome:
+        """The outcome of a future that has ended well."""
+        ...
+
+    def gone(self) -> Exception:
+        """What to raise when the scheduler itself is lost."""
+        ...
+
+    def turned_away(self, fault: Exception) -> bool:
+        """The worker computes by other code than this run, and never began the part."""
+        ...
+
+    def killed(self, fault: Exception, key: str) -> str | None:
+        """The worker lost with the task `key`; "" where with one that this one needs, None for another fault."""
+        ...
+
+    def cause(self, worker: str) -> str:
+        """Why a worker was lost, in words."""
+        ...
 
 
 class InFlight:
     """The parts that the scheduler knows; those that are to be tried alone, and what waits for these."""
 
-    def __init__(self, scheduler: Scheduler, location: RunLocation, losses: Losses, done: Any) -> None:
-        self._scheduler, self._location, self._losses, self._done = scheduler, location, losses, done
+    def __init__(self, scheduler: Scheduler, location: RunLocation, losses: Losses, ended: Any) -> None:
+        self._scheduler, self._location, self._losses, self._done = scheduler, location, losses, ended
         self._tasks: dict[Name, Task] = {}
         self._order: dict[Name, int] = {}
         self._numbers = itertools.count()
@@ -49,6 +72,7 @@ class InFlight:
         return bool(self._suspects or self._waiting) or len(self._futures) >= self._scheduler.window
 
     def take(self, task: Task, alone: bool = False) -> None:
+        """Hand `task` to the scheduler, or let it wait for a suspect that it needs."""
         if task.name not in self._order:
             self._order[task.name] = next(self._numbers)
         if any(n in self._suspects or n in self._waiting for n in task.needs):
@@ -60,6 +84,7 @@ class InFlight:
         self._done.add(future)
 
     def drop(self) -> None:
+        """Give up all parts that have not begun."""
         self._scheduler.cancel([f for f in self._futures.values() if not f.done()])
 
     def ended(self) -> Iterator[Outcome]:
@@ -72,10 +97,10 @@ class InFlight:
         if name is None:
             return  # it was handed over again meanwhile
         if future.status not in ("error", "cancelled"):
-            yield from self._made(name, alone=False)
+            yield from self._take_outcome(name, alone=False)
             return
         for other in [n for n, f in self._futures.items() if n == name or f.status in ("error", "cancelled")]:
-            yield from self._not_made(other)
+            yield from self._take_loss(other)
 
     def _alone(self) -> Iterator[Outcome]:
         """Everything else has ended: try the first suspect, and hand over what waited when there is none left."""
@@ -86,22 +111,22 @@ class InFlight:
             return
         name, task = min(self._suspects.items(), key=lambda one: self._place(one[1]))
         del self._suspects[name]
-        held, self._suspects = self._suspects, {}  # a suspect may need an earlier one, none of the others
+        suspects, self._suspects = self._suspects, {}  # a suspect may need an earlier one, none of the others
         self.take(task, alone=True)
-        self._suspects = held
+        self._suspects = suspects
         while name in self._futures:
             if next(self._done).key != self._futures[name].key:
                 continue  # one that was handed over again before
             if self._futures[name].status not in ("error", "cancelled"):
-                yield from self._made(name, alone=True)
+                yield from self._take_outcome(name, alone=True)
             else:
-                yield from self._not_made(name, alone=True)
+                yield from self._take_loss(name, alone=True)
 
     def _place(self, task: Task) -> int:
         """Its place in the plan, which has every part after those that it needs."""
         return self._order[task.name]
 
-    def _made(self, name: Name, alone: bool) -> Iterator[Outcome]:
+    def _take_outcome(self, name: Name, alone: bool) -> Iterator[Outcome]:
         """A part has an outcome; where that was lost with its worker, the part is handed over again and found done."""
         future = self._futures[name]
         try:
@@ -113,14 +138,14 @@ class InFlight:
             return
         self._forget(name)
         del self._order[name]
-        yield self._losses.told(outcome)
+        yield self._losses.with_causes(outcome)
 
     def _forget(self, name: Name) -> Task:
         future = self._futures.pop(name)
         self._names.pop(future.key, None)
         return self._tasks.pop(name)
 
-    def _not_made(self, name: Name, alone: bool = False) -> Iterator[Outcome]:
+    def _take_loss(self, name: Name, alone: bool = False) -> Iterator[Outcome]:
         """A part's future has no outcome: its worker was lost, or that of a part that it needs."""
         future = self._futures[name]
         if future.status == "cancelled":
@@ -146,7 +171,7 @@ class InFlight:
 
     def _give_up(self, name: Name, message: str) -> Outcome:
         del self._order[name]
-        outcome = self._losses.told(Outcome(*name, "failed", message=message))
-        attempted(self._location, *name, {"status": "failed", "message": message})
+        outcome = self._losses.with_causes(Outcome(*name, "failed", message=message))
+        log_attempt(self._location, *name, {"status": "failed", "message": message})
         self._failed[name] = outcome
         return outcome

@@ -24,28 +24,28 @@ def by_change(receipts: Iterable[Receipt], store: Store) -> tuple[Counter[str], 
     return parts, unknown
 
 
-def announced(store: Store, accepted: bool) -> list[str]:
+def announce(store: Store, accepted: bool) -> list[str]:
     """What a run says at its beginning of parts that others made, a line for each set of libraries.
 
     Receipts are read only where some run in this store had other libraries.
     """
-    kept = store.fingerprints()
-    names = [n for n in store.parts() if n[0] not in NO_STAGES] if any(map(stale_by, kept)) or not kept else []
+    prints = store.fingerprints()
+    names = [n for n in store.parts() if n[0] not in NO_STAGES] if any(map(stale_by, prints)) or not prints else []
     if not names:
         return []
     store.look_up(names)
     changes, unknown = by_change((r for r in (store.receipt(*n) for n in names) if r is not None), store)
     lines = ["earlier parts of this run do not tell the libraries that they were made with; they count as done"]
     what = "they count as done, as asked" if accepted else "they are made again (--accept-libraries keeps them)"
-    told = [f"{n} parts were made with other libraries ({change}): {what}" for change, n in changes.items()]
-    return told + (lines if unknown and not kept else [])
+    changed = [f"{n} parts were made with other libraries ({change}): {what}" for change, n in changes.items()]
+    return changed + (lines if unknown and not prints else [])
 
 
-def reported(runner: Runner) -> dict[str, Any]:
+def report_libraries(runner: Runner) -> dict[str, Any]:
     """What the report says: the libraries here, parts made with others that count as done, and parts that do not
     tell."""
-    done = (runner.store.receipt(*name) for name, outcome in runner.outcomes.items() if outcome.ok)
-    changes, unknown = by_change((r for r in done if r is not None), runner.store)
+    receipts = (runner.store.receipt(*name) for name, outcome in runner.outcomes.items() if outcome.ok)
+    changes, unknown = by_change((r for r in receipts if r is not None), runner.store)
     return {"here": dict(fingerprint()), "accepted": dict(changes), "unknown": unknown}
 
 

@@ -29,10 +29,11 @@ _BARE = re.compile(r"[\w./:@%+,()\[\]-]+", re.ASCII)
 
 
 def log_path(location: RunLocation, stage: str, part: str) -> Path | Url:
+    """Where the log of a part lies."""
     return address_of(location) / "logs" / stage / f"{part}.log"
 
 
-def attempted(location: RunLocation, stage: str, part: str, fields: Mapping[str, Value]) -> None:
+def log_attempt(location: RunLocation, stage: str, part: str, fields: Mapping[str, Value]) -> None:
     """Append one attempt at a part to its log: when (UTC), stage, part, host, pid, and `fields`.
 
     The one place that knows where logs go; it is called where the work was done, on a worker. On object storage, where
@@ -59,9 +60,9 @@ def _append(path: Path, text: str) -> None:
         stream.write(text.encode())
         size = stream.tell()
     if size > LIMIT:
-        kept = path.read_bytes()[-LIMIT // 2 :]
+        end = path.read_bytes()[-LIMIT // 2 :]
         beside = path.with_name(f".{path.name}.{os.getpid()}")
-        beside.write_bytes(kept[kept.find(b"\n") + 1 :] or text.encode())
+        beside.write_bytes(end[end.find(b"\n") + 1 :] or text.encode())
         beside.replace(path)
 
 

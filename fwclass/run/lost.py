@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from fwclass.errors import FwclassError
-from fwclass.run.logs import attempted
+from fwclass.run.logs import log_attempt
 from fwclass.run.part import Name, Outcome
 from fwclass.store.run_location import RunLocation
 from fwclass.store.run_store import Store
@@ -53,7 +53,7 @@ class Losses:
             return "again"
         causes = self._causes.setdefault(name, [])
         causes.append(cause)
-        attempted(self.location, *name, {"status": "lost", "message": cause})
+        log_attempt(self.location, *name, {"status": "lost", "message": cause})
         if cause.startswith(TIME):
             return "failed"
         if alone:
@@ -87,7 +87,7 @@ class Losses:
         )
         return str(fault)
 
-    def told(self, outcome: Outcome) -> Outcome:
+    def with_causes(self, outcome: Outcome) -> Outcome:
         """The outcome with the causes for which workers were lost before."""
         causes = self._causes.get((outcome.stage, outcome.part))
         return dataclasses.replace(outcome, lost=tuple(causes)) if causes else outcome

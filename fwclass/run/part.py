@@ -13,7 +13,7 @@ from typing import Any, Literal
 from fwclass.errors import FwclassError, full_or, is_interrupt, system_error
 from fwclass.memory import keep_freed
 from fwclass.run.inputs import Declared, PartInputs
-from fwclass.run.logs import Value, attempted, log_path
+from fwclass.run.logs import Value, log_attempt, log_path
 from fwclass.store.cells import Within, digest_within
 from fwclass.store.external_file import ExternalFile
 from fwclass.store.libraries import stale_by
@@ -58,6 +58,7 @@ class Task:
 
     @property
     def name(self) -> Name:
+        """Stage and part."""
         return self.stage, self.part
 
 
@@ -78,6 +79,7 @@ class Outcome:
 
     @property
     def ok(self) -> bool:
+        """The part is done, by this run or an earlier one."""
         return self.status in ("computed", "skipped")
 
 
@@ -148,7 +150,7 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
             key,
             digests,
             task.place,
-            lambda directory: _worked(task, inputs, directory),
+            lambda directory: _do_work(task, inputs, directory),
             task.version,
             task.params,
         )
@@ -157,14 +159,14 @@ def execute(location: RunLocation, task: Task, upstream: Sequence[Outcome] = (),
             raise KeyboardInterrupt from fault
         outcome = Outcome(*task.name, "failed", time.perf_counter() - began, message=_message(location, task, fault))
         trace = "" if isinstance(fault, (FwclassError, OSError)) else "".join(traceback.format_exception(fault))
-        attempted(location, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
+        log_attempt(location, *task.name, _attempt(outcome, key) | ({"traceback": trace} if trace else {}))
         return outcome
     outcome = Outcome(*task.name, "computed", receipt.seconds, receipt.peak_mib)
-    attempted(location, *task.name, _attempt(outcome, key) | _made(receipt))
+    log_attempt(location, *task.name, _attempt(outcome, key) | _log_values(receipt))
     return outcome
 
 
-def _worked(task: Task, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
+def _do_work(task: Task, inputs: PartInputs, directory: Path) -> Mapping[str, Any]:
     """The part's work; refused where a file that it reads is not, before and after, the one whose digest was taken."""
     for file in task.external:
         file.check()
@@ -199,7 +201,7 @@ def _attempt(outcome: Outcome, key: str) -> dict[str, Value]:
     return fields | ({"message": outcome.message} if outcome.message else {})
 
 
-def _made(receipt: Receipt) -> dict[str, Value]:
+def _log_values(receipt: Receipt) -> dict[str, Value]:
     """What a log tells of a part that was made."""
     faults = receipt.meta.get("faults") or {}
     return {

@@ -83,7 +83,7 @@ class Display:
         self._stages: dict[str, _Stage] = {}
         self._all: TaskID | None = None
         self._spoke = clock()
-        self._told: set[str] = set()
+        self._messages: set[str] = set()
         self._compiling: set[str] = set()
         self._compiled = False
 
@@ -172,6 +172,6 @@ class Display:
             if stage.failed == TOLD + 1:
                 self.say(f"FAILED {outcome.stage}: more than {TOLD} parts; the others are counted, not told")
             return
-        known = outcome.message in self._told
-        self._told.add(outcome.message)
+        known = outcome.message in self._messages
+        self._messages.add(outcome.message)
         self.say(f"FAILED {outcome.stage}/{outcome.part}: {'as above' if known else outcome.message}")

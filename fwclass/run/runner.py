@@ -199,7 +199,7 @@ class Runner:
         self.held()
         files: dict[str, tuple[Path, str]] = {}
         for stage, part in self.outcomes:
-            if stage in self.delivered and self.made(stage, part):
+            if stage in self.delivered and self.is_done(stage, part):
                 receipt = self.store.receipt(stage, part)
                 if receipt is None:
                     raise StoreError(
@@ -216,8 +216,8 @@ class Runner:
         parts: dict[str, list[str]] = {stage: [] for stage in self.tallies}
         for stage, part in self.outcomes:
             parts[stage].append(part)
-        for stage, kept in parts.items():
-            self.store.forget_others(stage, kept)
+        for stage, names in parts.items():
+            self.store.forget_others(stage, names)
 
     @property
     def failures(self) -> list[Outcome]:
@@ -225,7 +225,7 @@ class Runner:
         broken = [o for o in self.outcomes.values() if not o.ok]
         return [o for o in broken if o.status == "failed"] or broken
 
-    def made(self, stage: str, part: str) -> bool:
+    def is_done(self, stage: str, part: str) -> bool:
         """The part is done, by this run or an earlier one, from the inputs and parameters of this run."""
         outcome = self.outcomes.get((stage, part))
         return outcome is not None and outcome.ok
@@ -241,7 +241,7 @@ class Lacking(InputError):
 
 def require_all(runner: Runner, tasks: Sequence[Task]) -> Mapping[Name, Receipt]:
     """As `Runner.do` for parts without which nothing can follow: the first failure ends the run."""
-    done = runner.do(tasks)
+    receipts = runner.do(tasks)
     for task in tasks:
         outcome = runner.outcomes[task.name]
         if not outcome.ok and not runner.goes_without(task):
@@ -252,7 +252,7 @@ def require_all(runner: Runner, tasks: Sequence[Task]) -> Mapping[Name, Receipt]
                 got=_first_line(outcome.message),
                 do="see the whole message above, mend the cause and run the same again; what is done is kept",
             )
-    return done
+    return receipts
 
 
 def _first_line(message: str) -> str:
@@ -260,9 +260,9 @@ def _first_line(message: str) -> str:
     return message.splitlines()[0] if message else ""
 
 
-def stop_if_nothing(runner: Runner, done: Mapping[Name, Receipt]) -> None:
+def stop_if_nothing(runner: Runner, receipts: Mapping[Name, Receipt]) -> None:
     """End the run with the first failure's own words if nothing at all came of it."""
-    if not done and runner.failures:
+    if not receipts and runner.failures:
         first = runner.failures[0]
         raise FwclassError(
             f"nothing could be made: {len(runner.failures)} parts failed, first {first.stage}/{first.part}",

@@ -55,12 +55,12 @@ class Score:
         """For JSON: shares [0 to 1] rounded, None for NaN."""
         return {
             "features": list(self.features),
-            "accuracy": _rounded(mean(self.accuracy)),
-            "accuracy_std": _rounded(spread(self.accuracy)),
-            "kappa": _rounded(mean(self.kappa)),
-            "kappa_std": _rounded(spread(self.kappa)),
-            "score": _rounded(self.value),
-            "folds": [_rounded(float(v)) for v in self.decides],
+            "accuracy": _round(mean(self.accuracy)),
+            "accuracy_std": _round(spread(self.accuracy)),
+            "kappa": _round(mean(self.kappa)),
+            "kappa_std": _round(spread(self.kappa)),
+            "score": _round(self.value),
+            "folds": [_round(float(v)) for v in self.decides],
         }
 
 
@@ -111,7 +111,7 @@ def as_good(one: Score, best: Score) -> bool:
     return known == 0 or mean(short) <= spread(short) / np.sqrt(known) + 1e-12
 
 
-def _rounded(value: float) -> float | None:
+def _round(value: float) -> float | None:
     return None if np.isnan(value) else round(value, 6)
 
 

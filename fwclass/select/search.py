@@ -61,11 +61,11 @@ def forward(candidates: Names, evaluate: Evaluate, scored: Scored, params: Selec
         left = [c for c in candidates if c not in chosen]
         trials = evaluate([in_order((*chosen, c), candidates) for c in left])
         scores = {c: scored(t) for c, t in zip(left, trials, strict=True)}
-        taken = min(left, key=lambda c: (-scores[c].value, extra_work(c, chosen), c))
-        steps.append(Step(scores[taken], (taken,)))
-        chosen = (*chosen, taken)
-        gains = scores[taken].value > best
-        best, idle = max(best, scores[taken].value), 0 if gains else idle + 1
+        best_name = min(left, key=lambda c: (-scores[c].value, extra_work(c, chosen), c))
+        steps.append(Step(scores[best_name], (best_name,)))
+        chosen = (*chosen, best_name)
+        gains = scores[best_name].value > best
+        best, idle = max(best, scores[best_name].value), 0 if gains else idle + 1
     return Search(tuple(steps))
 
 
@@ -77,9 +77,9 @@ def in_given_order(order: Names, candidates: Names, evaluate: Evaluate, scored: 
     for name in order:
         trial = evaluate([in_order((*chosen, name), candidates)])[0]
         result = scored(trial)
-        kept = result.value > best
-        steps.append(Step(result, (name,), kept))
-        if kept:
+        gains = result.value > best
+        steps.append(Step(result, (name,), gains))
+        if gains:
             chosen, best = (*chosen, name), result.value
     return Search(tuple(steps))
 
@@ -101,7 +101,7 @@ def backward(candidates: Names, evaluate: Evaluate, scored: Scored, params: Sele
         if trial.importance is None:
             raise ValueError("backward elimination needs importances")
         importances = dict(zip(chosen, trial.importance.tolist(), strict=True))
-        ranks = ranks or ranked(importances)
+        ranks = ranks or rank(importances)
         count = min(max(1, math.floor(params.drop * len(chosen))), len(chosen) - params.least)
         if count <= 0:
             return Search(tuple(steps), ranks)
@@ -116,7 +116,7 @@ def by_fscore(
     """Add the candidates by falling F-score (Shi 2019, 2.3) of X (rows, features), y (rows,); a step for every length
     of the list."""
     figures = dict(zip(candidates, f_scores(X, y).tolist(), strict=True))
-    ranks = ranked(figures)
+    ranks = rank(figures)
     order = [name for name, _ in ranks]
     sets = [in_order(order[: k + 1], candidates) for k in range(len(order))]
     steps = [Step(scored(t), (name,)) for name, t in zip(order, evaluate(sets), strict=True)]
@@ -150,6 +150,6 @@ def in_order(names: Sequence[str], candidates: Names) -> Names:
     return tuple(c for c in candidates if c in chosen)
 
 
-def ranked(told: dict[str, float]) -> tuple[tuple[str, float], ...]:
+def rank(figures: dict[str, float]) -> tuple[tuple[str, float], ...]:
     """(name, figure) by falling figure, of equals the one with less work, then by name."""
-    return tuple(sorted(told.items(), key=lambda item: (-item[1], extra_work(item[0], ()), item[0])))
+    return tuple(sorted(figures.items(), key=lambda item: (-item[1], extra_work(item[0], ()), item[0])))

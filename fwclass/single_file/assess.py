@@ -91,10 +91,10 @@ def assess_files(reference: Path, prediction: Path, codes: str | None, ground: b
             where=f"{reference}, {prediction}",
             do="check that they show the same place in the same coordinate system",
         )
-    wanted, given = truth["source_class"][known], answer["source_class"][rows[known]]
-    classes, given = _classes(wanted, given, codes, ground)
+    wanted, answered = truth["source_class"][known], answer["source_class"][rows[known]]
+    classes, answered = _classes(wanted, answered, codes, ground)
     names = [c.name for c in classes]
-    plain = figures(confusion(wanted, given, classes), names, unclassified(wanted, given, classes))
+    plain = figures(confusion(wanted, answered, classes), names, unclassified(wanted, answered, classes))
     left_out = _left_out(wanted, classes)
     return {**plain, "matched": int(known.sum()), "unmatched": int((~known).sum()), "left_out": left_out}
 
@@ -107,18 +107,18 @@ def _left_out(codes: NDArray[np.uint8], classes: tuple[ClassDef, ...]) -> dict[s
 
 
 def _classes(
-    wanted: NDArray[np.uint8], given: NDArray[np.uint8], codes: str | None, ground: bool
+    wanted: NDArray[np.uint8], answered: NDArray[np.uint8], codes: str | None, ground: bool
 ) -> tuple[tuple[ClassDef, ...], NDArray[np.uint8]]:
     """The classes that are told apart, and the predicted codes, each as its class' own."""
     if ground:
-        return GROUND, np.where(given == 2, 2, 1).astype(np.uint8)
+        return GROUND, np.where(answered == 2, 2, 1).astype(np.uint8)
     if codes is None:
-        return tuple(ClassDef(str(c), int(c), (int(c),)) for c in np.unique(wanted) if c), given
+        return tuple(ClassDef(str(c), int(c), (int(c),)) for c in np.unique(wanted) if c), answered
     classes = parse_classes(codes)
     own = np.zeros(256, np.uint8)
     for one in classes:
         own[list(one.codes)] = one.code
-    return classes, own[given]
+    return classes, own[answered]
 
 
 def _places(cloud: Table) -> Places:

@@ -26,7 +26,7 @@ from fwclass.graph.quantities import check_learned
 from fwclass.graph.survey import given_crs
 from fwclass.ground.blocks import blocks_of
 from fwclass.model import ClassDef, Model, TwoLayer, sample_matrix
-from fwclass.model.ranges import Outside
+from fwclass.model.ranges import RangeCounter
 from fwclass.publish.strips import LEGACY_MAX, write_strip_laz
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.las import LasSource
@@ -98,7 +98,7 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         A file or model that cannot be used, or lacks what the model decides by.
     """
     began = time.perf_counter()
-    _check_settings(job.settings)
+    conf.check_settings(job.settings, SECTIONS, "leave it out; what decides is the model's")
     source = _checked_source(job)
     model = load_model(job.model)
     check_output(job.source, job.output, job.overwrite)
@@ -108,10 +108,10 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     asked = Asked.of(n for n in model.features if is_feature(n))
     echoes = _echoes(job, model, asked, tell)
     first = model.coarse if isinstance(model, TwoLayer) else model
-    outside = Outside.of(first.card, first.features)
+    outside = RangeCounter.of(first.card, first.features)
     kept = Kept.of(conf.section("classify", job.settings))
-    results, without, medians, dense = _classified(echoes.table, first, asked, job.settings, tell, outside, kept)
-    seen = drift(first.card, [outside.counts()] if outside else [])
+    results, without, medians, dense = _classify(echoes.table, first, asked, job.settings, tell, outside, kept)
+    drifted = drift(first.card, [outside.counts()] if outside else [])
     boundary = None
     if isinstance(model, TwoLayer):
         check_computed(model.fine, params := conf.section("features", job.settings), job.model)
@@ -145,15 +145,15 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
         "kept": {str(code): n for code, n in stay.items()},
         "confidence": float(sure.mean()) if len(sure) else None,
         "without_value": without,
-        "drift": seen,
+        "drift": drifted,
         "filled": medians,
         "boundary": boundary,
         "waveforms": wrote.get("wdp"),
         "notes": [
-            *echoes.told,
+            *echoes.notes,
             *dense,
             *notes,
-            *_drift_notes(seen),
+            *_drift_notes(drifted),
             *class_remarks(by_code, known_codes(model.classes), kept, "points"),
             *(str(n) for n in wrote.get("notes", ())),
         ],
@@ -161,24 +161,12 @@ def classify_file(job: ClassifyJob, tell: Tell = quiet) -> dict[str, Any]:
     }
 
 
-def _drift_notes(seen: Mapping[str, Any] | None) -> list[str]:
+def _drift_notes(drifted: Mapping[str, Any] | None) -> list[str]:
     return (
-        list(seen["remarks"])
-        if seen
+        list(drifted["remarks"])
+        if drifted
         else ["the model's card does not say what it has seen: train it again to be warned"]
     )
-
-
-def _check_settings(settings: tuple[str, ...]) -> None:
-    for text in settings:
-        if text.split(".")[0].strip() not in SECTIONS:
-            raise ConfigError(
-                "this setting has no effect here",
-                where=f"--set {text}",
-                expected=f"a key of {', '.join(SECTIONS)}",
-                got=text.split("=")[0],
-                do="leave it out; what decides is the model's",
-            )
 
 
 def _checked_source(job: ClassifyJob) -> LasSource:
@@ -267,16 +255,16 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
     if any(n in RADIOMETRY.writes for n in needed):
         echoes = with_radiometry(echoes, job.flight, job.settings)
     check_names(model, echoes.table, job.source)
-    return FileEchoes(echoes.table, echoes.crs, (*echoes.told, *notes), links)
+    return FileEchoes(echoes.table, echoes.crs, (*echoes.notes, *notes), links)
 
 
-def _classified(
+def _classify(
     table: Table,
     model: Model,
     asked: Asked,
     settings: tuple[str, ...],
     tell: Tell,
-    outside: Outside | None,
+    outside: RangeCounter | None,
     kept: Kept | None,
 ) -> tuple[dict[str, NDArray], dict[str, int], int, list[str]]:
     """Columns of `classify` for every echo; echoes without a value by feature; values that were filled; a remark
@@ -286,12 +274,12 @@ def _classified(
     Tile by tile (`tile.size`, which changes nothing), so that the features of one tile only are in memory.
     """
     params, shares = conf.section("features", settings), conf.section("classify", settings).probabilities
-    size, done, replaced = conf.section("tile", settings).size, 0, 0
+    size, count, replaced = conf.section("tile", settings).size, 0, 0
     halo = asked.halo(params) if asked.names else 0.0
     results: dict[str, NDArray] = {}
     without, crowds = np.zeros(len(model.features), np.int64), []
     for tile, rows, own in blocks_of(table["x"], table["y"], size, halo):
-        tell(f"classes: {done:,} of {table.rows:,} echoes")
+        tell(f"classes: {count:,} of {table.rows:,} echoes")
         rows = rows[order := np.lexsort((table["echo_number"][rows], table["pulse"][rows]))]
         core = np.flatnonzero(own[order])
         near = table.take(rows)
@@ -306,7 +294,7 @@ def _classified(
         for name, values in classify(X, model, shares).items():
             results.setdefault(name, np.empty(table.rows, values.dtype))[rows[core]] = values
         without += np.isnan(X).sum(axis=0)
-        done, replaced = done + len(core), replaced + count_filled(X, model)
+        count, replaced = count + len(core), replaced + count_filled(X, model)
     crowd = Crowd.of_parts(crowds)
     lacking = {n: int(k) for n, k in zip(model.features, without, strict=True) if k}
     return results, lacking, replaced, [crowd.text(params)] if crowd else []

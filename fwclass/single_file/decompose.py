@@ -99,8 +99,8 @@ def decompose_file(
     if table.rows:
         ends = [[float(f(table[a])) for a in "xyz"] for f in (np.min, np.max)]
         refuse_unless_flat(system, ends[0], ends[1], source, max(opened.scales[:2]))
-    flown = flown_over(table, trajectory, system, undulation) if trajectory is not None else None
-    whole, notes = ranged(table, flown, params, trajectory)
+    flown = read_flight(table, trajectory, system, undulation) if trajectory is not None else None
+    whole, notes = add_radiometry(table, flown, params, trajectory)
     implausible = (table["fit_flags"] & IMPLAUSIBLE) > 0
     delivered = whole.with_columns({"classification": np.where(implausible, LOW_NOISE, table["source_class"])})
     shown = delivered if params["radiometry"].calibrates else without_reflectance(delivered)
@@ -125,15 +125,7 @@ def decompose_file(
 
 def _params(settings: tuple[str, ...]) -> dict[str, Any]:
     """The sections that the command obeys, changed by `settings`."""
-    for text in settings:
-        if text.split(".")[0].strip() not in SECTIONS:
-            raise ConfigError(
-                "this setting has no effect here",
-                where=f"--set {text}",
-                expected=f"a key of {', '.join(SECTIONS)}",
-                got=text.split("=")[0],
-                do="leave it out, or use `fwclass run`",
-            )
+    conf.check_settings(settings, SECTIONS)
     return {name: conf.section(name, settings) for name in SECTIONS}
 
 
@@ -165,7 +157,9 @@ def _pulse_words(pulse: SystemPulse) -> str:
     return words + own + (f"; noise {noise} DN" if noise else "")
 
 
-def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Path | None) -> tuple[Table, list[str]]:
+def add_radiometry(
+    table: Table, flown: Table | None, params: dict[str, Any], where: Path | None
+) -> tuple[Table, list[str]]:
     """`table` with the radiometric columns, and what is to be said of them; as it is where no range is known."""
     settings: RadiometryParams = params["radiometry"]
     known = np.isfinite(table["beam_range"]).any()
@@ -202,7 +196,8 @@ def ranged(table: Table, flown: Table | None, params: dict[str, Any], where: Pat
     return table.with_columns(columns), notes
 
 
-def flown_over(table: Table, path: Path, crs: Any, undulation: float) -> Table:
+def read_flight(table: Table, path: Path, crs: Any, undulation: float) -> Table:
+    """The trajectory in the file at `path`, in the time of the pulses of `table`."""
     times = table["gps_time"][np.isfinite(table["gps_time"])]
     ends = (float(times.min()), float(times.max())) if len(times) else (np.nan, np.nan)
     return in_survey_time(read_trajectory(path, crs, undulation), *ends, where=path)

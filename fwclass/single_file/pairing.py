@@ -25,8 +25,8 @@ def pairs(mine: Places, others: Places, limit: float) -> NDArray[np.int64]:
     out = np.full(rows, -1, np.int64)
     placed, among = (np.flatnonzero(np.isfinite(x + y + z)) for x, y, z in (mine, others))
     if len(placed) and len(among):
-        found, _ = nearest_within(_of(mine, placed), _of(others, among), limit)
-        out[placed] = np.where(found >= 0, among[found], -1)
+        nearest, _ = nearest_within(_of(mine, placed), _of(others, among), limit)
+        out[placed] = np.where(nearest >= 0, among[nearest], -1)
     return out
 
 

@@ -31,7 +31,7 @@ def refine(
     columns = dict(zip(COARSE, (coarse[n] for n in ("classification", "confidence", "entropy")), strict=True))
     table = table.with_columns(Table(columns))
     asked = Asked.of(n for n in model.fine.features if is_feature(n))
-    made = {name: values.copy() for name, values in coarse.items()}
+    answers = {name: values.copy() for name, values in coarse.items()}
     shares = probability_columns(model.codes)
     count = gaps = 0
     for tile, rows, own in blocks_of(table["x"], table["y"], size, max(model.within, asked.halo(params))):
@@ -49,6 +49,6 @@ def refine(
         some = some.with_columns(Table({BOUNDARY: np.ones(len(core), bool)}))
         before = Table({n: coarse[n][rows[core]] for n in shares}) if shares[0] in coarse else None
         for name, values in refine_boundary(some, X, model, before).items():
-            made[name][rows[core]] = values
+            answers[name][rows[core]] = values
         count, gaps = count + len(core), gaps + count_filled(X, model.fine)
-    return made, {"boundary": count, "filled": gaps}
+    return answers, {"boundary": count, "filled": gaps}

@@ -54,10 +54,12 @@ class StripSections:
 
     @classmethod
     def of(cls, settings: tuple[str, ...]) -> StripSections:
+        """The sections with `settings`, the defaults otherwise."""
         return cls(*(conf.section(name, settings) for name in ("read", "pulse", "decompose", "tile")))
 
 
 def silent(text: str) -> None:
+    """Tell nobody."""
     pass
 
 
@@ -79,7 +81,7 @@ class FileStrip:
         files = Survey((self._strip,), (), None, False)
         sections: Any = self.sections  # the sections of a configuration that these stages ask for
         self._plan = Plan(sections, files=files)
-        index = self._made(INDEX, self._strip)
+        index = self._make(INDEX, self._strip)
         self._plan = replace(self._plan, indexed={(INDEX.name, self._strip.key): index})
 
     @property
@@ -89,6 +91,7 @@ class FileStrip:
 
     @property
     def spans(self) -> list[StripSpan]:
+        """The parts that the file is read in."""
         return spans_of(self._plan, self._strip)
 
     @property
@@ -114,12 +117,12 @@ class FileStrip:
         if not self.source.has_waves:
             return None
         self._measure()
-        places: Mapping[str, Any] = self._made(MEASURE_PLACES, self._strip).meta["places"]
+        places: Mapping[str, Any] = self._make(MEASURE_PLACES, self._strip).meta["places"]
         return places
 
     def waves(self, span: StripSpan) -> Waveforms:
         """The waveforms and returns of a span."""
-        self._made(READ_SPAN, span)
+        self._make(READ_SPAN, span)
         return waveforms_of(span.key, self._inputs())
 
     def echoes(self, columns: Iterable[str] | None = None) -> Iterator[Table]:
@@ -148,29 +151,29 @@ class FileStrip:
         """Faults of packets, by name."""
         faults: dict[str, int] = {}
         for span in self.spans:
-            receipt = self._made(READ_SPAN, span) if span.waves else self._decomposed(span)
+            receipt = self._make(READ_SPAN, span) if span.waves else self._decomposed(span)
             for name, count in receipt.meta["faults"].items():
                 faults[name] = faults.get(name, 0) + int(count)
         return faults
 
     def _decomposed(self, span: StripSpan) -> Receipt:
         if not span.waves:
-            return self._made(DECOMPOSE_RETURNS, span)
+            return self._make(DECOMPOSE_RETURNS, span)
         self._measure()
-        self._made(MEASURE_PLACES, self._strip)
-        return self._made(DECOMPOSE_WAVES, span)
+        self._make(MEASURE_PLACES, self._strip)
+        return self._make(DECOMPOSE_WAVES, span)
 
     def _measure(self) -> Receipt:
         if self._measured is None:
             for span in self.spans:
-                self._made(READ_SPAN, span)
-            self._measured = self._made(MEASURE_PULSE, self._strip)
+                self._make(READ_SPAN, span)
+            self._measured = self._make(MEASURE_PULSE, self._strip)
         return self._measured
 
     def _inputs(self) -> PartInputs:
         return PartInputs(self.store)
 
-    def _made(self, stage: Stage, part: Any) -> Receipt:
+    def _make(self, stage: Stage, part: Any) -> Receipt:
         """The receipt of a part, which is made if it is not there; its faults are raised as they are."""
         task = stage.task(self._plan, part)
         return self.store.receipt(*task.name) or self._commit(task)

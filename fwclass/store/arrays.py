@@ -114,7 +114,7 @@ def write_grids(
 
     group = zarr.open_group(str(path), mode="w", zarr_format=3, attributes=dict(attributes))
     codec = BloscCodec(cname="zstd", clevel=3, shuffle="shuffle")
-    made = {
+    arrays = {
         name: group.create_array(
             name,
             shape=g.shape,
@@ -129,7 +129,7 @@ def write_grids(
     }
     for piece in pieces:
         for name, (where, values) in piece.items():
-            made[name][where] = values
+            arrays[name][where] = values
 
 
 def arrays_at(place: Path) -> Path | None:

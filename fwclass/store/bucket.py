@@ -21,7 +21,7 @@ from fwclass.errors import StoreError
 from fwclass.store.atomic import digest_of, file_digest, files_below, staged, to_json
 from fwclass.store.digests import Looks, remember
 from fwclass.store.directory import FACTS, GENERATIONS, MANIFEST, Directory, Facts, Sealing, failure_key
-from fwclass.store.objects import MOST_COPIED, Held, Mark, Objects, Wanted, objects_at
+from fwclass.store.objects import MOST_COPIED, Download, Mark, Objects, StoredObject, objects_at
 from fwclass.store.params import StoreParams
 from fwclass.store.receipts import Receipt
 from fwclass.store.remote_lock import check_token
@@ -47,10 +47,12 @@ class Remote:
 
     @property
     def objects(self) -> Objects:
+        """The objects below the address."""
         return objects_at(self.url, self.params)
 
     @property
     def scratch(self) -> Scratch:
+        """Where copies lie on this host."""
         return scratch_of(self.params)
 
     @property
@@ -71,6 +73,7 @@ class Bucket:
 
     @property
     def objects(self) -> Objects:
+        """The objects below the run's address."""
         return self.remote.objects
 
     @property
@@ -87,14 +90,14 @@ class Bucket:
 
     # files
 
-    def list(self, below: str) -> Iterator[Held]:
+    def list(self, below: str) -> Iterator[StoredObject]:
         return self.objects.list(below)
 
     def names(self, below: str) -> Sequence[str]:
-        return sorted({held.key[len(below) + 1 :].split("/")[0] for held in self.list(below)})
+        return sorted({item.key[len(below) + 1 :].split("/")[0] for item in self.list(below)})
 
     def sizes(self, below: str, names: Iterable[str]) -> dict[str, int]:
-        sizes = {held.key[len(below) + 1 :]: held.size for held in self.list(below)}
+        sizes = {item.key[len(below) + 1 :]: item.size for item in self.list(below)}
         return {name: sizes[name] for name in names if name in sizes}
 
     def digests(self, sizes: Mapping[str, int]) -> dict[str, str]:
@@ -131,7 +134,7 @@ class Bucket:
         self.objects.delete(keys)
 
     def delete_below(self, below: str, first: str) -> None:
-        self._delete_after([held.key for held in self.list(below)], first)
+        self._delete_after([item.key for item in self.list(below)], first)
 
     def _delete_after(self, keys: Sequence[str], first: str) -> None:
         """Remove objects, those whose last name is `first` before all others."""
@@ -139,7 +142,7 @@ class Bucket:
         self.delete(key for key in keys if not key.endswith(f"/{first}"))
 
     def fetch(self, below: str, files: Mapping[str, Facts]) -> None:
-        wanted = {n: Wanted(f"{below}/{n}", int(f["bytes"]), self.root / below / n) for n, f in files.items()}
+        wanted = {n: Download(f"{below}/{n}", int(f["bytes"]), self.root / below / n) for n, f in files.items()}
         digests = {n: str(f["digest"]) for n, f in files.items()}
         try:
             self.remote.scratch.need(self.objects, f"{self.root.name}/{below}", wanted, digests)
@@ -198,7 +201,7 @@ class Bucket:
         """No part lies at the address itself."""
 
     def under_way(self) -> dict[tuple[str, str], float]:
-        keys = ((held.key.split("/"), held.written) for held in self.list("store/staging"))
+        keys = ((item.key.split("/"), item.written) for item in self.list("store/staging"))
         return {(k[2], k[3]): written for k, written in keys if len(k) == 4}
 
     def sweep(self) -> None:
@@ -240,12 +243,12 @@ class Bucket:
         reports = {p.relative_to(pending).as_posix(): p for p in files_below(pending)}
         self.objects.put_files({f"{unit}/{to}": p for to, p in reports.items()})
         digests = {to: of for to, (_, of) in files.items()} | {to: file_digest(p) for to, p in reports.items()}
-        held = {h.key[len(unit) + 1 :]: h for h in self.list(unit)}
-        lacking = sorted(digests.keys() - held.keys())
+        present = {h.key[len(unit) + 1 :]: h for h in self.list(unit)}
+        lacking = sorted(digests.keys() - present.keys())
         if lacking:
             raise StoreError("what was just delivered is gone", where=self.where / unit / lacking[0], do="run again")
         manifest = {
-            to: {"bytes": held[to].size, "digest": of, "e_tag": held[to].mark.e_tag} for to, of in digests.items()
+            to: {"bytes": present[to].size, "digest": of, "e_tag": present[to].mark.e_tag} for to, of in digests.items()
         }
         for to, text in zip((MANIFEST, FACTS), sealing(manifest), strict=True):
             self.put_new(f"{unit}/{to}", text)
@@ -254,7 +257,7 @@ class Bucket:
     def _copy(self, unit: str, files: Mapping[str, tuple[Path, str]]) -> None:
         """Copy parts' files, named by their copies on this host with their digests, below a key; the server does it,
         but for large ones."""
-        sizes = {held.key: held.size for held in self.list("store")}
+        sizes = {item.key: item.size for item in self.list("store")}
         pairs = [(files[to][0].relative_to(self.root).as_posix(), f"{unit}/{to}", files[to]) for to in sorted(files)]
         gone = [key for key, _, _ in pairs if key not in sizes]
         if gone:

@@ -67,9 +67,9 @@ def add_corrections(location: RunLocation, change: Change) -> EchoLabels:
     while True:
         try:
             if isinstance(location, Remote):
-                return _added(location, change)
+                return _add(location, change)
             with writer(location, WRITING):
-                return _added(location, change)
+                return _add(location, change)
         except (LostRace, LockedError):
             if time.monotonic() > until:
                 raise
@@ -97,7 +97,7 @@ def check_writable(location: RunLocation) -> None:
 def _read(location: RunLocation) -> tuple[EchoLabels, Mark | None]:
     where = place_of(location)
     if isinstance(location, Remote):
-        sizes = [held.size for held in location.objects.list("labels") if held.key == CORRECTIONS]
+        sizes = [item.size for item in location.objects.list("labels") if item.key == CORRECTIONS]
         if sizes and sizes[0] > MOST_BYTES:
             raise StoreError(
                 "the corrections are larger than any that are written here",
@@ -106,15 +106,15 @@ def _read(location: RunLocation) -> tuple[EchoLabels, Mark | None]:
                 got=f"{sizes[0]:,}",
                 do="see who wrote it",
             )
-        found = location.objects.get(CORRECTIONS)
-        if found is None:
+        stored = location.objects.get(CORRECTIONS)
+        if stored is None:
             return EchoLabels.none(), None
-        return read_echo_labels(found[0], where, signed=True), found[1]
+        return read_echo_labels(stored[0], where, signed=True), stored[1]
     path = location / CORRECTIONS
     return (read_echo_labels(path, where, signed=True), ANY) if path.is_file() else (EchoLabels.none(), None)
 
 
-def _added(location: RunLocation, change: Change) -> EchoLabels:
+def _add(location: RunLocation, change: Change) -> EchoLabels:
     before, mark = _read(location)
     new = change(before)
     if not new.rows:

@@ -29,7 +29,7 @@ from fwclass.store.atomic import (
     write_text,
 )
 from fwclass.store.digests import Looks, check_file, looks, remember
-from fwclass.store.objects import Held, Mark
+from fwclass.store.objects import Mark, StoredObject
 from fwclass.store.receipts import Receipt
 
 ANY = Mark(None)
@@ -64,7 +64,7 @@ class Directory:
 
     # files
 
-    def list(self, below: str) -> Iterator[Held]:
+    def list(self, below: str) -> Iterator[StoredObject]:
         """Every file whose key begins with ``below/``, in no order."""
         top = len(str(self.root)) + 1
         for directory, _, names in os.walk(self.root / below):
@@ -72,7 +72,7 @@ class Directory:
                 path = f"{directory}/{name}"
                 with suppress(OSError):  # it went just now
                     facts = os.stat(path)  # noqa: PTH116
-                    yield Held(path[top:], facts.st_size, ANY, facts.st_mtime)
+                    yield StoredObject(path[top:], facts.st_size, ANY, facts.st_mtime)
 
     def names(self, below: str) -> Sequence[str]:
         """What lies directly below a key, in order, but for what is just being written; nothing where there is no such

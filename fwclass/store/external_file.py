@@ -50,7 +50,7 @@ class ExternalFile:
         )
 
 
-def digested(path: Path) -> str:
+def digest_file(path: Path) -> str:
     """Digest of a file's bytes; `InputError` if it changes meanwhile."""
     before = looks(path)
     digest = digest_now(path)

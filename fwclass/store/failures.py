@@ -42,9 +42,9 @@ class Failures:
 
     def all(self) -> dict[tuple[str, str], tuple[Failure, float]]:
         """Every failure by (stage, part), with the time it was written [s since the epoch]."""
-        held = [h for h in self.files.list("store/failures") if not h.key.split("/")[-1].startswith(".")]
+        files = [h for h in self.files.list("store/failures") if not h.key.split("/")[-1].startswith(".")]
         failures = {}
-        for one, data in zip(held, self.files.many([h.key for h in held]), strict=True):
+        for one, data in zip(files, self.files.many([h.key for h in files]), strict=True):
             with contextlib.suppress(ValueError, TypeError, RecursionError):  # damaged: that it failed decides nothing
                 failure = Failure(**json.loads(data[0])) if data else None
                 if failure is not None and all(isinstance(text, str) for text in asdict(failure).values()):

@@ -26,7 +26,7 @@ from fwclass.store.bucket import Files
 from fwclass.store.directory import FACTS, GENERATIONS, MANIFEST, Facts
 from fwclass.store.objects import Mark
 from fwclass.store.refusals import Unreachable
-from fwclass.store.seal import sealed, unsealed
+from fwclass.store.seal import seal, unseal
 from fwclass.store.url import Url
 
 _PENDING = ".pending"
@@ -57,10 +57,12 @@ class Generation:
 
     @property
     def name(self) -> str:
+        """Its directory's name."""
         return self.path.name
 
     @property
     def key(self) -> str:
+        """Its key in the store."""
         return f"{GENERATIONS}/{self.name}"
 
 
@@ -72,6 +74,7 @@ class Generations:
 
     @property
     def directory(self) -> Path:
+        """Where generations lie on this host."""
         return self.files.root / GENERATIONS
 
     @property
@@ -84,6 +87,7 @@ class Generations:
         return path
 
     def clear_pending(self) -> None:
+        """Remove reports that were never delivered."""
         shutil.rmtree(self.directory / _PENDING, ignore_errors=True)
 
     def check_links(self) -> None:
@@ -265,13 +269,13 @@ def _facts_of(number: int, whole: bool, digest: str, manifest: str, files: int) 
         "fwclass": __version__,
         "manifest": bytes_digest(manifest.encode()),
     }
-    return sealed(facts)
+    return seal(facts)
 
 
 def _generation_of(data: bytes, path: Path, where: Path | Url) -> Generation:
     """The generation that its own file tells of; `DamagedError` where it tells none, or was changed since."""
     try:
-        plain = unsealed(json.loads(data))
+        plain = unseal(json.loads(data))
         manifest = str(plain.get("manifest", ""))
         return Generation(int(plain["number"]), path, bool(plain["whole"]), str(plain["digest"]), manifest, where)
     except (KeyError, TypeError, ValueError, RecursionError) as fault:

@@ -72,7 +72,7 @@ def lines(location: Path | Remote, last: int | None = None) -> Iterator[dict[str
     beginning of one that has ended."""
     if isinstance(location, Path):
         return _lines(location)
-    runs = list(_by_run(held.key for held in location.objects.list(BELOW)).values())
+    runs = list(_by_run(item.key for item in location.objects.list(BELOW)).values())
     return _read(location.objects, [key for keys in runs[-(LAST if last is None else last) :] for key in keys])
 
 
@@ -80,7 +80,7 @@ def lines_of(location: Path | Remote, name: str) -> Iterator[dict[str, Any]]:
     """The lines of the run whose id is `name`."""
     if isinstance(location, Path):
         return (line for line in _lines(location) if str(line.get("id")) == name)
-    keys = _by_run(held.key for held in location.objects.list(BELOW)).get(_word(name), [])
+    keys = _by_run(item.key for item in location.objects.list(BELOW)).get(_word(name), [])
     return _read(location.objects, keys)
 
 

@@ -29,7 +29,7 @@ File = tuple[str, Looks]
 
 _columns: OrderedDict[tuple[File, int, str], NDArray] = OrderedDict()
 _groups: OrderedDict[File, tuple[Group, ...]] = OrderedDict()
-_held = 0
+_bytes = 0
 _guard = threading.Lock()
 
 
@@ -75,7 +75,7 @@ def _groups_in(file: File) -> tuple[Group, ...]:
 
 
 def _keep(file: File, groups: list[int], columns: dict[str, list[NDArray]]) -> None:
-    global _held
+    global _bytes
     with _guard:
         for name, pieces in columns.items():
             for group, piece in zip(groups, pieces, strict=True):
@@ -83,15 +83,15 @@ def _keep(file: File, groups: list[int], columns: dict[str, list[NDArray]]) -> N
                 one.setflags(write=False)
                 before = _columns.pop((file, group, name), None)
                 _columns[file, group, name] = one
-                _held += one.nbytes - (before.nbytes if before is not None else 0)
-        while _held > MOST:
-            _held -= _columns.popitem(last=False)[1].nbytes
+                _bytes += one.nbytes - (before.nbytes if before is not None else 0)
+        while _bytes > MOST:
+            _bytes -= _columns.popitem(last=False)[1].nbytes
 
 
 def forget_all() -> None:
     """Keep nothing."""
-    global _held
+    global _bytes
     with _guard:
         _columns.clear()
         _groups.clear()
-        _held = 0
+        _bytes = 0

@@ -22,7 +22,7 @@ class Lock:
     of one that is lost."""
 
     name: str
-    taken: str
+    refusal: str
     do: str
     who: str
     then: str
@@ -58,8 +58,8 @@ def writer(root: Path, lock: Lock = WRITER) -> Iterator[Callable[[], None]]:
     path = root / "store" / lock.name
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+") as stream:
-        if not _taken(stream.fileno()):
-            raise LockedError(lock.taken, where=root, got=named(_facts(stream) or {}), do=lock.do)
+        if not _try_lock(stream.fileno()):
+            raise LockedError(lock.refusal, where=root, got=holder_text(_facts(stream) or {}), do=lock.do)
         stream.seek(0)
         stream.truncate()
         stream.write(json.dumps({"host": socket.gethostname(), "pid": os.getpid()}))
@@ -90,9 +90,9 @@ def holder(root: Path, lock: Lock = WRITER) -> Mapping[str, Any] | None:
         return None
 
 
-def named(held: Mapping[str, Any]) -> str:
+def holder_text(facts: Mapping[str, Any]) -> str:
     """Who holds a lock, in words."""
-    return f"pid {held.get('pid')} on {held.get('host')}" if held else "one that did not leave its name"
+    return f"pid {facts.get('pid')} on {facts.get('host')}" if facts else "one that did not leave its name"
 
 
 def _facts(stream: IO[str]) -> dict[str, Any] | None:
@@ -122,7 +122,7 @@ def _same(path: Path, handle: int, root: Path) -> None:
     )
 
 
-def _taken(handle: int) -> bool:
+def _try_lock(handle: int) -> bool:
     """Take the lock; tried for a tenth of a second, because `_locked` holds it for an instant."""
     for _ in range(5):
         try:

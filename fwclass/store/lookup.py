@@ -15,7 +15,7 @@ from fwclass.paths import name_fault
 from fwclass.store.atomic import digest_of
 from fwclass.store.bucket import Files
 from fwclass.store.digests import Looks
-from fwclass.store.objects import Held, Mark
+from fwclass.store.objects import Mark, StoredObject
 from fwclass.store.receipts import Receipt
 
 Name = tuple[str, str]
@@ -45,7 +45,7 @@ class Lookup:
         self._files, self._lists, self._keeps = files, lists, lists or files.far
         self._receipts: OrderedDict[Name, tuple[Receipt | None, Mark, int] | None] = OrderedDict()
         self._bytes = 0
-        self._list: dict[str, Held] | None = None
+        self._list: dict[str, StoredObject] | None = None
         self._renewed: set[Name] = set()
 
     def receipt(self, name: Name) -> tuple[Receipt | None, Mark] | None:
@@ -54,8 +54,8 @@ class Lookup:
             return self._now(receipt_key(*name))
         if name not in self._receipts:
             self._look_up([name])
-        kept = self._receipts[name]
-        return kept[:2] if kept else None
+        entry = self._receipts[name]
+        return entry[:2] if entry else None
 
     def _now(self, key: str) -> tuple[Receipt | None, Mark] | None:
         """The receipt under `key` as it lies there; it is not read where this process has and it looks as it did."""
@@ -83,9 +83,9 @@ class Lookup:
     def _look_up(self, names: list[Name]) -> None:
         listed, wanted = self.listed(), []
         for name in names:
-            held = None if listed is None else listed.get(receipt_key(*name))
-            copy = self._copied(held) if held else None
-            if name in self._renewed or listed is None or (held and copy is None):
+            item = None if listed is None else listed.get(receipt_key(*name))
+            copy = self._copied(item) if item else None
+            if name in self._renewed or listed is None or (item and copy is None):
                 wanted.append(name)
             else:
                 self._keep(name, copy)
@@ -100,20 +100,20 @@ class Lookup:
         if data is None:
             return None
         try:
-            return parsed(data[0], key, str(self._files.where / key)), data[1]
+            return parse_receipt(data[0], key, str(self._files.where / key)), data[1]
         except DamagedError:
             return None, data[1]
 
-    def _keep(self, name: Name, found: tuple[Receipt | None, Mark, int] | None) -> None:
+    def _keep(self, name: Name, entry: tuple[Receipt | None, Mark, int] | None) -> None:
         self._drop(name)
-        self._receipts[name] = found
-        self._bytes += found[2] if found else 0
+        self._receipts[name] = entry
+        self._bytes += entry[2] if entry else 0
         while self._bytes > IN_MEMORY and len(self._receipts) > 1:
             self._drop(next(iter(self._receipts)))
 
     def _drop(self, name: Name) -> None:
-        kept = self._receipts.pop(name, None)
-        self._bytes -= kept[2] if kept else 0
+        entry = self._receipts.pop(name, None)
+        self._bytes -= entry[2] if entry else 0
 
     def remember(self, name: Name, receipt: Receipt, mark: Mark, data: bytes) -> None:
         """What was just read or written of a part, and of its files if it is younger than the list."""
@@ -123,10 +123,10 @@ class Lookup:
         key = receipt_key(*name)
         if self._list is not None and name in self._renewed:
             self._renewed.discard(name)
-            self._list[key] = Held(key, len(data), mark, 0.0)
+            self._list[key] = StoredObject(key, len(data), mark, 0.0)
             for output, facts in receipt.outputs.items():
                 file = f"{self._files.unit(receipt)}/{output}"
-                self._list[file] = Held(file, int(facts["bytes"]), Mark(None), 0.0)
+                self._list[file] = StoredObject(file, int(facts["bytes"]), Mark(None), 0.0)
         if self._files.far and self._lists:
             path = self._copy_of(key, mark)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -141,7 +141,7 @@ class Lookup:
 
     # the list of all objects
 
-    def listed(self) -> dict[str, Held] | None:
+    def listed(self) -> dict[str, StoredObject] | None:
         """Every object of the store by key, where they are to be listed."""
         if self._lists and self._files.far and self._list is None:
             self._list = self._all()
@@ -150,10 +150,10 @@ class Lookup:
             self.look_up((words[1], words[2]) for words in lacking)
         return self._list
 
-    def _all(self) -> dict[str, Held]:
-        return {held.key: held for held in self._files.list("store")}
+    def _all(self) -> dict[str, StoredObject]:
+        return {item.key: item for item in self._files.list("store")}
 
-    def all(self) -> Mapping[str, Held]:
+    def all(self) -> Mapping[str, StoredObject]:
         """Every file of the store by key."""
         listed = self.listed()
         return self._all() if listed is None else listed
@@ -179,16 +179,16 @@ class Lookup:
         name = digest_of([key, mark.e_tag, mark.version])
         return self._files.root / "receipts" / name[:2] / name
 
-    def _copied(self, held: Held) -> tuple[Receipt, Mark, int] | None:
+    def _copied(self, item: StoredObject) -> tuple[Receipt, Mark, int] | None:
         try:
-            data = self._copy_of(held.key, held.mark).read_bytes()
-            return parsed(data, held.key, held.key), held.mark, len(data)
+            data = self._copy_of(item.key, item.mark).read_bytes()
+            return parse_receipt(data, item.key, item.key), item.mark, len(data)
         except (OSError, StoreError):
             return None
 
     def clear_copies(self) -> None:
         """Remove kept receipts that are not the present ones."""
-        now = {self._copy_of(held.key, held.mark).name for key, held in self.all().items() if key.endswith(RECEIPT)}
+        now = {self._copy_of(item.key, item.mark).name for key, item in self.all().items() if key.endswith(RECEIPT)}
         for path in (self._files.root / "receipts").glob("*/*"):
             if path.name not in now:
                 path.unlink(missing_ok=True)
@@ -208,7 +208,7 @@ def part_key(stage: str, part: str) -> str:
     return f"store/{stage}/{part}"
 
 
-def parsed(data: bytes, key: str, where: str) -> Receipt:
+def parse_receipt(data: bytes, key: str, where: str) -> Receipt:
     """The receipt under `key`, which must be of the part that the key names (`StoreError`); `DamagedError` for none."""
     try:
         value = json.loads(data)

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from fwclass.errors import ConfigError, StoreError
 from fwclass.store.params import StoreParams
-from fwclass.store.refusals import LostRace, lasting, told
+from fwclass.store.refusals import LostRace, as_store_error, lasting
 from fwclass.store.url import Url
 
 T = TypeVar("T")
@@ -38,11 +38,12 @@ class Mark:
 
     @property
     def condition(self) -> dict[str, str]:
+        """As object storage takes it: write only where the object is as it was."""
         return {n: v for n, v in (("e_tag", self.e_tag), ("version", self.version)) if v is not None}
 
 
 @dataclass(frozen=True)
-class Held:
+class StoredObject:
     """An object as a list shows it: key below the prefix, bytes, mark, when it was written [s since the epoch]."""
 
     key: str
@@ -52,7 +53,7 @@ class Held:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Download:
     """An object to be written to the file `target`: its bytes, and its version if that matters."""
 
     key: str
@@ -66,7 +67,7 @@ class Objects:
 
     def __init__(self, url: Url, params: StoreParams) -> None:
         self.url, self.params = url, params
-        self._store = _opened(str(url), params)
+        self._store = _open_store(str(url), params)
         self._pool = ThreadPoolExecutor(params.parallel, thread_name_prefix="objects")
 
     def get(self, key: str) -> tuple[bytes, Mark] | None:
@@ -91,6 +92,7 @@ class Objects:
         return list(self._pool.map(work, items))
 
     def put(self, key: str, data: bytes) -> None:
+        """Write an object, whatever is there."""
         import obstore
 
         self._again(lambda: obstore.put(self._store, key, data), key)
@@ -137,15 +139,17 @@ class Objects:
                 do="let only one run work below this address, then run the same again",
             ) from fault
 
-    def list(self, below: str = "") -> Iterator[Held]:
+    def list(self, below: str = "") -> Iterator[StoredObject]:
         """Every object whose key begins with ``below/`` (all)."""
         import obstore
 
-        def read() -> list[Held]:
+        def read() -> list[StoredObject]:
             prefix = below or None
             batches = obstore.list(self._store, prefix, chunk_size=1000)
             return [
-                Held(o["path"], o["size"], _mark(o), o["last_modified"].timestamp()) for batch in batches for o in batch
+                StoredObject(o["path"], o["size"], _mark(o), o["last_modified"].timestamp())
+                for batch in batches
+                for o in batch
             ]
 
         yield from self._again(read, below)
@@ -169,7 +173,7 @@ class Objects:
                 "a part's file is gone", where=self.url / source, do="run again; the missing parts are made"
             ) from fault
 
-    def fetch(self, wanted: Sequence[Wanted]) -> None:
+    def fetch(self, wanted: Sequence[Download]) -> None:
         """Write objects to files, several at a time, and several pieces of large ones.
 
         Raises
@@ -189,7 +193,7 @@ class Objects:
                     handle = stream.fileno()
                     self.all(lambda piece, one=one, handle=handle: self._piece(one, handle, piece), pieces)  # type: ignore[misc]
 
-    def _whole(self, one: Wanted) -> None:
+    def _whole(self, one: Download) -> None:
         with one.target.open("wb") as stream:
             if one.size:
                 self._piece(one, stream.fileno(), (0, one.size))
@@ -204,7 +208,7 @@ class Objects:
             return None
         return state.hexdigest()
 
-    def _piece(self, one: Wanted, handle: int, piece: tuple[int, int]) -> None:
+    def _piece(self, one: Download, handle: int, piece: tuple[int, int]) -> None:
         at, data = piece[0], self._range(one.key, piece, one.e_tag)
         while data:
             wrote = os.pwrite(handle, data, at)
@@ -238,7 +242,7 @@ class Objects:
                 return work()
             except (FileNotFoundError, AlreadyExistsError, PreconditionError) as fault:
                 if "NoSuchBucket" in str(fault):
-                    raise told(fault, self.url / key, time.monotonic() - began) from fault
+                    raise as_store_error(fault, self.url / key, time.monotonic() - began) from fault
                 raise
             except (BaseError, OSError) as fault:
                 spent = time.monotonic() - began
@@ -249,7 +253,7 @@ class Objects:
                     spent + wait > self.params.patience and tries >= LEAST
                 )  # a host that slept has spent no patience
                 if lasting(fault) or enough:
-                    raise told(fault, self.url / key, spent) from fault
+                    raise as_store_error(fault, self.url / key, spent) from fault
                 time.sleep(wait * random.uniform(0.5, 1.0))  # noqa: S311 - workers shall not all come back at once
                 wait = min(2 * wait, 10.0)
         raise AssertionError
@@ -269,7 +273,7 @@ def objects_at(url: str, params: StoreParams) -> Objects:
     return Objects(Url(url), params)
 
 
-def _opened(url: str, params: StoreParams) -> Any:
+def _open_store(url: str, params: StoreParams) -> Any:
     try:
         from obstore.exceptions import BaseError
         from obstore.store import MemoryStore, from_url
@@ -298,4 +302,4 @@ def _opened(url: str, params: StoreParams) -> Any:
     try:
         return from_url(url, **limits)
     except (BaseError, ValueError) as fault:
-        raise told(fault, url, 0.0) from fault
+        raise as_store_error(fault, url, 0.0) from fault

@@ -11,7 +11,7 @@ from typing import Any
 from fwclass.errors import DamagedError, StoreError
 from fwclass.paths import name_fault, relative_fault
 from fwclass.store.atomic import digest_of
-from fwclass.store.seal import sealed, unsealed
+from fwclass.store.seal import seal, unseal
 
 FORMAT = 1
 
@@ -67,7 +67,7 @@ class Receipt:
     def to_text(self) -> str:
         """JSON, a field a line, with a digest of itself."""
         plain = {f.name: getattr(self, f.name) for f in fields(self)}
-        lines = sealed(plain)
+        lines = seal(plain)
         return "{\n" + ",\n".join(f'"{name}": {_LINE.encode(lines[name])}' for name in sorted(lines)) + "\n}\n"
 
     @classmethod
@@ -77,7 +77,7 @@ class Receipt:
         `DamagedError` for what is no receipt, or not the one that was written.
         """
         try:
-            receipt = cls(**unsealed(value))
+            receipt = cls(**unseal(value))
         except (TypeError, ValueError) as fault:
             raise DamagedError("not a receipt", where=where, got=fault, do="remove the file") from fault
         if receipt.format != FORMAT:
@@ -119,4 +119,5 @@ def key_of(stage: str, version: int, params: Any, inputs: Mapping[str, str]) -> 
 
 
 def digest_of_outputs(outputs: Mapping[str, Mapping[str, Any]], meta: Mapping[str, Any]) -> str:
+    """Digest of a part: of the digests of its files and of its `meta`."""
     return digest_of({"outputs": {n: o["digest"] for n, o in outputs.items()}, "meta": dict(meta)})

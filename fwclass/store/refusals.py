@@ -34,7 +34,7 @@ def first_line(fault: BaseException) -> str:
     return " ".join(re.sub(r"<\?xml.*", f"({code[1]})" if code else "", text, flags=re.S).split())[:300]
 
 
-def told(fault: BaseException, where: object, seconds: float) -> StoreError:
+def as_store_error(fault: BaseException, where: object, seconds: float) -> StoreError:
     """A fault that obstore raised, at `where`, after `seconds` of trying."""
     kind, text = type(fault).__name__, str(fault)
     for sign, what, do in _ADVICE:

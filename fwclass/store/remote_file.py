@@ -11,7 +11,7 @@ from fwclass.errors import InputError, StoreError
 from fwclass.paths import path_matches
 from fwclass.store.atomic import digest_of
 from fwclass.store.digests import looks
-from fwclass.store.objects import Held, Wanted, objects_at
+from fwclass.store.objects import Download, StoredObject, objects_at
 from fwclass.store.params import StoreParams
 from fwclass.store.refusals import LostRace
 from fwclass.store.scratch import scratch_of
@@ -37,10 +37,12 @@ class RemoteFile:
 
     @property
     def name(self) -> str:
+        """The object's name, as of a path."""
         return self.url.name
 
     @property
     def stem(self) -> str:
+        """The name without its ending."""
         return Path(self.name).stem
 
     def fetched(self, digests: Mapping[str, str]) -> Path:
@@ -54,7 +56,7 @@ class RemoteFile:
         """
         scratch = scratch_of(self.params)
         unit = f"outside/{digest_of([self.url, self.held])}"
-        files = {n: Wanted(n, size, scratch.root / unit / n, mark or None) for n, size, mark in self.held}
+        files = {n: Download(n, size, scratch.root / unit / n, mark or None) for n, size, mark in self.held}
         known = {n: digests[Path(n).name] for n in files if Path(n).name in digests}
         try:
             scratch.need(objects_at(self.url.parent, self.params), unit, files, known)
@@ -92,27 +94,27 @@ def seen_as(path: Path, place: Location | None = None) -> tuple[str, list[int | 
     return str(path), [*looks(path)]
 
 
-def found_outside(pattern: str, directory: Url, params: StoreParams) -> list[RemoteFile]:
+def find_remote(pattern: str, directory: Url, params: StoreParams) -> list[RemoteFile]:
     """Files below `directory` that match `pattern` (``*``, ``?``, ``[…]``, ``**/``), with what belongs to them."""
     fixed = re.match(r"(?:[^*?\[/]+/)*", pattern)
     below = fixed[0].strip("/") if fixed else ""
-    held = list(objects_at(directory, params).list(below))
+    objects = list(objects_at(directory, params).list(below))
     wanted = pattern.split("/")
-    matching = (h for h in held if path_matches(h.key.split("/"), wanted, hidden=True))
-    return [_with_beside(h, held, directory, params) for h in matching]
+    matching = (h for h in objects if path_matches(h.key.split("/"), wanted, hidden=True))
+    return [_with_beside(h, objects, directory, params) for h in matching]
 
 
 def directory_outside(url: Url, params: StoreParams) -> RemoteFile:
     """A whole directory (a model)."""
-    held = list(objects_at(url.parent, params).list(url.name))
-    return RemoteFile(url, tuple((h.key, h.size, h.mark.e_tag or "") for h in held), params)
+    objects = list(objects_at(url.parent, params).list(url.name))
+    return RemoteFile(url, tuple((h.key, h.size, h.mark.e_tag or "") for h in objects), params)
 
 
-def _with_beside(one: Held, held: Iterable[Held], directory: Url, params: StoreParams) -> RemoteFile:
+def _with_beside(one: StoredObject, objects: Iterable[StoredObject], directory: Url, params: StoreParams) -> RemoteFile:
     path, _, name = one.key.rpartition("/")
     stem = Path(name).stem.lower()
     own = []
-    for other in held:
+    for other in objects:
         there, _, called = other.key.rpartition("/")
         if there == path and (called == name or (Path(called).stem.lower() == stem and _goes_with(name, called))):
             own.append((called, other.size, other.mark.e_tag or ""))

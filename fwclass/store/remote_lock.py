@@ -21,7 +21,7 @@ from typing import Any
 import psutil
 
 from fwclass.errors import LockedError, StoreError, visible
-from fwclass.store.lock import WRITER, Lock, named
+from fwclass.store.lock import WRITER, Lock, holder_text
 from fwclass.store.objects import Mark, Objects
 from fwclass.store.refusals import LostRace
 
@@ -30,6 +30,7 @@ _PROBE = "store/probe"
 
 
 def key_of(lock: Lock) -> str:
+    """The key of a lock's object."""
     return f"store/{lock.name}"
 
 
@@ -43,6 +44,7 @@ class Heartbeat:
         self._thread.start()
 
     def check(self) -> None:
+        """`LostRace` where the lock is another's by now."""
         if self._lost.is_set():
             who = self._lock.who
             raise LostRace(
@@ -125,40 +127,40 @@ def _take(objects: Objects, lock: Lock, data: bytes, tell: Callable[[str], None]
             present = objects.get(key)
             if present is None:
                 raise
-    if held := _facts(present[0]):
-        present = _watched(objects, lock, held, present, tell)
+    if facts := _facts(present[0]):
+        present = _watch(objects, lock, facts, present, tell)
     try:
         return objects.put_over(key, data, present[1])
     except LostRace as fault:
         after = objects.get(key)
-        raise _refused(objects, lock, _facts(after[0]) if after else {}) from fault
+        raise _refusal(objects, lock, _facts(after[0]) if after else {}) from fault
 
 
-def _watched(
-    objects: Objects, lock: Lock, held: Mapping[str, Any], found: tuple[bytes, Mark], tell: Callable[[str], None]
+def _watch(
+    objects: Objects, lock: Lock, facts: Mapping[str, Any], stored: tuple[bytes, Mark], tell: Callable[[str], None]
 ) -> tuple[bytes, Mark]:
     """The lock as it is when its holder has been silent long enough; `StoreError` as soon as it shows life."""
-    if held.get("machine") == _machine() and not psutil.pid_exists(int(held.get("pid", 0))):
-        tell(f"lock         its holder, process {held.get('pid')} of this host, is gone; it is taken over")
-        return found
+    if facts.get("machine") == _machine() and not psutil.pid_exists(int(facts.get("pid", 0))):
+        tell(f"lock         its holder, process {facts.get('pid')} of this host, is gone; it is taken over")
+        return stored
     params = objects.params
     tell(
-        f"lock         held by process {held.get('pid')} of {held.get('host')}; taken over if it is silent for "
+        f"lock         held by process {facts.get('pid')} of {facts.get('host')}; taken over if it is silent for "
         f"{params.dead:g} s"
     )
     began = time.monotonic()
     while time.monotonic() - began < params.dead:
         time.sleep(min(params.beat, params.dead) / 2)
         now = objects.get(key_of(lock))
-        if now is None or now[1] != found[1]:
+        if now is None or now[1] != stored[1]:
             if now is not None and not _facts(now[0]):
                 return now  # it ended just now
-            raise _refused(objects, lock, held)
-    return found
+            raise _refusal(objects, lock, facts)
+    return stored
 
 
-def _refused(objects: Objects, lock: Lock, held: Mapping[str, Any]) -> LockedError:
-    return LockedError(lock.taken, where=objects.url, got=named(held), do=lock.do)
+def _refusal(objects: Objects, lock: Lock, facts: Mapping[str, Any]) -> LockedError:
+    return LockedError(lock.refusal, where=objects.url, got=holder_text(facts), do=lock.do)
 
 
 def check_token(objects: Objects, token: str, lock: Lock = WRITER) -> None:
@@ -177,10 +179,10 @@ def remote_holder(objects: Objects, lock: Lock = WRITER) -> Mapping[str, Any] | 
     """Host and pid of the run that holds the lock, None where there is none; one that was killed is told too, until
     somebody waits for it."""
     present = objects.get(key_of(lock))
-    held = _facts(present[0]) if present else {}
-    if not held or (held.get("machine") == _machine() and not psutil.pid_exists(int(held.get("pid", 0)))):
+    facts = _facts(present[0]) if present else {}
+    if not facts or (facts.get("machine") == _machine() and not psutil.pid_exists(int(facts.get("pid", 0)))):
         return None
-    return {n: visible(v) if isinstance(v, str) else v for n, v in held.items() if n in ("host", "pid")}
+    return {n: visible(v) if isinstance(v, str) else v for n, v in facts.items() if n in ("host", "pid")}
 
 
 def _facts(data: bytes) -> dict[str, Any]:

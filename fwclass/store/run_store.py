@@ -57,14 +57,17 @@ class Store:
 
     @property
     def directory(self) -> Path:
+        """Where the store lies on this host."""
         return self.root / "store"
 
     @property
     def failures(self) -> Failures:
+        """The failures of parts."""
         return Failures(self._files)
 
     @property
     def generations(self) -> Generations:
+        """What was delivered."""
         return Generations(self._files)
 
     @property
@@ -100,6 +103,11 @@ class Store:
         """Every (stage, part) of the store, done or not."""
         stages = [name for name in self._lookup.names("store") if name not in NO_STAGES]
         return [(stage, part) for stage in stages for part in self._lookup.names(f"store/{stage}")]
+
+    def rows(self, stage: str, part: str) -> int:
+        """Rows of a part as its receipt counts them, 0 without one."""
+        receipt = self.receipt(stage, part)
+        return int(receipt.meta["rows"]) if receipt else 0
 
     def done(self, stage: str, part: str, key: str) -> Receipt | None:
         """The receipt if the part is done under this key and all its files are there."""
@@ -251,7 +259,7 @@ class Store:
         self._files.put_once(f"store/{kind}/{digest}.json", lambda: to_json(value))
         return digest
 
-    def _kept(self, kind: str, digest: str) -> Any:
+    def _read_setting(self, kind: str, digest: str) -> Any:
         """What receipts name by `digest`; None where it was not recorded, or is damaged."""
         try:
             return self.recall(f"{kind}/{digest}.json") if digest else None
@@ -260,7 +268,7 @@ class Store:
 
     def params(self, receipt: Receipt) -> Any:
         """The parameters that a part was made with, as plain data; None where they were not recorded."""
-        return self._kept("params", receipt.params)
+        return self._read_setting("params", receipt.params)
 
     def libraries(self, receipt: Receipt) -> Mapping[str, str] | None:
         """What a part was made with (`libraries.fingerprint`); None where that is not known."""
@@ -268,13 +276,13 @@ class Store:
 
     def fingerprint(self, digest: str) -> Mapping[str, str] | None:
         """What receipts name by `digest`."""
-        return known(digest, lambda: self._kept("libraries", digest))
+        return known(digest, lambda: self._read_setting("libraries", digest))
 
     def fingerprints(self) -> list[Mapping[str, str]]:
         """Every fingerprint that was kept."""
         names = [n for n in self._lookup.names("store/libraries") if n.endswith(".json")]
-        kept = (self.fingerprint(name.removesuffix(".json")) for name in names)
-        return [f for f in kept if f is not None]
+        fingerprints = (self.fingerprint(name.removesuffix(".json")) for name in names)
+        return [f for f in fingerprints if f is not None]
 
     # what goes
 

@@ -20,7 +20,7 @@ from fwclass.errors import StoreError
 from fwclass.isolation import cache_home
 from fwclass.store.atomic import digest_of, file_digest, files_below
 from fwclass.store.digests import MEND, digest_now, remember
-from fwclass.store.objects import Objects, Wanted
+from fwclass.store.objects import Download, Objects
 from fwclass.store.params import StoreParams
 
 GIB = 1 << 30
@@ -70,7 +70,7 @@ class Scratch:
         self._busy: dict[str, threading.Lock] = {}
         self.fetched = 0
         self._begin()
-        for unit, size, _ in sorted(self._found(), key=lambda one: one[2]):
+        for unit, size, _ in sorted(self._leftovers(), key=lambda one: one[2]):
             self._sizes[unit] = size
             self._total += size
 
@@ -90,7 +90,7 @@ class Scratch:
             shutil.rmtree(half, ignore_errors=True)
         (self.root / "units").mkdir(exist_ok=True)
 
-    def _found(self) -> list[tuple[str, int, float]]:
+    def _leftovers(self) -> list[tuple[str, int, float]]:
         """(unit, bytes, last use) of what an earlier process left; every unit is named by a file in ``units``."""
         units = []
         for mark in (self.root / "units").glob("*"):
@@ -102,7 +102,7 @@ class Scratch:
             units.append((unit, size, mark.stat().st_mtime))
         return units
 
-    def need(self, objects: Objects, unit: str, files: Mapping[str, Wanted], digests: Mapping[str, str]) -> None:
+    def need(self, objects: Objects, unit: str, files: Mapping[str, Download], digests: Mapping[str, str]) -> None:
         """Make sure that `files` (by path below the unit) lie in the directory `unit`; `target` of each is overwritten.
 
         `digests` are those of their bytes, by the same path, as far as they are known.
@@ -125,13 +125,13 @@ class Scratch:
                 self._fetch(objects, unit, lacking, digests)
             self.used(unit, sum(lacking[n].size for n in lacking))
 
-    def _fetch(self, objects: Objects, unit: str, lacking: Mapping[str, Wanted], digests: Mapping[str, str]) -> None:
+    def _fetch(self, objects: Objects, unit: str, lacking: Mapping[str, Download], digests: Mapping[str, str]) -> None:
         self._make_room(sum(w.size for w in lacking.values()))
         beside = self._staging / uuid.uuid4().hex
         try:
             wanted = dict(lacking)
             for _ in range(TRIES):
-                aside = {n: Wanted(w.key, w.size, beside / n, w.e_tag) for n, w in wanted.items()}
+                aside = {n: Download(w.key, w.size, beside / n, w.e_tag) for n, w in wanted.items()}
                 for one in aside.values():
                     one.target.parent.mkdir(parents=True, exist_ok=True)
                 objects.fetch(list(aside.values()))

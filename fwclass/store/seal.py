@@ -12,12 +12,12 @@ from fwclass.store.atomic import digest_of
 _SEAL = "seal"
 
 
-def sealed(plain: dict[str, Any]) -> dict[str, Any]:
+def seal(plain: dict[str, Any]) -> dict[str, Any]:
     """`plain` with a digest of itself."""
     return {**plain, _SEAL: digest_of(plain)}
 
 
-def unsealed(value: Any) -> dict[str, Any]:
+def unseal(value: Any) -> dict[str, Any]:
     """What was sealed; as it is where there is no seal, as in files of before they were sealed.
 
     `ValueError` for what was changed after it was written, `TypeError` for what is no JSON object.

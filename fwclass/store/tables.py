@@ -132,6 +132,7 @@ def _values(column: pa.ChunkedArray, field: pa.Field) -> NDArray:
 
 
 def open_parquet(path: Path) -> pq.ParquetFile:
+    """A Parquet file; the footer of one with many row groups is kept in memory while the file stays as it is."""
     try:
         now, known = _looks(path), _footers.get(str(path))
         if known is not None and known[0] == now:

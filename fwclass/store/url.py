@@ -26,6 +26,7 @@ class Url(str):
 
 
 def is_url(text: object) -> bool:
+    """`text` is an address, not a path."""
     return "://" in str(text)
 
 

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.parquet_footer import values_told
+from fwclass.formats.parquet_footer import count_values
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import COLUMNS, LISTS, MOST_BEAMS, NUMBERS, check_columns, frame_of, settings_of
 
@@ -37,7 +37,7 @@ class ParquetRecording:
             with pq.ParquetFile(path) as file:
                 schema, meta = file.schema_arrow, file.metadata
                 rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
-            values = values_told(path)
+            values = count_values(path)
         except (pa.ArrowException, OSError, ValueError) as fault:
             raise damage_error(path, fault) from None
         check_columns(schema.names, path)

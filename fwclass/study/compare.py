@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,14 +49,14 @@ def fit(
     return train_other(sample, params, compare, classes, method, places)
 
 
-def timed(work: Callable[[], Any]) -> tuple[float, Any]:
+def cpu_time(work: Callable[[], Any]) -> tuple[float, Any]:
     """CPU seconds of this process, and what `work` gave."""
     began = time.process_time()
     result = work()
     return time.process_time() - began, result
 
 
-def compared(
+def compare_methods(
     config: Config, store: Store, layout: Layout, methods: Sequence[str], say: Callable[[str], None]
 ) -> dict[str, Any]:
     """Every one of `methods` trained on the survey's sample and judged on the echoes tested in `layout`'s tiles.
@@ -70,7 +71,8 @@ def compared(
         say(f"training     {method}")
         warm = fit(method, fewer(sample, WARM_ROWS), config.train, config.compare, classes)
         answer(sample.X[:64], warm)
-        seconds, models[method] = timed(lambda m=method: fit(m, sample, config.train, config.compare, classes, places))  # type: ignore[misc]
+        work = partial(fit, method, sample, config.train, config.compare, classes, places)
+        seconds, models[method] = cpu_time(work)
         spent[method] = [seconds, 0.0]
     matrices = {m: np.zeros((len(classes), len(classes)), np.int64) for m in methods}
     columns = {**layout.columns(names), **_PLACE, "reference": "label"}
@@ -83,7 +85,7 @@ def compared(
         table = table.take(rows)
         X = sample_matrix(table, names, tile.key)
         for method, model in models.items():
-            seconds, (winner, _) = timed(lambda model=model, X=X: answer(X, model))  # type: ignore[misc]
+            seconds, (winner, _) = cpu_time(partial(answer, X, model))
             spent[method][1] += seconds
             matrices[method] += confusion(table["reference"], model.codes[winner], classes)
         say(f"classified   {number} of {len(layout.tiles)} tiles")

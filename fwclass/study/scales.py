@@ -30,7 +30,7 @@ from fwclass.select.search import forward
 from fwclass.select.work import scale_of
 from fwclass.store.atomic import digest_of
 from fwclass.study.select.cost import costs
-from fwclass.study.select.result import sets_to_time, told
+from fwclass.study.select.result import plain_result, sets_to_time
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.search import Folding, search
@@ -55,17 +55,17 @@ def scale_selection(config: Config, runner: Runner, pick: str = "best") -> dict[
             do='--set "classify.refine.between=[building, vegetation]"',
         )
     plan = until_tiles(deciding(config), runner)
-    done = require_all(runner, ancestors(until_labels(plan) + tasks_of(plan, LEARNING), [(MERGED, "all")]))
+    receipts = require_all(runner, ancestors(until_labels(plan) + tasks_of(plan, LEARNING), [(MERGED, "all")]))
     layer = fine_layer(plan)
     if layer is None:
         raise ConfigError("there is no second layer", where="classify.refine")
     trials = _Trials(config, runner, layer)
     search_ = forward(trials.labels, trials, lambda t: score(t, np.ones(2), config.select.score), config.select)
-    sampled = [t for t in plan.layout.tiles if runner.made("refine-sample", t.key)]
-    tile = max(sampled, key=lambda t: (int(done["refine-sample", t.key].meta["rows"]), t.key))
+    sampled = [t for t in plan.layout.tiles if runner.is_done("refine-sample", t.key)]
+    tile = max(sampled, key=lambda t: (int(receipts["refine-sample", t.key].meta["rows"]), t.key))
     cost = costs(runner, plan.layout, tile, sets_to_time(search_))
     sample = trials.sample
-    made = told(search_, cost, pick)
+    result = plain_result(search_, cost, pick)
     return {
         "method": SCALES,
         "survey": config.survey.name,
@@ -82,8 +82,8 @@ def scale_selection(config: Config, runner: Runner, pick: str = "best") -> dict[
         "classes": list(config.classify.refine.between),
         "params": plain(config.select),
         "refine": plain(config.classify.refine),
-        **made,
-        "scales": [_metres(n) for n in made["chosen"]],
+        **result,
+        "scales": [_metres(n) for n in result["chosen"]],
         "timed_on": tile.key,
         "seconds": round(time.perf_counter() - began, 1),
     }
@@ -107,7 +107,7 @@ class _Trials:
         trees = {"method": refine.method, "trees": config.select.trees}
         self.train = config.train.model_copy(update=trees)
         self.rows = config.compare.rbf_svm.search_rows if refine.method == "rbf-svm" else 0
-        self.sample, self.folding = looked_at(PartInputs(runner.store), layer, self.rows, config.select)
+        self.sample, self.folding = load_folded(PartInputs(runner.store), layer, self.rows, config.select)
         self.compare = self._machine()
 
     def _machine(self) -> CompareParams:
@@ -116,10 +116,10 @@ class _Trials:
         if not self.rows or len(svm.c) * len(svm.gamma) == 1:
             return compare
         params = {"compare": plain(compare), **self._folds()}
-        work = partial(searched, self.layer, self.rows, self.config.select, compare)
+        work = partial(search_machine, self.layer, self.rows, self.config.select, compare)
         meta = require_all(self.runner, [Task(MACHINE, "all", VERSION, params, work, needs=((MERGED, "all"),))])
-        found = meta[MACHINE, "all"].meta
-        one = svm.model_copy(update={"c": (found["c"],), "gamma": (found["gamma"],)})
+        best = meta[MACHINE, "all"].meta
+        one = svm.model_copy(update={"c": (best["c"],), "gamma": (best["gamma"],)})
         return compare.model_copy(update={"rbf_svm": one})
 
     def _folds(self) -> dict[str, Any]:
@@ -128,38 +128,38 @@ class _Trials:
     def __call__(self, subsets: Sequence[Names], ranked: bool = False) -> list[Trial]:
         folds = range(self.config.select.folds)
         tasks = {(s, f): self._task(s, f) for s in subsets for f in folds}
-        done = require_all(self.runner, list(tasks.values()))
-        made = []
+        receipts = require_all(self.runner, list(tasks.values()))
+        trials = []
         for s in subsets:
-            matrices = np.array([done[tasks[s, f].name].meta["matrix"] for f in folds], np.int64)
-            made.append(Trial(s, matrices, None))
-        return made
+            matrices = np.array([receipts[tasks[s, f].name].meta["matrix"] for f in folds], np.int64)
+            trials.append(Trial(s, matrices, None))
+        return trials
 
     def _task(self, subset: Names, fold: int) -> Task:
         params = {"train": plain(self.train), "compare": plain(self.compare), "scales": list(subset), **self._folds()}
         work = partial(
-            tried, subset, fold, self.layer, self.rows, self.config.select, self.train, self.compare, self.classes
+            try_scales, subset, fold, self.layer, self.rows, self.config.select, self.train, self.compare, self.classes
         )
         part = f"{digest_of(list(subset))[:16]}-{fold:02d}"
         return Task(TRIAL, part, VERSION, params, work, needs=((MERGED, "all"),))
 
 
-def looked_at(inputs: PartInputs, layer: FineLayer, rows: int, select: SelectParams) -> tuple[Sample, Folding]:
+def load_folded(inputs: PartInputs, layer: FineLayer, rows: int, select: SelectParams) -> tuple[Sample, Folding]:
     """The second layer's training rows (`rows` of them, 0 for all), and their folds."""
     sample = load_sample(inputs, MERGED, "all", layer.names)
     sample = fewer(sample, rows, select.block) if rows else sample
     return sample, spatial(select.block, select.gap).folding(sample, select.folds)
 
 
-def searched(
+def search_machine(
     layer: FineLayer, rows: int, select: SelectParams, compare: CompareParams, inputs: PartInputs, directory: Path
 ) -> dict[str, Any]:
     """C and gamma with all scales."""
-    sample, folding = looked_at(inputs, layer, rows, select)
+    sample, folding = load_folded(inputs, layer, rows, select)
     return search(sample, folding, compare.rbf_svm, compare.scaling, None)
 
 
-def tried(
+def try_scales(
     subset: Names,
     fold: int,
     layer: FineLayer,
@@ -172,16 +172,16 @@ def tried(
     directory: Path,
 ) -> dict[str, Any]:
     """A second layer by some scales from the rows outside `fold`: its confusion matrix inside."""
-    sample, folding = looked_at(inputs, layer, rows, select)
+    sample, folding = load_folded(inputs, layer, rows, select)
     ends = {label.rpartition("_")[2] for label in subset}
     shares = ("eigenvalue_1_", "eigenvalue_2_", "eigenvalue_3_")
     at = [k for k, n in enumerate(sample.features) if not n.startswith(shares) or n.rpartition("_")[2] in ends]
     names = tuple(sample.features[k] for k in at)
     X = np.ascontiguousarray(sample.X[:, at])
     some = Sample(names, X, sample.y, sample.key, sample.hash, sample.eligible, place=sample.place)
-    learns, asked = some.take(folding.learns[fold]), some.take(np.asarray(folding.fold == fold))
+    learns, held_out = some.take(folding.learns[fold]), some.take(np.asarray(folding.fold == fold))
     matrix = np.zeros((2, 2), np.int64)
-    if (learns.counts > 0).all() and asked.rows:
-        found, _ = answer(asked.X, fit_layer(learns, train, compare, classes, select.block, select.gap))
-        np.add.at(matrix, (asked.y, found), 1)
+    if (learns.counts > 0).all() and held_out.rows:
+        answers, _ = answer(held_out.X, fit_layer(learns, train, compare, classes, select.block, select.gap))
+        np.add.at(matrix, (held_out.y, answers), 1)
     return {"matrix": matrix.tolist()}

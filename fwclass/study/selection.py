@@ -19,8 +19,8 @@ from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.select.score import Names, Score, Trial, score
 from fwclass.select.search import Search, backward, by_fscore, forward, in_given_order
 from fwclass.study.select.cost import costs
-from fwclass.study.select.result import sets_to_time, told
-from fwclass.study.select.sample import TRAINING, sample_tasks, training_of
+from fwclass.study.select.result import plain_result, sets_to_time
+from fwclass.study.select.sample import PLACED, TRAINING, sample_tasks, training_of
 from fwclass.study.select.trials import Trials
 
 
@@ -51,7 +51,8 @@ def selection(
             do="see why the stages that compute them found nothing, or name others",
         )
     search = _search(config, runner, candidates, useful, method, tuple(o for o in order if o in useful), meta)
-    tile = max((t for t in layout.tiles if runner.made("select-sample", t.key)), key=lambda t: _rows(runner, t.key))
+    sampled = (t for t in layout.tiles if runner.is_done(PLACED, t.key))
+    tile = max(sampled, key=lambda t: runner.store.rows(PLACED, t.key))
     cost = costs(runner, layout, tile, sets_to_time(search))
     return {
         "method": method,
@@ -63,7 +64,7 @@ def selection(
         "sample": {n: meta[n] for n in ("rows", "counts", "eligible", "blocks", "by_fold", "digest")},
         "classes": [c.name for c in config.classes],
         "params": plain(config.select),
-        **told(search, cost, pick),
+        **plain_result(search, cost, pick),
         "timed_on": tile.key,
         "seconds": round(time.perf_counter() - began, 1),
     }
@@ -73,8 +74,8 @@ def training(config: Config, runner: Runner, names: Names, computed: Names) -> t
     """Walk until the placed sample of the training areas is there, of `names` among `computed`; what it says."""
     plan = until_tiles(Plan(config, names, computed), runner)
     tasks = [*until_labels(plan), *sample_tasks(plan.layout, names)]
-    done = require_all(runner, ancestors(tasks, [(TRAINING, "all")]))
-    return plan.layout, dict(done[TRAINING, "all"].meta)
+    receipts = require_all(runner, ancestors(tasks, [(TRAINING, "all")]))
+    return plan.layout, dict(receipts[TRAINING, "all"].meta)
 
 
 def _search(
@@ -95,11 +96,6 @@ def _search(
     sample = training_of(PartInputs(runner.store), candidates)[0].sample
     at = [candidates.index(c) for c in useful]
     return by_fscore(useful, sample.X[:, at], sample.y, trials, scored)
-
-
-def _rows(runner: Runner, key: str) -> int:
-    receipt = runner.store.receipt("select-sample", key)
-    return int(receipt.meta["rows"]) if receipt else 0
 
 
 def _check(config: Config, candidates: Names, order: Sequence[str]) -> None:

@@ -15,7 +15,7 @@ from fwclass.graph.stages import CLASSIFYING, JUDGING, LEARNING, check_features
 from fwclass.graph.walk import tasks_of, until_labels, until_tiles
 from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.run.tasks import Tasks
-from fwclass.study.compare import compared
+from fwclass.study.compare import compare_methods
 
 NOTHING_TESTED = (
     "Nothing is left to test on: no labelled echo lies in a test area, or further than areas.gap from every training "
@@ -32,7 +32,7 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
     `classification`: a run in the same directory takes them over.
     """
     _check_labelled(config)
-    plan, tasks = _begun(config, runner)
+    plan, tasks = _begin(config, runner)
     tasks += tasks_of(plan, LEARNING)
     require_all(runner, ancestors(tasks, [("train", "model")]))
     receipt = runner.store.receipt("train", "model")
@@ -52,19 +52,19 @@ def training(config: Config, runner: Runner, assess: bool) -> dict[str, Any]:
 
 
 def comparison(config: Config, runner: Runner, methods: tuple[str, ...]) -> dict[str, Any]:
-    """Several kinds of classifier on one sample and the same test echoes; see `compared`. Nothing is thinned."""
+    """Several kinds of classifier on one sample and the same test echoes; see `compare_methods`. Nothing is thinned."""
     _check_labelled(config)
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))
-    plan, tasks = _begun(config, runner)
+    plan, tasks = _begin(config, runner)
     layout, names = tested_layout(plan.layout), config.features_asked
     sample = tasks_of(plan, (DRAW_SAMPLE, MERGE_SAMPLE))
     columns = {*layout.columns(names).values(), "label", "tile"}
     wanted = [("training", "all"), *((stage, t.key) for t in layout.tiles for stage in columns if stage != "tile")]
     require_all(runner, ancestors([*tasks, *sample], wanted))
-    return compared(config, runner.store, layout, methods, runner.display.say)
+    return compare_methods(config, runner.store, layout, methods, runner.display.say)
 
 
-def _begun(config: Config, runner: Runner) -> tuple[Plan, Tasks]:
+def _begin(config: Config, runner: Runner) -> tuple[Plan, Tasks]:
     names = config.features_asked
     check_features(config, names, f"{config.path}: survey.features")
     check_features(config, config.features.also, f"{config.path}: features.also")

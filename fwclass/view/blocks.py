@@ -71,12 +71,12 @@ def block(
     step, rise = max(edge / 65536.0, STEP), max((high - low) / 65535.0, STEP)
     planes = np.empty(BYTES * len(rows), np.uint8)
     pack(*(columns[name] for name in DRAWN), rows, corner, step, rise, planes)
-    return _framed(node, len(rows), corner - origin, step, rise, planes)
+    return _frame(node, len(rows), corner - origin, step, rise, planes)
 
 
 def column_block(node: Node, values: NDArray[np.uint8]) -> bytes:
     """Head and deflated bytes of one column, a byte an echo, in the order of the node's block."""
-    return _framed(node, len(values), np.zeros(3), 0.0, 0.0, values)
+    return _frame(node, len(values), np.zeros(3), 0.0, 0.0, values)
 
 
 def marks(node: Node, rows: NDArray[np.int64], values: NDArray[np.uint8]) -> bytes:
@@ -91,15 +91,15 @@ def identity_block(
     first."""
     bytes_ = [v.astype(kind).view(np.uint8).reshape(len(v), -1) for v, kind in ((strip, "<u2"), (pulse, "<u4"))]
     planes = np.concatenate([*bytes_, echo_number[:, None].astype(np.uint8)], axis=1).T
-    return _framed(node, len(strip), np.zeros(3), 0.0, 0.0, np.ascontiguousarray(planes).reshape(-1))
+    return _frame(node, len(strip), np.zeros(3), 0.0, 0.0, np.ascontiguousarray(planes).reshape(-1))
 
 
 def nothing(node: Node) -> bytes:
     """The block of a node without an echo."""
-    return _framed(node, 0, np.zeros(3), 0.0, 0.0, np.empty(0, np.uint8))
+    return _frame(node, 0, np.zeros(3), 0.0, 0.0, np.empty(0, np.uint8))
 
 
-def _framed(node: Node, count: int, corner: NDArray, step: float, rise: float, planes: NDArray[np.uint8]) -> bytes:
+def _frame(node: Node, count: int, corner: NDArray, step: float, rise: float, planes: NDArray[np.uint8]) -> bytes:
     packer = zlib.compressobj(1, zlib.DEFLATED, zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, zlib.Z_RLE)
     packed = packer.compress(planes.data) + packer.flush()
     return HEAD.pack(len(packed), *node, count, *corner.tolist(), step, rise) + packed

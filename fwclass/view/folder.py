@@ -20,7 +20,7 @@ IDENTITIES = "identity"
 
 
 @dataclass(frozen=True)
-class Told:
+class UnsureEcho:
     """An unsure echo of which the folder has everything.
 
     Attributes
@@ -41,10 +41,11 @@ class Told:
 
     @property
     def name(self) -> str:
+        """Strip, pulse and echo number, as files are named."""
         return f"{self.strip}-{self.pulse}-{self.echo_number}"
 
 
-class Kept(Scene, Protocol):
+class WholeScene(Scene, Protocol):
     """A scene that knows all of its blocks, so that it can be written out."""
 
     def colours(self) -> Sequence[str]:
@@ -56,11 +57,11 @@ class Kept(Scene, Protocol):
     def identities(self, node: Node) -> bytes:
         """Who the echoes of a node are."""
 
-    def told(self) -> Sequence[Sequence[Told]]:
+    def unsure_echoes(self) -> Sequence[Sequence[UnsureEcho]]:
         """Echoes of every place of `work`, the least sure first."""
 
 
-def write_folder(scenes: Sequence[Kept], directory: Path, tell: Callable[[str], object]) -> None:
+def write_folder(scenes: Sequence[WholeScene], directory: Path, tell: Callable[[str], object]) -> None:
     """Write the page and its scenes to an empty directory; `tell` is told how far it is."""
     for name, body in page_files().items():
         (directory / name).write_bytes(_served_anywhere(body) if name == "index.html" else body)
@@ -70,15 +71,15 @@ def write_folder(scenes: Sequence[Kept], directory: Path, tell: Callable[[str], 
         index, columns = scene.index(), list(scene.colours())
         tell(f"blocks of {index['echoes']:,} echoes")
         nodes = _write_blocks(scene, index["together"], columns, here)
-        told = scene.told()
-        tell(f"waveforms and votes of {sum(map(len, told)):,} unsure echoes")
+        unsure = scene.unsure_echoes()
+        tell(f"waveforms and votes of {sum(map(len, unsure)):,} unsure echoes")
         work = scene.work()
-        for place, echoes in zip(work["places"], told, strict=True):
+        for place, echoes in zip(work["places"], unsure, strict=True):
             place["told"] = [{"node": t.node, "row": t.row, "echo": t.name, "place": t.place} for t in echoes]
             for one in echoes:
                 _write_echo(scene, one, here)
         _write_json(here / "work.json", work)
-        names = [t.name for echoes in told for t in echoes]
+        names = [t.name for echoes in unsure for t in echoes]
         folder = {"nodes": nodes, "columns": columns, "told": names}
         _write_json(here / "index.json", {**index, "relabels": False, "folder": folder})
 
@@ -92,7 +93,7 @@ def _served_anywhere(page: bytes) -> bytes:
     return page.replace(first, first + head.encode(), 1)
 
 
-def _write_blocks(scene: Kept, together: Sequence[int], columns: Sequence[str], here: Path) -> list[str]:
+def _write_blocks(scene: WholeScene, together: Sequence[int], columns: Sequence[str], here: Path) -> list[str]:
     """All blocks; names of the nodes that have files of their own."""
     parts, own = (ECHOES, *columns), []
     for part in (*parts, IDENTITIES):
@@ -117,16 +118,16 @@ def _write_blocks(scene: Kept, together: Sequence[int], columns: Sequence[str], 
     return own
 
 
-def _write_echo(scene: Kept, told: Told, here: Path) -> None:
-    at = here / "echo" / "-".join(map(str, told.node)) / f"{told.row}.json"
+def _write_echo(scene: WholeScene, echo: UnsureEcho, here: Path) -> None:
+    at = here / "echo" / "-".join(map(str, echo.node)) / f"{echo.row}.json"
     at.parent.mkdir(parents=True, exist_ok=True)
-    _write_json(at, told.about)
-    pulse, why = here / "pulse" / f"{told.strip}-{told.pulse}.json", here / "why" / f"{told.name}.json"
+    _write_json(at, echo.about)
+    pulse, why = here / "pulse" / f"{echo.strip}-{echo.pulse}.json", here / "why" / f"{echo.name}.json"
     for path in (pulse, why):
         path.parent.mkdir(exist_ok=True)
     if not pulse.exists():
-        _write_json(pulse, _answer(lambda: scene.pulse(told.strip, told.pulse)))
-    _write_json(why, _answer(lambda: scene.why(told.strip, told.pulse, told.echo_number)))
+        _write_json(pulse, _answer(lambda: scene.pulse(echo.strip, echo.pulse)))
+    _write_json(why, _answer(lambda: scene.why(echo.strip, echo.pulse, echo.echo_number)))
 
 
 def _answer(ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:

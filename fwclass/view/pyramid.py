@@ -116,7 +116,7 @@ def levels_of(pyramid: Pyramid, rank: NDArray[np.uint64]) -> NDArray[np.int8]:
     return out
 
 
-def placed(
+def order_blocks(
     pyramid: Pyramid, level: NDArray[np.int8], x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], dict[Node, tuple[int, int]]]:
     """The order of echoes in their blocks, and the first and last row of every node in that order.

@@ -138,8 +138,8 @@ class Selection:
         if self.slab is not None:
             rows = rows[self.slab.contains(x[rows], y[rows])]
         a, b, w = self._projected(x[rows], y[rows], columns["z"][rows])
-        seen = (w > 0) & (w >= self.depth[0]) & (w <= self.depth[1])
-        rows, a, b = rows[seen], a[seen] / w[seen], b[seen] / w[seen]
+        visible = (w > 0) & (w >= self.depth[0]) & (w <= self.depth[1])
+        rows, a, b = rows[visible], a[visible] / w[visible], b[visible] / w[visible]
         box = self.box
         near = (a >= box[0]) & (a <= box[2]) & (b >= box[1]) & (b <= box[3])
         rows, places = rows[near], np.stack([a[near], b[near]], axis=1)

@@ -19,7 +19,7 @@ PARTS = 1_000_000
 
 
 @dataclass(frozen=True)
-class Place:
+class UnsureCluster:
     """Unsure echoes that lie together.
 
     Attributes
@@ -51,7 +51,7 @@ class WorkList:
     number : (n,), which of `places` each square belongs to.
     """
 
-    places: tuple[Place, ...]
+    places: tuple[UnsureCluster, ...]
     cell: float
     squares: NDArray[np.int64]
     number: NDArray[np.int64]
@@ -59,9 +59,9 @@ class WorkList:
     def of(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int64]:
         """(rows,), which of `places` unsure echoes at `x`, `y` belong to; -1 for none."""
         known = dict(zip(map(tuple, self.squares.tolist()), self.number.tolist(), strict=True))
-        asked, at = np.unique(_squares(x, y, self.cell), axis=0, return_inverse=True)
-        found = np.array([known.get((i, j), -1) for i, j in asked.tolist()], np.int64)
-        return np.asarray(found[at.ravel()], np.int64)
+        squares, at = np.unique(_squares(x, y, self.cell), axis=0, return_inverse=True)
+        place = np.array([known.get((i, j), -1) for i, j in squares.tolist()], np.int64)
+        return np.asarray(place[at.ravel()], np.int64)
 
 
 class UnsureEchoes:
@@ -93,7 +93,7 @@ class UnsureEchoes:
         at = [millimetres(v) - self._corner(squares, k) for k, v in enumerate((x, y))]
         sure = np.rint(confidence.astype(np.float64) * PARTS).astype(np.int64)
         sums = np.stack([np.ones(len(x), np.int64), *at, millimetres(z), sure], axis=1)
-        keys, sums = _summed(np.c_[squares, code.astype(np.int64)], sums)
+        keys, sums = _sum_by_key(np.c_[squares, code.astype(np.int64)], sums)
         self._keys.append(keys)
         self._sums.append(sums)
 
@@ -103,35 +103,35 @@ class UnsureEchoes:
         Squares that touch, by a corner too, are one place. Middle and width are those of the squares' mean echoes,
         weighted by their number.
         """
-        keys, sums = _summed(np.concatenate(self._keys), np.concatenate(self._sums))
+        keys, sums = _sum_by_key(np.concatenate(self._keys), np.concatenate(self._sums))
         if not len(keys):
             return WorkList((), self.cell, keys[:, :2], keys[:, 0])
         squares, own = np.unique(keys[:, :2], axis=0, return_inverse=True)
-        cluster = _joined(squares)[own.ravel()]
+        cluster = _join_squares(squares)[own.ravel()]
         count = np.bincount(cluster, weights=sums[:, 0])
         largest = np.argsort(-count, kind="stable")[:most]
         order = np.argsort(cluster, kind="stable")
         first, last = (np.searchsorted(cluster[order], largest, side=side) for side in ("left", "right"))
         rows = [order[a:b] for a, b in zip(first, last, strict=True)]
         number = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
-        places = tuple(self._place(keys[r], sums[r]) for r in rows)
+        places = tuple(self._cluster(keys[r], sums[r]) for r in rows)
         return WorkList(places, self.cell, keys[np.concatenate(rows), :2], number)
 
     def _corner(self, squares: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
         """West or south border of squares [mm]."""
         return millimetres(np.asarray(squares[:, axis] * self.cell, np.float64))
 
-    def _place(self, keys: NDArray[np.int64], sums: NDArray[np.int64]) -> Place:
+    def _cluster(self, keys: NDArray[np.int64], sums: NDArray[np.int64]) -> UnsureCluster:
         """The place of some squares by class."""
         classes = np.bincount(keys[:, 2], weights=sums[:, 0]).astype(np.int64)
         codes = [c for c in np.argsort(-classes, kind="stable").tolist() if classes[c]]
-        squares, sums = _summed(keys[:, :2], sums)
+        squares, sums = _sum_by_key(keys[:, :2], sums)
         n = sums[:, 0]
         x, y = ((self._corner(squares, k) + sums[:, 1 + k] / n) / 1000 for k in (0, 1))
         mx, my, mz = (_quantile(v, n, 0.5) for v in (x, y, sums[:, 3] / n / 1000))
         far = _quantile(np.hypot(x - mx, y - my), n, SHOWN)
         low, high = squares.min(axis=0) * self.cell, (squares.max(axis=0) + 1) * self.cell
-        return Place(
+        return UnsureCluster(
             int(n.sum()),
             mx,
             my,
@@ -147,7 +147,7 @@ def _squares(x: NDArray[np.float64], y: NDArray[np.float64], cell: float) -> NDA
     return np.floor(np.stack([x, y], axis=1) / cell).astype(np.int64)
 
 
-def _summed(keys: NDArray[np.int64], sums: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _sum_by_key(keys: NDArray[np.int64], sums: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Rows of `sums` added up by key; keys ascend."""
     if not len(keys):
         return keys, sums
@@ -164,7 +164,7 @@ def _quantile(values: NDArray[np.float64], weights: NDArray[np.int64], q: float)
     return float(values[order[np.searchsorted(up_to, q * up_to[-1])]])
 
 
-def _joined(squares: NDArray[np.int64]) -> NDArray[np.int32]:
+def _join_squares(squares: NDArray[np.int64]) -> NDArray[np.int32]:
     """The cluster of every square; `squares` ascend."""
     low = squares.min(axis=0) - 1
     width = int(squares[:, 1].max() - low[1]) + 2

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fwclass.assess.distribution import BINS
-from fwclass.assess.stage import QUANTILES, distribution, packed, quantiles, summary, unpacked
+from fwclass.assess.stage import QUANTILES, distribution, pack, quantiles, summary, unpack
 from fwclass.model import ClassDef
 from fwclass.schema import Table
 
@@ -105,9 +105,9 @@ def test_no_rows():
 def test_packed_histograms_of_tiles_are_the_whole_one():
     features, reference = survey()
     tile = np.random.default_rng(2).integers(0, 5, len(reference))
-    parts = [packed(features.take(tile == t), reference[tile == t], CLASSES) for t in range(6)]
+    parts = [pack(features.take(tile == t), reference[tile == t], CLASSES) for t in range(6)]
     assert all((counts > 0).all() for _, counts in parts)
-    whole, made = distribution(features, reference, CLASSES), unpacked(parts, tuple(features), len(CLASSES))
+    whole, made = distribution(features, reference, CLASSES), unpack(parts, tuple(features), len(CLASSES))
     assert list(made) == list(whole)
     for name, histogram in whole.items():
         np.testing.assert_array_equal(made[name], histogram)

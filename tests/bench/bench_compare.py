@@ -18,7 +18,7 @@ from fwclass.model import ClassDef
 from fwclass.store.arrays import read_arrays
 from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
-from fwclass.study.compare import fit, timed
+from fwclass.study.compare import cpu_time, fit
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.prepare import fewer
 from fwclass.train.baselines.stage import METHODS
@@ -74,7 +74,7 @@ def peer_time(method, learn, fresh, params, compare):
     X = np.where(np.isnan(rows.X), 0, rows.X)
     with threadpool_limits(1):
         peer = peers[method].fit(X / spread, rows.y)
-        return timed(lambda: peer.predict(known[1] / spread))[0]
+        return cpu_time(lambda: peer.predict(known[1] / spread))[0]
 
 
 def main() -> None:
@@ -90,10 +90,10 @@ def main() -> None:
     print(f"{'':16}{'accuracy %':>11}{'training':>10}{'predict':>9}{'sklearn':>9}{'ratio':>7}")
     for method in METHODS:
         answer(fresh.X[:64], fit(method, fewer(learn, 200), params, compare, classes))  # compile
-        train, model = timed(lambda m=method: fit(m, learn, params, compare, classes))
+        train, model = cpu_time(lambda m=method: fit(m, learn, params, compare, classes))
         ratios, ours, theirs = [], [], []
         for _ in range(given.repeat):
-            seconds, (winner, _) = timed(lambda model=model: answer(fresh.X, model))
+            seconds, (winner, _) = cpu_time(lambda model=model: answer(fresh.X, model))
             peer = peer_time(method, learn, fresh.X, params, compare)
             ours.append(seconds)
             theirs.append(peer)

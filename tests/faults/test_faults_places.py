@@ -6,6 +6,7 @@ import os
 import resource
 import shutil
 import signal
+import struct
 import subprocess
 from pathlib import Path
 
@@ -139,6 +140,48 @@ def test_a_source_that_is_truncated_is_never_taken_for_read(survey, finished, tm
     with running(tmp_path / "again", *line) as run:
         assert run.code() == 0, run.said
     unharmed(root, finished)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["0", "2"])
+@pytest.mark.parametrize(("kind", "at"), [("strips/*.wdp", 100_000), ("strips/*.las", 171), ("reference/*.las", 171)])
+def test_a_source_that_is_exchanged_leaves_nothing_of_both(survey, tmp_path, kind, at, workers):
+    """Another sound file takes its name: other samples, or another offset of z in the header."""
+    own, root = tmp_path / "survey", tmp_path / "run"
+    shutil.copytree(survey, own)
+    [source] = own.glob(kind)
+    whole, other = source.read_bytes(), tmp_path / "other"
+    put = struct.pack("<d", 0.5 + struct.unpack_from("<d", whole, at)[0]) if at == 171 else whole[at + 8 : at + 16]
+    other.write_bytes(whole[:at] + put + whole[at + 8 :])
+    line = (*words(own, root), "--workers", workers)
+    with running(tmp_path / "told", *line) as run:
+        run.until(lambda: list((root / "store" / "index").glob("*/receipt.json")))
+        other.replace(source)
+        assert run.code() in (0, 1, 3) and "Traceback" not in run.said, run.said
+        assert run.code() == 0 or "was changed while" in run.said, run.said
+    for place in (root, tmp_path / "clean"):
+        with running(tmp_path / f"told-{place.name}", *words(own, place), "--workers", "0") as run:
+            assert run.code() == 0, run.said
+    assert delivered(root) == delivered(tmp_path / "clean")
+
+
+@ROOT
+@pytest.mark.slow
+def test_sources_that_may_not_be_written_are_only_read(survey, finished, tmp_path):
+    own, root = tmp_path / "survey", tmp_path / "run"
+    shutil.copytree(survey, own)
+    mounted(own, "--bind", str(own))
+    try:
+        done = subprocess.run(["mount", "-o", "remount,bind,ro", str(own)], capture_output=True, text=True)
+        if done.returncode:
+            pytest.skip(f"mount is refused here: {done.stderr.strip()}")
+        with running(tmp_path / "told", *words(own, root), "--workers", "0") as run:
+            assert run.code() == 0, run.said
+        unharmed(root, finished)
+        with running(tmp_path / "inside", *words(own, own / "run"), "--workers", "0") as run:
+            assert run.code() in (1, 2) and "Traceback" not in run.said, run.said
+    finally:
+        unmounted(own)
 
 
 def test_a_scheduler_that_dies_is_named(tmp_path):

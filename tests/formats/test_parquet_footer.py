@@ -5,7 +5,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fwclass.formats.parquet_footer import values_told
+from fwclass.formats.parquet_footer import count_values
 
 
 @pytest.mark.parametrize("groups", [1, 3, 40])
@@ -17,7 +17,7 @@ def test_the_values_are_those_that_arrow_tells(tmp_path, groups):
     pq.write_table(table, path, row_group_size=120 // groups)
     meta = pq.read_metadata(path)
     told = [meta.row_group(g).column(c).num_values for g in range(meta.num_row_groups) for c in range(3)]
-    assert values_told(path) == sum(told)
+    assert count_values(path) == sum(told)
 
 
 def test_damage_is_told(tmp_path):
@@ -30,10 +30,10 @@ def test_damage_is_told(tmp_path):
         broken[int(rng.integers(len(data) - 500, len(data)))] = int(rng.integers(256))
         path.write_bytes(broken)
         try:
-            values_told(path)
+            count_values(path)
         except ValueError:
             refused += 1
     assert refused
     path.write_bytes(data[:-1])
     with pytest.raises(ValueError, match="no footer"):
-        values_told(path)
+        count_values(path)

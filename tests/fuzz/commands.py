@@ -291,7 +291,7 @@ def _ran() -> Files:
     """The small survey, run into `r`; links of the run directory are left out."""
     from commandline import fwclass
 
-    from fwclass.store.seal import sealed, unsealed
+    from fwclass.store.seal import seal, unseal
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -300,8 +300,8 @@ def _ran() -> Files:
         ended = fwclass("run", "c.yaml", "--out", "r", "--workers", 0, cwd=folder)
         assert ended.returncode == 0, ended.stderr
         request = folder / "r" / "store" / "run.json"
-        words = unsealed(json.loads(request.read_text()))
-        request.write_text(json.dumps(sealed({**words, "conf": "c.yaml"})))
+        words = unseal(json.loads(request.read_text()))
+        request.write_text(json.dumps(seal({**words, "conf": "c.yaml"})))
         found = {}
         for base, _, names in os.walk(folder):
             for path in (Path(base) / n for n in names):

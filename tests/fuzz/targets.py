@@ -101,17 +101,17 @@ def _text(path: Path) -> Actions:
 
 
 def _trajectory(path: Path) -> Actions:
-    from fwclass.read.trajectory import in_survey_time, read_trajectory, thinned
+    from fwclass.read.trajectory import in_survey_time, read_trajectory, thin_trajectory
 
     def whole() -> None:
-        found = thinned(read_trajectory(path, "EPSG:25832"), 0.5)
+        found = thin_trajectory(read_trajectory(path, "EPSG:25832"), 0.5)
         in_survey_time(found, 1.0, 2.0, path)
 
     return [whole]
 
 
 def _polygons(path: Path) -> Actions:
-    from fwclass.read.polygons import open_polygons, read_polygons, reprojected
+    from fwclass.read.polygons import open_polygons, read_polygons, reproject
 
     def whole() -> None:
         from pyproj import CRS
@@ -119,7 +119,7 @@ def _polygons(path: Path) -> Actions:
         opened = open_polygons(path)
         _, made = read_polygons(opened, next(iter(opened.fields), None))
         if opened.crs is not None:
-            reprojected(made, opened.crs, CRS.from_epsg(25833), path)
+            reproject(made, opened.crs, CRS.from_epsg(25833), path)
 
     return [partial(_told, path), whole]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fwclass.grid import Box
-from fwclass.label.census import census, nearest_box, remarks, taken, total, total_taken
+from fwclass.label.census import census, count_training, nearest_box, remarks, total, total_training
 from fwclass.model import ClassDef
 from fwclass.schema import Table
 
@@ -54,8 +54,8 @@ def test_tiles_add_up():
     assert whole == census(t, in_test(t), TRAIN, CLASSES)
     drawn = np.random.default_rng(1).random(t.rows) < 0.1
     drawn &= TRAIN[0].contains(t["x"], t["y"])
-    some = [taken(t.take(t["x"] // 7 == k), drawn[t["x"] // 7 == k], TRAIN, CLASSES) for k in range(8)]
-    assert total_taken(some, len(TRAIN), len(CLASSES)) == taken(t, drawn, TRAIN, CLASSES)
+    some = [count_training(t.take(t["x"] // 7 == k), drawn[t["x"] // 7 == k], TRAIN, CLASSES) for k in range(8)]
+    assert total_training(some, len(TRAIN), len(CLASSES)) == count_training(t, drawn, TRAIN, CLASSES)
     assert total([], 2, 2)["boxes"] == [[0, 0], [0, 0]]
 
 

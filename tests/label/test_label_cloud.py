@@ -47,4 +47,4 @@ def test_without_times_it_is_the_nearest_point_as_a_kd_tree_finds_it():
 
 def test_the_source_s_own_class():
     c = chunk(source_class=[2, 6, 0])
-    assert from_source(c, PARAMS)["reference"].tolist() == [2, 6, 0]
+    assert from_source(c)["reference"].tolist() == [2, 6, 0]

@@ -13,7 +13,7 @@ import pytest
 from fwclass.errors import ConfigError, InputError, StoreError
 from fwclass.formats.echo_labels import EchoLabels, echo_labels_bytes, read_echo_labels
 from fwclass.grid import Box
-from fwclass.label.corrections import apart, last_of_each, matched, outside, reference_codes
+from fwclass.label.corrections import apart, last_of_each, match_labels, outside, reference_codes
 from fwclass.model import ClassDef
 from fwclass.schema import Table
 from fwclass.store.bucket import Remote
@@ -41,9 +41,9 @@ def test_a_label_is_of_the_echo_of_its_number_that_lies_where_it_lay():
     moved["echo_number"] = np.array([1, 1, 1, 2, 1, 1])
     order = np.array([5, 3, 1, 4, 2, 0])
     here = Table(moved).take(order)
-    found, own = matched(here, labels, 0.075)
+    found, own = match_labels(here, labels, 0.075)
     assert sorted(order[found].tolist()) == [0, 1, 4, 5] and own.tolist() == order[found].tolist()
-    assert matched(here, labels.take(np.empty(0, int)), 0.075)[0].tolist() == []
+    assert match_labels(here, labels.take(np.empty(0, int)), 0.075)[0].tolist() == []
 
 
 def test_the_last_row_of_an_echo_counts_and_may_take_back():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fwclass.columns import COLUMNS, PER_CODE
-from fwclass.formats.extra_bytes import descriptor, extra_bytes, free_name, packed, published
+from fwclass.formats.extra_bytes import descriptor, extra_bytes, free_name, pack_columns, published_columns
 from fwclass.publish.laz import write_tile_laz
 from fwclass.publish.params import PublishParams
 from fwclass.publish.strips import write_strip_laz
@@ -101,7 +101,7 @@ def items_of(path: Path) -> dict[str, bytes]:
 
 def stored_as(name: str, values: Any, kind: str) -> np.ndarray:
     table = Table({name: values})
-    return packed(extra_bytes(published(table), table), table).reshape(-1).view(kind)
+    return pack_columns(extra_bytes(published_columns(table), table), table).reshape(-1).view(kind)
 
 
 def test_values_are_rounded_and_held_to_the_range() -> None:
@@ -128,11 +128,11 @@ def test_values_beyond_the_range_are_counted(
 
 def test_a_column_without_any_value_has_no_extremes() -> None:
     table = Table({"reflectance": [np.nan, np.nan]})
-    (extra,) = extra_bytes(published(table), table)
+    (extra,) = extra_bytes(published_columns(table), table)
     assert (extra.low, extra.high, extra.beyond) == (None, None, 0)
     assert descriptor(extra)[3] == 1 | 8
     empty = Table.empty(["reflectance", "confidence", "radiometry_flags"])
-    assert [descriptor(e)[3] for e in extra_bytes(published(empty), empty)] == [1 | 8, 8, 0]
+    assert [descriptor(e)[3] for e in extra_bytes(published_columns(empty), empty)] == [1 | 8, 8, 0]
 
 
 def test_every_published_column_can_be_stored() -> None:
@@ -143,8 +143,8 @@ def test_every_published_column_can_be_stored() -> None:
         col = column(declared.name + scale)
         edge = [0.0, 1.0] if col.null is None else [0.0, 1.0, np.nan]
         table = Table({col.name: edge})
-        (extra,) = extra_bytes(published(table), table)
-        back = packed((extra,), table).reshape(-1).view(extra.dtype).astype(float)
+        (extra,) = extra_bytes(published_columns(table), table)
+        back = pack_columns((extra,), table).reshape(-1).view(extra.dtype).astype(float)
         if extra.no_data is not None:
             back[back == extra.no_data] = np.nan
         assert np.allclose(back * extra.scale, edge, equal_nan=True), col.name

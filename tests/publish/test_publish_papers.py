@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fwclass.conf.papers import checked, paper
+from fwclass.conf.papers import check_printed, paper
 from fwclass.errors import ConfigError
 from fwclass.publish.papers import plots, scene, tables
 from fwclass.publish.papers.page import _claims
@@ -56,9 +56,9 @@ def test_a_text_cut_at_its_comma_is_refused(name: str) -> None:
     first = next(iter(printed["claims"]))
     cut = {**printed, "claims": {**printed["claims"], first: {**printed["claims"][first], "buildings above": None}}}
     with pytest.raises(ConfigError, match=f"claims.{first}.buildings above"):
-        checked(name, cut, "here")
+        check_printed(name, cut, "here")
     with pytest.raises(ConfigError, match="tables"):
-        checked(name, {**printed, "tables": 1}, "here")
+        check_printed(name, {**printed, "tables": 1}, "here")
 
 
 def test_every_claim_of_fan_is_told_whole() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pyogrio
 import pyproj
 import pytest
+from pystac.validation.local_validator import LocalValidator
 
 from fwclass.grid import Box, Window
 from fwclass.publish.cog import write_cog
@@ -56,6 +57,9 @@ def test_hostile_names_are_only_text(tmp_path: Path) -> None:
     made = write_vpc({f"tiles/{EVIL}.copc.laz": FACTS}, tmp_path / "v.vpc", None, point_schema(("confidence",)))
     item = json.loads((tmp_path / "v.vpc").read_text())["features"][0]
     assert made["items"] == 1 and item["assets"]["data"]["href"] == f"./tiles/{EVIL}.copc.laz"
+    stac = LocalValidator().item_validator("1.1.0")
+    assert not list(stac.iter_errors(item | {"stac_version": "1.1.0"})), "without a coordinate system too"
+    assert list(stac.iter_errors(item | {"stac_version": "1.1.0", "bbox": [1, 2]}))
 
 
 def test_the_same_layers_give_the_same_bytes(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from tolerances import COORDINATE
 
 from fwclass.errors import ConfigError, InputError
 from fwclass.read.info import describe, info
-from fwclass.read.polygons import check_field, open_polygons, read_polygons, reprojected, source_crs, values_of
+from fwclass.read.polygons import check_field, open_polygons, read_polygons, reproject, source_crs, values_of
 
 FORMATS = ["gpkg", "geojson", "shp", "parquet"]
 HOLED = shapely.Polygon(
@@ -158,7 +158,7 @@ def test_geoparquet_that_does_not_speak_of_its_system_is_in_degrees(tmp_path):
     assert opened.crs.is_geographic
     _, shapes = read_polygons(opened, None)
     with pytest.raises(InputError, match="not the degrees") as fault:
-        reprojected(shapes, opened.crs, CRS.from_epsg(25832), path)
+        reproject(shapes, opened.crs, CRS.from_epsg(25832), path)
     assert "5400010" in str(fault.value)
 
 
@@ -168,11 +168,11 @@ def test_corners_are_reprojected_as_geopandas_does(crs, tmp_path):
     opened = open_polygons(written(made, tmp_path / "a.gpkg"))
     _, shapes = read_polygons(opened, None)
     target = CRS.from_user_input("EPSG:25832+5783")  # with heights, as surveys name it
-    moved, told = reprojected(shapes, source_crs(opened, None, target), target, opened.path)
+    moved, told = reproject(shapes, source_crs(opened, None, target), target, opened.path)
     expected = made.to_crs(25832).get_coordinates().to_numpy()
     np.testing.assert_allclose(np.column_stack([moved.x, moved.y]), expected, atol=COORDINATE)
     assert "from" in told and "25832" not in told
-    same, nothing = reprojected(shapes, opened.crs, opened.crs, opened.path)
+    same, nothing = reproject(shapes, opened.crs, opened.crs, opened.path)
     assert same is shapes and nothing == ""
 
 
@@ -183,7 +183,7 @@ def test_corners_without_a_place_are_told(tmp_path):
     opened = open_polygons(written(made, tmp_path / "a.gpkg"))
     _, shapes = read_polygons(opened, None)
     with pytest.raises(InputError, match="feature 2"):
-        reprojected(shapes, opened.crs, CRS.from_epsg(25832), opened.path)
+        reproject(shapes, opened.crs, CRS.from_epsg(25832), opened.path)
 
 
 @pytest.mark.parametrize("ending", FORMATS)

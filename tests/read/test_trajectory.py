@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pyproj import Transformer
 
 from fwclass.errors import InputError
-from fwclass.read.trajectory import ADJUSTED, WEEK, in_survey_time, read_trajectory, thinned
+from fwclass.read.trajectory import ADJUSTED, WEEK, in_survey_time, read_trajectory, thin_trajectory
 from fwclass.schema import Table
 from fwclass.simulate.stage import SimulateParams, write_trajectory
 
@@ -175,13 +175,13 @@ def test_any_bytes_give_a_trajectory_or_a_refusal(content: bytes, tmp_path: Path
 def test_thinned_keeps_the_path_and_the_ends_of_gaps() -> None:
     time = np.concatenate([np.arange(0, 2000), np.arange(3000, 5001)]) / 200.0
     path = Table({"gps_time": time, "x": np.sin(time), "y": 60.0 * time, "z": 0 * time})
-    got = thinned(path, 0.1)
+    got = thin_trajectory(path, 0.1)
     assert 300 < got.rows < 420
     assert {0.0, 1999 / 200, 15.0, 25.0} <= set(got["gps_time"].tolist())
     at = np.interp(time, got["gps_time"], got["x"])
     assert np.abs(at - path["x"]).max() < 0.1**2 / 8 + 1e-9
     one = path.take(np.array([7]))
-    np.testing.assert_array_equal(thinned(one, 1.0)["x"], one["x"])
+    np.testing.assert_array_equal(thin_trajectory(one, 1.0)["x"], one["x"])
 
 
 def flown(begin: float) -> Table:

@@ -13,7 +13,7 @@ from runmaker import SETTINGS, walk
 from fwclass import conf
 from fwclass.errors import ConfigError, FwclassError
 from fwclass.operate.request import Request
-from fwclass.operate.seams.walk import Asked, seams
+from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.verify import verify
 from fwclass.operate.status.walk import Silent
 from fwclass.run.cluster import Cluster
@@ -74,7 +74,7 @@ def test_it_does_not_depend_on_tiles_or_workers(uneven, survey, files, tmp_path)
 
 def test_seams_compare_it(uneven, survey, files):
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", FEATURES))
-    found = seams(config, uneven[0], Asked((50.0, 50.0), 1.0, None, None, files["uneven.py"]), Silent())
+    found = seams(config, uneven[0], SeamRequest((50.0, 50.0), 1.0, None, None, files["uneven.py"]), Silent())
     assert found.equal and "unevenness" in {s.stage for s in found.bounded}
 
 
@@ -86,7 +86,7 @@ def test_a_halo_too_small_is_found(survey, files, tmp_path):
     runner, _ = walk(survey, tmp_path / "run", FEATURES, workflow=str(near))
     assert not runner.failures
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", FEATURES))
-    found = seams(config, tmp_path / "run", Asked((50.0, 50.0), 1.0, None, None, str(near)), Silent())
+    found = seams(config, tmp_path / "run", SeamRequest((50.0, 50.0), 1.0, None, None, str(near)), Silent())
     assert "unevenness" in {s.stage for s in found.bounded if s.differ}
 
 

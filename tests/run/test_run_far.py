@@ -17,7 +17,7 @@ from fwclass.grid import Tile, TileGrid, Window, groups
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import Room
 from fwclass.operate.estimate.text import describe
-from fwclass.operate.estimate.whole import planned
+from fwclass.operate.estimate.whole import make_plan
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -109,8 +109,8 @@ def test_a_stray_point_leaves_the_delivery_whole_and_is_named(far, tmp_path, cap
 
 def test_a_plan_counts_the_places_that_a_run_makes(far, tmp_path):
     config = conf.load(far / "S.yaml", SETTINGS)
-    plan = planned(config, survey_facts(config, tmp_path), 0, Room(16_000.0, 1e12))
-    stages = {s.name: s.amount for s in plan.made.stages}
+    plan = make_plan(config, survey_facts(config, tmp_path), 0, Room(16_000.0, 1e12))
+    stages = {s.name: s.amount for s in plan.estimate.stages}
     assert plan.tiles.number == 2
     assert stages["publish-rasters"].parts == 2
     assert stages["publish-rasters"].units < 10_000

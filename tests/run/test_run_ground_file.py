@@ -8,7 +8,7 @@ from fwclass.errors import ConfigError
 from fwclass.ground.filters import FILTERS, Flags
 from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import classes_of, shown_points
-from fwclass.single_file.ground.params import ALIASES, ground_params, names_of, used
+from fwclass.single_file.ground.params import ALIASES, ground_params, names_of, used_params
 
 PRESETS = ("wilderness", "nature", "town", "city", "metro", "dense-forest", "steep")
 
@@ -53,13 +53,13 @@ def test_two_sections_are_searched_and_a_dot_picks_one():
     with pytest.raises(ConfigError, match=r"csf\.class_threshold=0\.4 or smrf\.threshold=0\.4"):
         ground_params("csf+smrf", None, ("threshold=0.4",))
     made = ground_params("csf+smrf", None, ("smrf.threshold=0.4", "max_building_size=50"))
-    assert made.csf_smrf.smrf.threshold == 0.4 and used(made)["smrf"]["window"] == 25.0
+    assert made.csf_smrf.smrf.threshold == 0.4 and used_params(made)["smrf"]["window"] == 25.0
 
 
 def test_a_consensus_passes_names_on():
     made = ground_params("consensus", None, ("votes=1", "smrf.slope=0.31", "noise.low=false"))
     assert made.consensus.votes == 1 and made.smrf.slope == 0.31 and not made.noise.low
-    assert used(made)["smrf"]["slope"] == 0.31
+    assert used_params(made)["smrf"]["slope"] == 0.31
 
 
 @pytest.mark.parametrize("method", FILTERS)

@@ -15,7 +15,7 @@ from fwclass.ground.tuning_params import GroundSearchParams
 from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.labels import halves, labels_of, matrix_of
 from fwclass.single_file.ground.params import ground_params
-from fwclass.single_file.ground.search import NO_BETTER, announced, describe, fragment, optimize, with_values
+from fwclass.single_file.ground.search import NO_BETTER, announcement, describe, fragment, optimize, with_values
 
 LIMITS = GroundSearchParams(leading=2, coarse=3, rounds=3, ranges={})
 RANGES = {"a": (0.0, 1.0, 2.0, 3.0, 4.0), "b": (0.0, 1.0, 2.0, 3.0), "c": (0.0, 0.5, 1.0)}
@@ -127,7 +127,7 @@ def optimised(town, tmp_path_factory):
 
 
 def test_a_search_announces_the_slowest_run_as_its_most():
-    assert announced("smrf", 100, [0.1, 0.5, 0.3]) == (
+    assert announcement("smrf", 100, [0.1, 0.5, 0.3]) == (
         "smrf: at most 100 runs of 0.10 to 0.50 s; probably 9 s to 21 s, at most about 50 s"
     )
 

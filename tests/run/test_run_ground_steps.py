@@ -15,7 +15,7 @@ from fwclass.read.cloud import read_point_cloud
 from fwclass.single_file.ground.file import GroundJob, ground_file
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.steps import Steps
-from fwclass.single_file.ground.stray import stray_points, told
+from fwclass.single_file.ground.stray import describe_stray, stray_points
 
 
 def test_lines_come_now_and_then_and_say_what_is_done():
@@ -86,7 +86,9 @@ def test_a_point_is_stray_far_from_all_others(tmp_path, east, stray):
     cloud = read_point_cloud(path)
     rows = stray_points(cloud, cloud.usable)
     assert rows.tolist() == [500][:stray]
-    assert told(cloud, rows) == (f"1 point lies far from all others, at x {east + 20:.2f}, y 20.00" if stray else "")
+    assert describe_stray(cloud, rows) == (
+        f"1 point lies far from all others, at x {east + 20:.2f}, y 20.00" if stray else ""
+    )
 
 
 def test_places_of_equally_few_points_are_no_strays(tmp_path):

@@ -10,7 +10,7 @@ import socket
 import pytest
 
 from fwclass.errors import InputError, LockedError, QualityError
-from fwclass.operate.history import Entry, past_runs, recorded, table, word_of
+from fwclass.operate.history import Entry, past_runs, record_run, table, word_of
 from fwclass.operate.request import Request
 from fwclass.store import history
 from fwclass.store.lock import writer
@@ -34,7 +34,7 @@ def request(root, *settings):
     ],
 )
 def test_every_end_has_its_word(tmp_path, fault, code, word):
-    with pytest.raises(type(fault)), recorded(tmp_path, request(tmp_path)) as entry:
+    with pytest.raises(type(fault)), record_run(tmp_path, request(tmp_path)) as entry:
         entry.begin(None)
         raise fault
     [run] = past_runs(tmp_path)
@@ -45,7 +45,7 @@ def test_every_end_has_its_word(tmp_path, fault, code, word):
 def test_settings_are_kept_without_secrets(tmp_path):
     settings = ("train.trees=5", "schedule.webhook=https://u:SECRET@h/SECRET")
     asked = Request.of(tmp_path / "c.yaml", tmp_path, settings, "classification", frozenset({"1_2"}))
-    with recorded(tmp_path, asked, "tile/1_2") as entry:
+    with record_run(tmp_path, asked, "tile/1_2") as entry:
         entry.begin(None)
     [run] = past_runs(tmp_path)
     assert run["settings"] == ["train.trees=5"] and run["tiles"] == ["1_2"] and run["only"] == "tile/1_2"
@@ -123,7 +123,7 @@ def test_an_end_whose_beginning_was_put_away_is_still_a_run(tmp_path):
 
 def test_a_history_that_cannot_be_written_stops_no_run(tmp_path, capsys):
     (tmp_path / "store").write_text("in the way")
-    with recorded(tmp_path, request(tmp_path)) as entry:
+    with record_run(tmp_path, request(tmp_path)) as entry:
         entry.begin(None)
     assert "could not be written" in capsys.readouterr().err
 
@@ -146,7 +146,7 @@ def test_words_of_signals():
 )
 def test_a_damaged_line_hides_no_other(tmp_path, damage):
     for _ in range(2):
-        with recorded(tmp_path, request(tmp_path)) as entry:
+        with record_run(tmp_path, request(tmp_path)) as entry:
             entry.begin(None)
         with (tmp_path / "store" / history.NAME).open("ab") as stream:
             stream.write(damage + b"\n")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fwclass import conf
-from fwclass.operate.estimate.estimate import estimated
+from fwclass.operate.estimate.estimate import estimate_run
 from fwclass.operate.estimate.headers import simulated_facts
 from fwclass.operate.estimate.limits import Room, limits
 from fwclass.run.limit import ended_after, warned_after
@@ -87,7 +87,7 @@ def test_a_part_that_was_ended_is_not_tried_again(tmp_path: Path):
 
 def test_a_plan_tells_the_longest_part():
     config = conf.load("demo", ("run.part_hours=0.000001",))
-    made = estimated(config, simulated_facts(config), config.tile.size, 2, config.plan.stages)
+    made = estimate_run(config, simulated_facts(config), config.tile.size, 2, config.plan.stages)
     told = next(m for m in limits(config, made, 2, Room(16_000.0, 1e12), None) if m.what.startswith("time of a part"))
     assert not told.fits
     assert "run.part_hours" in told.do

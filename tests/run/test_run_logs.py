@@ -8,7 +8,7 @@ import pytest
 
 from fwclass.errors import InputError
 from fwclass.run.local import Loop
-from fwclass.run.logs import LIMIT, attempted, line, log_path
+from fwclass.run.logs import LIMIT, line, log_attempt, log_path
 from fwclass.run.part import Task, execute
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -75,7 +75,7 @@ def test_no_text_breaks_a_line():
 
 def test_a_log_is_bounded_and_keeps_the_newest(tmp_path):
     for k in range(400):
-        attempted(tmp_path, "one", "a", {"status": "failed", "attempt": k, "message": "x y" * 300})
+        log_attempt(tmp_path, "one", "a", {"status": "failed", "attempt": k, "message": "x y" * 300})
     path = log_path(tmp_path, "one", "a")
     rows = path.read_text().splitlines()
     assert path.stat().st_size <= LIMIT

@@ -14,10 +14,10 @@ from runmaker import SETTINGS
 from fwclass import conf
 from fwclass.errors import ConfigError
 from fwclass.operate.request import Request
-from fwclass.operate.seams.walk import Asked, seams
+from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.replay import task_alone
 from fwclass.operate.status.summary import NO_STAGES
-from fwclass.operate.status.walk import Looked, Silent, look_at
+from fwclass.operate.status.walk import RunStatus, Silent, look_at
 from fwclass.run.local import Loop
 from fwclass.run.progress import Display
 from fwclass.run.runner import Runner
@@ -125,7 +125,7 @@ def test_a_second_run_makes_nothing(fan, survey: Path) -> None:
     }
 
 
-def looked_at(name: str, survey: Path, root: Path, *settings: str) -> Looked:
+def looked_at(name: str, survey: Path, root: Path, *settings: str) -> RunStatus:
     config = conf.load("demo", (*SMALL, f"survey.directory={survey}", *settings))
     return look_at(root, lambda runner: WORKFLOWS[name](config, runner))
 
@@ -228,7 +228,7 @@ def test_status_replay_and_seams_of_a_run_that_chooses_its_features(xiong, surve
     work = task_alone(looked, "paper-judged/rf", Request("demo", str(root), workflow="xiong2018"))
     assert work.name == ("paper-judged", "rf")
     config = conf.load("demo", (*SMALL, f"survey.directory={survey}", *XIONG))
-    found = seams(config, root, Asked((31.0, 17.0), 0.5, None, None, "xiong2018"), Silent())
+    found = seams(config, root, SeamRequest((31.0, 17.0), 0.5, None, None, "xiong2018"), Silent())
     assert sum(s.differ for s in found.bounded) == 0 < sum(s.rows for s in found.bounded)
     assert {"features", "classify", "ground"} <= {s.stage for s in found.bounded}
 

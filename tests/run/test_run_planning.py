@@ -18,13 +18,13 @@ from fwclass import conf
 from fwclass.errors import ConfigError, InputError
 from fwclass.grid import Box
 from fwclass.operate.estimate.amounts import amounts
-from fwclass.operate.estimate.estimate import choices, estimated, proposed
-from fwclass.operate.estimate.headers import facts_of, sampled, survey_facts
+from fwclass.operate.estimate.estimate import choices, estimate_run, propose_size
+from fwclass.operate.estimate.headers import facts_of, sample_points, survey_facts
 from fwclass.operate.estimate.limits import Room, limits, refuse, room_at
-from fwclass.operate.estimate.measured import WHOLE, measured
+from fwclass.operate.estimate.measured import WHOLE, measure_costs
 from fwclass.operate.estimate.output import deliver
 from fwclass.operate.estimate.spread import Spread
-from fwclass.operate.estimate.whole import planned
+from fwclass.operate.estimate.whole import make_plan
 from fwclass.read.source import las_of, open_source
 from fwclass.store.run_store import Store
 
@@ -92,7 +92,7 @@ def test_a_sample_sees_that_a_strip_does_not_fill_its_bounds(tmp_path: Path) -> 
     rng = np.random.default_rng(0)
     along, across = np.sort(rng.uniform(0, 1000, 60_000)), rng.uniform(-50, 50, 60_000)
     slant = np.c_[(along + across) * 0.7071, (along - across) * 0.7071, np.zeros(60_000)]
-    told = sampled(las_of(open_source(cloud(tmp_path / "slant.las", slant, 3))), 20_000)
+    told = sample_points(las_of(open_source(cloud(tmp_path / "slant.las", slant, 3))), 20_000)
     assert told.points == 20_000 and told.returns_per_pulse == pytest.approx(3.0)
     assert told.density == pytest.approx(0.6, rel=0.15)  # 60 000 points on 1000 m x 100 m
     assert told.crowding == pytest.approx(0.6 / told.even, rel=0.15) and told.crowding > 4
@@ -100,7 +100,7 @@ def test_a_sample_sees_that_a_strip_does_not_fill_its_bounds(tmp_path: Path) -> 
 
 def test_points_in_no_order_tell_nothing_of_density(tmp_path: Path) -> None:
     xyz = np.random.default_rng(0).uniform(0, 100, (50_000, 3))
-    assert sampled(las_of(open_source(cloud(tmp_path / "a.las", xyz))), 5_000).crowding == 1.0
+    assert sample_points(las_of(open_source(cloud(tmp_path / "a.las", xyz))), 5_000).crowding == 1.0
 
 
 def test_a_header_without_bounds_is_told(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def walked(survey: Path, finished: tuple[Path, dict]):
     """The small survey's plan by the receipts of its whole run, the run's store and its report."""
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}"))
     root, report = finished
-    return planned(config, survey_facts(config, root), 0, room_at(root), Store(root)), Store(root), report
+    return make_plan(config, survey_facts(config, root), 0, room_at(root), Store(root)), Store(root), report
 
 
 def test_what_the_headers_tell_is_what_the_run_finds(walked) -> None:
@@ -125,26 +125,26 @@ def test_what_the_headers_tell_is_what_the_run_finds(walked) -> None:
     assert plan.counts.pulses.sum() == pytest.approx(counts["pulses"], rel=0.03)
     assert plan.counts.echoes.sum() == pytest.approx(counts["echoes_decomposed"], rel=0.1)
     assert plan.tiles.number == pytest.approx(counts["tiles"], abs=2)
-    assert {s.name for s in plan.made.stages} <= {s["name"] for s in report["stages"]} | {"pulse", "index"}
+    assert {s.name for s in plan.estimate.stages} <= {s["name"] for s in report["stages"]} | {"pulse", "index"}
 
 
 def test_every_stage_of_a_run_is_planned(walked) -> None:
     plan, _, report = walked
-    assert {s["name"] for s in report["stages"]} == {s.name for s in plan.made.stages}
-    assert plan.made.unknown == ()
+    assert {s["name"] for s in report["stages"]} == {s.name for s in plan.estimate.stages}
+    assert plan.estimate.unknown == ()
 
 
 def test_parts_are_as_many_as_the_run_had(walked) -> None:
     plan, _, report = walked
     parts = {s["name"]: s["parts"] for s in report["stages"]}
-    for stage in plan.made.stages:
+    for stage in plan.estimate.stages:
         assert stage.amount.parts == pytest.approx(parts[stage.name], rel=0.5, abs=5), stage.name
 
 
 def test_measured_costs_give_the_measured_time_and_disk_back(walked) -> None:
     """Times are set, as those of parts this small are mostly the machine's: 3 ms and 20 µs an echo."""
     plan, store, _ = walked
-    ran = [s.memory_mib for s in plan.made.stages if s.name in plan.measured.stages and s.name not in WHOLE]
+    ran = [s.memory_mib for s in plan.estimate.stages if s.name in plan.measured.stages and s.name not in WHOLE]
     assert set(plan.measured.stages) >= {"tile", "features", "classify", "publish-tile", "terrain"}
     assert max(ran) == pytest.approx(plan.measured.peak_mib) and plan.measured.peak_mib > 100
     echoes = {r.part: r.meta["rows"] for r in store.receipts("tile")}
@@ -156,8 +156,8 @@ def test_measured_costs_give_the_measured_time_and_disk_back(walked) -> None:
     config = plan.config
     costs = {n: c.model_copy(update={"part": 3.0}) for n, c in config.plan.stages.items()}
     timed = Timed(store.root)
-    costs = measured(timed, costs, amounts(config, plan.facts, config.tile.size)).costs
-    made = {s.name: s for s in estimated(config, plan.facts, config.tile.size, 2, costs).stages}
+    costs = measure_costs(timed, costs, amounts(config, plan.facts, config.tile.size)).costs
+    made = {s.name: s for s in estimate_run(config, plan.facts, config.tile.size, 2, costs).stages}
     for name in ("tile", "radiometry", "publish-tile"):
         assert costs[name].each == pytest.approx(20.0, abs=0.01), name
         assert made[name].seconds == pytest.approx(sum(r.seconds for r in timed.receipts(name)), rel=0.1), name
@@ -170,13 +170,13 @@ def test_a_stage_that_took_twice_as_long_costs_twice_as_much(walked) -> None:
     config = plan.config
     base = {n: c.model_copy(update={"part": 0.0}) for n, c in config.plan.stages.items()}
     made = amounts(config, plan.facts, config.tile.size)
-    once = measured(store, base, made)
+    once = measure_costs(store, base, made)
 
     class Slow(Store):
         def receipts(self, stage):
             return (replace(r, seconds=2 * r.seconds) for r in super().receipts(stage))
 
-    twice = measured(Slow(store.root), base, made)
+    twice = measure_costs(Slow(store.root), base, made)
     assert twice.seconds == pytest.approx(2 * once.seconds)
     for name in once.stages:
         assert twice.costs[name].each == pytest.approx(2 * once.costs[name].each, abs=0.002)
@@ -189,7 +189,7 @@ def test_larger_tiles_take_more_memory_and_have_fewer_parts(walked) -> None:
     features = [
         next(
             s.memory_mib
-            for s in estimated(plan.config, plan.facts, size, 2, plan.config.plan.stages).stages
+            for s in estimate_run(plan.config, plan.facts, size, 2, plan.config.plan.stages).stages
             if s.name == "features"
         )
         for size in (20.0, 50.0, 100.0)
@@ -203,9 +203,9 @@ def test_a_size_that_does_not_fit_is_not_proposed(walked) -> None:
     wide = choices(plan.config, plan.facts, 1, costs, 1e9)
     memory = {c.size: c.memory_mib for c in wide}
     tight = choices(plan.config, plan.facts, 1, costs, (memory[50.0] + memory[100.0]) / 2)
-    best = proposed(plan.config, tight)
+    best = propose_size(plan.config, tight)
     assert best is not None and best.size == 50.0 and not next(c for c in tight if c.size == 100.0).fits
-    assert proposed(plan.config, choices(plan.config, plan.facts, 1, costs, 1.0)) is None
+    assert propose_size(plan.config, choices(plan.config, plan.facts, 1, costs, 1.0)) is None
 
 
 NO_HALO = "terrain.max_gap=0 terrain.dsm_gap=0 terrain.block_halo=0"
@@ -227,11 +227,11 @@ def test_what_cannot_fit_is_refused_with_the_numbers(walked, survey, room, setti
         first = facts.box
         wide = Box(first.xmin, first.ymin, first.xmin + 1000.0, first.ymin + 1000.0)
         facts = replace(facts, sources=tuple(replace(s, bounds=wide) for s in facts.sources))
-    plan = planned(config, facts, workers, room)
+    plan = make_plan(config, facts, workers, room)
     with pytest.raises(ConfigError, match="does not fit") as fault:
         refuse(list(plan.limits), config.path)
     assert told in fault.value.got and "needed" in fault.value.got and fault.value.exit_code == 2
-    refuse(limits(walked[0].config, walked[0].made, 0, ROOM, None), "")
+    refuse(limits(walked[0].config, walked[0].estimate, 0, ROOM, None), "")
 
 
 def test_polygons_are_the_tiles_and_their_halos(walked, tmp_path: Path) -> None:

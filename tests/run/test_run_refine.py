@@ -13,7 +13,7 @@ from runmaker import SETTINGS, delivered, looked, walk
 
 from fwclass import conf
 from fwclass.errors import ConfigError
-from fwclass.operate.seams.walk import Asked, seams
+from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent
 from fwclass.run.cluster import Cluster
 from fwclass.store.models import load_model
@@ -106,7 +106,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes_with_one_worker(survey, refined,
 def test_seams_are_none_and_the_stages_are_compared(survey, refined):
     settings = (*SETTINGS, f"survey.directory={survey}", "seams.width=4", "seams.share=1", *LAYER)
     config = conf.load("demo", settings)
-    found = seams(config, refined[0], Asked((50.0, 50.0), config.seams.share, None, None), Silent())
+    found = seams(config, refined[0], SeamRequest((50.0, 50.0), config.seams.share, None, None), Silent())
     stages = {s.stage: s for s in found.bounded}
     assert {"coarse", "refine", "classify"} <= set(stages)
     assert all(s.differ == 0 for s in found.bounded)

@@ -14,9 +14,9 @@ from fwclass import conf
 from fwclass.errors import ConfigError, QualityError, StoreError
 from fwclass.features.params import Asked as Features
 from fwclass.operate.seams.differ import Seam, differs
-from fwclass.operate.seams.places import chosen, places, shift_of
+from fwclass.operate.seams.places import choose_squares, places, shift_of
 from fwclass.operate.seams.summary import as_data, as_text
-from fwclass.operate.seams.walk import Asked, seams
+from fwclass.operate.seams.walk import SeamRequest, seams
 from fwclass.operate.status.walk import Silent, look_at
 from fwclass.run.inputs import PartInputs
 from fwclass.store.lock import writer
@@ -30,7 +30,7 @@ SMALL = "tile.size=30"
 
 def measured(survey, root, *settings, shift=(50.0, 50.0), tiles=None):
     config = conf.load("demo", (*SETTINGS, f"survey.directory={survey}", *CHECK, *settings))
-    return seams(config, root, Asked(shift, config.seams.share, None, tiles), Silent())
+    return seams(config, root, SeamRequest(shift, config.seams.share, None, tiles), Silent())
 
 
 @pytest.fixture
@@ -213,10 +213,10 @@ def test_borders_are_drawn_by_share_length_and_seed():
     here = places(keys, 100.0, (50.0, 50.0), 5.0)
     total = sum(p.length for p in here)
     assert total == pytest.approx(18_000.0)
-    some = chosen(here, 0.1, None, 1)
+    some = choose_squares(here, 0.1, None, 1)
     assert 1_800 <= sum(p.length for p in some) < 2_000
-    assert some == chosen(here[::-1], 0.1, None, 1) != chosen(here, 0.1, None, 2)
-    assert len(chosen(here, 0.1, 1.0, 1)) == 1 and len(chosen(here, 1.0, None, 1)) == len(here)
+    assert some == choose_squares(here[::-1], 0.1, None, 1) != choose_squares(here, 0.1, None, 2)
+    assert len(choose_squares(here, 0.1, 1.0, 1)) == 1 and len(choose_squares(here, 1.0, None, 1)) == len(here)
     assert replace(some[0]) in here
 
 

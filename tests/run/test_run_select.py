@@ -24,8 +24,8 @@ from fwclass.schema import Table, canonical_key
 from fwclass.store.run_store import Store
 from fwclass.study.select import output
 from fwclass.study.select.sample import TRAINING, training_of
+from fwclass.study.select.thinning import thinning
 from fwclass.study.selection import selection
-from fwclass.study.thinning import thinning
 
 CANDIDATES = ("zc", "echo_number", "amplitude", "inclination_r100", "width")
 SMALL = ("select.block=15", "select.trees=5", "select.samples_per_class=500", "select.timing_repeats=1")

@@ -26,10 +26,10 @@ def walk(ticks, moments):
     """The moments at which a run is due, each taken at once."""
     ran = []
     for moment in moments:
-        ticks = ticks.seen(moment)
+        ticks = ticks.follow_clock(moment)
         if ticks.wait(moment) <= 0:
             ran.append(moment)
-            ticks = ticks.taken(moment)
+            ticks = ticks.after_run(moment)
     return ran, ticks
 
 
@@ -40,7 +40,7 @@ def test_an_interval_begins_at_once_and_keeps_its_grid():
 
 @pytest.mark.parametrize("late", [10.0, 25.0, 1e6])
 def test_missed_ticks_of_an_interval_are_one_run(late):
-    ticks = Interval(10.0, 100.0).taken(Now(0.0, 100.0))
+    ticks = Interval(10.0, 100.0).after_run(Now(0.0, 100.0))
     ran, ticks = walk(ticks, [Now(0.0, 100.0 + late + k / 10) for k in range(40)])
     assert len(ran) == 1 and 0.0 < ticks.wait(ran[0]) <= 10.0
     assert (ticks.due - 100.0) % 10.0 == pytest.approx(0.0, abs=1e-6)

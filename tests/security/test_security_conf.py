@@ -11,7 +11,7 @@ import pytest
 
 from fwclass import conf
 from fwclass.cli import main  # noqa: F401 - what a command would have loaded is not counted
-from fwclass.conf.files import merged, plain, read
+from fwclass.conf.files import merge, plain, read
 from fwclass.conf.sets import feature_set
 from fwclass.errors import ConfigError
 
@@ -111,7 +111,7 @@ def refused(name: str, value: float) -> bool:
     for key in reversed(name.split(".")[1:]):
         change = {key: change}
     try:
-        conf.checked(section, merged(BASE[section], change), "here")
+        conf.checked(section, merge(BASE[section], change), "here")
     except ConfigError:
         return True
     return False

@@ -8,7 +8,7 @@ import pytest
 from objectstore import Server, Trouble, quick
 
 from fwclass.errors import ConfigError, StoreError
-from fwclass.store.objects import Mark, Objects, Wanted
+from fwclass.store.objects import Download, Mark, Objects
 from fwclass.store.refusals import LostRace
 from fwclass.store.url import Url, url_of
 
@@ -25,7 +25,7 @@ def test_what_is_put_is_got_listed_copied_and_deleted(objects: Objects, tmp_path
     objects.copy("x/two", "y/two")
     sizes = {held.key: held.size for held in objects.list()}
     assert sizes == {"x/one #1": 1, "x/two": 10_240_003, "y/two": 10_240_003}
-    objects.fetch([Wanted("y/two", 10_240_003, tmp_path / "back"), Wanted("x/one #1", 1, tmp_path / "one")])
+    objects.fetch([Download("y/two", 10_240_003, tmp_path / "back"), Download("x/one #1", 1, tmp_path / "one")])
     assert (tmp_path / "back").read_bytes() == (tmp_path / "large").read_bytes()
     assert (tmp_path / "one").read_bytes() == b"1"
     objects.delete(["x/two", "y/two", "never there"])
@@ -66,7 +66,7 @@ def test_a_server_in_trouble_for_a_while_is_waited_for(s3: Server, objects: Obje
         objects.put("a", data)
         assert objects.get("a")[0] == data
         assert [held.key for held in objects.list()] == ["a"]
-        objects.fetch([Wanted("a", len(data), tmp_path / "a")])
+        objects.fetch([Download("a", len(data), tmp_path / "a")])
     assert (tmp_path / "a").read_bytes() == data
 
 

@@ -7,7 +7,7 @@ from objectstore import Server, quick
 
 from fwclass.errors import InputError
 from fwclass.store.atomic import file_digest
-from fwclass.store.remote_file import directory_outside, found_outside, local
+from fwclass.store.remote_file import directory_outside, find_remote, local
 from fwclass.store.url import Url
 
 NAMES = ("strips/a.las", "strips/a.wdp", "strips/A2.LAS", "strips/a.txt", "strips/deep/b.las", "flight.csv", "o[1].las")
@@ -37,12 +37,12 @@ def survey(s3: Server) -> Url:
     ],
 )
 def test_patterns_mean_what_they_mean_on_a_disk(survey: Url, pattern: str, found: list[str]) -> None:
-    made = found_outside(pattern, survey, quick())
+    made = find_remote(pattern, survey, quick())
     assert sorted(str(one.url).removeprefix(f"{survey}/") for one in made) == found
 
 
 def test_a_file_comes_with_what_belongs_to_it_and_only_once(s3: Server, survey: Url) -> None:
-    [strip] = found_outside("strips/a.las", survey, quick())
+    [strip] = find_remote("strips/a.las", survey, quick())
     assert [name for name, _, _ in strip.held] == ["a.las", "a.wdp"]
     path = local(strip)
     assert (path.read_text(), path.with_suffix(".wdp").read_text()) == ("strips/a.las", "strips/a.wdp")
@@ -59,7 +59,7 @@ def test_a_directory_comes_whole(s3: Server, survey: Url) -> None:
 
 @pytest.mark.faults
 def test_a_file_that_changes_under_the_run_stops_its_part(s3: Server, survey: Url) -> None:
-    [strip] = found_outside("strips/a.las", survey, quick())
+    [strip] = find_remote("strips/a.las", survey, quick())
     s3.write(survey / "strips/a.las", b"redelivered!")  # as many bytes
     with pytest.raises(InputError, match=r"changed or removed while the run"):
         local(strip)
@@ -69,7 +69,7 @@ def test_a_file_that_changes_under_the_run_stops_its_part(s3: Server, survey: Ur
 
 
 def test_a_file_with_other_bytes_than_planned_stops_its_part(survey: Url) -> None:
-    [strip] = found_outside("strips/a.las", survey, quick())
+    [strip] = find_remote("strips/a.las", survey, quick())
     with pytest.raises(InputError, match=r"changed or removed while the run"):
         local(strip, {"a.las": "0" * 32})
     digest = file_digest(local(strip))

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from fwclass.model.ranges import RANGES, Outside, ranges_of, shares
+from fwclass.model.ranges import RANGES, RangeCounter, ranges_of, shares
 
 NAMES = ("amplitude", "zc", "width")
 
@@ -20,7 +20,7 @@ def rows(n=20_000, seed=0):
 
 
 def counted(card, *pieces):
-    outside = Outside.of(card, NAMES)
+    outside = RangeCounter.of(card, NAMES)
     for X in pieces:
         outside.add(X)
     return outside.counts()
@@ -52,7 +52,7 @@ def test_pieces_in_any_order_count_the_same():
 
 @pytest.mark.parametrize("ranges", [None, 7, [], "x", {"amplitude": 3}, {"amplitude": ["a", "b"]}, {"zc": [1]}, {}])
 def test_a_card_that_says_nothing_counts_nothing(ranges):
-    outside = Outside.of({RANGES: ranges}, NAMES)
+    outside = RangeCounter.of({RANGES: ranges}, NAMES)
     if outside is not None:
         outside.add(rows())
         assert not outside.outside.any()

@@ -71,7 +71,7 @@ from fwclass.train.sample import Sample
 from fwclass.train.stage import grow_tree, grow_trees, out_of_bag, train
 from fwclass.units import METRES_PER_NS
 from fwclass.view.blocks import block
-from fwclass.view.pyramid import Pyramid, levels_of, placed
+from fwclass.view.pyramid import Pyramid, levels_of, order_blocks
 from fwclass.voxels.traversal import follow
 
 EAST, NORTH = 512_000.0, 5_403_200.0
@@ -446,7 +446,9 @@ def work_blocks_of_the_viewer(_: Path) -> Any:
     rng = np.random.default_rng(7)
     places = rng.uniform(0, 100, (3, 300))
     pyramid = Pyramid.over(np.array([[0, 0], [1, 1]]), 300, 50.0, 40, 300)
-    order, nodes = placed(pyramid, levels_of(pyramid, rng.integers(0, 2**64, 300, np.uint64)), places[0], places[1])
+    order, nodes = order_blocks(
+        pyramid, levels_of(pyramid, rng.integers(0, 2**64, 300, np.uint64)), places[0], places[1]
+    )
     echoes = {
         **dict(zip("xyz", places, strict=True)),
         "classification": rng.integers(0, 256, 300).astype(np.uint8),

@@ -10,7 +10,7 @@ import pytest
 
 from fwclass.view.blocks import BYTES, DRAWN, HEAD, STEP, Scale, block, column_block, nothing
 from fwclass.view.cache import Cache
-from fwclass.view.pyramid import Pyramid, levels_of, placed
+from fwclass.view.pyramid import Pyramid, levels_of, order_blocks
 
 SIZE = 50.0
 TILES = np.array([[10, 20], [11, 20], [10, 21], [12, 22]])
@@ -53,7 +53,7 @@ def test_every_echo_is_in_one_block_where_it_lies(echoes: int, size: int, togeth
     c = cloud(echoes)
     pyramid = Pyramid.over(TILES, echoes, SIZE, size, together)
     level = levels_of(pyramid, c["rank"])
-    order, nodes = placed(pyramid, level, c["x"], c["y"])
+    order, nodes = order_blocks(pyramid, level, c["x"], c["y"])
     assert sorted(order) == list(range(echoes))
     assert {n[0] for n in nodes} <= {k for k in pyramid.levels() if k <= pyramid.coarse or k >= pyramid.own}
     assert (level <= pyramid.coarse).sum() <= 2 * together + 200

@@ -34,10 +34,12 @@ class Delivery:
 
     @property
     def name(self) -> str:
+        """Run and generation, as text."""
         return f"{self.run} {self.generation.name}"
 
     @property
     def classes(self) -> dict[int, str]:
+        """Names of the classes by code."""
         return {int(c["code"]): str(c["name"]) for c in self.report["classes"]}
 
 
@@ -77,16 +79,16 @@ def deliveries(run: Path, others: Sequence[str]) -> tuple[Delivery, Delivery]:
 
 def _delivery(run: Path, number: int | None) -> Delivery:
     """Generation `number` of a run, the current one for None."""
-    kept = Store(run, read_only=True).generations
+    generations = Store(run, read_only=True).generations
     if number is None:
-        chosen = kept.current()
+        chosen = generations.current()
     else:
-        chosen = next((g for g in kept.all() if g.number == number), None)
+        chosen = next((g for g in generations.all() if g.number == number), None)
     if chosen is None:
         raise ConfigError(
             "the run has no such delivery" if number is not None else "nothing was delivered there",
             where=run,
-            expected="one of " + (", ".join(g.name for g in kept.all()) or "none"),
+            expected="one of " + (", ".join(g.name for g in generations.all()) or "none"),
             got=number,
             do="fwclass history lists what was delivered; run.keep_generations says how many stay",
         )

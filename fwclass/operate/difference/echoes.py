@@ -35,10 +35,12 @@ class ClassChanges:
 
     @property
     def common(self) -> int:
+        """Number of echoes that both deliveries have."""
         return int(self.matrix.sum())
 
     @property
     def changed(self) -> int:
+        """Number of common echoes with another class."""
         return self.common - int(np.trace(self.matrix))
 
     def places(self) -> list[tuple[Box, int]]:
@@ -62,11 +64,13 @@ def class_changes(first: Path, second: Path, sizes: tuple[float, float]) -> Clas
     changes = ClassChanges()
     only = np.zeros(2, np.int64)
     for before, after in _pairs(first, second, sizes):
-        _, mine, theirs = np.intersect1d(_keys(before), _keys(after), assume_unique=True, return_indices=True)
-        only += before.rows - len(mine), 0
-        was, now = before["classification"][mine], after["classification"][theirs]
+        _, first_rows, second_rows = np.intersect1d(
+            _keys(before), _keys(after), assume_unique=True, return_indices=True
+        )
+        only += before.rows - len(first_rows), 0
+        was, now = before["classification"][first_rows], after["classification"][second_rows]
         changes.matrix += np.bincount(was.astype(np.int64) * 256 + now, minlength=1 << 16).reshape(256, 256)
-        differ = mine[was != now]
+        differ = first_rows[was != now]
         column, row = TileGrid(CELL).indices(before["x"][differ], before["y"][differ])
         changes.cells.update(zip(column.tolist(), row.tolist(), strict=True))
     only[1] = _rows(second) - changes.common
@@ -77,11 +81,11 @@ def class_changes(first: Path, second: Path, sizes: tuple[float, float]) -> Clas
 def _pairs(first: Path, second: Path, sizes: tuple[float, float]) -> Iterator[tuple[Table, Table]]:
     """Every tile of the first delivery with the echoes of the second that may lie in it."""
     there = {path.stem for path in second.glob("*.parquet")}
-    kept = lru_cache(maxsize=16)(lambda key: read_table(second / f"{key}.parquet", _COLUMNS))
-    mine, theirs = (TileGrid(size) for size in sizes)
+    second_table = lru_cache(maxsize=16)(lambda key: read_table(second / f"{key}.parquet", _COLUMNS))
+    first_grid, second_grid = (TileGrid(size) for size in sizes)
     for path in sorted(first.glob("*.parquet")):
-        box = mine.tile(path.stem).box
-        near = [kept(t.key) for t in theirs.touching(box) if t.key in there]
+        box = first_grid.tile(path.stem).box
+        near = [second_table(t.key) for t in second_grid.touching(box) if t.key in there]
         inside = [t.take(box.contains(t["x"], t["y"])) for t in near]
         joined = Table({n: np.concatenate([t[n] for t in inside]) for n in _COLUMNS}) if inside else None
         yield read_table(path, _COLUMNS), joined if joined is not None else Table.empty(_COLUMNS)

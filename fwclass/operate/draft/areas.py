@@ -49,8 +49,8 @@ class ClassPlaces:
         """Cells (n, 2) that hold points of `classes` (codes of each), a cell once for each class, and points (n,
         classes) in them."""
         index = {code: k for k, codes in enumerate(classes) for code in codes}
-        held = [(i, j, index[code], n) for (i, j, code), n in self.counts.items() if code in index]
-        table = np.array(held, np.int64).reshape(-1, 4)
+        squares = [(i, j, index[code], n) for (i, j, code), n in self.counts.items() if code in index]
+        table = np.array(squares, np.int64).reshape(-1, 4)
         points = np.zeros((len(table), len(classes)), np.int64)
         points[np.arange(len(table)), table[:, 2]] = table[:, 3]
         return table[:, :2], points

@@ -23,7 +23,7 @@ from fwclass.features.params import Asked, is_feature
 from fwclass.operate.draft.areas import ClassPlaces, Split, best_split, outer_box
 from fwclass.operate.estimate.headers import survey_facts
 from fwclass.operate.estimate.limits import room_at
-from fwclass.operate.estimate.whole import planned
+from fwclass.operate.estimate.whole import make_plan
 from fwclass.read.info import info
 from fwclass.read.las import LasSource
 from fwclass.read.points import PointReader, coordinates
@@ -79,6 +79,7 @@ class Holdings:
 
     @cached_property
     def waveforms(self) -> bool:
+        """Any of the files has waveforms."""
         return any(f.get("waveforms") for f in self.facts)
 
     @cached_property
@@ -100,25 +101,25 @@ def _system(crs: Mapping[str, Any] | None) -> str:
 
 def look_into(files: Iterable[Path]) -> Holdings:
     """Read all `files` once more than their headers: classes and where they lie."""
-    held = Holdings()
+    holdings = Holdings()
     for path in files:
         if is_polygon_file(path) and not is_beam_file(path):
-            held.polygons.append(path)
+            holdings.polygons.append(path)
             continue
         facts = info(path)
-        held.facts.append(facts)
+        holdings.facts.append(facts)
         if set(facts.get("classes") or ()) - {"0"}:
-            _count_places(path, held)
-    if not held.facts or not held.records:
+            _count_places(path, holdings)
+    if not holdings.facts or not holdings.records:
         raise InputError(
             "no file of points or pulses that holds any",
-            where=", ".join(str(f["path"]) for f in held.facts[:3]) or None,
+            where=", ".join(str(f["path"]) for f in holdings.facts[:3]) or None,
             do="name the survey's LAS, LAZ or waveform files",
         )
-    return held
+    return holdings
 
 
-def _count_places(path: Path, held: Holdings) -> None:
+def _count_places(path: Path, holdings: Holdings) -> None:
     source = open_source(path)
     if not isinstance(source, LasSource):
         return
@@ -126,8 +127,8 @@ def _count_places(path: Path, held: Holdings) -> None:
         for _, points in reader.blocks():
             x, y, _ = coordinates(source, points)
             codes = np.asarray(points["classification"], np.uint8)
-            held.places.add(x, y, codes)
-            held.codes.update(dict(enumerate(np.bincount(codes).tolist())))
+            holdings.places.add(x, y, codes)
+            holdings.codes.update(dict(enumerate(np.bincount(codes).tolist())))
 
 
 @dataclass(frozen=True)
@@ -146,35 +147,35 @@ def draft(files: Sequence[Path], beside: Path, name: str | None = None) -> Draft
     InputError
         A file cannot be read, or none holds points or pulses.
     """
-    held = look_into(files)
-    paths = [Path(f["path"]) for f in held.facts]
-    features = "default-waveform" if held.waveforms else "default"
-    classes, left, split = proposed(held, features)
+    holdings = look_into(files)
+    paths = [Path(f["path"]) for f in holdings.facts]
+    features = "default-waveform" if holdings.waveforms else "default"
+    classes, left, split = propose_classes(holdings, features)
     directory, patterns = sources_of(paths, beside)
     lines = [
-        *_head(held),
+        *_head(holdings),
         "survey:",
         f"  name: {json.dumps(name or _name_of(paths))}",
         f"  directory: {json.dumps(directory)}    # of the sources, relative to this file",
         f"  sources: {json.dumps(patterns)}",
-        *_system_lines(held),
-        *_label_lines(held, classes, left),
+        *_system_lines(holdings),
+        *_label_lines(holdings, classes, left),
         f"  features: {features}    # a set of `fwclass features --list`, or a list of columns",
         *_area_lines(classes, split),
-        *(WITH_WAVEFORMS if held.waveforms else ()),
+        *(WITH_WAVEFORMS if holdings.waveforms else ()),
     ]
     text = "\n".join(lines) + "\n"
-    return Draft(text + _tile_lines(text, beside), tuple(_lacks(held, classes)))
+    return Draft(text + _tile_lines(text, beside), tuple(_lacks(holdings, classes)))
 
 
-def proposed(held: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], Split | None]:
+def propose_classes(holdings: Holdings, features: str) -> tuple[list[Meaning], dict[str, str], Split | None]:
     """Classes to learn; why others were left out; where to train."""
-    classes = [m for m in MEANINGS if sum(held.codes[c] for c in m.codes) >= LEAST]
-    left = _left_out(held.codes, classes)
-    bounds = [f["bounds"] for f in held.facts if f.get("bounds")]
+    classes = [m for m in MEANINGS if sum(holdings.codes[c] for c in m.codes) >= LEAST]
+    left = _left_out(holdings.codes, classes)
+    bounds = [f["bounds"] for f in holdings.facts if f.get("bounds")]
     split = None
     while len(classes) > 1:
-        split = best_split(held.places, [c.codes for c in classes], outer_box(bounds), gap_of(features))
+        split = best_split(holdings.places, [c.codes for c in classes], outer_box(bounds), gap_of(features))
         if split is None:
             break
         both = (split.train >= LEAST / 10) & (split.test >= LEAST / 10)
@@ -189,10 +190,10 @@ def proposed(held: Holdings, features: str) -> tuple[list[Meaning], dict[str, st
 def _left_out(codes: Counter[int], classes: Sequence[Meaning]) -> dict[str, str]:
     """Why codes that the files hold are in no class."""
     known = {code: m for m in MEANINGS for code in m.codes}
-    taken = {code for m in classes for code in m.codes}
+    covered = {code for m in classes for code in m.codes}
     left = {}
     for code, n in sorted(codes.items()):
-        if n and code not in taken:
+        if n and code not in covered:
             words = NO_CLASS.get(code) or (known[code].name if code in known else "no code of the LAS specification")
             left[str(code)] = f"{words}, {n:,} points"
     return left
@@ -228,30 +229,30 @@ def _name_of(paths: Sequence[Path]) -> str:
     return re.sub(r"[^\w .-]", "-", home).lstrip("- .")[:100] or "survey"
 
 
-def _head(held: Holdings) -> list[str]:
+def _head(holdings: Holdings) -> list[str]:
     """What the files are, and what is wrong with them, as comments."""
-    files, area = len(held.facts), held.places.area
-    density = f", {sum(held.codes.values()) / area:.1f}/m2 on {area / 1e6:.3g} km2" if area else ""
-    waves = ", with waveforms" if held.waveforms else ""
-    lines = [f"# Drafted by `fwclass init` from {files} files: {held.records:,} points or pulses{density}{waves}."]
-    for facts in held.facts:
+    files, area = len(holdings.facts), holdings.places.area
+    density = f", {sum(holdings.codes.values()) / area:.1f}/m2 on {area / 1e6:.3g} km2" if area else ""
+    waves = ", with waveforms" if holdings.waveforms else ""
+    lines = [f"# Drafted by `fwclass init` from {files} files: {holdings.records:,} points or pulses{density}{waves}."]
+    for facts in holdings.facts:
         faults = facts.get("faults") or []
         lines += [f"# ! {visible(Path(facts['path']).name)}: {visible(str(fault))}" for fault in faults[:SHOWN]]
     return lines
 
 
-def _system_lines(held: Holdings) -> list[str]:
-    systems = {visible(name): count for name, count in held.systems().items()}
+def _system_lines(holdings: Holdings) -> list[str]:
+    systems = {visible(name): count for name, count in holdings.systems().items()}
     if len(systems) == 1 and "none" not in systems:
         return [f"  crs: null    # all files: {next(iter(systems))}"]
     words = ", ".join(f"{name} ({count} files)" for name, count in systems.items())
     return [f"  crs: null    # TO DO: give one for all, e.g. EPSG:25832; the files name: {words}"]
 
 
-def _label_lines(held: Holdings, classes: Sequence[Meaning], left: Mapping[str, str]) -> list[str]:
+def _label_lines(holdings: Holdings, classes: Sequence[Meaning], left: Mapping[str, str]) -> list[str]:
     lines = []
-    if held.polygons:
-        names = json.dumps([str(p) for p in held.polygons])
+    if holdings.polygons:
+        names = json.dumps([str(p) for p in holdings.polygons])
         lines += [f"  # reference: {{kind: polygons, files: {names}, field: class}}    # docs/labels.md"]
     if len(classes) < 2:
         lines += ["  # TO DO: labels (docs/labels.md) or a trained model (`model: path/to/model`)"]
@@ -260,7 +261,7 @@ def _label_lines(held: Holdings, classes: Sequence[Meaning], left: Mapping[str, 
     ]
     lines += ["  classes:" if classes else "  classes: []"]
     for one in classes:
-        count = sum(held.codes[c] for c in one.codes)
+        count = sum(holdings.codes[c] for c in one.codes)
         lines += [f"    - {{name: {one.name}, code: {one.code}, codes: [{_codes(one)}]}}    # {count:,} points"]
     return lines + [f"    # not a class: {code} ({words})" for code, words in left.items()]
 
@@ -289,7 +290,7 @@ def _tile_lines(text: str, beside: Path) -> str:
         file.flush()
         try:
             config = conf.load(file.name)
-            plan = planned(config, survey_facts(config, beside), config.run.workers, room_at(beside))
+            plan = make_plan(config, survey_facts(config, beside), config.run.workers, room_at(beside))
         except FwclassError:
             return ""  # what is missing stands in the notes; `fwclass plan` says the rest
     if plan.best is None or plan.best.size == config.tile.size:
@@ -297,9 +298,9 @@ def _tile_lines(text: str, beside: Path) -> str:
     return f"\ntile:\n  size: {plan.best.size:g}    # m, by `fwclass plan`\n"
 
 
-def _lacks(held: Holdings, classes: Sequence[Meaning]) -> Iterator[str]:
+def _lacks(holdings: Holdings, classes: Sequence[Meaning]) -> Iterator[str]:
     """What the draft needs before it runs."""
-    systems = held.systems()
+    systems = holdings.systems()
     if len(systems) > 1 or "none" in systems:
         yield "no coordinate system that all files name: set survey.crs"
     if len(classes) < 2:

@@ -103,9 +103,9 @@ def _features_of_model(config: Config) -> tuple[str, ...]:
     """Of the model that is given, wherever it lies; it is opened once."""
     key = (config.path, config.survey.model)
     if key not in _known:
-        given = given_model(config)
+        model = given_model(config)
         _known.clear()
-        _known[key] = load_model(local(given[0])).features if given else ()
+        _known[key] = load_model(local(model[0])).features if model else ()
     return _known[key]
 
 
@@ -166,10 +166,10 @@ class _Quantities:
             points = self.facts.reference_points
             most = min(points, CLOUD_ROWS)
             return Amount(math.ceil(points / CLOUD_ROWS), points, most, most) if points else None
-        asked = self.config.survey
+        survey = self.config.survey
         if stage is READ_CORRECTIONS:  # the run directory may have some, and they take next to nothing
-            return Amount(1, 1.0, 1.0, 1.0) if asked.reference.corrections else None
-        number = len(asked.trajectory.files if stage.name == READ_TRAJECTORY.name else asked.reference.files)
+            return Amount(1, 1.0, 1.0, 1.0) if survey.reference.corrections else None
+        number = len(survey.trajectory.files if stage.name == READ_TRAJECTORY.name else survey.reference.files)
         return Amount(number, float(number), 1.0, 1.0)
 
     def _of_strips(self, stage: Stage, plan: Plan) -> Amount | None:
@@ -186,8 +186,8 @@ class _Quantities:
 
     def _of_chunks(self, stage: Stage, plan: Plan) -> Amount | None:
         counts, chunk = self.counts, self._chunk()
-        mine = np.ones(len(counts.pulses), bool) if stage.waves is None else counts.waves == stage.waves
-        pulses = counts.pulses[mine]
+        chosen = np.ones(len(counts.pulses), bool) if stage.waves is None else counts.waves == stage.waves
+        pulses = counts.pulses[chosen]
         number = int((pulses // self.config.read.chunk_pulses + 1).sum())
         return Amount(number, float(pulses.sum()), min(chunk, float(pulses.max())), chunk) if len(pulses) else None
 

@@ -66,6 +66,7 @@ class Estimate:
 
     @property
     def bytes(self) -> float:
+        """Bytes of all parts together."""
         return sum(s.bytes for s in self.stages)
 
     @property
@@ -75,10 +76,11 @@ class Estimate:
 
     @property
     def tiles(self) -> int:
+        """Number of tiles."""
         return next(s.amount.parts for s in self.stages if s.name == "tile")
 
 
-def estimated(
+def estimate_run(
     config: Config, facts: SurveyFacts, size: float, workers: int, costs: Costs, stages: Sequence[Stage] = STAGES
 ) -> Estimate:
     """The run of `stages` with tiles of `size` [m]; those that `costs` does not know are told in `unknown`."""
@@ -125,13 +127,13 @@ def choices(
         if math.prod(map(len, held_squares(boxes, size))) > MOST_SQUARES / 2:
             continue
         TileGrid(size)
-        estimate = estimated(config, facts, size, workers, costs, stages)
+        estimate = estimate_run(config, facts, size, workers, costs, stages)
         memory, enough = estimate.largest.memory_mib, estimate.tiles >= config.plan.tiles_per_worker * max(1, workers)
         choices_by_size.append(Choice(size, estimate.tiles, estimate.wall, memory, enough, memory <= allowed_mib))
     return choices_by_size
 
 
-def proposed(config: Config, choices: list[Choice]) -> Choice | None:
+def propose_size(config: Config, choices: list[Choice]) -> Choice | None:
     """The size that is fastest of those that fit and leave no worker idle; the one that is set where it is as good.
 
     None where no size fits: memory is short somewhere else.

@@ -59,6 +59,7 @@ class SourceFacts:
 
     @property
     def records(self) -> int:
+        """Points, or pulses of a file that has no points."""
         return self.points or self.pulses
 
     @property
@@ -103,6 +104,7 @@ class SurveyFacts:
 
     @property
     def box(self) -> Box:
+        """What holds all files."""
         boxes = [s.bounds for s in self.sources]
         return Box(
             min(b.xmin for b in boxes),
@@ -144,7 +146,7 @@ def survey_facts(config: Config, root: Path) -> SurveyFacts:
         reference = sum(open_source(local(p)).n_points for p in files)
     sources = tuple(_with_places(facts_of(s), s) for s in full)
     largest, of_it = max(zip(full, sources, strict=True), key=lambda pair: pair[0].n_points)
-    sample = sampled(largest, config.plan.sample_points, of_it) if isinstance(largest, LasSource) else None
+    sample = sample_points(largest, config.plan.sample_points, of_it) if isinstance(largest, LasSource) else None
     return SurveyFacts(sources, reference, crs, sample)
 
 
@@ -187,7 +189,7 @@ def _with_places(facts: SourceFacts, source: Source) -> SourceFacts:
     return replace(facts, places=tuple((joint_box(boxes), float(n)) for boxes, n in places))
 
 
-def sampled(source: LasSource, points: int, facts: SourceFacts | None = None) -> Sample:
+def sample_points(source: LasSource, points: int, facts: SourceFacts | None = None) -> Sample:
     """The middle `points` of a file."""
     first = max(0, (source.n_points - points) // 2)
     with PointReader(source) as reader:
@@ -195,8 +197,8 @@ def sampled(source: LasSource, points: int, facts: SourceFacts | None = None) ->
     x, y, _ = coordinates(source, read)
     even = source.n_points / max(1.0, sum(b.area for b, _ in (facts or facts_of(source)).where))
     edge = math.sqrt(PER_CELL / even)
-    _, held = np.unique(np.c_[np.floor(x / edge), np.floor(y / edge)], axis=0, return_counts=True)
-    others = float((held * (held - 1)).sum()) / len(x)  # as points meet it: rims count little, chance nothing
+    _, counts = np.unique(np.c_[np.floor(x / edge), np.floor(y / edge)], axis=0, return_counts=True)
+    others = float((counts * (counts - 1)).sum()) / len(x)  # as points meet it: rims count little, chance nothing
     returns = np.maximum(1, np.asarray(read["number_of_returns"], np.int64))
     return Sample(source.path, len(x), others / edge**2, even, len(x) / float((1.0 / returns).sum()))
 

@@ -35,10 +35,12 @@ class Limit:
 
     @property
     def fits(self) -> bool:
+        """What is needed is allowed."""
         return self.needed <= self.allowed
 
     @property
     def text(self) -> str:
+        """Both numbers in words."""
         return f"{self.what}: {self.needed:,.0f} {self.unit} needed, {self.allowed:,.0f} {self.unit} allowed"
 
 

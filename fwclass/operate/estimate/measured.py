@@ -21,7 +21,7 @@ WHOLE = frozenset(s.name for s in STAGES if s.over == "survey")
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredCosts:
     """What a dry run told.
 
     Attributes
@@ -40,7 +40,7 @@ class Measured:
     peak_mib: float
 
 
-def measured(store: Store, costs: Costs, work: Mapping[str, Amount]) -> Measured:
+def measure_costs(store: Store, costs: Costs, work: Mapping[str, Amount]) -> MeasuredCosts:
     """Costs from all receipts of `store`.
 
     A stage's time of a unit is the median over its parts, less what a part costs that holds nothing, so that the parts
@@ -57,16 +57,18 @@ def measured(store: Store, costs: Costs, work: Mapping[str, Amount]) -> Measured
         observed = [(r.seconds, units[r.part], _bytes(r)) for r in receipts if units.get(r.part, 0) > 0]
         if observed and directory.name in by_stage:
             by_stage[directory.name] = _cost(by_stage[directory.name], observed)
-    return Measured(by_stage, tuple(sorted(n for n in by_stage if by_stage[n] != costs[n])), parts, seconds, peak)
+    return MeasuredCosts(by_stage, tuple(sorted(n for n in by_stage if by_stage[n] != costs[n])), parts, seconds, peak)
 
 
-def measured_base(measured_costs: Measured, estimate: Estimate, base_mib: float) -> float:
+def measured_base(measured_costs: MeasuredCosts, estimate: Estimate, base_mib: float) -> float:
     """Memory of a worker that holds nothing [MiB], so that the most reckoned for what ran is what it took.
 
     `estimate` was reckoned with `base_mib`.
     """
-    held = [s.memory_mib - base_mib for s in estimate.stages if s.name in measured_costs.stages and s.name not in WHOLE]
-    return max(0.0, measured_costs.peak_mib - max(held, default=0.0))
+    needs = [
+        s.memory_mib - base_mib for s in estimate.stages if s.name in measured_costs.stages and s.name not in WHOLE
+    ]
+    return max(0.0, measured_costs.peak_mib - max(needs, default=0.0))
 
 
 def _cost(known: StageCost, observed: list[tuple[float, float, float]]) -> StageCost:

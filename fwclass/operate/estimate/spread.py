@@ -60,7 +60,7 @@ class Spread:
 
     def grown(self, halo: float) -> NDArray[np.float64]:
         """Echoes of every square and `halo` [m] around it, evenly spread within each square."""
-        return _windowed(_windowed(self.counts, halo / self.size).T, halo / self.size).T
+        return _sum_windows(_sum_windows(self.counts, halo / self.size).T, halo / self.size).T
 
     @property
     def occupied(self) -> NDArray[np.bool_]:
@@ -69,12 +69,13 @@ class Spread:
 
     @property
     def number(self) -> int:
+        """Number of tiles with points."""
         return int(self.occupied.sum())
 
     def within(self, margin: int) -> int:
         """How many squares are occupied or at most `margin` squares away from one that is."""
         wide = np.pad(self.occupied.astype(np.float64), margin)
-        return int((_windowed(_windowed(wide, margin).T, margin) > 0).sum())
+        return int((_sum_windows(_sum_windows(wide, margin).T, margin) > 0).sum())
 
     def heaviest(self, count: int) -> tuple[Tile, ...]:
         """The `count` squares with most echoes, the fullest first."""
@@ -83,6 +84,7 @@ class Spread:
         return tuple(self.tile(*map(int, np.unravel_index(k, self.counts.shape))) for k in order if flat[k] >= 0.5)
 
     def tile(self, i: int, j: int) -> Tile:
+        """The tile in column `i` and row `j` of the grid."""
         return Tile(int(self.cols[i]), int(self.rows[j]), self.size)
 
     def touching(self, boxes: Sequence[Box]) -> NDArray[np.bool_]:
@@ -108,18 +110,18 @@ def spread_of(pieces: tuple[Piece, ...], size: float) -> Spread:
 
 def held_squares(boxes: Sequence[Box], size: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Columns and rows of the squares of edge `size` [m] that are held for `boxes`."""
-    return tuple(_held([(b.bounds[k], b.bounds[k + 2]) for b in boxes], size) for k in range(2))  # type: ignore[return-value]
+    return tuple(_occupied_squares([(b.bounds[k], b.bounds[k + 2]) for b in boxes], size) for k in range(2))  # type: ignore[return-value]
 
 
-def _held(spans: Iterable[tuple[float, float]], size: float) -> NDArray[np.int64]:
+def _occupied_squares(spans: Iterable[tuple[float, float]], size: float) -> NDArray[np.int64]:
     """Numbers of the squares of edge `size` along one axis that `spans` [m] touch, and those of gaps between them:
     of the first `KEPT` metres of a wider one."""
-    kept = math.ceil(KEPT / size) + 1
+    most = math.ceil(KEPT / size) + 1
     pieces, end = [], None
     for low, high in sorted(spans):
         first, last = math.floor(low / size), max(math.floor(low / size) + 1, math.ceil(high / size))
         if end is not None:
-            pieces.append(np.arange(end, min(max(first, end), end + kept)))
+            pieces.append(np.arange(end, min(max(first, end), end + most)))
             first = max(first, end)
         pieces.append(np.arange(first, max(first, last)))
         end = last if end is None else max(end, last)
@@ -134,7 +136,7 @@ def shares(low: float, high: float, size: float, first: int) -> tuple[int, list[
     return a - first, [v / total for v in lengths] if total > 0 else [1.0 / (b - a)] * (b - a)
 
 
-def _windowed(counts: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
+def _sum_windows(counts: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
     """Along the first axis: each row, and what lies within `reach` rows of its edges."""
     whole, part = math.floor(reach), reach - math.floor(reach)
     n = len(counts)

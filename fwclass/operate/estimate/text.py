@@ -30,7 +30,7 @@ def volume(size: float) -> str:
 
 
 def _head(plan: Plan) -> list[str]:
-    facts, counts, tiles, estimate = plan.facts, plan.counts, plan.tiles, plan.made
+    facts, counts, tiles, estimate = plan.facts, plan.counts, plan.tiles, plan.estimate
     box = facts.box
     area = (box.xmax - box.xmin) * (box.ymax - box.ymin) / 1e6
     number = "strips still to be simulated" if facts.simulated else "files"
@@ -82,12 +82,12 @@ def _places(source: SourceFacts) -> str:
 
 def _stages(plan: Plan) -> list[str]:
     lines = [f"{'stage':<16}{'parts':>10}{'time':>10}{'disk':>12}{'memory MiB':>12}"]
-    for s in plan.made.stages:
+    for s in plan.estimate.stages:
         lines.append(
             f"{s.name:<16}{s.amount.parts:>10,}{duration(s.seconds):>10}{volume(s.bytes):>12}{s.memory_mib:>12,.0f}"
         )
-    if plan.made.unknown:
-        lines.append(f"without a number in section `plan`, so not counted: {', '.join(plan.made.unknown)}")
+    if plan.estimate.unknown:
+        lines.append(f"without a number in section `plan`, so not counted: {', '.join(plan.estimate.unknown)}")
     return lines
 
 

@@ -61,8 +61,8 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
     boxes = tuple(t.box for t in plan.tiles.heaviest(count))
     wanted = [b.grown(reach(plan)) for b in (*boxes, *(_training(config)))]
     sources = plan.facts.sources
-    taken = [s for s in sources if any(s.bounds.touches(b) for b in wanted)]
-    left = tuple(s.bounds for s in sources if s not in taken)
+    touching = [s for s in sources if any(s.bounds.touches(b) for b in wanted)]
+    left = tuple(s.bounds for s in sources if s not in touching)
     directory = directory_of(config, root)
     if isinstance(directory, Url):
         raise ConfigError(
@@ -71,7 +71,7 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
             got=directory,
             do="plan without --dry-run, or copy the survey to a disk first",
         )
-    change: dict[str, Any] = {"directory": str(directory), "sources": tuple(glob.escape(str(s.path)) for s in taken)}
+    change: dict[str, Any] = {"directory": str(directory), "sources": tuple(glob.escape(str(s.path)) for s in touching)}
     reference = config.survey.reference
     if reference.kind == "cloud":
         change["reference"] = reference.model_copy(update={"files": _clouds(config, directory, wanted)})
@@ -81,7 +81,7 @@ def trial_of(plan: Plan, count: int, root: Path) -> Trial:
         simulate=None,
         areas=config.areas.model_copy(update={"test": ()}),  # they may lie in files left out, and nothing is assessed
     )
-    return Trial(cut, boxes, left, len(taken))
+    return Trial(cut, boxes, left, len(touching))
 
 
 def reach(plan: Plan) -> float:
@@ -110,12 +110,12 @@ def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str
     return tuple(glob.escape(str(p)) for p in near or files)
 
 
-def trial(asked: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
+def trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
     """Run the `count` tiles with most echoes of those that are whole; return their keys, the fullest first."""
-    config: Config = asked.config
+    config: Config = job.config
     plan = until_tiles(deciding(config), runner)
     tiles = plan.layout.tiles
-    whole = whole_tiles([t.key for t in tiles], [t.box for t in tiles], asked.left, halo)
+    whole = whole_tiles([t.key for t in tiles], [t.box for t in tiles], job.left, halo)
     if not whole:
         raise InputError(
             "no tile of the dry run is whole",
@@ -123,11 +123,6 @@ def trial(asked: Trial, runner: Runner, count: int, halo: float) -> tuple[str, .
             got=f"{len(tiles)} tiles at the edges of its files",
             do="--dry-run with more tiles, or smaller tile.size",
         )
-    chosen = tuple(sorted(whole, key=lambda key: (-_rows(runner, key), key))[:count])
+    chosen = tuple(sorted(whole, key=lambda key: (-runner.store.rows("tile", key), key))[:count])
     until_report(plan, runner, after_tiles(classification.stages), frozenset(chosen))
     return chosen
-
-
-def _rows(runner: Runner, key: str) -> int:
-    receipt = runner.store.receipt("tile", key)
-    return int(receipt.meta["rows"]) if receipt else 0

@@ -12,10 +12,10 @@ from fwclass.graph.stage import Stage
 from fwclass.graph.stages import STAGES
 from fwclass.operate.estimate.amounts import Counts, amounts, crowding, tile_halo
 from fwclass.operate.estimate.density import costs_at_density, too_dense
-from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimated, proposed
+from fwclass.operate.estimate.estimate import Choice, Estimate, choices, estimate_run, propose_size
 from fwclass.operate.estimate.headers import SurveyFacts
 from fwclass.operate.estimate.limits import Limit, Room, allowed_mib, limits
-from fwclass.operate.estimate.measured import Measured, measured, measured_base
+from fwclass.operate.estimate.measured import MeasuredCosts, measure_costs, measured_base
 from fwclass.operate.estimate.spread import Spread, spread_of
 from fwclass.store.run_store import Store
 
@@ -32,18 +32,19 @@ class Plan:
     crowding: float
     workers: int
     room: Room
-    made: Estimate
+    estimate: Estimate
     choices: tuple[Choice, ...]
     best: Choice | None
     limits: tuple[Limit, ...]
-    measured: Measured | None = None
+    measured: MeasuredCosts | None = None
 
     @property
     def fits(self) -> bool:
+        """No limit is exceeded."""
         return all(limit.fits for limit in self.limits)
 
 
-def planned(
+def make_plan(
     config: Config,
     facts: SurveyFacts,
     workers: int,
@@ -53,15 +54,15 @@ def planned(
 ) -> Plan:
     """The plan of `stages` by the costs of section `plan`, or, as far as it goes, by receipts of a dry run, `trial`."""
     size, counts = config.tile.size, Counts.of(config, facts)
-    observed = measured(trial, config.plan.stages, amounts(config, facts, size, stages)) if trial else None
+    observed = measure_costs(trial, config.plan.stages, amounts(config, facts, size, stages)) if trial else None
     costs = observed.costs if observed else costs_at_density(config, facts)
-    estimate = estimated(config, facts, size, workers, costs, stages)
+    estimate = estimate_run(config, facts, size, workers, costs, stages)
     if observed:
         base = measured_base(observed, estimate, config.plan.base_mib)
         config = replace(config, plan=config.plan.model_copy(update={"base_mib": base}))
-        estimate = estimated(config, facts, size, workers, costs, stages)
+        estimate = estimate_run(config, facts, size, workers, costs, stages)
     compared = tuple(choices(config, facts, workers, costs, allowed_mib(config, workers, room), stages))
-    best = proposed(config, list(compared))
+    best = propose_size(config, list(compared))
     return Plan(
         config,
         facts,
@@ -81,7 +82,7 @@ def planned(
 
 def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Plain data: sizes in metres, times in seconds, memory in MiB, disk in bytes."""
-    facts, estimate, sample = plan.facts, plan.made, plan.facts.sample
+    facts, estimate, sample = plan.facts, plan.estimate, plan.facts.sample
     tiles = plan.tiles
     return {
         "survey": plan.config.survey.name,
@@ -150,7 +151,7 @@ def as_json(plan: Plan, written: tuple[Path, ...] = ()) -> dict[str, Any]:
 
 
 def _stage(plan: Plan, k: int) -> dict[str, Any]:
-    stage = plan.made.stages[k]
+    stage = plan.estimate.stages[k]
     real = plan.measured is not None and stage.name in plan.measured.stages
     return {
         "name": stage.name,

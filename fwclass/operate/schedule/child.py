@@ -46,9 +46,9 @@ class Child:
         interrupted = None
         while (code := self._process.poll()) is None:
             if signals.first is not None and interrupted is None:
-                interrupted, seen = now().steady, signals.count
+                interrupted, signalled = now().steady, signals.count
                 self._process.send_signal(signal.SIGINT)
-            if interrupted is not None and (signals.count > seen or now().steady - interrupted > grace):
+            if interrupted is not None and (signals.count > signalled or now().steady - interrupted > grace):
                 self._kill()
             meanwhile()
             signals.wait(slice_ if interrupted is None else min(slice_, 1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import shutil
 import time
@@ -104,12 +105,8 @@ def _fresh(directory: Path) -> Path:
 
 def prune(directory: Path, name: str, keep: int) -> None:
     """Of the older versions of the file `name` the newest `keep` stay."""
-    versions = sorted(directory.glob(f"*/{_escaped(name)}"))
+    versions = sorted(directory.glob(f"*/{glob.escape(name)}"))
     for path in versions[: max(0, len(versions) - keep)]:
         path.unlink()
         if not any(path.parent.iterdir()):
             path.parent.rmdir()
-
-
-def _escaped(name: str) -> str:
-    return "".join(f"[{c}]" if c in "*?[" else c for c in name)

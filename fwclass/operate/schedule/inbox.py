@@ -40,7 +40,7 @@ class Delivery:
 
 
 @dataclass(frozen=True)
-class Waiting:
+class WaitingFile:
     """A file that is not taken yet, or never. `changing`: complete ones wait for it."""
 
     name: str
@@ -49,9 +49,11 @@ class Waiting:
 
 
 @dataclass(frozen=True)
-class Look:
+class InboxState:
+    """Files of the inbox that can be moved, and those that cannot."""
+
     complete: tuple[Delivery, ...]
-    waiting: tuple[Waiting, ...]
+    waiting: tuple[WaitingFile, ...]
 
 
 @dataclass
@@ -66,21 +68,21 @@ class Inbox:
     params: ScheduleSection
     _since: dict[Path, tuple[Mark, float]] = field(default_factory=dict)
     _judged: dict[Path, tuple[tuple[Mark, ...], str]] = field(default_factory=dict)
-    _held: float | None = None
+    _waiting_since: float | None = None
 
-    def look(self, now: Now) -> Look:
+    def look(self, now: Now) -> InboxState:
         """All files as they stand. A directory that cannot be read raises `OSError`."""
         marks = _marks(self.directory)
         self._since = {p: self._first_seen(p, mark, now) for p, mark in marks.items()}
         self._judged = {p: known for p, known in self._judged.items() if p in marks}
         complete: list[Delivery] = []
-        waiting: list[Waiting] = []
+        waiting: list[WaitingFile] = []
         for path in sorted(marks):
             if path.suffix in self.params.markers:
                 continue
             if path.suffix.lower() in WAVES:
                 if not any(_goes_with(head, path) for head in marks):
-                    waiting.append(Waiting(path.name, "its file of points or pulses is not there"))
+                    waiting.append(WaitingFile(path.name, "its file of points or pulses is not there"))
                 continue
             file = self._judge(path, marks, now)
             if isinstance(file, Delivery):
@@ -89,16 +91,16 @@ class Inbox:
                 waiting.append(file)
         open_ones = writers(p for delivery in complete if not delivery.markers for p in delivery.files)
         busy = {d.name: open_ones[p] for d in complete for p in d.files if p in open_ones}
-        waiting += [Waiting(n, f"process {pid} has it open for writing", changing=True) for n, pid in busy.items()]
-        return Look(tuple(d for d in complete if d.name not in busy), tuple(waiting))
+        waiting += [WaitingFile(n, f"process {pid} has it open for writing", changing=True) for n, pid in busy.items()]
+        return InboxState(tuple(d for d in complete if d.name not in busy), tuple(waiting))
 
-    def ready(self, look: Look, now: Now) -> tuple[Delivery, ...]:
+    def ready(self, look: InboxState, now: Now) -> tuple[Delivery, ...]:
         """The complete ones, once no other is on its way, or after `hold` seconds at most."""
         if not look.complete:
-            self._held = None
+            self._waiting_since = None
             return ()
-        self._held = now.steady if self._held is None else self._held
-        if any(w.changing for w in look.waiting) and now.steady - self._held < self.params.hold:
+        self._waiting_since = now.steady if self._waiting_since is None else self._waiting_since
+        if any(w.changing for w in look.waiting) and now.steady - self._waiting_since < self.params.hold:
             return ()
         return look.complete
 
@@ -106,27 +108,27 @@ class Inbox:
         known = self._since.get(path)
         return known if known is not None and known[0] == mark else (mark, now.steady)
 
-    def _judge(self, head: Path, marks: dict[Path, Mark], now: Now) -> Delivery | Waiting:
+    def _judge(self, head: Path, marks: dict[Path, Mark], now: Now) -> Delivery | WaitingFile:
         target = self.places.of(head.name)
         if target is None:
-            return Waiting(head.name, "survey.sources finds no file of this name; it stays here")
+            return WaitingFile(head.name, "survey.sources finds no file of this name; it stays here")
         if fault := name_fault(head.stem):  # every run after it would be refused
-            return Waiting(head.name, f"no strip can have its name: {fault}; it stays here")
+            return WaitingFile(head.name, f"no strip can have its name: {fault}; it stays here")
         beside = tuple(p for p in marks if _goes_with(head, p))
         files = (*beside, head)  # the points last: without them the survey does not see the strip
         markers = tuple(p for p in marks if p.suffix in self.params.markers and p.stem in (head.name, head.stem))
         settled = all(now.steady - self._since[p][1] >= self.params.settle for p in files)
         by = self.params.complete
         if by == "marker" and not markers:
-            return Waiting(head.name, f"no {' or '.join(self.params.markers)} stands beside it")
+            return WaitingFile(head.name, f"no {' or '.join(self.params.markers)} stands beside it")
         if not settled and (by == "settled" or not markers):
-            return Waiting(head.name, f"it has not stayed unchanged for {self.params.settle:g} s", changing=True)
+            return WaitingFile(head.name, f"it has not stayed unchanged for {self.params.settle:g} s", changing=True)
         state = tuple(marks[p] for p in files)
         known = self._judged.get(head)
         if known is None or known[0] != state or known[1]:  # a fault may pass without a change: waveforms in place
             self._judged[head] = (state, fault_of(head, beside, target, bool(markers)))
         fault = self._judged[head][1]
-        return Waiting(head.name, fault) if fault else Delivery(head.name, files, markers, target)
+        return WaitingFile(head.name, fault) if fault else Delivery(head.name, files, markers, target)
 
 
 def _marks(directory: Path) -> dict[Path, Mark]:

@@ -24,7 +24,7 @@ class Intake:
     root: Path
     state: State
     say: Callable[[str], None]
-    _told: dict[str, str] = field(default_factory=dict)
+    _reasons: dict[str, str] = field(default_factory=dict)
     _trouble: str = ""
 
     def __post_init__(self) -> None:
@@ -52,9 +52,9 @@ class Intake:
         self.state.waiting = [{"name": w.name, "why": w.why} for w in look.waiting]
         reasons = {w.name: w.why for w in look.waiting}
         for name, why in reasons.items():
-            if self._told.get(name) != why:
+            if self._reasons.get(name) != why:
                 self.say(f"{name}: waits: {why}")
-        self._told = reasons
+        self._reasons = reasons
         return self.inbox.ready(look, moment)
 
     def deliver(self, deliveries: tuple[Delivery, ...]) -> list[dict[str, Any]]:
@@ -62,32 +62,32 @@ class Intake:
 
         What cannot be moved stays and is told: the next look tries again.
         """
-        done: list[dict[str, Any]] = []
+        moved: list[dict[str, Any]] = []
         if not deliveries:
-            return done
+            return moved
         try:
             with writer(self.root):
                 for delivery in deliveries:
                     self.state.owed = sorted({*self.state.owed, delivery.name})
                     self.state.write(now())  # before the move: a schedule that dies here still owes the run
-                    done.append(self._take(delivery))
+                    moved.append(self._take(delivery))
         except LockedError:
             self._tell_trouble("files are complete, but a run is under way: they wait for its end")
-            return done
+            return moved
         except OSError as fault:
-            left = {d.name for d in deliveries[len(done) :]}
+            left = {d.name for d in deliveries[len(moved) :]}
             self.state.owed = [name for name in self.state.owed if name not in left]
-            name = deliveries[len(done)].name
+            name = deliveries[len(moved)].name
             self._tell_trouble(f"{name}: cannot be moved: {fault.strerror or fault} ({fault.filename})")
-            return done
+            return moved
         self._trouble = ""
-        return done
+        return moved
 
     def _take(self, delivery: Delivery) -> dict[str, Any]:
         facts = take(delivery, self.inbox.directory, self.inbox.places, self.inbox.params.keep_replaced)
         self._watch.begin(delivery.target / path.name for path in delivery.files)
-        kept = f"; the older one is kept as {', '.join(facts['replaced'])}" if facts["replaced"] else ""
-        self.say(f"{delivery.name}: moved to {delivery.target}, {facts['bytes']} bytes{kept}")
+        replaced = f"; the older one is kept as {', '.join(facts['replaced'])}" if facts["replaced"] else ""
+        self.say(f"{delivery.name}: moved to {delivery.target}, {facts['bytes']} bytes{replaced}")
         return facts
 
     def _tell_trouble(self, text: str) -> None:

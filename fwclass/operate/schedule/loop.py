@@ -149,12 +149,12 @@ class Schedule:
         if self._intake is not None:
             self._intake.look_again(moment)
         if self._ticks is not None:
-            self._ticks = self._ticks.seen(moment)
+            self._ticks = self._ticks.follow_clock(moment)
             wait = self._ticks.wait(moment)
-            self._state.next = _steadied(self._state.next, moment.wall + wait)
+            self._state.next = _steady(self._state.next, moment.wall + wait)
             if wait <= 0.0:
-                self._ticks = self._ticks.taken(moment)
-                self._state.next = _steadied(None, moment.wall + self._ticks.wait(moment))
+                self._ticks = self._ticks.after_run(moment)
+                self._state.next = _steady(None, moment.wall + self._ticks.wait(moment))
                 if isinstance(self._ticks, Cron):
                     self._state.last_tick = self._ticks.last
                 return Order(self._ticks.trigger, deliveries, utc(moment.wall + wait))
@@ -246,7 +246,7 @@ class Schedule:
         self.say(f"{utc(time.time())} schedule: {visible(text)}")
 
 
-def _steadied(before: float | None, moment: float) -> float:
+def _steady(before: float | None, moment: float) -> float:
     """A time that is told: one that moves by less than a second and a half has not moved."""
     return before if before is not None and abs(before - moment) < 1.5 else round(moment)
 

@@ -42,7 +42,7 @@ class _Unheeding(urllib.request.HTTPRedirectHandler):
 
 
 @dataclass(frozen=True)
-class Told:
+class SendResult:
     """How it went: empty `fault` is well."""
 
     place: str
@@ -50,6 +50,7 @@ class Told:
     tries: int = 1
 
     def as_data(self) -> dict[str, Any]:
+        """As plain data, for the history."""
         return {"to": self.place, "ok": not self.fault, "fault": self.fault, "tries": self.tries}
 
 
@@ -74,7 +75,7 @@ def tell_within(
     while thread.is_alive() and now().steady < ends and signals.count < 2:
         beat()
         signals.wait(params.look)
-    return dict(results) or {"webhook": Told("", "given up", 0).as_data()}
+    return dict(results) or {"webhook": SendResult("", "given up", 0).as_data()}
 
 
 def longest(params: ScheduleSection) -> float:
@@ -93,20 +94,20 @@ def tell(params: ScheduleSection, record: Mapping[str, Any], stop: Callable[[], 
     return results
 
 
-def post(params: ScheduleSection, record: Mapping[str, Any], stop: Callable[[], bool]) -> Told:
+def post(params: ScheduleSection, record: Mapping[str, Any], stop: Callable[[], bool]) -> SendResult:
     """POST `record` as JSON; tried again after a pause where the service was busy or did not answer."""
     assert params.webhook is not None  # noqa: S101 - who calls has looked
     place = redacted(params.webhook.get_secret_value())
     fault, pause = "", params.webhook_pause
     token = os.environ.get(params.webhook_token_env) if params.webhook_token_env else None
     if params.webhook_token_env and not token:
-        return Told(place, f"the environment variable {params.webhook_token_env} is not set", 0)
+        return SendResult(place, f"the environment variable {params.webhook_token_env} is not set", 0)
     for number in range(1, params.webhook_tries + 1):
         fault, again = _try(_request(params.webhook.get_secret_value(), token, record), params.webhook_timeout)
         if not again or number == params.webhook_tries or _paused(pause, stop):
-            return Told(place, fault, number)
+            return SendResult(place, fault, number)
         pause *= 2
-    return Told(place, fault, params.webhook_tries)
+    return SendResult(place, fault, params.webhook_tries)
 
 
 def _request(address: str, token: str | None, record: Mapping[str, Any]) -> urllib.request.Request:
@@ -163,7 +164,7 @@ def _paused(seconds: float, stop: Callable[[], bool]) -> bool:
     return stop()
 
 
-def command(params: ScheduleSection, record: Mapping[str, Any]) -> Told:
+def command(params: ScheduleSection, record: Mapping[str, Any]) -> SendResult:
     """Run the command with `record` on its standard input; what it prints goes to standard error."""
     words, name = list(params.command), os.path.basename(params.command[0])  # noqa: PTH119 - a word, maybe no path
     facts = {
@@ -180,11 +181,11 @@ def command(params: ScheduleSection, record: Mapping[str, Any]) -> Told:
             words, stdin=subprocess.PIPE, stdout=2, env=environment, start_new_session=True
         )
     except (OSError, ValueError) as fault:
-        return Told(name, f"it could not be started: {_words(fault)}")
+        return SendResult(name, f"it could not be started: {_words(fault)}")
     try:
         process.communicate(json.dumps(record).encode(), params.command_timeout)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-        return Told(name, f"it took longer than {params.command_timeout:g} s and was ended")
-    return Told(name, "" if process.returncode == 0 else f"exit code {process.returncode}")
+        return SendResult(name, f"it took longer than {params.command_timeout:g} s and was ended")
+    return SendResult(name, "" if process.returncode == 0 else f"exit code {process.returncode}")

@@ -25,6 +25,7 @@ class Now:
 
 
 def now() -> Now:
+    """The time by both clocks."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)  # Linux's monotonic clock stands still while the machine sleeps
     return Now(time.time(), time.monotonic() if clock is None else time.clock_gettime(clock))
 
@@ -37,7 +38,7 @@ class Interval:
     due: float
     trigger = "interval"
 
-    def seen(self, now: Now) -> Interval:
+    def follow_clock(self, now: Now) -> Interval:
         """Setting the wall clock changes nothing."""
         return self
 
@@ -45,7 +46,7 @@ class Interval:
         """Seconds until the next tick, none or less if it is due."""
         return self.due - now.steady
 
-    def taken(self, now: Now) -> Interval:
+    def after_run(self, now: Now) -> Interval:
         """The ticks until `now` have had their run: the next is the first one after it, however many were missed."""
         missed = math.floor((now.steady - self.due) / self.seconds)
         return replace(self, due=self.due + (missed + 1) * self.seconds)
@@ -66,7 +67,7 @@ class Cron:
     last: float | None = None
     trigger = "cron"
 
-    def seen(self, now: Now) -> Cron:
+    def follow_clock(self, now: Now) -> Cron:
         """After the clock was set back: ticks that had their run stay done, unless it went back by more than `back`."""
         if self.last is not None and now.wall < self.last - self.back:
             return replace(self, last=None, since=now.wall)
@@ -83,7 +84,7 @@ class Cron:
         """Seconds until the next tick by the wall clock as it stands, none or less if it is due."""
         return self.next - now.wall
 
-    def taken(self, now: Now) -> Cron:
+    def after_run(self, now: Now) -> Cron:
         """All ticks until `now` have had their run, however many were missed."""
         return replace(self, last=now.wall)
 

@@ -30,6 +30,7 @@ class Column:
     worst: float | None = None
 
     def add(self, stored: NDArray, now: NDArray, wrong: NDArray[np.bool_]) -> None:
+        """Count the values of a part that differ: both sides, and where they are `wrong`."""
         a, b = stored[wrong].astype(np.float64), now[wrong].astype(np.float64)
         both = np.isfinite(a) & np.isfinite(b)
         self.differ += int(wrong.sum())
@@ -85,6 +86,7 @@ class Seam:
             self.examples.append({"part": part, **who, **values})
 
     def as_json(self) -> dict[str, Any]:
+        """As plain data, with shares."""
         columns = {
             n: {"differ": c.differ, "share": c.differ / max(self.rows, 1), "one_sided": c.one_sided, "worst": c.worst}
             for n, c in self.columns.items()

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fwclass.grid import Box, Tile, TileGrid
-from fwclass.operate.seams.places import Place
+from fwclass.operate.seams.places import ShiftedSquare
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Name
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -29,7 +29,7 @@ class Tiles:
     grid: TileGrid
     keys: frozenset[str]
     used: set[str] = field(default_factory=set)
-    _held: dict[tuple[str, tuple[str, ...]], Table] = field(default_factory=dict)
+    _tables: dict[tuple[str, tuple[str, ...]], Table] = field(default_factory=dict)
 
     def inside(self, box: Box, columns: Mapping[str, str], strips: Sequence[Box] | None = None) -> Table:
         """Echoes of all tiles (those that touch one of `strips`, if given) inside `box` with identity, x, y and
@@ -44,11 +44,11 @@ class Tiles:
     def _tile(self, key: str, wanted: Mapping[str, str]) -> Table:
         self.used.add(key)
         name = (key, tuple(wanted))
-        if name not in self._held:
-            if len(self._held) >= HELD:
-                self._held.pop(next(iter(self._held)))
-            self._held[name] = PartInputs(self.store).rows(key, wanted).select(wanted)
-        return self._held[name]
+        if name not in self._tables:
+            if len(self._tables) >= HELD:
+                self._tables.pop(next(iter(self._tables)))
+            self._tables[name] = PartInputs(self.store).rows(key, wanted).select(wanted)
+        return self._tables[name]
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class StripInputs(PartInputs):
     """
 
     tiles: Tiles
-    places: Mapping[str, Place]
+    places: Mapping[str, ShiftedSquare]
     fresh: Mapping[Name, Table]
 
     def rows(self, part: str, columns: Mapping[str, str], box: Box | None = None, base: str = "tile") -> Table:

@@ -20,7 +20,7 @@ from fwclass.graph.stage import Plan, Stage
 from fwclass.grid import Tile
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs
-from fwclass.operate.seams.places import Place, places
+from fwclass.operate.seams.places import ShiftedSquare, places
 from fwclass.run.inputs import TABLE, PartInputs
 from fwclass.run.part import Outcome, Task, single_thread
 from fwclass.run.progress import Display
@@ -30,7 +30,7 @@ from fwclass.store.tables import read_table
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparableStages:
     """The stages of a workflow that compute something of echoes, and can be compared.
 
     Attributes
@@ -45,7 +45,8 @@ class Compared:
     gathering: tuple[str, ...]
 
     @classmethod
-    def of(cls, stages: Iterable[Stage]) -> Compared:
+    def of(cls, stages: Iterable[Stage]) -> ComparableStages:
+        """Those of the stages of a workflow."""
         some = [s for s in stages if s.writes]
         tiles = [s for s in some if s.over == "tile"]
         return cls(
@@ -76,16 +77,16 @@ def tile_seams(tasks: Iterable[Task], inputs: StripInputs, listed: int, display:
     display.expect(Counter(t.stage for some in by_place.values() for t in some))
     seams: dict[str, Seam] = {}
     for part, some in by_place.items():
-        mine = replace(inputs, fresh={})
-        place = mine.stored(part, {})
+        here = replace(inputs, fresh={})
+        place = here.stored(part, {})
         if not place.rows:  # a strip without echoes
             some = []
         for task in some:
             with _scratch() as directory:
-                task.work(mine, directory)
+                task.work(here, directory)
                 now = read_table(directory / TABLE)
-            mine = replace(mine, fresh={**mine.fresh, task.name: now})
-            stored = mine.stored(part, dict.fromkeys(now, task.stage))
+            here = replace(here, fresh={**here.fresh, task.name: now})
+            stored = here.stored(part, dict.fromkeys(now, task.stage))
             seams.setdefault(task.stage, Seam(task.stage, "tile", "echoes", listed)).add(part, stored, now, place)
             display.ended(Outcome(*task.name, "computed"))
     return list(seams.values())
@@ -132,7 +133,7 @@ def _same_rows(stored: Table, now: Table, task: Task) -> None:
 
 
 @dataclass(frozen=True)
-class Apart:
+class BlockShiftEffect:
     """What moving the *blocks* changes near their borders: a property of the algorithm, which is not bounded.
 
     `off`: echoes whose flag is another, or whose height is by more than `within` [m] (NaN on one side counts);
@@ -148,6 +149,7 @@ class Apart:
     worst: float | None = None
 
     def as_json(self) -> dict[str, Any]:
+        """As plain data, with the share of echoes."""
         return {**self.__dict__, "share": self.off / max(self.echoes, 1)}
 
 
@@ -156,7 +158,7 @@ def gathering(plan: Plan, columns: Iterable[str]) -> str:
     return plan.layout.columns(columns)[next(iter(columns))]
 
 
-def shifted_blocks(stage: Stage, plan: Plan) -> list[Place]:
+def shifted_blocks(stage: Stage, plan: Plan) -> list[ShiftedSquare]:
     """Blocks moved by half their size that hold a border between two of the stage's blocks."""
     blocks = stage.all_parts(plan)
     size, width = blocks[0].size, plan.config.seams.width
@@ -165,16 +167,22 @@ def shifted_blocks(stage: Stage, plan: Plan) -> list[Place]:
 
 
 def apart(
-    stage: Stage, moved: Sequence[Place], count: int, plan: Plan, inputs: PartInputs, within: float, display: Display
-) -> Apart:
+    stage: Stage,
+    moved: Sequence[ShiftedSquare],
+    count: int,
+    plan: Plan,
+    inputs: PartInputs,
+    within: float,
+    display: Display,
+) -> BlockShiftEffect:
     """Filter, or make the terrain of, the first `count` of the blocks `moved` that have echoes near the borders of the
     run's blocks, and compare these."""
     columns = stage.columns(plan)
     stage_of_tiles = gathering(plan, columns)
-    done, echoes, off = 0, 0, 0
+    blocks, echoes, off = 0, 0, 0
     heights: list[NDArray[np.float64]] = []
     for place in moved:
-        if done == count:
+        if blocks == count:
             break
         block, layout = place.tile, plan.layout
         present = layout.around(stage.box(plan, block), layout.keys)
@@ -188,11 +196,11 @@ def apart(
             now = read_table(directory / TABLE)
         wrong, differences = _off(stored.take(near), now.take(near), within)
         heights += differences
-        done, echoes, off = done + 1, echoes + len(wrong), off + int(wrong.sum())
+        blocks, echoes, off = blocks + 1, echoes + len(wrong), off + int(wrong.sum())
         display.say(f"{stage.name:<12} block moved to {', '.join(f'{v:.0f}' for v in block.box.bounds[:2])}")
     every = np.concatenate(heights) if heights else np.empty(0)
     distances = (float(np.quantile(every, 0.999)), float(every.max())) if every.size else (None, None)
-    return Apart(stage_of_tiles, done, echoes, off, within, *distances)
+    return BlockShiftEffect(stage_of_tiles, blocks, echoes, off, within, *distances)
 
 
 def _off(stored: Table, now: Table, within: float) -> tuple[NDArray[np.bool_], list[NDArray[np.float64]]]:

@@ -14,7 +14,7 @@ from fwclass.hashing import hash_keys
 
 
 @dataclass(frozen=True)
-class Place:
+class ShiftedSquare:
     """A square of the shifted grid with the borders inside it.
 
     `strips`: what lies as near to a border as is asked for; `length`: of the borders [m].
@@ -53,7 +53,7 @@ def shift_of(text: str | None, size: float) -> tuple[float, float]:
     return dx, dy
 
 
-def places(keys: Iterable[str], size: float, shift: tuple[float, float], width: float) -> list[Place]:
+def places(keys: Iterable[str], size: float, shift: tuple[float, float], width: float) -> list[ShiftedSquare]:
     """Squares of the shifted grid that hold a border between two of the squares `keys` (edge `size` [m])."""
     whole_millimetres(width, "seams.width")
     strips: dict[Tile, list[tuple[Box, float]]] = {}
@@ -64,7 +64,7 @@ def places(keys: Iterable[str], size: float, shift: tuple[float, float], width: 
             if piece is not None:
                 long = piece.ymax - piece.ymin if upright else piece.xmax - piece.xmin
                 strips.setdefault(tile, []).append((piece, long))
-    return [Place(t, tuple(b for b, _ in some), sum(n for _, n in some)) for t, some in sorted(strips.items())]
+    return [ShiftedSquare(t, tuple(b for b, _ in some), sum(n for _, n in some)) for t, some in sorted(strips.items())]
 
 
 def _strips(keys: Iterable[str], size: float, width: float) -> Iterator[tuple[Box, bool]]:
@@ -78,20 +78,22 @@ def _strips(keys: Iterable[str], size: float, width: float) -> Iterator[tuple[Bo
             yield Box(b.xmin, b.ymax - width, b.xmax, b.ymax + width), False
 
 
-def drawn(tiles: Sequence[Tile], seed: int) -> list[int]:
+def draw_order(tiles: Sequence[Tile], seed: int) -> list[int]:
     """Places in `tiles` in an order that only the seed and the tiles decide."""
     keys = np.array([((t.ix & 0xFFFFFFFF) << 32) | (t.iy & 0xFFFFFFFF) for t in tiles], np.uint64)
     return np.argsort(hash_keys(seed, keys), kind="stable").tolist()
 
 
-def chosen(candidates: Sequence[Place], share: float, length: float | None, seed: int) -> list[Place]:
+def choose_squares(
+    candidates: Sequence[ShiftedSquare], share: float, length: float | None, seed: int
+) -> list[ShiftedSquare]:
     """Places drawn until they have `share` of all borders, or `length` [m] of them; at least one if there is one."""
     wanted = share * sum(p.length for p in candidates) if length is None else length
-    taken: list[Place] = []
+    squares: list[ShiftedSquare] = []
     have = 0.0
-    for k in drawn([p.tile for p in candidates], seed):
-        if taken and have >= wanted:
+    for k in draw_order([p.tile for p in candidates], seed):
+        if squares and have >= wanted:
             break
-        taken.append(candidates[k])
+        squares.append(candidates[k])
         have += candidates[k].length
-    return sorted(taken, key=lambda p: p.tile)
+    return sorted(squares, key=lambda p: p.tile)

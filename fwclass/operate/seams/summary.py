@@ -9,8 +9,8 @@ from typing import Any
 from fwclass.errors import ConfigError, QualityError
 from fwclass.formats.geopackage import points, rectangles, write_layer
 from fwclass.operate.seams.differ import Seam
-from fwclass.operate.seams.measure import Apart
-from fwclass.operate.seams.places import Place
+from fwclass.operate.seams.measure import BlockShiftEffect
+from fwclass.operate.seams.places import ShiftedSquare
 from fwclass.store.atomic import move_into_place, staged
 from fwclass.store.url import Url
 
@@ -19,7 +19,7 @@ NAMED = 5
 
 
 @dataclass(frozen=True)
-class Found:
+class SeamResult:
     """Attributes
     ----------
     shift, width : of the tiles, and how near to a border is near [m].
@@ -34,9 +34,9 @@ class Found:
     shift: tuple[float, float]
     width: float
     borders: float
-    strips: tuple[Place, ...]
+    strips: tuple[ShiftedSquare, ...]
     bounded: tuple[Seam, ...]
-    moved: tuple[Apart, ...]
+    moved: tuple[BlockShiftEffect, ...]
     other: float
     crs: str | None = None
 
@@ -47,6 +47,7 @@ class Found:
 
     @property
     def equal(self) -> bool:
+        """No bounded stage differs."""
         return not any(s.differ for s in self.bounded)
 
     def judge(self) -> None:
@@ -63,7 +64,7 @@ class Found:
             )
 
 
-def as_data(result: Found, seconds: float) -> dict[str, Any]:
+def as_data(result: SeamResult, seconds: float) -> dict[str, Any]:
     """Plain data; lengths in metres, shares as fractions."""
     return {
         "run": str(result.where),
@@ -81,7 +82,7 @@ def as_data(result: Found, seconds: float) -> dict[str, Any]:
     }
 
 
-def as_text(result: Found, seconds: float) -> str:
+def as_text(result: SeamResult, seconds: float) -> str:
     """A table by stage."""
     rows = [
         f"{result.where}: {result.length:,.0f} of {result.borders:,.0f} m of tile borders, {result.width:g} m to "
@@ -114,13 +115,13 @@ def _worst(seam: Seam) -> str:
     return f"  {', '.join(columns)}{more}; in {', '.join(at)}" if columns else ""
 
 
-def _verdict(result: Found) -> str:
+def _verdict(result: SeamResult) -> str:
     if result.equal:
         return "no value differs: where the borders of tiles lie changes nothing"
     return "values differ: where the borders of tiles lie shows in the results"
 
 
-def _apart(a: Apart) -> str:
+def _apart(a: BlockShiftEffect) -> str:
     if not a.blocks:
         return f"{a.stage:<12}one block only: no border"
     what = (
@@ -141,7 +142,7 @@ def check_free(path: Path, overwrite: bool) -> None:
         raise ConfigError("there is such a file already", where=path, do="--overwrite, or another name")
 
 
-def write_gpkg(result: Found, path: Path, crs: str | None) -> None:
+def write_gpkg(result: SeamResult, path: Path, crs: str | None) -> None:
     """Layers ``strips`` and, where there are any, ``echoes``.
 
     Strips lie along the borders; ``part`` is the tile of the shifted grid, ``differ`` how many of its echoes do, in the
@@ -163,7 +164,7 @@ def write_gpkg(result: Found, path: Path, crs: str | None) -> None:
         if listed:
             places = points((e["x"], e["y"]) for e in listed)
             names = ("stage", "part", "strip", "pulse", "echo_number", "column")
-            told: dict[str, list[Any]] = {n: [e[n] for e in listed] for n in names}
-            told |= {n: [str(e[n]) for e in listed] for n in ("run", "shifted")}
-            write_layer(directory / path.name, "echoes", "Point", places, told, crs)
+            columns: dict[str, list[Any]] = {n: [e[n] for e in listed] for n in names}
+            columns |= {n: [str(e[n]) for e in listed] for n in ("run", "shifted")}
+            write_layer(directory / path.name, "echoes", "Point", places, columns, crs)
         move_into_place(directory / path.name, path)

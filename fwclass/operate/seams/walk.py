@@ -17,9 +17,16 @@ from fwclass.grid import TileGrid
 from fwclass.operate.seams.differ import Seam
 from fwclass.operate.seams.guard import check_done, check_idle, check_unchanged, whole_blocks
 from fwclass.operate.seams.inputs import OtherTilesInputs, StripInputs, Tiles
-from fwclass.operate.seams.measure import Apart, Compared, apart, block_seams, shifted_blocks, tile_seams
-from fwclass.operate.seams.places import Place, chosen, drawn, places
-from fwclass.operate.seams.summary import Found
+from fwclass.operate.seams.measure import (
+    BlockShiftEffect,
+    ComparableStages,
+    apart,
+    block_seams,
+    shifted_blocks,
+    tile_seams,
+)
+from fwclass.operate.seams.places import ShiftedSquare, choose_squares, draw_order, places
+from fwclass.operate.seams.summary import SeamResult
 from fwclass.operate.status.walk import StatusWalk
 from fwclass.run.inputs import PartInputs
 from fwclass.run.progress import Display
@@ -28,7 +35,7 @@ from workflows import workflow_of, xiong2018
 
 
 @dataclass(frozen=True)
-class Asked:
+class SeamRequest:
     """`shift` of the tiles [m]; `share` of the borders, or `length` of them [m]; `tiles` that the run was restricted to
     (None: all), by `workflow`."""
 
@@ -39,7 +46,7 @@ class Asked:
     workflow: str = "classification"
 
 
-def seams(config: Config, location: RunLocation, asked: Asked, display: Display) -> Found:
+def seams(config: Config, location: RunLocation, asked: SeamRequest, display: Display) -> SeamResult:
     """Compute strips along tile borders, and some blocks, once more and compare; the run is only read."""
     check_idle(location)
     look = StatusWalk(location, config.run.accept_libraries)
@@ -47,8 +54,8 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
     try:
         workflow = workflow_of(asked.workflow)
         stages = tuple(s for s in after_tiles(workflow.stages) if s not in (CHECK_SEAMS, *JUDGING, *DELIVERY))
-        plan = _planned(config, look, workflow, stages)
-        compared = Compared.of(s for s in stages if s.when(plan))
+        plan = _make_plan(config, look, workflow, stages)
+        compared = ComparableStages.of(s for s in stages if s.when(plan))
     except ConfigError:
         raise
     except FwclassError as fault:
@@ -62,17 +69,17 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
     candidates = places(keys, config.tile.size, asked.shift, config.seams.width)
     if not candidates:
         raise ConfigError("no two tiles of this run share a border", where=where, got=f"{len(keys)} tiles")
-    strips = chosen(candidates, asked.share, asked.length, config.seams.seed)
+    strips = choose_squares(candidates, asked.share, asked.length, config.seams.seed)
     total = sum(p.length for p in candidates)
     share = min(1.0, sum(p.length for p in strips) / total)
     tiles = Tiles(look.store, TileGrid(config.tile.size), layout.keys)
     of_tiles = [s for s in stages if s.name in compared.of_tiles]
     bounded = _strips(plan, of_tiles, strips, tiles, display)
     bounded += _blocks(plan, compared.of_blocks, share, look, tiles, display)
-    moved = _moved(plan, compared.of_blocks, share, look, tiles, display)
+    moved = _compare_moved(plan, compared.of_blocks, share, look, tiles, display)
     check_unchanged(look, tiles.used, (*compared.of_tiles, "tile", *compared.gathering))
     size = layout.config.tile.size * config.seams.tile
-    return Found(
+    return SeamResult(
         where,
         asked.shift,
         config.seams.width,
@@ -85,11 +92,11 @@ def seams(config: Config, location: RunLocation, asked: Asked, display: Display)
     )
 
 
-def _planned(config: Config, look: StatusWalk, workflow: Workflow, stages: tuple[Stage, ...]) -> Plan:
+def _make_plan(config: Config, look: StatusWalk, workflow: Workflow, stages: tuple[Stage, ...]) -> Plan:
     """The plan of a finished run, whose parts of `stages` are looked at."""
     plan = until_tiles(workflow.begin(config), look, workflow.stages)
     if workflow.name == xiong2018.NAME:
-        _, config = xiong2018.selected(config, look.beside())
+        _, config = xiong2018.select_features(config, look.beside())
         names = config.features_asked
         plan = replace(plan, config=config, names=names, tiled=replace(plan.layout, config=config))
     for stage in stages:
@@ -97,7 +104,7 @@ def _planned(config: Config, look: StatusWalk, workflow: Workflow, stages: tuple
     return plan
 
 
-def _strips(plan: Plan, stages: list[Stage], strips: list[Place], tiles: Tiles, display: Display) -> list[Seam]:
+def _strips(plan: Plan, stages: list[Stage], strips: list[ShiftedSquare], tiles: Tiles, display: Display) -> list[Seam]:
     whole = plan.layout
     places = tuple(p.tile for p in strips)
     ever = dict.fromkeys((t.key for t in places), (whole.times,))  # which strips pass these tiles is not known
@@ -122,7 +129,7 @@ def _blocks(
         reads = partial(stage.box, plan)
         done = whole_blocks(stage.name, list(stage.all_parts(plan)), whole, look, reads)
         blocks = [b for b in done if b.key in whole.occupied[b.size]]
-        for k in drawn(blocks, config.seams.seed)[: _count(share, len(blocks))]:
+        for k in draw_order(blocks, config.seams.seed)[: _count(share, len(blocks))]:
             chosen.append((stage, blocks[k]))
             around |= set(grid.touching(reads(blocks[k])))
     config = replace(config, tile=config.tile.model_copy(update={"size": size}))
@@ -131,16 +138,16 @@ def _blocks(
     return block_seams(tasks, other, OtherTilesInputs(tiles.store, tiles, grid), config.seams.listed, display)
 
 
-def _moved(
+def _compare_moved(
     plan: Plan, stages: tuple[Stage, ...], share: float, look: StatusWalk, tiles: Tiles, display: Display
-) -> list[Apart]:
+) -> list[BlockShiftEffect]:
     """Filter and terrain of blocks that lie elsewhere: what is not bounded."""
     pairs, seed = [], plan.config.seams.seed
     for stage in stages:
         here = shifted_blocks(stage, plan)
-        done = set(whole_blocks("", [p.tile for p in here], plan.layout, look, partial(stage.box, plan)))
-        here = [p for p in here if p.tile in done]
-        here = [here[k] for k in drawn([p.tile for p in here], seed)]
+        whole = set(whole_blocks("", [p.tile for p in here], plan.layout, look, partial(stage.box, plan)))
+        here = [p for p in here if p.tile in whole]
+        here = [here[k] for k in draw_order([p.tile for p in here], seed)]
         count = _count(share, len(here))
         pairs.append(apart(stage, here, count, plan, PartInputs(tiles.store), WITHIN, display))
     return pairs

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from fwclass.errors import ConfigError, InputError, nearest
 from fwclass.operate.request import Request
-from fwclass.operate.status.walk import Looked
+from fwclass.operate.status.walk import RunStatus
 from fwclass.run.part import Name, Task
 
 
-def task_alone(looked: Looked, text: str, request: Request) -> Task:
+def task_alone(looked: RunStatus, text: str, request: Request) -> Task:
     """The task that ``--only STAGE/PART`` names; all that it needs must be done."""
     stage, _, part = text.partition("/")
     task = looked.tasks.get((stage, part))
@@ -18,7 +18,7 @@ def task_alone(looked: Looked, text: str, request: Request) -> Task:
             where="--only",
             expected="STAGE/PART, for example features/12_34",
             got=text,
-            do=_meant(looked, stage, part),
+            do=_suggestion(looked, stage),
         )
     late = [n for n in task.needs if looked.states[n].standing != "done"]
     if late:
@@ -32,10 +32,10 @@ def task_alone(looked: Looked, text: str, request: Request) -> Task:
     return task
 
 
-def _meant(looked: Looked, stage: str, part: str) -> str:
+def _suggestion(looked: RunStatus, stage: str) -> str:
     stages = list(dict.fromkeys(name for name, _ in looked.states))
     if stage not in stages:
         return nearest(stage, stages)
-    mine: list[Name] = [n for n in looked.states if n[0] == stage]
-    known = ", ".join(p for _, p in mine[:3])
-    return f"{stage} has {len(mine)} parts, for example {known}; `fwclass status --parts` lists all"
+    parts: list[Name] = [n for n in looked.states if n[0] == stage]
+    known = ", ".join(p for _, p in parts[:3])
+    return f"{stage} has {len(parts)} parts, for example {known}; `fwclass status --parts` lists all"

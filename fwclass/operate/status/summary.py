@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fwclass.operate.request import Request
-from fwclass.operate.status.walk import STANDINGS, Looked, State
+from fwclass.operate.status.walk import STANDINGS, RunStatus, State
 from fwclass.run.libraries import by_libraries, text_of
 from fwclass.run.part import Name
 from fwclass.store.libraries import fingerprint
@@ -17,7 +17,7 @@ NAMED = 4
 """Parts that are named of those that have one reason."""
 
 
-def as_data(looked: Looked, request: Request, writer: Mapping[str, Any] | None, every: bool) -> dict[str, Any]:
+def as_data(looked: RunStatus, request: Request, writer: Mapping[str, Any] | None, every: bool) -> dict[str, Any]:
     """Plain data: counts by stage, and every part that is not done, or with `every` all parts."""
     parts = [_part(s, request) for s in looked.states.values() if every or s.standing != "done"]
     return {
@@ -29,7 +29,7 @@ def as_data(looked: Looked, request: Request, writer: Mapping[str, Any] | None, 
         "stages": [{"stage": stage, **counts} for stage, counts in _counts(looked.states).items()],
         "parts": parts,
         "not_in_plan": others(looked, request),
-        "libraries": {"here": dict(fingerprint()), "parts": by_libraries(looked.made_with, looked.store)},
+        "libraries": {"here": dict(fingerprint()), "parts": by_libraries(looked.libraries, looked.store)},
     }
 
 
@@ -51,7 +51,7 @@ def _counts(states: Mapping[Name, State]) -> dict[str, dict[str, int]]:
     return counts
 
 
-def others(looked: Looked, request: Request) -> dict[str, int]:
+def others(looked: RunStatus, request: Request) -> dict[str, int]:
     """How many parts by stage the store holds that the plan does not name; none are counted for chosen tiles."""
     if request.wanted is not None:
         return {}
@@ -62,7 +62,7 @@ def others(looked: Looked, request: Request) -> dict[str, int]:
     return {stage: n for stage, n in counts.items() if n}
 
 
-def as_text(looked: Looked, request: Request, writer: Mapping[str, Any] | None, every: bool) -> str:
+def as_text(looked: RunStatus, request: Request, writer: Mapping[str, Any] | None, every: bool) -> str:
     """A table by stage, then what is not done and why, then what to do."""
     counts = _counts(looked.states)
     rows = [f"{request.root}: {request.command()}"]
@@ -80,11 +80,11 @@ def as_text(looked: Looked, request: Request, writer: Mapping[str, Any] | None, 
     if left:
         others_by_stage = ", ".join(f"{stage} {n}" for stage, n in left.items())
         rows.append(f"besides, the store holds parts that the plan does not name (so far): {others_by_stage}")
-    rows += [text_of(row) for row in by_libraries(looked.made_with, looked.store)]
+    rows += [text_of(row) for row in by_libraries(looked.libraries, looked.store)]
     return "\n".join([*rows, _verdict(looked, request, writer)])
 
 
-def _grouped(looked: Looked) -> list[str]:
+def _grouped(looked: RunStatus) -> list[str]:
     """Parts of one stage that are not done for the same kinds of reasons, in one entry."""
     groups: dict[tuple[str, ...], list[State]] = {}
     for s in looked.states.values():
@@ -99,7 +99,7 @@ def _grouped(looked: Looked) -> list[str]:
     return rows
 
 
-def _every(looked: Looked) -> list[str]:
+def _every(looked: RunStatus) -> list[str]:
     rows = []
     for s in looked.states.values():
         if s.standing != "failed":
@@ -108,7 +108,7 @@ def _every(looked: Looked) -> list[str]:
     return rows
 
 
-def _failed(looked: Looked, request: Request) -> list[str]:
+def _failed(looked: RunStatus, request: Request) -> list[str]:
     rows = []
     for s in looked.states.values():
         if s.standing == "failed":
@@ -118,7 +118,7 @@ def _failed(looked: Looked, request: Request) -> list[str]:
     return rows
 
 
-def _verdict(looked: Looked, request: Request, writer: Mapping[str, Any] | None) -> str:
+def _verdict(looked: RunStatus, request: Request, writer: Mapping[str, Any] | None) -> str:
     total = len(looked.states)
     if looked.all_done:
         return f"all {total} parts are done"

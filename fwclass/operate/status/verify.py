@@ -34,34 +34,38 @@ class Damage:
 
     @property
     def name(self) -> Name:
+        """Stage and part."""
         return self.stage, self.part
 
     def as_data(self) -> dict[str, Any]:
+        """As plain data."""
         return {"stage": self.stage, "part": self.part, "files": list(self.files)}
 
 
 @dataclass(frozen=True)
-class Verified:
-    """What is not as it was written: `parts`; `made_from` them, and from those; `delivered` files of `generation`."""
+class Verification:
+    """What is not as it was written: `parts`; `descendants` them, and from those; `delivered` files of `generation`."""
 
     parts: tuple[Damage, ...]
-    made_from: tuple[Name, ...]
+    descendants: tuple[Name, ...]
     generation: str
     delivered: tuple[str, ...]
 
     @property
     def sound(self) -> bool:
+        """Nothing is damaged."""
         return not (self.parts or self.delivered)
 
     def as_data(self) -> dict[str, Any]:
+        """As plain data."""
         return {
             "damaged": [d.as_data() for d in self.parts],
-            "made_from_damaged": [{"stage": stage, "part": part} for stage, part in self.made_from],
+            "made_from_damaged": [{"stage": stage, "part": part} for stage, part in self.descendants],
             "damaged_delivered": [f"{self.generation}/{name}" for name in self.delivered],
         }
 
 
-def verify(store: Store) -> Verified:
+def verify(store: Store) -> Verification:
     """Read every file of every part that has a receipt, in the plan or not, and of the current generation."""
     damaged = []
     for receipt in _receipts(store):
@@ -69,12 +73,12 @@ def verify(store: Store) -> Verified:
         if files:
             damaged.append(Damage(receipt.stage, receipt.part, tuple(files)))
     generation, delivered = store.generations.damage()
-    return Verified(tuple(damaged), _made_from({d.name for d in damaged}, store), generation, tuple(delivered))
+    return Verification(tuple(damaged), _descendants({d.name for d in damaged}, store), generation, tuple(delivered))
 
 
-def remove(verified: Verified, store: Store) -> None:
+def remove(verified: Verification, store: Store) -> None:
     """Remove damaged parts and all that was made from them, for the holder of the run's lock."""
-    store.remove_all(verified.made_from)  # until the damaged ones are gone, all that was made of them is known
+    store.remove_all(verified.descendants)  # until the damaged ones are gone, all that was made of them is known
     store.remove_all(d.name for d in verified.parts)
 
 
@@ -87,7 +91,7 @@ def _receipts(store: Store) -> Iterator[Receipt]:
             yield receipt
 
 
-def _made_from(damaged: set[Name], store: Store) -> tuple[Name, ...]:
+def _descendants(damaged: set[Name], store: Store) -> tuple[Name, ...]:
     """Parts that were made from `damaged` ones, and from those that were, the last made first."""
     bad, steps = set(damaged), []
     while damaged:
@@ -107,10 +111,10 @@ def _part_of(name: str) -> Name:
     return stage, part
 
 
-def rows(verified: Verified) -> list[str]:
+def rows(verified: Verification) -> list[str]:
     """What is damaged, and what was made from it, in lines."""
     lines = [f"damaged  {d.stage}/{d.part}: {', '.join(d.files)}" for d in verified.parts]
-    counts = Counter(stage for stage, _ in verified.made_from)
+    counts = Counter(stage for stage, _ in verified.descendants)
     if counts:
         lines.append(f"made from these: {', '.join(f'{stage} {n}' for stage, n in sorted(counts.items()))}")
     where = f"generations/{verified.generation}"
@@ -120,7 +124,7 @@ def rows(verified: Verified) -> list[str]:
     return lines
 
 
-def as_text(verified: Verified, request: Request) -> str:
+def as_text(verified: Verification, request: Request) -> str:
     """What is damaged, what was made from it, and what to do."""
     if verified.sound:
         return SOUND

@@ -70,7 +70,7 @@ class StatusWalk(Runner):
         self.states: dict[Name, State] = {}
         self.tasks: dict[Name, Task] = {}
         self._waits: dict[Name, str] = {}  # what is not done, with its standing
-        self.made_with: Counter[str] = Counter()  # receipts by their `libraries`
+        self.libraries: Counter[str] = Counter()  # receipts by their `libraries`
         self.absent: dict[str, Box] = {}  # files that nothing was made of, by name
         busy = held_by(location) is not None
         self._failures: dict[Name, tuple[Failure, float]] = self.store.failures.all()
@@ -88,7 +88,7 @@ class StatusWalk(Runner):
                 self._waits[task.name] = state.standing
             receipt = self.store.receipt(*task.name)
             if receipt is not None and first:
-                self.made_with[receipt.libraries] += 1
+                self.libraries[receipt.libraries] += 1
             known = receipt is not None and (state.standing == "done" or not task.stage.startswith(CHOOSES))
             if known:
                 receipts.append(task.name)
@@ -155,7 +155,7 @@ class StatusWalk(Runner):
 
 
 @dataclass(frozen=True)
-class Looked:
+class RunStatus:
     """What was seen: parts in the plan's order; why the plan is not known further, None where all of it is; how many
     receipts have which `libraries`."""
 
@@ -163,7 +163,7 @@ class Looked:
     states: dict[Name, State]
     tasks: dict[Name, Task]
     ends: str | None
-    made_with: Mapping[str, int]
+    libraries: Mapping[str, int]
 
     @property
     def waiting(self) -> int:
@@ -172,10 +172,11 @@ class Looked:
 
     @property
     def all_done(self) -> bool:
+        """The whole plan is known, and every part of it is done."""
         return self.ends is None and all(s.standing == "done" for s in self.states.values())
 
 
-def look_at(location: RunLocation, workflow: Callable[[Runner], object], accept_libraries: bool = False) -> Looked:
+def look_at(location: RunLocation, workflow: Callable[[Runner], object], accept_libraries: bool = False) -> RunStatus:
     """Walk `workflow` over the run in `location` without making anything.
 
     Faults of the configuration and of the input come out as they would from a run; where parts are missing that tell
@@ -195,4 +196,4 @@ def look_at(location: RunLocation, workflow: Callable[[Runner], object], accept_
         ends = fault.what
         if isinstance(fault, Lacking):
             ends = f"{'/'.join(fault.name)} is {look.states[fault.name].standing}"
-    return Looked(look.store, look.states, look.tasks, ends, look.made_with)
+    return RunStatus(look.store, look.states, look.tasks, ends, look.libraries)

@@ -33,6 +33,7 @@ class Reason:
 
 
 def same(text: str) -> Reason:
+    """A reason that reads the same for one part and for many."""
     return Reason(text, text)
 
 

@@ -24,7 +24,7 @@ from fwclass.read.source import Source, is_beam_file, open_source, refuse_other_
 from fwclass.read.stage import check_source
 from fwclass.read.text import is_text
 from fwclass.schema import IDENTITY, Table
-from fwclass.single_file.decompose import flown_over, ranged
+from fwclass.single_file.decompose import add_radiometry, read_flight
 from fwclass.single_file.ground.file import GROUND, HIGH_NOISE, LOW_NOISE
 from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.steps import Tell
@@ -56,13 +56,13 @@ class FileEchoes:
     ----------
     table : in canonical order; columns that the file cannot give are left out.
     crs : `pyproj.CRS` or None.
-    told : what to say of them.
+    notes : what is to be said of them.
     links : pulse and echo number of the echo of every point, in the file's order; None for a text.
     """
 
     table: Table
     crs: Any
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     links: Table | None = None
 
 
@@ -136,7 +136,7 @@ def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:
             "the coordinates are not in metres",
             where=path,
             expected="a projected coordinate system in metres: the scales of the features are metres",
-            got=f"{crs.name}; {units.told}",
+            got=f"{crs.name}; {units.source}",
             do="convert the file first (for example with PDAL's filters.reprojection)",
         )
 
@@ -200,7 +200,7 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
     surface, _ = terrain_by_blocks(x, y, z, ground, noise, conf.section("terrain", settings))
     without = int(np.isnan(surface.height).sum())
     note = f"{note}: {int(ground.sum()):,} echoes" + (f"; {without:,} echoes have no terrain below" if without else "")
-    return FileEchoes(table.with_columns({"height_above_ground": surface.height}), echoes.crs, (*echoes.told, note))
+    return FileEchoes(table.with_columns({"height_above_ground": surface.height}), echoes.crs, (*echoes.notes, note))
 
 
 def _of_ground(settings: tuple[str, ...]) -> tuple[str, ...]:
@@ -222,8 +222,8 @@ def with_radiometry(echoes: FileEchoes, flight: Flight, settings: tuple[str, ...
     whole = table.with_columns({n: np.full(table.rows, np.nan) for n in missing})
     flown = None
     if flight.trajectory is not None:
-        flown = flown_over(table, flight.trajectory, echoes.crs, flight.undulation)
+        flown = read_flight(table, flight.trajectory, echoes.crs, flight.undulation)
     params = {name: conf.section(name, settings) for name in ("features", "radiometry")}
-    columns, notes = ranged(whole, flown, params, flight.trajectory)
+    columns, notes = add_radiometry(whole, flown, params, flight.trajectory)
     own = [n for n in RADIOMETRY.writes if n in columns]
-    return FileEchoes(table.with_columns(columns.select(own)), echoes.crs, (*echoes.told, *(notes if own else ())))
+    return FileEchoes(table.with_columns(columns.select(own)), echoes.crs, (*echoes.notes, *(notes if own else ())))

@@ -33,9 +33,8 @@ from fwclass.single_file.features.echoes import (
     with_heights,
     with_radiometry,
 )
-from fwclass.single_file.features.names import Wanted, wanted
+from fwclass.single_file.features.names import FeatureList, wanted
 from fwclass.single_file.ground.output import check_places
-from fwclass.single_file.ground.params import check_settings
 from fwclass.single_file.ground.steps import Tell, quiet
 from fwclass.stage import Chunk
 from fwclass.tile.stage import morton
@@ -97,35 +96,35 @@ def features_file(job: FeaturesJob, tell: Tell = quiet) -> dict[str, Any]:
     """
     started = time.perf_counter()
     _check_output(job)
-    check_settings(job.settings, SECTIONS)
-    asked = wanted(job.named, job.listed)
+    conf.check_settings(job.settings, SECTIONS)
+    features = wanted(job.named, job.listed)
     params: FeaturesParams = conf.section("features", job.settings)
     size, publish = conf.section("tile", job.settings).size, conf.section("publish", job.settings)
-    _check_reach(asked, params)
+    _check_reach(features, params)
     tell("reading")
     before = compiling.spent()
-    echoes = _echoes(job, asked, tell)
-    asked, left_out = given(asked, echoes.table, job.source, job.skip_missing)
-    table = _sorted(echoes.table)
+    echoes = _echoes(job, features, tell)
+    features, left_out = available(features, echoes.table, job.source, job.skip_missing)
+    table = _sort(echoes.table)
     with tempfile.TemporaryDirectory(dir=job.output.parent, prefix=".fwclass-features-") as room:
-        columns, tiles, crowd = _features(table, asked, params, size, Path(room), tell)
+        columns, tiles, crowd = _features(table, features, params, size, Path(room), tell)
         tell("writing")
-        empty = dict.fromkeys(asked.names, 0)
-        parts = _row_groups(table, asked, columns, publish.row_group, empty)
+        empty = dict.fromkeys(features.names, 0)
+        parts = _row_groups(table, features, columns, publish.row_group, empty)
         written = write_geoparquet_parts(parts, bounds_of(table), job.output, echoes.crs, publish)
         del columns, parts
     return {
         "input": str(job.source),
         "output": str(job.output),
-        "set": asked.told,
-        "features": list(asked.names),
+        "set": features.label,
+        "features": list(features.names),
         "left_out": left_out,
         "echoes": table.rows,
         "tiles": tiles,
-        "reach": asked.around.reach(params),
+        "reach": features.around.reach(params),
         "without_value": {name: n for name, n in empty.items() if n},
         "crs": echoes.crs.name if echoes.crs is not None else None,
-        "notes": [*echoes.told, *([crowd.text(params)] if crowd else [])],
+        "notes": [*echoes.notes, *([crowd.text(params)] if crowd else [])],
         "bytes": written["bytes"],
         "seconds": {"compiling": round(compiling.spent() - before, 3), "all": round(time.perf_counter() - started, 3)},
     }
@@ -143,73 +142,73 @@ def _check_output(job: FeaturesJob) -> None:
     check_places(job.source, [job.output], job.overwrite)
 
 
-def _check_reach(asked: Wanted, params: FeaturesParams) -> None:
-    reach = asked.around.reach(params)
+def _check_reach(wanted: FeatureList, params: FeaturesParams) -> None:
+    reach = wanted.around.reach(params)
     if reach > MAX_REACH:
         raise ConfigError(
             "a feature reaches too far",
-            where=asked.told,
+            where=wanted.label,
             expected=f"at most {MAX_REACH:g} m",
             got=f"{reach:g} m",
             do="names end in centimetres: height_range_c500 is a cylinder of 5 m",
         )
 
 
-def _echoes(job: FeaturesJob, asked: Wanted, tell: Tell) -> FileEchoes:
+def _echoes(job: FeaturesJob, wanted: FeatureList, tell: Tell) -> FileEchoes:
     """The echoes with everything that the features and the output read."""
-    columns = dict.fromkeys((*asked.around.reads, *asked.names))
+    columns = dict.fromkeys((*wanted.around.reads, *wanted.names))
     echoes = read_echoes(job.source, columns, job.settings, given_crs(job.crs, "--crs"), tell)
     flight = Flight(job.trajectory, job.undulation)
     later = (*TERRAIN.writes, *(RADIOMETRY.writes if ranges(echoes, flight, job.settings) else ()))
-    given(asked, echoes.table, job.source, job.skip_missing, frozenset(later))
-    if "height_above_ground" in asked.names:
+    available(wanted, echoes.table, job.source, job.skip_missing, frozenset(later))
+    if "height_above_ground" in wanted.names:
         by = GroundChoice(job.method, job.preset, job.assignments, job.skip_missing)
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
-    if set(asked.names) & set(RADIOMETRY.writes):
+    if set(wanted.names) & set(RADIOMETRY.writes):
         echoes = with_radiometry(echoes, flight, job.settings)
     keep = [n for n in echoes.table if n in columns or n in PLACE]
-    return FileEchoes(echoes.table.select(keep), echoes.crs, echoes.told)
+    return FileEchoes(echoes.table.select(keep), echoes.crs, echoes.notes)
 
 
-def _sorted(table: Table) -> Table:
+def _sort(table: Table) -> Table:
     """Rows by the cells of the tiles' spatial sort, then as they were (canonical)."""
     return table.take(np.argsort(morton(table["x"], table["y"]), kind="stable"))
 
 
 def _features(
-    table: Table, asked: Wanted, params: FeaturesParams, size: float, room: Path, tell: Tell
+    table: Table, wanted: FeatureList, params: FeaturesParams, size: float, room: Path, tell: Tell
 ) -> tuple[dict[str, NDArray[np.float32]], int, Crowd | None]:
     """Features of a neighbourhood of all rows, by name, those of many in files below `room`; how many tiles it took;
     dense places."""
-    around = asked.around
+    around = wanted.around
     if not around.names:
         return {}, 0, None
-    held = 4 * table.rows * len(around.names) <= HELD
+    in_memory = 4 * table.rows * len(around.names) <= HELD
     columns: dict[str, NDArray[np.float32]] = {
         n: np.empty(table.rows, column(n).dtype)
-        if held
+        if in_memory
         else np.lib.format.open_memmap(room / f"{k}.npy", "w+", column(n).dtype, (table.rows,))
         for k, n in enumerate(around.names)
     }
-    reads, done, tiles, crowds = table.select(dict.fromkeys((*around.reads, *PLACE[:3]))), 0, 0, []
+    reads, count, tiles, crowds = table.select(dict.fromkeys((*around.reads, *PLACE[:3]))), 0, 0, []
     for tile, rows, own in blocks_of(table["x"], table["y"], size, around.halo(params)):
-        tell(f"features: {done:,} of {table.rows:,} echoes")
+        tell(f"features: {count:,} of {table.rows:,} echoes")
         order = np.lexsort((reads["echo_number"][rows], reads["pulse"][rows]))
         chunk = Chunk(reads.take(rows[order]), np.flatnonzero(own[order]), tile)
         for name, values in features(chunk, around.names, params).items():
             if name in columns:
                 columns[name][rows[order][own[order]]] = values
         crowds.append(crowd_facts(chunk, params))
-        done, tiles = done + int(own.sum()), tiles + 1
+        count, tiles = count + int(own.sum()), tiles + 1
     return columns, tiles, Crowd.of_parts(crowds)
 
 
 def _row_groups(
-    table: Table, asked: Wanted, columns: dict[str, NDArray[np.float32]], size: int, empty: dict[str, int]
+    table: Table, wanted: FeatureList, columns: dict[str, NDArray[np.float32]], size: int, empty: dict[str, int]
 ) -> Iterator[Table]:
     """The output's columns, row group by row group; echoes without a value are counted to `empty`, by feature."""
-    plain = [n for n in dict.fromkeys((*PLACE, *asked.names)) if n in table]
-    order = dict.fromkeys((*(n for n in PLACE if n in table), *asked.names))
+    plain = [n for n in dict.fromkeys((*PLACE, *wanted.names)) if n in table]
+    order = dict.fromkeys((*(n for n in PLACE if n in table), *wanted.names))
     for first in range(0, table.rows, size):
         part = slice(first, first + size)
         own = {n: table[n][part] for n in plain} | {n: values[part] for n, values in columns.items()}
@@ -234,9 +233,9 @@ _WHY = {
 """What a file lacks that does not have a column."""
 
 
-def given(
-    asked: Wanted, table: Table, source: Path, skip: bool, later: frozenset[str] = frozenset()
-) -> tuple[Wanted, dict[str, str]]:
+def available(
+    wanted: FeatureList, table: Table, source: Path, skip: bool, later: frozenset[str] = frozenset()
+) -> tuple[FeatureList, dict[str, str]]:
     """The features that `table` can give; those that it cannot, with what it lacks. Columns `later` may still come.
 
     Raises
@@ -245,19 +244,19 @@ def given(
         It cannot give one, and `skip` is not asked for; or none is left.
     """
     there = (set(table) | later) - ({"echo_number"} if "number_of_echoes" not in table else set())
-    lost = {name: why for name in asked.names if (why := _lacks(name, there))}
-    left = tuple(n for n in asked.names if n not in lost)
+    lost = {name: why for name in wanted.names if (why := _lacks(name, there))}
+    left = tuple(n for n in wanted.names if n not in lost)
     if lost and (not skip or not left):
         reasons = dict.fromkeys(lost.values())
         missing = "; ".join(f"{why}: {_listed([n for n in lost if lost[n] == why])}" for why in reasons)
         some = "add --skip-missing" + (f", or ask for --features {','.join(left)}" if len(left) <= SHORT else "")
         raise ConfigError(
-            f"the file cannot give {len(lost)} of the {len(asked.names)} features",
-            where=f"{source}, features of {asked.told}",
+            f"the file cannot give {len(lost)} of the {len(wanted.names)} features",
+            where=f"{source}, features of {wanted.label}",
             got=missing,
             do=some if left else "ask for other features: `fwclass features --list` shows all",
         )
-    return Wanted(asked.told, left), lost
+    return FeatureList(wanted.label, left), lost
 
 
 def _lacks(name: str, there: set[str]) -> str:

@@ -91,13 +91,13 @@ def describe_set(facts: dict[str, Any]) -> str:
     )
 
 
-def _rows(found: list[dict[str, Any]], scales: bool = True) -> list[str]:
+def _rows(features: list[dict[str, Any]], scales: bool = True) -> list[str]:
     """Aligned columns: name, scales, unit, formula, source."""
-    name = max((len(f["name"]) for f in found), default=0)
-    unit = max((len(f["unit"]) for f in found), default=0)
-    kind = max((len(f["scales"]) for f in found), default=0) if scales else 0
+    name = max((len(f["name"]) for f in features), default=0)
+    unit = max((len(f["unit"]) for f in features), default=0)
+    kind = max((len(f["scales"]) for f in features), default=0) if scales else 0
     rows = []
-    for f in found:
+    for f in features:
         middle = f"{f['scales']:<{kind}}  " if kind else ""
         source = f"  [{f['source']}]" if f["source"] else ""
         rows.append(f"  {f['name']:<{name}}  {middle}{f['unit']:<{unit}}  {f['formula']}{source}")

@@ -28,10 +28,10 @@ FLAG_BITS = ("fit_flags", "radiometry_flags")
 
 
 @dataclass(frozen=True)
-class Wanted:
+class FeatureList:
     """Names of the features in order, and what they are called together."""
 
-    told: str
+    label: str
     names: tuple[str, ...]
 
     @property
@@ -61,7 +61,7 @@ def sorted_settings(words: Iterable[str]) -> tuple[str | None, tuple[str, ...]]:
     return (sets[0] if sets else None), tuple(w for w in words if "=" in w)
 
 
-def wanted(named: str | None, listed: str | None) -> Wanted:
+def wanted(named: str | None, listed: str | None) -> FeatureList:
     """The features of a set (name or file) or of a list ``a,b,c``; without both the set `DEFAULT`.
 
     Raises
@@ -72,16 +72,18 @@ def wanted(named: str | None, listed: str | None) -> Wanted:
     if named is not None and listed is not None:
         raise ConfigError("features are named twice", where="--set and --features", do="leave one of them out")
     if listed is not None:
-        features = Wanted("--features", listed_once([n.strip() for n in listed.split(",") if n.strip()], "--features"))
+        features = FeatureList(
+            "--features", listed_once([n.strip() for n in listed.split(",") if n.strip()], "--features")
+        )
     else:
-        asked = named if named is not None else DEFAULT
-        features = Wanted(asked, feature_set(asked).features)
+        text = named if named is not None else DEFAULT
+        features = FeatureList(text, feature_set(text).features)
     if not features.names:
         raise ConfigError(
-            "no feature is named", where=features.told, expected="for example height_std_c200,planarity_k20"
+            "no feature is named", where=features.label, expected="for example height_std_c200,planarity_k20"
         )
     for name in features.names:
-        check_name(name, features.told)
+        check_name(name, features.label)
     return features
 
 

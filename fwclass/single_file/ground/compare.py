@@ -24,7 +24,7 @@ from fwclass.publish.ground_page import disagreement_map, render_comparison
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.single_file.ground.file import filter_cloud, shown_points
 from fwclass.single_file.ground.labels import NAMES, labels_of, matrix_of
-from fwclass.single_file.ground.params import closest, ground_params, used
+from fwclass.single_file.ground.params import closest, ground_params, used_params
 from fwclass.single_file.ground.rasters import check_extent
 from fwclass.single_file.ground.search import check_directory
 from fwclass.single_file.ground.steps import Tell, quiet
@@ -84,7 +84,7 @@ def compare(
         filters.append(plain)
     votes = np.sum([f.ground for f in flags.values()], axis=0)
     majority = Flags(votes * 2 > len(names), np.logical_and.reduce([f.noise for f in flags.values()]))
-    filters.append(_summary(cloud, shown, truth, MAJORITY, majority))
+    filters.append(_summary(shown, truth, MAJORITY, majority))
     tell("measuring")
     plain = {
         "input": str(source),
@@ -152,14 +152,12 @@ def _one(
     began = time.perf_counter()
     flags = filter_cloud(cloud, shown, params, tell)
     seconds = time.perf_counter() - began
-    summary = _summary(cloud, shown, truth, name, flags)
+    summary = _summary(shown, truth, name, flags)
     rate = {"seconds": round(seconds, 3), "points_per_second": round(int(shown.sum()) / max(seconds, 1e-9))}
-    return flags, {**summary, **rate, "parameters": used(params)}
+    return flags, {**summary, **rate, "parameters": used_params(params)}
 
 
-def _summary(
-    cloud: PointCloud, shown: NDArray[np.bool_], truth: NDArray[np.int8] | None, name: str, flags: Flags
-) -> dict[str, Any]:
+def _summary(shown: NDArray[np.bool_], truth: NDArray[np.int8] | None, name: str, flags: Flags) -> dict[str, Any]:
     plain: dict[str, Any] = {
         "method": name,
         "ground": int(flags.ground.sum()),
@@ -176,9 +174,9 @@ def _summary(
     return plain
 
 
-def agreement(found: Sequence[Flags], shown: NDArray[np.bool_]) -> list[list[float]]:
+def agreement(filters: Sequence[Flags], shown: NDArray[np.bool_]) -> list[list[float]]:
     """Share of the shown points that two filters call the same, for all pairs."""
-    flags = [f.ground[shown] for f in found]
+    flags = [f.ground[shown] for f in filters]
     return [[float((a == b).mean()) for b in flags] for a in flags]
 
 
@@ -194,12 +192,12 @@ def _pictures(
     """Shaded relief of every filter's terrain, and the map of disagreement under its own name."""
     publish, terrain = conf.section("publish", settings), conf.section("terrain", settings)
     x, y, z, _ = _of(cloud, shown)
-    made_of = {}
+    terrains = {}
     for name, f in flags.items():
         tell(f"terrain of {name}")
-        made_of[name] = terrain_by_blocks(x, y, z, f.ground[shown], f.noise[shown], terrain)
+        terrains[name] = terrain_by_blocks(x, y, z, f.ground[shown], f.noise[shown], terrain)
     tell("pictures")
-    known = {n: (t.dtm, window) for n, (t, window) in made_of.items() if np.isfinite(t.dtm).any()}
+    known = {n: (t.dtm, window) for n, (t, window) in terrains.items() if np.isfinite(t.dtm).any()}
     tints = tint_range(np.concatenate([dtm.reshape(-1) for dtm, _ in known.values()])) if known else None
     pictures = {name: relief(dtm, window, publish, tints) for name, (dtm, window) in known.items()}
     cell = max(0.5, round(2.0 * plain["measured"]["spacing"], 1))

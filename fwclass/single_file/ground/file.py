@@ -23,10 +23,10 @@ from fwclass.ground.tuning_params import GroundAutoParams
 from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.las import LasSource
 from fwclass.single_file.ground.output import check_output, check_packets, write_points
-from fwclass.single_file.ground.params import ground_params, used, with_assignments
+from fwclass.single_file.ground.params import ground_params, used_params, with_assignments
 from fwclass.single_file.ground.rasters import check_extent, terrain_of, write_rasters
 from fwclass.single_file.ground.steps import Tell, quiet
-from fwclass.single_file.ground.stray import stray_points, told
+from fwclass.single_file.ground.stray import describe_stray, stray_points
 
 UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
 """Class codes of LAS 1.4."""
@@ -74,7 +74,8 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
 
     Ground becomes class 2, what the filter takes for noise class 7, everything else class 1. With `keep_classes` the
     others keep the class they came with (but 2, which becomes 1), and points that came as noise (7, 18) stay what
-    they are and the filter does not see them. Nothing is written before all of it is known. `tell` hears every step.
+    they are and the filter does not see them. Nothing is written before all of it is known. `tell` is called with every
+    step.
 
     Raises
     ------
@@ -115,7 +116,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "output": str(job.output),
         "method": params.method,
         "preset": job.preset,
-        "parameters": used(params),
+        "parameters": used_params(params),
         "measured": measured,
         "points": cloud.points,
         "unusable": unusable(cloud),
@@ -126,7 +127,7 @@ def ground_file(job: GroundJob, tell: Tell = quiet) -> dict[str, Any]:
         "ground": int(flags.ground.sum()),
         "noise": int(flags.noise.sum()),
         "classes": {str(c): int(n) for c, n in zip(codes, counts, strict=True)},
-        "crs": cloud.units.told,
+        "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "rasters": rasters,
         "waveforms": written.get("wdp"),
@@ -173,7 +174,7 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
             got=f"none among {len(rows):,} points",
             do="let all returns be ground: --param last_returns=false",
         )
-    found = ground_by_blocks(
+    shown_flags = ground_by_blocks(
         cloud.x[rows],
         cloud.y[rows],
         cloud.z[rows],
@@ -182,7 +183,7 @@ def filter_cloud(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundPara
         lambda block, of: tell(f"filter {params.method}: block {block} of {of}"),
     )
     flags = Flags(np.zeros(cloud.points, bool), np.zeros(cloud.points, bool))
-    flags.ground[rows], flags.noise[rows] = found.ground, found.noise
+    flags.ground[rows], flags.noise[rows] = shown_flags.ground, shown_flags.noise
     return flags
 
 
@@ -238,7 +239,9 @@ def _notes(
         notes.append("the output keeps the coordinate system that the input names, not that of --crs")
     if len(stray):
         ground = int(flags.ground[stray].sum())
-        notes.append(f"{told(cloud, stray)}; {ground:,} of them {'is' if ground == 1 else 'are'} called ground")
+        notes.append(
+            f"{describe_stray(cloud, stray)}; {ground:,} of them {'is' if ground == 1 else 'are'} called ground"
+        )
     if not flags.ground.any():
         notes.append("no ground was found: water, or a filter that does not suit this place")
     elif _flat(cloud, shown):
@@ -251,7 +254,7 @@ def _flat(cloud: PointCloud, shown: NDArray[np.bool_]) -> bool:
 
 
 def adapting(choose: bool, settings: tuple[str, ...] = (), tell: Tell = quiet) -> Adapt:
-    """What changes parameters to suit a cloud; with `choose` the filter too. `tell` hears how much is tried."""
+    """What changes parameters to suit a cloud; with `choose` the filter too. `tell` gets how much is tried."""
     rules: GroundAutoParams = conf.section("ground_auto", settings)
 
     def adapt(cloud: PointCloud, shown: NDArray[np.bool_], params: GroundParams) -> tuple[GroundParams, dict[str, Any]]:

@@ -20,7 +20,7 @@ from fwclass.read.cloud import PointCloud, read_point_cloud
 from fwclass.read.text import SUFFIXES as TEXT
 from fwclass.single_file.ground.file import GROUND, came_as_noise, classes_of, filter_cloud, shown_points
 from fwclass.single_file.ground.output import check_output, check_packets, write_points
-from fwclass.single_file.ground.params import check_settings, ground_params
+from fwclass.single_file.ground.params import ground_params
 from fwclass.single_file.ground.rasters import check_extent
 from fwclass.single_file.ground.steps import Tell, quiet
 
@@ -71,7 +71,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     check_output(job.source, job.output, job.overwrite)
     if job.keep_z and job.output.suffix.lower() in TEXT:
         raise ConfigError("a text has no extra bytes", where=job.output, do="leave out --keep-z, or write a LAZ file")
-    check_settings(job.settings, ("ground", "terrain", "publish"))
+    conf.check_settings(job.settings, ("ground", "terrain", "publish"))
     own = {} if job.height is None else {"height": job.height}
     params = conf.section("terrain", job.settings, {"terrain": own})
     tell("reading")
@@ -88,7 +88,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
     height = np.full(cloud.points, np.nan)
     height[rows] = surface.height
     tell("writing")
-    written = _written(cloud, flags, height, job)
+    written = _write(cloud, flags, height, job)
     known = height[np.isfinite(height)]
     return {
         "input": str(job.source),
@@ -99,7 +99,7 @@ def normalize_file(job: NormalizeJob, tell: Tell = quiet) -> dict[str, Any]:
         "ground": int(flags.ground.sum()),
         "without": int(np.isnan(height).sum()),
         "keep_z": job.keep_z,
-        "crs": cloud.units.told,
+        "crs": cloud.units.source,
         "metres_per_unit": {"xy": cloud.units.xy, "z": cloud.units.z},
         "max_gap": params.max_gap,
         "heights_m": _spread(known),
@@ -139,7 +139,7 @@ def _listed(classes: NDArray[np.uint8]) -> str:
     return ", ".join(str(c) for c in np.unique(classes))
 
 
-def _written(cloud: PointCloud, flags: Flags, height: NDArray[np.float64], job: NormalizeJob) -> dict[str, Any]:
+def _write(cloud: PointCloud, flags: Flags, height: NDArray[np.float64], job: NormalizeJob) -> dict[str, Any]:
     classes = cloud.classes if cloud.classes is not None else classes_of(cloud, flags, False)
     publish = conf.section("publish", job.settings)
     if job.keep_z:

@@ -127,17 +127,17 @@ def write_points(
 def _as_text(
     cloud: PointCloud, output: Path, classes: NDArray[np.uint8], z: NDArray[np.float64] | None
 ) -> dict[str, Any]:
-    x, y, own = written(cloud)
-    made = write_text(output, x, y, own if z is None else z, classes)
+    x, y, own = original_coordinates(cloud)
+    facts = write_text(output, x, y, own if z is None else z, classes)
     notes = []
     if isinstance(cloud.source, LasSource):
         notes.append("the text holds x y z classification, nothing else of the input")
     elif cloud.source.dropped:
         notes.append(f"columns that are not carried over: {', '.join(cloud.source.dropped)}")
-    return {**made, "notes": notes}
+    return {**facts, "notes": notes}
 
 
-def written(cloud: PointCloud) -> tuple[NDArray[np.float64], ...]:
+def original_coordinates(cloud: PointCloud) -> tuple[NDArray[np.float64], ...]:
     """x, y, z in the file's own unit, with as many decimals as its scales have."""
     if not isinstance(cloud.source, LasSource):
         return cloud.source.x, cloud.source.y, cloud.source.z
@@ -161,7 +161,7 @@ def _text_as_las(
     z: NDArray[np.float64] | None,
     extra: dict[str, NDArray],
 ) -> dict[str, Any]:
-    x, y, own = written(cloud)
+    x, y, own = original_coordinates(cloud)
     own = own if z is None else z
     bad = ~(cloud.usable & np.isfinite(own))
     if bad.any():
@@ -182,6 +182,6 @@ def _text_as_las(
         "z": quantise(own),
         "classification": classes,
     }
-    made = write_tile_laz(Table({**columns, **extra}), output, cloud.crs, params)
+    facts = write_tile_laz(Table({**columns, **extra}), output, cloud.crs, params)
     rounded = max(float(np.abs(quantise(a) - a).max()) for a in (x, y, own)) > 1e-6
-    return {**made, "notes": ["coordinates are rounded to thousandths of a unit"] if rounded else []}
+    return {**facts, "notes": ["coordinates are rounded to thousandths of a unit"] if rounded else []}

@@ -51,7 +51,7 @@ def ground_params(
     ConfigError
         An unknown filter, preset or parameter, or a value that does not fit.
     """
-    check_settings(settings, SECTIONS)
+    conf.check_settings(settings, SECTIONS)
     _check_preset(preset)
     change: dict[str, Any] = {} if preset is None else {"preset": preset}
     if method is not None:
@@ -123,19 +123,6 @@ def _check_preset(name: str | None) -> None:
 def closest(name: str, known: Iterable[str]) -> str:
     """`did you mean …?`; without the list, which stands beside it."""
     return close if (close := nearest(name, known)).startswith("did") else "choose one of these"
-
-
-def check_settings(settings: Iterable[str], sections: tuple[str, ...]) -> None:
-    """`ConfigError` for a setting of a section that the command does not look at."""
-    for text in settings:
-        if text.split(".")[0].strip() not in sections:
-            raise ConfigError(
-                "this setting has no effect here",
-                where=f"--set {text}",
-                expected=f"a key of {', '.join(sections)}",
-                got=text.split("=")[0],
-                do="leave it out, or use `fwclass run`",
-            )
 
 
 def _check_method(params: GroundParams) -> None:
@@ -247,7 +234,7 @@ def _fields(own: Any) -> list[str]:
     return out
 
 
-def used(params: GroundParams) -> dict[str, Any]:
+def used_params(params: GroundParams) -> dict[str, Any]:
     """What the filter works with, as plain data: shared parameters, and its own with every derived length."""
     plain: dict[str, Any] = {name: getattr(params, name) for name in SHARED}
     plain["noise"] = params.noise.model_dump(mode="json")

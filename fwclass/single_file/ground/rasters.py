@@ -20,7 +20,7 @@ from fwclass.publish.cog import write_cog
 from fwclass.publish.params import PublishParams
 from fwclass.publish.shade import hillshade, slope
 from fwclass.read.cloud import PointCloud
-from fwclass.single_file.ground.stray import stray_points, told
+from fwclass.single_file.ground.stray import describe_stray, stray_points
 
 NO_LIGHT = 0
 """Value of a cell of the relief without terrain; the others have 1 to 255."""
@@ -51,7 +51,7 @@ def check_extent(cloud: PointCloud, shown: NDArray[np.bool_], cell: float, tile:
                 got=f"{window.ncols:,} x {window.nrows:,} cells of {cell:g} m",
             )
     except InputError as fault:
-        stray = told(cloud, stray_points(cloud, shown))
+        stray = describe_stray(cloud, stray_points(cloud, shown))
         larger = "take larger cells: --set terrain.cell=…"
         raise InputError(
             "the terrain's raster would be too large",
@@ -72,26 +72,26 @@ def terrain_of(
 
 
 def write_rasters(
-    cloud: PointCloud, found: tuple[Terrain, Window], targets: dict[str, Path], publish: PublishParams
+    cloud: PointCloud, terrain_and_window: tuple[Terrain, Window], targets: dict[str, Path], publish: PublishParams
 ) -> dict[str, Any]:
     """Write the GeoTIFFs of `targets` (``dtm, dsm, ndsm, hillshade, slope, roughness``), in the file's units.
 
     Terrain, surface, their difference, slope and roughness are NaN where there is none.
     """
-    made, window = found
+    terrain, window = terrain_and_window
     out = {}
     for name, path in targets.items():
-        raster, nodata = _raster(name, made, window, cloud.units.z, publish)
+        raster, nodata = _raster(name, terrain, window, cloud.units.z, publish)
         out[name] = write_cog(raster, window, path, cloud.crs, publish, nodata, unit=cloud.units.xy)
     return out
 
 
-def _raster(name: str, made: Terrain, window: Window, unit: float, publish: PublishParams) -> tuple[NDArray, float]:
+def _raster(name: str, terrain: Terrain, window: Window, unit: float, publish: PublishParams) -> tuple[NDArray, float]:
     """One raster and its value for no data."""
     if name == "slope":
-        return slope(np.pad(made.dtm, 1, constant_values=np.nan), window.cell), float("nan")
+        return slope(np.pad(terrain.dtm, 1, constant_values=np.nan), window.cell), float("nan")
     if name != "hillshade":
-        values = made.dsm - made.dtm if name == "ndsm" else getattr(made, name)
+        values = terrain.dsm - terrain.dtm if name == "ndsm" else getattr(terrain, name)
         return (values / np.float32(unit)).astype(np.float32), float("nan")
-    light = np.rint(1.0 + 254.0 * hillshade(made.dtm, window.cell, publish)).astype(np.uint8)
-    return np.where(np.isfinite(made.dtm), light, np.uint8(NO_LIGHT)), NO_LIGHT
+    light = np.rint(1.0 + 254.0 * hillshade(terrain.dtm, window.cell, publish)).astype(np.uint8)
+    return np.where(np.isfinite(terrain.dtm), light, np.uint8(NO_LIGHT)), NO_LIGHT

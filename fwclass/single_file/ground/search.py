@@ -82,9 +82,9 @@ def optimize(
     start = start_of(params, ranges)
     runs = 3 * most_runs(ranges, limits)
     tell(f"{params.method}: how long a run takes")
-    say(announced(params.method, runs, [_timed(trial, s) for s in (start, *_ends(ranges))]))
+    say(announcement(params.method, runs, [_time_run(trial, s) for s in (start, *_ends(ranges))]))
     trial.tell = lambda: tell(f"{params.method}: run {len(trial.known) + 1} of at most {runs}")
-    plain = _searched(trial, start, ranges, limits)
+    plain = _search(trial, start, ranges, limits)
     plain = {
         "input": str(source),
         "reference": str(reference or source),
@@ -123,9 +123,9 @@ class Trial:
         """Confusion matrices (rows reference, columns filter; ground first) of the two halves."""
         if setting not in self.known:
             self.tell()
-            asked = with_values(self.quiet, dict(zip(self.ranges, setting, strict=True)))
+            params = with_values(self.quiet, dict(zip(self.ranges, setting, strict=True)))
             ground = np.zeros(len(self.truth), bool)
-            ground[self.rows] = ground_by_blocks(*self.points, self.last, asked).ground
+            ground[self.rows] = ground_by_blocks(*self.points, self.last, params).ground
             self.known[setting] = (
                 matrix_of(self.truth, ground, self.half == 0),
                 matrix_of(self.truth, ground, self.half == 1),
@@ -139,18 +139,18 @@ class Trial:
         return -1.0 if value is None else float(value)
 
 
-def _searched(trial: Trial, start: Setting, ranges: dict[str, Values], limits: GroundSearchParams) -> dict[str, Any]:
+def _search(trial: Trial, start: Setting, ranges: dict[str, Values], limits: GroundSearchParams) -> dict[str, Any]:
     """The searches on all points and on either half, and what they found."""
     best = search(ranges, start, trial.kappa, limits)
     chosen = [search(ranges, start, partial(trial.kappa, half=half), limits).setting for half in (0, 1)]
-    held = trial.matrices(chosen[0])[1] + trial.matrices(chosen[1])[0]
+    held_out = trial.matrices(chosen[0])[1] + trial.matrices(chosen[1])[0]
     before, after = (sum(trial.matrices(s)) for s in (start, best.setting))
-    better = figure(held, "kappa") > figure(before, "kappa")
-    values = named(ranges, best.setting if better else start)
+    better = figure(held_out, "kappa") > figure(before, "kappa")
+    values = by_name(ranges, best.setting if better else start)
     return {
-        "start": {"parameters": named(ranges, start), **_figures(before)},
-        "best": {"parameters": named(ranges, best.setting), **_figures(after)},
-        "held_out": {"parameters": [named(ranges, s) for s in chosen], **_figures(held)},
+        "start": {"parameters": by_name(ranges, start), **_figures(before)},
+        "best": {"parameters": by_name(ranges, best.setting), **_figures(after)},
+        "held_out": {"parameters": [by_name(ranges, s) for s in chosen], **_figures(held_out)},
         "curves": {n: [list(p) for p in line] for n, line in curves(ranges, best.setting, trial.kappa).items()},
         "recommended": "best" if better else "start",
         "param": " ".join(f"--param {name}={value:g}" for name, value in values.items()),
@@ -196,7 +196,8 @@ def with_values(params: GroundParams, values: dict[str, float]) -> GroundParams:
     return params.model_copy(update={section: type(getattr(params, section)).model_validate(whole_section)})
 
 
-def named(ranges: dict[str, Values], setting: Setting) -> dict[str, float]:
+def by_name(ranges: dict[str, Values], setting: Setting) -> dict[str, float]:
+    """A setting by the names of its parameters."""
     return dict(zip(ranges, setting, strict=True))
 
 
@@ -261,7 +262,7 @@ def describe(result: dict[str, Any]) -> str:
 NO_BETTER = "the found parameters are no better on points that did not choose them: keep the present ones"
 
 
-def announced(method: str, runs: int, timed: Sequence[float]) -> str:
+def announcement(method: str, runs: int, timed: Sequence[float]) -> str:
     """What a search of at most `runs` runs may take, by the seconds of some runs of very different settings.
 
     Searches seldom need less than a third or more than two thirds of the runs, and the mean stands for all of them.
@@ -277,7 +278,7 @@ def _ends(ranges: dict[str, Values]) -> tuple[Setting, Setting]:
     return tuple(v[0] for v in ranges.values()), tuple(v[-1] for v in ranges.values())
 
 
-def _timed(trial: Trial, setting: Setting) -> float:
+def _time_run(trial: Trial, setting: Setting) -> float:
     """Seconds of one run; the filter has run before, so that nothing is compiled."""
     began = time.perf_counter()
     trial.matrices(setting)

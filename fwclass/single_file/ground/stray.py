@@ -36,7 +36,7 @@ def stray_points(cloud: PointCloud, shown: NDArray[np.bool_]) -> NDArray[np.int6
     return rows[few[own]]
 
 
-def told(cloud: PointCloud, rows: NDArray[np.int64]) -> str:
+def describe_stray(cloud: PointCloud, rows: NDArray[np.int64]) -> str:
     """How many points they are and where, in the file's own unit; ``""`` for none."""
     if not len(rows):
         return ""

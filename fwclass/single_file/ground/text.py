@@ -32,7 +32,7 @@ def describe(summary: Mapping[str, Any]) -> str:
         ("last returns", f"{summary['last_returns']:,}"),
         *_measured(summary["measured"]),
         ("filter", summary["method"] + (f", preset {summary['preset']}" if summary["preset"] else "")),
-        *_wrapped("parameters", ", ".join(parameters(summary["parameters"]))),
+        *_wrap("parameters", ", ".join(parameters(summary["parameters"]))),
         ("ground", f"{summary['ground']:,} ({share(summary['ground'], total)})"),
         ("noise", f"{summary['noise']:,}"),
         ("seconds", _seconds(summary["seconds"])),
@@ -51,7 +51,7 @@ def _seconds(seconds: Mapping[str, float]) -> str:
     return f"{text} and {seconds['compiling']:.1f} compiling for this machine, once"
 
 
-def _wrapped(name: str, text: str) -> list[tuple[str, str]]:
+def _wrap(name: str, text: str) -> list[tuple[str, str]]:
     lines = textwrap.wrap(text, WIDTH)
     return [(name if i == 0 else "", line) for i, line in enumerate(lines)]
 
@@ -117,6 +117,7 @@ def _plain(value: Any) -> str:
 
 
 def share(part: int, whole: int) -> str:
+    """A share in percent, as text; "-" of nothing."""
     return f"{100 * part / whole:.1f} %" if whole else "-"
 
 

@@ -89,11 +89,11 @@ def annotate(
     }
 
 
-def _keep(held: Seen, frame: Frame, placed: Any) -> None:
+def _keep(columns: Seen, frame: Frame, placed: Any) -> None:
     here = ~np.isnan(placed.r)
-    held[0].append(placed.y[here] * UNIT)
-    held[1].append(placed.z[here] * UNIT)
-    held[2].append(np.zeros(int(here.sum()), np.uint8) if frame.labels is None else frame.labels[here])
+    columns[0].append(placed.y[here] * UNIT)
+    columns[1].append(placed.z[here] * UNIT)
+    columns[2].append(np.zeros(int(here.sum()), np.uint8) if frame.labels is None else frame.labels[here])
 
 
 def _remarks(boxes: list[Box], labeller: Labeller) -> list[str]:

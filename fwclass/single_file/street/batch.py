@@ -21,7 +21,7 @@ from fwclass.model import Model
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
 from fwclass.run.runner import Runner, require_all
-from fwclass.single_file.street.online import classified
+from fwclass.single_file.street.online import classify_frame
 from fwclass.single_file.street.output import finish
 from fwclass.store.models import load_model, model_digest
 from fwclass.street.answers import ANSWERS, END, Writer, read_answers
@@ -106,10 +106,10 @@ def chunk(work: Work, first: int, last: int, inputs: PartInputs, directory: Path
         for frame in _frames(inputs, meta, scan, low, high):
             for one in ring.take(frame):
                 most, cut = max(most, one.frames), cut + int(one.cut)
-                file.write(writer.frame(classified(one, model)))
+                file.write(writer.frame(classify_frame(one, model)))
         for one in ring.rest():
             most, cut = max(most, one.frames), cut + int(one.cut)
-            file.write(writer.frame(classified(one, model)))
+            file.write(writer.frame(classify_frame(one, model)))
     return {"most": most, "cut": cut}
 
 
@@ -149,26 +149,26 @@ def classify(work: Work, target: Path, runner: Runner, block: float) -> dict[str
         Task(CHUNK, f"{at:09d}", VERSION, about, partial(chunk, work, at, min(at + step, count)), needs=(first.name,))
         for at in range(0, count, step)
     ]
-    done = require_all(runner, tasks)
+    receipts = require_all(runner, tasks)
     with (target / ANSWERS).open("wb") as file:
         file.write(Writer(_scan(meta).beams).head)
         for task in tasks:
             with runner.store.path(CHUNK, task.part, PART).open("rb") as part:
                 shutil.copyfileobj(part, file, 1 << 20)
         file.write(END)
-    accuracy = _judged(runner, meta, model, target, block) if "labels" in meta["kept"] else None
-    most, cut = (f(done[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
-    held = 2 * work.params.most_frames + 1
+    accuracy = _judge(runner, meta, model, target, block) if "labels" in meta["kept"] else None
+    most, cut = (f(receipts[t.name].meta[k] for t in tasks) for f, k in ((max, "most"), (sum, "cut")))
+    most_frames = 2 * work.params.most_frames + 1
     summary = {
         **meta["counts"],
-        "neighbourhood": {"most_frames": most, "held": held, "cut": cut},
+        "neighbourhood": {"most_frames": most, "held": most_frames, "cut": cut},
         "accuracy": accuracy,
         "street": work.params.model_dump(mode="json"),
     }
     return finish(target, segments(read_answers(target / ANSWERS), work.params, int(model.codes[0])), summary)
 
 
-def _judged(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path, block: float) -> dict[str, Any] | None:
+def _judge(runner: Runner, meta: Mapping[str, Any], model: Model, target: Path, block: float) -> dict[str, Any] | None:
     """Figures where the recording has labels."""
     scan = _scan(meta)
     labels = np.memmap(runner.store.path(FRAMES, "all", "labels.bin"), np.uint8, "r").reshape(-1, scan.beams)

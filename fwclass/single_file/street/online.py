@@ -38,7 +38,7 @@ WARM = 40
 """Frames that everything is gone through with before anything is listened to, so that nothing compiles later."""
 
 
-def classified(one: Seen, model: Model) -> Answer:
+def classify_frame(one: Seen, model: Model) -> Answer:
     """Classes and shares of a frame's returns."""
     here = ~np.isnan(one.frame.r)
     if not here.any():
@@ -77,7 +77,7 @@ class Loop:
     def _answer(self, one: Seen) -> Answer:
         self.cut += one.cut
         self.most = max(self.most, one.frames)
-        return classified(one, self.model)
+        return classify_frame(one, self.model)
 
 
 @dataclass
@@ -129,7 +129,7 @@ class Run:
     trajectory: TrajectoryFiles = NO_TRAJECTORY
 
 
-def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str, Any]:
+def run(job: Run, params: StreetParams, say: Callable[[str], None]) -> dict[str, Any]:
     """Answer a source of frames until it ends; plain data on latency and faults.
 
     Raises
@@ -139,28 +139,28 @@ def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[st
     KeyboardInterrupt
         The user ended it; the files are whole.
     """
-    model = load_model(asked.model)
-    params = params_of(model, params, asked.model)
-    if asked.source.startswith("tcp://"):
-        place_of(asked.source)
-    elif asked.source != "-":
-        open_on_trajectory(Path(asked.source), params, asked.trajectory)
-    prepare(asked.target, asked.overwrite)
+    model = load_model(job.model)
+    params = params_of(model, params, job.model)
+    if job.source.startswith("tcp://"):
+        place_of(job.source)
+    elif job.source != "-":
+        open_on_trajectory(Path(job.source), params, job.trajectory)
+    prepare(job.target, job.overwrite)
     warm(model, params)
     with interruptible() as ended, ExitStack() as stack, without_garbage():
         faults: Counter[str] = Counter()
-        frames, stream = _source(asked, params, ended, say, stack)
-        files = Files(asked.target, params, int(model.codes[0]))
+        frames, stream = _source(job, params, ended, say, stack)
+        files = Files(job.target, params, int(model.codes[0]))
         loop, latency, late = Loop(model, params), Latency(), 0
         broken: InputError | None = None
         try:
             for frame, there in frames:
-                given = False
+                delivered = False
                 for one in loop.take(frame):
                     files.write(one)
-                    given = True
+                    delivered = True
                 took = time.perf_counter() - there
-                if given:
+                if delivered:
                     latency.add(took)
                 late += math.isfinite(loop.track.period) and took > loop.track.period
         except InputError as fault:
@@ -171,34 +171,34 @@ def run(asked: Run, params: StreetParams, say: Callable[[str], None]) -> dict[st
         interrupted = ended()
         faults.update(stream.faults if stream is not None else {})
     summary = _summary(loop, latency, late, faults, params)
-    summary = finish(asked.target, None, summary)
+    summary = finish(job.target, None, summary)
     if broken is not None:
         raise broken
     if stream is not None and stream.stalled:
         raise InputError(
             f"nothing came for {params.stream.stall:g} s",
-            where=asked.source,
+            where=job.source,
             got=f"{summary['frames']} frames before",
             do="what was answered stays; look at the sender, or give --set street.stream.stall=SECONDS",
         )
     if interrupted:
         raise KeyboardInterrupt
     if not summary["frames"]:
-        raise InputError("not one frame came", where=asked.source, expected="frames", got=dict(faults) or "nothing")
+        raise InputError("not one frame came", where=job.source, expected="frames", got=dict(faults) or "nothing")
     return summary
 
 
 def _source(
-    asked: Run, params: StreetParams, ended: Callable[[], bool], say: Callable[[str], None], stack: ExitStack
+    job: Run, params: StreetParams, ended: Callable[[], bool], say: Callable[[str], None], stack: ExitStack
 ) -> tuple[Iterator[tuple[Frame, float]], Any]:
-    if asked.source == "-":
+    if job.source == "-":
         stream = standard_input(params.stream, ended)
         return stream.frames(), stream
-    if asked.source.startswith("tcp://"):
-        stream = stack.enter_context(listening(asked.source, params.stream, ended, say))
+    if job.source.startswith("tcp://"):
+        stream = stack.enter_context(listening(job.source, params.stream, ended, say))
         return stream.frames(), stream
-    recording = open_on_trajectory(Path(asked.source), params, asked.trajectory)
-    return from_recording(recording, asked.paced, ended), None
+    recording = open_on_trajectory(Path(job.source), params, job.trajectory)
+    return from_recording(recording, job.paced, ended), None
 
 
 def warm(model: Model, params: StreetParams) -> None:

@@ -142,25 +142,25 @@ def listening(
     with server:
         server.settimeout(GLANCE)
         say(f"listening    tcp://{host}:{server.getsockname()[1]}")
-        held: list[Any] = []
+        sockets: list[Any] = []
 
         def read() -> bytes | None:
-            if not held:
+            if not sockets:
                 try:
                     connection, peer = server.accept()
                 except TimeoutError:
                     return None
                 server.close()
                 connection.settimeout(GLANCE)
-                held.append(connection)
+                sockets.append(connection)
                 say(f"connected    {peer[0]}:{peer[1]}")
             try:
-                return bytes(held[0].recv(PIECE))
+                return bytes(sockets[0].recv(PIECE))
             except TimeoutError:
                 return None
 
         try:
             yield Stream(read, params, ended)
         finally:
-            for connection in held:
+            for connection in sockets:
                 connection.close()

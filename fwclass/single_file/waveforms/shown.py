@@ -19,7 +19,7 @@ JITTER = 1.0
 
 
 @dataclass(frozen=True)
-class Seen:
+class WaveformView:
     """The echoes of a span beside the vendor's returns; times from the first sample of the pulse [ns].
 
     Attributes
@@ -54,13 +54,14 @@ class Seen:
 
     @property
     def significance(self) -> NDArray[np.float64]:
+        """Amplitudes over their standard deviations, one an echo."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(self.fits.amplitude / self.fits.amplitude_sigma)
 
 
 def see(
     waves: Waveforms, params: DecomposeParams, pulse: SystemPulse, only: tuple[int, ...], inflation: float = 1.0
-) -> Seen:
+) -> WaveformView:
     """Fit the waveforms (of pulses `only`, if there are any) and tie echoes to returns.
 
     `inflation`: standard deviation of the matched filter's output over what the fit takes it for.
@@ -80,7 +81,7 @@ def see(
     matched, gap = tie(owner, time, fits.amplitude, place[returns], return_time, params.vendor_tolerance)
     matched = np.where(matched >= 0, returns[matched], -1) if len(returns) else matched
     chance = noise_chances(fits, waves, pulse, inflation)
-    return Seen(
+    return WaveformView(
         waves, fits, ids, of_row, owner, time, matched, gap, complete, chance, returns, place[returns], return_time
     )
 
@@ -97,9 +98,9 @@ def noise_chances(fits: Fits, waves: Waveforms, pulse: SystemPulse, inflation: f
     known = [*(c for c in pulse.channels if c.freedom > 0.0), None]
     error, sigma = np.full(len(spacing), np.nan), np.full(len(spacing), np.nan)
     for k, (own, channel) in enumerate(zip(kinds, known, strict=True)):
-        mine = (kind == k) & (spacing > 0.0)
-        error[mine] = height_error(own, channel) if channel else np.sqrt(spacing[mine] / own.energy)
-        sigma[mine] = own.fwhm / (FWHM_PER_SIGMA * spacing[mine])
+        of_shape = (kind == k) & (spacing > 0.0)
+        error[of_shape] = height_error(own, channel) if channel else np.sqrt(spacing[of_shape] / own.energy)
+        sigma[of_shape] = own.fwhm / (FWHM_PER_SIGMA * spacing[of_shape])
     row = fits.row
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         height = fits.amplitude / (fits.noise * error * inflation)[row] if len(row) else fits.amplitude
@@ -154,14 +155,14 @@ def tie(
         score = np.log(height[echo[near]]) - 0.5 * (apart[near] / JITTER) ** 2
     near = near[np.argsort(-score, kind="stable")]
     echo, back = echo[near], back[near]
-    taken = np.zeros(len(return_pulse), bool)
+    used = np.zeros(len(return_pulse), bool)
     while len(echo):
         mutual = np.zeros(len(echo), bool)
         mutual[np.unique(echo, return_index=True)[1]] = True
         sole = np.zeros(len(echo), bool)
         sole[np.unique(back, return_index=True)[1]] = True
         sure = mutual & sole
-        matched[echo[sure]], taken[back[sure]] = back[sure], True
-        left = (matched[echo] < 0) & ~taken[back]
+        matched[echo[sure]], used[back[sure]] = back[sure], True
+        left = (matched[echo] < 0) & ~used[back]
         echo, back = echo[left], back[left]
     return matched, gap

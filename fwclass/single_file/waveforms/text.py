@@ -5,23 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 
-def describe(seen: dict[str, Any]) -> str:
+def describe(report: dict[str, Any]) -> str:
     """`look` for a terminal."""
-    shape, lines = seen["system_pulse"], [f"file         {seen['path']}"]
+    shape, lines = report["system_pulse"], [f"file         {report['path']}"]
     kind = "a Gaussian" if shape["shape"] == "gaussian" else f"measured on {shape['echoes']:,} echoes"
     lines.append(f"pulse        {shape['fwhm_ns']:.3f} ns wide, {kind}")
-    if seen["noise"]["lag1"] is not None:
-        lines.append(f"noise        {_noise_words(seen['noise'])}")
-    lines += [f"places       {text}" for text in seen["places"]["remarks"]]
-    if "waveforms" in seen:
-        lines.append(f"waveforms    {seen['waveforms']:,} with {seen['echoes']:,} echoes")
-    for pulse in seen["pulses"]:
+    if report["noise"]["lag1"] is not None:
+        lines.append(f"noise        {_noise_words(report['noise'])}")
+    lines += [f"places       {text}" for text in report["places"]["remarks"]]
+    if "waveforms" in report:
+        lines.append(f"waveforms    {report['waveforms']:,} with {report['echoes']:,} echoes")
+    for pulse in report["pulses"]:
         lines += ["", *_pulse_lines(pulse)]
-    if seen.get("unexplained"):
-        lines += ["", *_missed_lines(seen["unexplained"])]
-    elif "waveforms" in seen:
+    if report.get("unexplained"):
+        lines += ["", *_missed_lines(report["unexplained"])]
+    elif "waveforms" in report:
         lines += ["", "the file has no vendor returns to compare with"]
-    return "\n".join([*lines, "", f"pictures     {seen['png']}", f"             {seen['pulse_png']}"])
+    return "\n".join([*lines, "", f"pictures     {report['png']}", f"             {report['pulse_png']}"])
 
 
 def _noise_words(noise: dict[str, Any]) -> str:

@@ -26,7 +26,7 @@ from fwclass.publish.waveplot import WavePicture, draw_waveforms
 from fwclass.read.source import open_source
 from fwclass.read.stage import ReadParams, check_source
 from fwclass.single_file.strip import FileStrip, strip_of
-from fwclass.single_file.waveforms.shown import Seen, see
+from fwclass.single_file.waveforms.shown import WaveformView, see
 
 STRONGEST = 20
 """Echoes without a vendor return that are listed."""
@@ -95,7 +95,7 @@ def look(
         inflation = float(noise["inflation"] or 1.0)
         views = (see(strip.waves(span), params, pulse, pulses, inflation) for span in wanted)
         recorded = _recorded(strip, settings)
-        chosen, counts = _named(views, pulses, pulse, path) if pulses else _telling(views, pulse)
+        chosen, counts = _named_pulses(views, pulses, pulse, path) if pulses else _telling(views, pulse)
     if not chosen:
         raise InputError("no waveform of the file can be drawn", where=path, do="see `fwclass info` for what is wrong")
     heading = f"{path.name}: {'chosen' if pulses else 'telling'} pulses, {_pulse_words(pulse)}"
@@ -151,8 +151,8 @@ def _with(spans: Sequence[StripSpan], pulses: tuple[int, ...], path: Path) -> li
     return [s for s in spans if any(0 <= p - s.span.first_pulse < s.span.n_pulses for p in pulses)]
 
 
-def _named(
-    views: Iterator[Seen], pulses: tuple[int, ...], system: SystemPulse, path: Path
+def _named_pulses(
+    views: Iterator[WaveformView], pulses: tuple[int, ...], system: SystemPulse, path: Path
 ) -> tuple[list[Shown], dict[str, Any]]:
     """The pulses asked for, in that order."""
     rows = {}
@@ -167,7 +167,7 @@ def _named(
     return [rows[number] for number in dict.fromkeys(pulses)], {}
 
 
-def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], dict[str, Any]]:
+def _telling(views: Iterator[WaveformView], system: SystemPulse) -> tuple[list[Shown], dict[str, Any]]:
     """One pulse of every kind that a user wants to see, and the figures of the whole file."""
     best: dict[str, tuple[float, Shown]] = {}
     many: dict[str, list[tuple[float, Shown]]] = {}
@@ -198,10 +198,10 @@ def _telling(views: Iterator[Seen], system: SystemPulse) -> tuple[list[Shown], d
             "incomplete_pulses": cropped,
             "strongest": strongest,
         }
-    return _merged([*best.items(), *((why, one) for why in SEVERAL for one in many.get(why, ()))]), counts
+    return _merge_reasons([*best.items(), *((why, one) for why in SEVERAL for one in many.get(why, ()))]), counts
 
 
-def _merged(chosen: Sequence[tuple[str, tuple[float, Shown]]]) -> list[Shown]:
+def _merge_reasons(chosen: Sequence[tuple[str, tuple[float, Shown]]]) -> list[Shown]:
     """Every chosen pulse once, with all that it stands for."""
     order = (*KINDS, *SEVERAL)
     reasons: dict[int, list[str]] = {}
@@ -215,12 +215,12 @@ def _merged(chosen: Sequence[tuple[str, tuple[float, Shown]]]) -> list[Shown]:
         why = ", ".join(whys)
         extra = [e["noise_chance"] for e in facts["echoes"] if e["missed"] and np.isfinite(e["noise_chance"])]
         extra = extra if SEVERAL[2] in whys else []
-        told = f"{why}: by noise with {max(extra):.1g}" if extra else f"{why}; {picture.subtitle}"
-        out.append((replace(picture, subtitle=told), {**facts, "why": why}))
+        subtitle = f"{why}: by noise with {max(extra):.1g}" if extra else f"{why}; {picture.subtitle}"
+        out.append((replace(picture, subtitle=subtitle), {**facts, "why": why}))
     return out
 
 
-def _scores_of_several(seen: Seen) -> dict[str, NDArray[np.float64]]:
+def _scores_of_several(seen: WaveformView) -> dict[str, NDArray[np.float64]]:
     """As `_scores`, of the kinds of which several are shown."""
     n, fits = len(seen.ids), seen.fits
     surest, extra, misfit = np.full(n, -np.inf), np.full(n, -np.inf), np.full(n, -np.inf)
@@ -234,7 +234,7 @@ def _scores_of_several(seen: Seen) -> dict[str, NDArray[np.float64]]:
     return dict(zip(SEVERAL, (best, worst, extra), strict=True))
 
 
-def _scores(seen: Seen) -> dict[str, NDArray[np.float64]]:
+def _scores(seen: WaveformView) -> dict[str, NDArray[np.float64]]:
     """How well every pulse stands for a kind; minus infinity where it is not of the kind."""
     n, fits = len(seen.ids), seen.fits
     count = np.bincount(seen.pulse, minlength=n)
@@ -264,7 +264,7 @@ def _scores(seen: Seen) -> dict[str, NDArray[np.float64]]:
     return dict(zip(KINDS, scores, strict=True))
 
 
-def _listed(seen: Seen, echoes: NDArray[np.int64]) -> list[dict[str, Any]]:
+def _listed(seen: WaveformView, echoes: NDArray[np.int64]) -> list[dict[str, Any]]:
     """The most significant of `echoes`."""
     strength = np.nan_to_num(seen.significance[echoes], nan=-1.0)
     top = echoes[np.argsort(-strength, kind="stable")[:STRONGEST]]
@@ -280,7 +280,7 @@ def _listed(seen: Seen, echoes: NDArray[np.int64]) -> list[dict[str, Any]]:
     ]
 
 
-def _echo(seen: Seen, e: int) -> dict[str, Any]:
+def _echo(seen: WaveformView, e: int) -> dict[str, Any]:
     """One echo as plain data."""
     fits = seen.fits
     names = ("amplitude", "amplitude_sigma", "width", "width_sigma", "time_sigma")
@@ -298,9 +298,9 @@ def _echo(seen: Seen, e: int) -> dict[str, Any]:
     }
 
 
-def pulse_picture(seen: Seen, at: int, system: SystemPulse) -> Shown:
+def pulse_picture(seen: WaveformView, at: int, system: SystemPulse) -> Shown:
     """Pulse `at` of `seen` as a picture and as plain data."""
-    rows, mine = np.flatnonzero(seen.of_row == at), np.flatnonzero(seen.pulse == at)
+    rows, echoes = np.flatnonzero(seen.of_row == at), np.flatnonzero(seen.pulse == at)
     fits, pulses = seen.fits, seen.waves.pulses
     vendor = np.sort(seen.return_time[seen.return_pulse == at])
     misfit = [float(v) for v in fits.misfit[rows] if np.isfinite(v)]
@@ -314,7 +314,7 @@ def pulse_picture(seen: Seen, at: int, system: SystemPulse) -> Shown:
         "noise": float(fits.noise[rows[0]]),
         "misfit": max(misfit, default=math.nan),
         "returns": vendor.tolist(),
-        "echoes": [_echo(seen, e) for e in mine.tolist()],
+        "echoes": [_echo(seen, e) for e in echoes.tolist()],
     }
     parts = [_segment(seen, int(row), system) for row in rows]
     k = sum(len(p["curves"]) for p in parts)
@@ -325,7 +325,7 @@ def pulse_picture(seen: Seen, at: int, system: SystemPulse) -> Shown:
         first += len(p["curves"])
         curves.append(mine_only)
     joined = {n: np.concatenate([p[n] for p in parts]) for n in parts[0] if n != "curves"}
-    by_row = mine[np.argsort(fits.row[mine], kind="stable")]
+    by_row = echoes[np.argsort(fits.row[echoes], kind="stable")]
     time = f"GPS time {facts['gps_time']:.6f} s" if np.isfinite(facts["gps_time"]) else "no GPS time"
     fit = f"misfit {facts['misfit']:.2f}" if misfit else "no echo fitted"
     picture = WavePicture(
@@ -341,7 +341,7 @@ def pulse_picture(seen: Seen, at: int, system: SystemPulse) -> Shown:
     return picture, facts
 
 
-def _segment(seen: Seen, row: int, system: SystemPulse) -> dict[str, NDArray]:
+def _segment(seen: WaveformView, row: int, system: SystemPulse) -> dict[str, NDArray]:
     """One row of a pulse for `WavePicture`; a NaN ends its curves."""
     pulses, fits = seen.waves.pulses, seen.fits
     samples = seen.waves.samples[seen.waves.offsets[row] : seen.waves.offsets[row + 1]].astype(np.float64)

@@ -26,12 +26,12 @@ def require_whole(config: Config, tiles: object | None, workflow: str) -> None:
 def _require_further(config: Config) -> None:
     """`ConfigError` where `papers.more_classes` names, or counts codes of, a class that is there already."""
     classes = (*config.survey.classes, *config.papers.more_classes)
-    told: tuple[tuple[str, list[Any]], ...] = (
+    fields: tuple[tuple[str, list[Any]], ...] = (
         ("name", [c.name for c in classes]),
         ("code", [c.code for c in classes]),
         ("reference code", [code for c in classes for code in c.codes]),
     )
-    for what, values in told:
+    for what, values in fields:
         twice = sorted({str(v) for v in values if values.count(v) > 1})
         if twice:
             raise ConfigError(
@@ -53,12 +53,12 @@ def base_of(name: str) -> str:
 def features_like(config: Config, bases: Iterable[str]) -> tuple[str, ...]:
     """The survey's features, and those that it computes besides, that a paper has too, in the paper's order."""
     known = tuple(dict.fromkeys((*config.features_asked, *config.features.also)))
-    found = tuple(n for b in bases for n in known if base_of(n) == b)
-    if len(found) < 2:
+    names = tuple(n for b in bases for n in known if base_of(n) == b)
+    if len(names) < 2:
         raise ConfigError(
             "the survey has too few features of the paper",
             where=f"{config.path}: survey.features",
             expected=", ".join(bases),
             got=", ".join(known),
         )
-    return found
+    return names

@@ -11,18 +11,19 @@ Verdict = tuple[str, str, str]
 """(our figure, one of `HOLDS`, `FAILS`, `UNSURE`, `OPEN`, why)."""
 
 
-def judged(
+def judge_claims(
     printed: Mapping[str, Mapping[str, Any]], tests: Mapping[str, Callable[[Any], Verdict]], facts: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     """Every claim with the paper's figure, ours, the verdict and why."""
-    made = []
+    judgements = []
     for name, claim in printed.items():
         ours, verdict, why = tests[name](facts)
-        made.append({"name": name, **claim, "ours": ours, "verdict": verdict, "why": why})
-    return made
+        judgements.append({"name": name, **claim, "ours": ours, "verdict": verdict, "why": why})
+    return judgements
 
 
 def verdict(holds: bool) -> str:
+    """`HOLDS` or `FAILS`."""
     return HOLDS if holds else FAILS
 
 
@@ -34,6 +35,7 @@ def of_gain(one: Mapping[str, Any], claimed: float) -> str:
 
 
 def percent(value: float, digits: int = 1) -> str:
+    """A fraction as text in percent."""
     return f"{100 * value:.{digits}f} %"
 
 

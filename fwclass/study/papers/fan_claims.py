@@ -33,8 +33,8 @@ def _m(facts: Facts) -> str:
 
 
 def _forest_over_svm(facts: Facts) -> Verdict:
-    found = facts["differences"][f"{facts['forest']}/rbf-svm"]
-    one = found["overall_accuracy"]
+    difference = facts["differences"][f"{facts['forest']}/rbf-svm"]
+    one = difference["overall_accuracy"]
     forest, svm = facts["splits"][_m(facts)], facts["machines"]["rbf-svm"]
     text = f"{percent(forest['overall_accuracy'])} against {percent(svm['overall_accuracy'])} (RBF)"
     if one["low"] is None:
@@ -44,17 +44,17 @@ def _forest_over_svm(facts: Facts) -> Verdict:
     printed = facts["printed"]
     claimed = (printed["splits"]["3"]["overall"] - printed["svm"]["overall"]) / 100
     chance = "no difference beyond chance: " if one["low"] <= 0 <= one["high"] else "difference "
-    return text, of_gain(one, claimed), f"{chance}{spanned(found)}, {found['blocks']} blocks; {rows}"
+    return text, of_gain(one, claimed), f"{chance}{spanned(difference)}, {difference['blocks']} blocks; {rows}"
 
 
 def _split(facts: Facts) -> Verdict:
-    told = [v["overall_accuracy"] for v in facts["splits"].values()]
-    text = ", ".join(f"{100 * v:.1f}" for v in told) + " %"
-    if len(told) < 2:
+    accuracies = [v["overall_accuracy"] for v in facts["splits"].values()]
+    text = ", ".join(f"{100 * v:.1f}" for v in accuracies) + " %"
+    if len(accuracies) < 2:
         return text, OPEN, f"{len(facts['features'])} features leave one m to try"
-    falling = all(a >= b for a, b in zip(told[:-1], told[1:], strict=True))
-    spread = 100 * (max(told) - min(told))
-    best = told[0] == max(told)
+    falling = all(a >= b for a, b in zip(accuracies[:-1], accuracies[1:], strict=True))
+    spread = 100 * (max(accuracies) - min(accuracies))
+    best = accuracies[0] == max(accuracies)
     why = "m = 3 is best and accuracy falls with m" if falling and best else "the order differs"
     return text, verdict(best and falling), f"{why}; all within {spread:.1f} points"
 
@@ -132,14 +132,14 @@ def _waveform(facts: Facts) -> Verdict:
     thesis = facts["thesis"]
     if thesis is None:
         return "–", OPEN, "the features are not both with and without waveform: width is missing, or all others"
-    found = [facts["differences"][f"with-{s}/without-{s}"] for s in thesis["seeds"]]
-    if found[0]["overall_accuracy"]["low"] is None:
+    differences = [facts["differences"][f"with-{s}/without-{s}"] for s in thesis["seeds"]]
+    if differences[0]["overall_accuracy"]["low"] is None:
         return "–", OPEN, "too few blocks for an interval"
-    low = min(f["overall_accuracy"]["low"] for f in found)
-    high = max(f["overall_accuracy"]["high"] for f in found)
-    gain = sum(f["overall_accuracy"]["value"] for f in found) / len(found)
+    low = min(f["overall_accuracy"]["low"] for f in differences)
+    high = max(f["overall_accuracy"]["high"] for f in differences)
+    gain = sum(f["overall_accuracy"]["value"] for f in differences) / len(differences)
     text = f"{points(gain)} points overall"
-    why = f"95 % intervals of {len(found)} seeds lie within [{points(low, 2)}, {points(high, 2)}]"
+    why = f"95 % intervals of {len(differences)} seeds lie within [{points(low, 2)}, {points(high, 2)}]"
     return text, HOLDS if low > 0 else FAILS, why
 
 
@@ -153,8 +153,8 @@ def _row(facts: Facts, base: str, name: str) -> Mapping[str, Any] | None:
 def _rows(facts: Facts, base: str) -> dict[str, Mapping[str, Any]] | None:
     ours = facts["printed"]["classes"]
     names = {c["name"] for c in facts["classes"]}
-    found = {n: _row(facts, base, n) for n in ours.values() if n in names}
-    return None if None in found.values() or len(found) < len(ours) else found  # type: ignore[return-value]
+    rows = {n: _row(facts, base, n) for n in ours.values() if n in names}
+    return None if None in rows.values() or len(rows) < len(ours) else rows  # type: ignore[return-value]
 
 
 def _of_table(base: str, test: Callable[[dict[str, Any]], tuple[str, bool, str]]) -> Callable[[Facts], Verdict]:

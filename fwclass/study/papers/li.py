@@ -1,19 +1,22 @@
-"""Li 2018: tables 1 and 2 as parts, and our figures as plain data."""
+"""Li 2018: tables 1 and 2 as parts, our figures as plain data, and their page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from fwclass import __version__
 from fwclass.conf import Config
-from fwclass.run.part import Name, Task
-from fwclass.store.receipts import Receipt
+from fwclass.publish.papers.page import render_paper
+from fwclass.run.inputs import PartInputs
+from fwclass.run.part import Task
+from fwclass.run.runner import Runner
+from fwclass.store.atomic import write_json
 from fwclass.street.ring import BASES
-from fwclass.study.papers.claims import judged
+from fwclass.study.papers.claims import judge_claims
+from fwclass.study.papers.facts import Receipts, heading
 from fwclass.study.papers.li_claims import CLAIMS
-from fwclass.study.papers.li_work import DRIVE, drive, radius, single
+from fwclass.study.papers.li_work import DRIVE, GRIDS, drive, radius, single
 
 RADIUS, SINGLE = "street-radius", "street-single"
 DRIVE_VERSION, VERSION = 1, 2
@@ -29,6 +32,7 @@ def drives(config: Config) -> dict[str, dict[str, Any]]:
 
 
 def drive_tasks(config: Config) -> list[Task]:
+    """A simulated recording for every drive."""
     about = [config.street_scene.model_dump(), config.street.scanner, config.street.mounting.model_dump()]
     return [
         Task(DRIVE, name, DRIVE_VERSION, [*about, changed], partial(drive, config, changed))
@@ -53,7 +57,7 @@ def table_tasks(config: Config, printed: Mapping[str, Any]) -> list[Task]:
     ]
 
 
-def facts(config: Config, printed: Mapping[str, Any], receipts: Mapping[Name, Receipt]) -> dict[str, Any]:
+def facts(config: Config, printed: Mapping[str, Any], receipts: Receipts) -> dict[str, Any]:
     """Everything that the page tells, as plain data."""
     radii = [dict(receipts[RADIUS, f"{100 * r:.0f}"].meta) for r in printed["radii"]]
     singles = [dict(receipts[SINGLE, base].meta) for base in BASES]
@@ -62,12 +66,7 @@ def facts(config: Config, printed: Mapping[str, Any], receipts: Mapping[Name, Re
     total = sum(map(sum, matrix))
     crowns = sum(matrix[0]) / total
     gathered: dict[str, Any] = {
-        "paper": "li2018",
-        "survey": config.survey.name,
-        "fwclass": __version__,
-        **{k: printed[k] for k in ("citation", "doi", "data", "notes")},
-        "printed": {k: printed[k] for k in ("points", "share", "radii", "bounds", "single")},
-        "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
+        **heading("li2018", config, printed, ("points", "share", "radii", "bounds", "single")),
         "drives": {n: {**receipts[DRIVE, n].meta} for n in drives(config)},
         "scene": config.street_scene.model_dump(mode="json"),
         "method": config.train.method,
@@ -78,10 +77,23 @@ def facts(config: Config, printed: Mapping[str, Any], receipts: Mapping[Name, Re
         "singles": singles,
         "block": config.assess.block,
     }
-    return {**gathered, "claims": judged(printed["claims"], CLAIMS, gathered)}
+    return {**gathered, "claims": judge_claims(printed["claims"], CLAIMS, gathered)}
 
 
-def worst(radii: Sequence[Mapping[str, Any]], split: str, key: str) -> float:
-    """The least favourable figure over the radii."""
-    values = [r[split][key] for r in radii]
-    return float(min(values) if key == "detection" else max(values))
+def deliver(runner: Runner, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Write ``li2018.json``, ``li2018.html`` and ``report.json``; the report."""
+    inputs = PartInputs(runner.store)
+    grids = {base: inputs.arrays(SINGLE, base, GRIDS)[0] for base in BASES}
+    write_json(runner.pending / "li2018.json", dict(facts))
+    render_paper({**facts, "grids": grids}, None, runner.pending / "li2018.html")
+    best = next(r for r in facts["radii"] if r["radius"] == facts["best"])
+    words = [
+        f"frames      {sum(d['frames'] for d in facts['drives'].values())} on {len(facts['drives'])} simulated streets",
+        f"at random   error {100 * best['random']['error']:.2f} % at δ = {best['radius']:g} m",
+        f"elsewhere   error {100 * best['other']['error']:.2f} %",
+        f"no leaves   error {100 * best['leafless']['error']:.2f} %",
+    ]
+    report = {"survey": facts["survey"], "words": words, "accuracy": None, "failed": []}
+    report["outputs"] = {"li2018.html": ["li2018.html"]}
+    write_json(runner.pending / "report.json", report)
+    return report

@@ -28,8 +28,8 @@ def deliver(
     name = str(facts["paper"])
     write_json(runner.pending / f"{name}.json", dict(facts))
     render_paper({**facts, **shown}, class_picture(config, runner, layout, report), runner.pending / f"{name}.html")
-    made = {f"{name}.html": [f"{name}.html"]}
-    return {**report, "outputs": {**report["outputs"], **made}}
+    page = {f"{name}.html": [f"{name}.html"]}
+    return {**report, "outputs": {**report["outputs"], **page}}
 
 
 def class_picture(config: Config, runner: Runner, layout: Layout, report: Mapping[str, Any]) -> bytes:
@@ -39,7 +39,7 @@ def class_picture(config: Config, runner: Runner, layout: Layout, report: Mappin
     window = Window.covering(layout.box, config.publish.class_cell)
     grid = TileGrid(config.terrain.block)
     blocks = sorted(
-        grid.tile(part) for stage, part in runner.outcomes if stage == "class-block" and runner.made(stage, part)
+        grid.tile(part) for stage, part in runner.outcomes if stage == "class-block" and runner.is_done(stage, part)
     )
     mosaic = Mosaic(PartInputs(runner.store), "class-block", blocks, window.cell, {"classes": np.uint8(0)})
     return class_map(*drawable(mosaic, window, config), report["classes"], config.publish, None, report["areas"])

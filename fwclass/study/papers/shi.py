@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass import __version__
-from fwclass.assess.intervals import FIGURES, caution, difference, intervals
+from fwclass.assess.intervals import caution, difference, intervals
 from fwclass.assess.stage import figures
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
@@ -24,20 +23,19 @@ from fwclass.graph.refine import ANSWERED
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
 from fwclass.model import ClassDef, class_index
 from fwclass.run.inputs import PartInputs
-from fwclass.run.part import Name, Task
+from fwclass.run.part import Task
 from fwclass.select.search import f_scores
-from fwclass.store.receipts import Receipt
-from fwclass.study.papers.claims import judged
+from fwclass.study.papers.claims import judge_claims
+from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
 from fwclass.study.papers.shi_claims import CLAIMS
-from fwclass.study.papers.variants import VERSION, Variant, changed, learn_tasks, time_tasks
-from fwclass.study.papers.work import cautioned
+from fwclass.study.papers.variants import VERSION, learn_tasks, make_variant, time_tasks
+from fwclass.study.papers.work import Variant, spans
 from fwclass.train.sample import Sample
 
 HEIGHT = "height_above_ground"
 WITHOUT, FILTERED, HEIGHTS = "without_heights", "iptd", "iptd_heights"
 ALL, SVM, TRIMMED = "svm_all", "svm", "nn_svm"
 LAYERS = ("coarse", "fine", "coarse_boundary", "fine_boundary")
-Made = Mapping[Name, Receipt]
 
 _COLUMNS = {
     **dict.fromkeys(("x", "y"), "tile"),
@@ -69,18 +67,18 @@ def variants(config: Config, names: tuple[str, ...]) -> tuple[Variant, ...]:
         ()
         if ground is None
         else (
-            replace(changed(config, FILTERED, flat, method="rbf-svm"), filtered=ground),
-            replace(changed(config, HEIGHTS, names, method="rbf-svm"), filtered=ground),
+            replace(make_variant(config, FILTERED, flat, method="rbf-svm"), filtered=ground),
+            replace(make_variant(config, HEIGHTS, names, method="rbf-svm"), filtered=ground),
         )
     )
-    made = (
-        changed(config, WITHOUT, flat, method="rbf-svm"),
+    steps = (
+        make_variant(config, WITHOUT, flat, method="rbf-svm"),
         *filtered,
-        changed(config, ALL, names, method="rbf-svm"),
-        changed(config, SVM, four, method="rbf-svm"),
-        changed(config, TRIMMED, four, method="rbf-svm"),
+        make_variant(config, ALL, names, method="rbf-svm"),
+        make_variant(config, SVM, four, method="rbf-svm"),
+        make_variant(config, TRIMMED, four, method="rbf-svm"),
     )
-    return tuple(replace(one, squares=squares) for one in made)
+    return tuple(replace(one, squares=squares) for one in steps)
 
 
 def ground_class(config: Config) -> int | None:
@@ -89,9 +87,9 @@ def ground_class(config: Config) -> int | None:
     return ground[0] if ground and len(config.classes) > 2 else None
 
 
-def comparisons(found: Sequence[Variant]) -> list[tuple[Variant, Variant]]:
+def comparisons(variants: Sequence[Variant]) -> list[tuple[Variant, Variant]]:
     """Every step against the one before."""
-    return list(zip(found[1:], found[:-1], strict=True))
+    return list(zip(variants[1:], variants[:-1], strict=True))
 
 
 def trimming(config: Config, one: Variant) -> Config:
@@ -105,14 +103,14 @@ def trimming(config: Config, one: Variant) -> Config:
     return replace(config, compare=config.compare.model_copy(update={"rbf_svm": svm}))
 
 
-def ladder_tasks(config: Config, names: tuple[str, ...], found: Sequence[Variant]) -> list[Task]:
+def ladder_tasks(config: Config, names: tuple[str, ...], variants: Sequence[Variant]) -> list[Task]:
     """Models of all steps and their answers."""
-    return [task for one in found for task in learn_tasks(trimming(config, one), names, [one])]
+    return [task for one in variants for task in learn_tasks(trimming(config, one), names, [one])]
 
 
-def clock_tasks(config: Config, names: tuple[str, ...], found: Sequence[Variant]) -> list[Task]:
+def clock_tasks(config: Config, names: tuple[str, ...], variants: Sequence[Variant]) -> list[Task]:
     """How long each step trains and answers."""
-    return [task for one in found for task in time_tasks(trimming(config, one), names, [one])]
+    return [task for one in variants for task in time_tasks(trimming(config, one), names, [one])]
 
 
 def layer_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
@@ -124,17 +122,17 @@ def layer_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
         "classes": [c.plain() for c in classes],
         "block": config.papers.block,
     }
-    made = []
+    tasks = []
     for tile in layout.tiles:
-        work = partial(layered, tile, classes, train, test, config.areas.gap, config.papers.block)
-        made.append(Task("paper-layers", tile.key, VERSION, params, work, needs=needs_of(_COLUMNS, (tile.key,))))
-    ranks = partial(ranked, names)
-    asked = {"features": list(names)}
-    made.append(Task("paper-fscore", "all", VERSION, asked, ranks, needs=(("paper-training", "all"),)))
-    return made
+        work = partial(count_layers, tile, classes, train, test, config.areas.gap, config.papers.block)
+        tasks.append(Task("paper-layers", tile.key, VERSION, params, work, needs=needs_of(_COLUMNS, (tile.key,))))
+    ranks = partial(rank_features, names)
+    score_params = {"features": list(names)}
+    tasks.append(Task("paper-fscore", "all", VERSION, score_params, ranks, needs=(("paper-training", "all"),)))
+    return tasks
 
 
-def layered(
+def count_layers(
     tile: Tile,
     classes: tuple[ClassDef, ...],
     train: tuple[Box, ...],
@@ -168,82 +166,70 @@ def layered(
     }
 
 
-def ranked(names: tuple[str, ...], inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def rank_features(names: tuple[str, ...], inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """F-score of every feature on the training rows."""
     sample = Sample.from_arrays(names, inputs.arrays("paper-training", "all", SAMPLE)[0])
     return {"scores": dict(zip(names, f_scores(sample.X, sample.y).tolist(), strict=True))}
 
 
-def layers_of(made: Made, names: Sequence[str], tiles: Sequence[str]) -> dict[str, Any]:
+def layers_of(receipts: Receipts, names: Sequence[str], tiles: Sequence[str]) -> dict[str, Any]:
     """Figures of both layers with intervals, over all test echoes and at the boundary."""
     squares: dict[tuple[int, int], dict[str, NDArray[np.int64]]] = {}
     for key in tiles:
-        meta = made["paper-layers", key].meta
+        meta = receipts["paper-layers", key].meta
         for k, (a, b) in enumerate(meta["squares"]):
-            held = squares.setdefault((a, b), {n: np.zeros((len(names), len(names)), np.int64) for n in LAYERS})
+            matrices = squares.setdefault((a, b), {n: np.zeros((len(names), len(names)), np.int64) for n in LAYERS})
             for name in LAYERS:
-                held[name] += np.array(meta[name][k], np.int64)
+                matrices[name] += np.array(meta[name][k], np.int64)
     blocks = {name: np.array([s[name] for s in squares.values()]) for name in LAYERS}
-    told: dict[str, Any] = {}
+    layers: dict[str, Any] = {}
     for name, of in blocks.items():
-        told[name] = {**figures(of.sum(axis=0), list(names)), "intervals": intervals(of)} if of.any() else None
+        layers[name] = {**figures(of.sum(axis=0), list(names)), "intervals": intervals(of)} if of.any() else None
     gains = {}
     for name, first, second in (("all", "coarse", "fine"), ("boundary", "coarse_boundary", "fine_boundary")):
         gains[name] = _gain(blocks[first], blocks[second]) if blocks[first].any() else None
-    return {**told, "gains": gains, "blocks": len(squares)}
+    return {**layers, "gains": gains, "blocks": len(squares)}
 
 
 def _gain(first: NDArray[np.int64], second: NDArray[np.int64]) -> dict[str, Any] | None:
-    found = difference(first, second)
-    if found is None:
+    gain = difference(first, second)
+    if gain is None:
         return None
-    ends = {f: (found[f]["difference"], *(found[f]["interval"] or (None, None))) for f in FIGURES}
-    spans = {f: dict(zip(("value", "low", "high"), v, strict=True)) for f, v in ends.items()}
-    return {"blocks": found["blocks"], "caution": caution(found["blocks"]), **spans}
+    return {"blocks": gain["blocks"], "caution": caution(gain["blocks"]), **spans(gain)}
 
 
 def facts(
     config: Config,
     printed: Mapping[str, Any],
     report: Mapping[str, Any],
-    names: tuple[str, ...],
-    found: Sequence[Variant],
+    variants: Sequence[Variant],
     layout: Layout,
-    made: Made,
+    receipts: Receipts,
 ) -> dict[str, Any]:
     """Everything that the page tells, as plain data."""
     classes = [c.name for c in config.classes]
-    meta = made["paper-training", "all"].meta
-    rows = np.array(made["paper-judged", found[0].name].meta["matrix"]).sum(axis=1).tolist()
-    scores = made["paper-fscore", "all"].meta["scores"]
+    scores = receipts["paper-fscore", "all"].meta["scores"]
     gathered: dict[str, Any] = {
-        "paper": "shi2019",
-        "survey": config.survey.name,
-        "fwclass": __version__,
-        **{k: printed[k] for k in ("citation", "doi", "data", "notes")},
-        "printed": {k: printed[k] for k in ("combinations", "boundary", "algorithms", "fscore")},
+        **heading("shi2019", config, printed, ("combinations", "boundary", "algorithms", "fscore")),
         "classes": [{"name": c.name, "code": c.code, "codes": list(c.codes)} for c in config.survey.classes],
-        "rows": {name: [int(meta["counts"][k]), int(rows[k])] for k, name in enumerate(classes)},
+        "rows": rows_by_class(receipts, variants[0], classes),
         "areas": report["areas"],
         "whole": report["accuracy"],
         "refine": config.classify.refine.model_dump(mode="json"),
         "ground": config.ground.method,
         "heights": config.terrain.height,
         "scaling": config.compare.scaling,
-        "steps": {v.name: _step(made, v, classes) for v in found},
-        "differences": {
-            f"{a.name}/{b.name}": cautioned(made["paper-difference", f"{a.name}-{b.name}"].meta)
-            for a, b in comparisons(found)
-        },
-        "layers": layers_of(made, classes, [t.key for t in layout.tiles]),
+        "steps": {v.name: _step(receipts, v, classes) for v in variants},
+        "differences": differences(receipts, comparisons(variants)),
+        "layers": layers_of(receipts, classes, [t.key for t in layout.tiles]),
         "fscores": sorted(scores.items(), key=lambda one: -one[1]),
-        "times": {v.name: dict(made["paper-time", v.name].meta) for v in found},
+        "times": times(receipts, variants),
     }
-    return {**gathered, "claims": judged(printed["claims"], CLAIMS, gathered)}
+    return {**gathered, "claims": judge_claims(printed["claims"], CLAIMS, gathered)}
 
 
-def _step(made: Made, one: Variant, names: Sequence[str]) -> dict[str, Any]:
-    answers, model = made["paper-judged", one.name].meta, made["paper-model", one.name].meta
+def _step(receipts: Receipts, one: Variant, names: Sequence[str]) -> dict[str, Any]:
+    answers, model = receipts["paper-judged", one.name].meta, receipts["paper-model", one.name].meta
     return {
         **figures(np.array(answers["matrix"], np.int64)[: one.classes], list(names)),
         "intervals": answers["intervals"],

@@ -15,23 +15,23 @@ NEAR = 0.01
 
 def _gain(pair: str, claimed: float) -> Callable[[Facts], Verdict]:
     def claim(facts: Facts) -> Verdict:
-        found = facts["differences"].get(pair)
-        if found is None:
+        difference = facts["differences"].get(pair)
+        if difference is None:
             return "–", OPEN, "no class is ground"
-        one, (first, second) = found["overall_accuracy"], pair.split("/")
+        one, (first, second) = difference["overall_accuracy"], pair.split("/")
         steps = facts["steps"]
         both = [percent(steps[n]["overall_accuracy"]) for n in (second, first)]
         text = f"{points(one['value'])} points ({both[0]} to {both[1]} overall)"
         if one["low"] is None:
             return text, OPEN, "too few blocks for an interval"
-        return text, of_gain(one, claimed), spanned(found)
+        return text, of_gain(one, claimed), spanned(difference)
 
     return claim
 
 
 def _ground_filter(facts: Facts) -> Verdict:
-    steps, found = facts["steps"], facts["differences"].get("iptd/without_heights")
-    if found is None:
+    steps, difference = facts["steps"], facts["differences"].get("iptd/without_heights")
+    if difference is None:
         return "–", OPEN, "no class is ground"
     k = next(k for k, c in enumerate(facts["classes"]) if c["code"] == GROUND)
     both = [steps[n] for n in ("without_heights", "iptd")]
@@ -40,26 +40,26 @@ def _ground_filter(facts: Facts) -> Verdict:
         return "–", OPEN, "no test echo is ground"
     of_class = [percent(v) for v in of_class]
     text = f"IoU {percent(iou[0])} to {percent(iou[1])}, producer's accuracy {of_class[0]} to {of_class[1]}"
-    return text, verdict(iou[1] > iou[0]), f"overall {spanned(found)}; both without heights"
+    return text, verdict(iou[1] > iou[0]), f"overall {spanned(difference)}; both without heights"
 
 
 def _heights(facts: Facts) -> Verdict:
     """Every class but ground, which the filter tells in both, and all together."""
-    text, told, why = _gain("iptd_heights/iptd", 0.05)(facts)
-    if told == OPEN:
-        return text, told, why
+    text, judgement, why = _gain("iptd_heights/iptd", 0.05)(facts)
+    if judgement == OPEN:
+        return text, judgement, why
     before, after = (facts["steps"][n]["iou"] for n in ("iptd", "iptd_heights"))
     pairs = [(c["name"], a, b) for c, a, b in zip(facts["classes"], before, after, strict=True) if c["code"] != GROUND]
     known = [(n, a, b) for n, a, b in pairs if a is not None and b is not None]
-    if told == HOLDS and any(b <= a for _, a, b in known):
-        told = FAILS
-    return text, told, f"{why}; IoU: {', '.join(f'{n} {percent(a)} to {percent(b)}' for n, a, b in known)}"
+    if judgement == HOLDS and any(b <= a for _, a, b in known):
+        judgement = FAILS
+    return text, judgement, f"{why}; IoU: {', '.join(f'{n} {percent(a)} to {percent(b)}' for n, a, b in known)}"
 
 
 def _selection(facts: Facts) -> Verdict:
-    found = facts["differences"]["svm/svm_all"]
-    one = found["overall_accuracy"]
-    why = f"{spanned(found)}; up to {100 * NEAR:g} point counts as the same"
+    difference = facts["differences"]["svm/svm_all"]
+    one = difference["overall_accuracy"]
+    why = f"{spanned(difference)}; up to {100 * NEAR:g} point counts as the same"
     return f"{points(one['value'])} points overall", verdict(one["value"] >= -NEAR), why
 
 

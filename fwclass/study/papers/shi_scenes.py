@@ -10,9 +10,8 @@ import numpy as np
 from fwclass.graph.layout import Layout
 from fwclass.grid import Box
 from fwclass.run.inputs import PartInputs
-from fwclass.run.part import Name
 from fwclass.schema import Table
-from fwclass.store.receipts import Receipt
+from fwclass.study.papers.facts import Receipts
 
 Square = tuple[int, int]
 
@@ -28,12 +27,12 @@ COLUMNS = {
 SHOWN = 2
 
 
-def scenes(layout: Layout, made: Mapping[Name, Receipt], inputs: PartInputs) -> list[dict[str, Any]]:
+def scenes(layout: Layout, receipts: Receipts, inputs: PartInputs) -> list[dict[str, Any]]:
     """Echoes of the squares with most test echoes at the boundary: ``{"place": (xmin, ymin, edge) [m], "echoes"}``."""
     edge = layout.config.papers.block
     counts: dict[Square, int] = {}
     for tile in layout.tiles:
-        meta = made["paper-layers", tile.key].meta
+        meta = receipts["paper-layers", tile.key].meta
         for (a, b), matrix in zip(meta["squares"], meta["coarse_boundary"], strict=True):
             counts[a, b] = counts.get((a, b), 0) + int(np.sum(matrix))
     return [_scene(layout, inputs, (a * edge, b * edge, edge)) for a, b in busiest(counts)]

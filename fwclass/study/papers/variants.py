@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,37 +16,13 @@ from fwclass.graph.stage import Plan, always
 from fwclass.model import ClassDef
 from fwclass.run.part import Task
 from fwclass.study.papers import work
+from fwclass.study.papers.work import Variant
 from fwclass.train.baselines.params import CompareParams
 from fwclass.train.baselines.stage import VERSION as OTHERS_VERSION
 from fwclass.train.params import TrainParams
 from fwclass.train.stage import TRAIN_IMPORTANCE, TRAIN_TREES
 
 VERSION = 1
-
-
-@dataclass(frozen=True)
-class Variant:
-    """A classifier that differs from the run's own.
-
-    Attributes
-    ----------
-    name : of its parts.
-    features : what it decides by, of those of the sample.
-    train : its method and parameters; the sample's are those of the configuration.
-    classes : how many of `all_classes` it knows, the first.
-    rows : so many rows of the sample train it at most; 0 is all.
-    squares : edge of the squares that a machine's rows are thinned and its search is folded by, and their gap [m];
-        None: pieces of consecutive pulses.
-    filtered : index of the class that the ground filter answers; the classifier knows the others. None: it knows all.
-    """
-
-    name: str
-    features: tuple[str, ...]
-    train: TrainParams
-    classes: int
-    rows: int = 0
-    squares: tuple[float, float] | None = None
-    filtered: int | None = None
 
 
 def all_classes(config: Config) -> tuple[ClassDef, ...]:
@@ -61,10 +37,10 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
     config, classes = layout.config, all_classes(layout.config)
     train, test = config.areas.boxes("train"), config.areas.boxes("test")
     columns = layout.columns(names)
-    told = [[c.name, c.code, list(c.codes)] for c in classes]
+    class_facts = [[c.name, c.code, list(c.codes)] for c in classes]
     drawn = {
         "features": list(names),
-        "classes": told,
+        "classes": class_facts,
         "train": [list(b.bounds) for b in train],
         "seed": config.train.seed,
         "samples_per_class": config.train.samples_per_class,
@@ -72,14 +48,13 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
     share = min(1.0, config.papers.test_echoes / max(1, layout.echoes))
     judged = {
         "features": list(names),
-        "classes": told,
+        "classes": class_facts,
         "areas": config.areas.model_dump(mode="json"),
         "share": share,
         "seed": config.papers.seed,
     }
     chosen = tuple(t for t in layout.tiles if any(t.box.touches(b) for b in train))
     also = {"ground": "ground"} if filtered else {}
-    needs = {t.key: needs_of({**columns, **also, "reference": "label"}, (t.key,)) for t in layout.tiles}
     if filtered:
         judged["filtered"] = True
     sampling = replace(
@@ -89,133 +64,62 @@ def data_tasks(layout: Layout, names: tuple[str, ...], filtered: bool = False) -
         arguments=lambda plan: {"names": names, "params": config.train, "classes": classes, "areas": train},
         own=(*IDENTITY_AND_PLACE, *names, "reference"),
     )
-    made = [sampling.task(Plan(config, tiled=layout), t) for t in chosen]
-    made += [
-        Task(
-            "paper-test",
-            t.key,
-            VERSION,
-            judged,
-            partial(
-                work.drawn, t, columns, also, names, train, test, config.areas.gap, classes, share, config.papers.seed
-            ),
-            needs=needs[t.key],
-        )
-        for t in layout.tiles
-    ]
-    for stage, of, work_, keys, params in (
-        ("paper-training", "paper-sample", work.training, tuple(t.key for t in chosen), drawn),
-        ("paper-tested", "paper-test", work.gathered, tuple(t.key for t in layout.tiles), judged),
-    ):
-        made.append(
-            Task(
-                stage,
-                "all",
-                VERSION,
-                params,
-                partial(work_, keys, names, config.train),
-                needs=tuple((of, k) for k in keys),
-            )
-        )
-    return made
+    tasks = [sampling.task(Plan(config, tiled=layout), t) for t in chosen]
+    draw = partial(
+        work.draw_test_echoes, columns, also, names, train, test, config.areas.gap, classes, share, config.papers.seed
+    )
+    reads = {**columns, **also, "reference": "label"}
+    for tile in layout.tiles:
+        needs = needs_of(reads, (tile.key,))
+        tasks.append(Task("paper-test", tile.key, VERSION, judged, partial(draw, tile), needs=needs))
+    keys = tuple(t.key for t in chosen)
+    merge = partial(work.merge_sample, keys, names, config.train)
+    tasks.append(Task("paper-training", "all", VERSION, drawn, merge, needs=tuple(("paper-sample", k) for k in keys)))
+    keys = tuple(t.key for t in layout.tiles)
+    gather = partial(work.gather_test_echoes, keys)
+    tasks.append(Task("paper-tested", "all", VERSION, judged, gather, needs=tuple(("paper-test", k) for k in keys)))
+    return tasks
 
 
 def learn_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Variant]) -> list[Task]:
     """A model of every variant, and its answers on the test echoes."""
-    made = []
+    tasks = []
     for one in variants:
-        params = facts_of(config, one)
-        common = (
-            names,
-            one.features,
-            one.train,
-            config.compare,
-            all_classes(config)[: one.classes],
-            one.rows,
-            one.squares,
-            one.filtered,
-        )
-        made.append(
-            Task(
-                "paper-model",
-                one.name,
-                _version(),
-                params,
-                partial(work.learned, *common),
-                needs=(("paper-training", "all"),),
-            )
-        )
-        made.append(
-            Task(
-                "paper-judged",
-                one.name,
-                1000 * CLASSIFY.version + VERSION,
-                {**params, "block": config.papers.block},
-                partial(
-                    work.judged, one.name, names, all_classes(config), one.classes, one.filtered, config.papers.block
-                ),
-                needs=(("paper-model", one.name), ("paper-tested", "all")),
-            )
-        )
-    return made
+        params, classes = facts_of(config, one), all_classes(config)
+        learn = partial(work.learn, one, names, config.compare, classes)
+        tasks.append(Task("paper-model", one.name, _version(), params, learn, needs=(("paper-training", "all"),)))
+        params = {**params, "block": config.papers.block}
+        judge = partial(work.judge, one, names, classes, config.papers.block)
+        needs = (("paper-model", one.name), ("paper-tested", "all"))
+        tasks.append(Task("paper-judged", one.name, 1000 * CLASSIFY.version + VERSION, params, judge, needs=needs))
+    return tasks
 
 
 def time_tasks(config: Config, names: tuple[str, ...], variants: Iterable[Variant]) -> list[Task]:
     """How long every variant trains and answers: parts that nothing reads, to be run when all else is done."""
-    made = []
+    tasks = []
     for one in variants:
-        common = (
-            names,
-            one.features,
-            one.train,
-            config.compare,
-            all_classes(config)[: one.classes],
-            one.rows,
-            one.squares,
-            one.filtered,
-        )
         needs = (("paper-model", one.name), ("paper-tested", "all"), ("paper-training", "all"))
-        made.append(
-            Task(
-                "paper-time",
-                one.name,
-                _version(),
-                facts_of(config, one),
-                partial(work.timed, one.name, *common),
-                needs=needs,
-            )
-        )
-    return made
+        work_ = partial(work.time_variant, one, names, config.compare, all_classes(config))
+        tasks.append(Task("paper-time", one.name, _version(), facts_of(config, one), work_, needs=needs))
+    return tasks
 
 
 def importance_tasks(config: Config, names: tuple[str, ...], one: Variant) -> list[Task]:
     """Permutation importance of a forest's features on what its trees did not see."""
-    made, batches = [], []
+    tasks, batches = [], []
     params = {**facts_of(config, one), "repeats": config.papers.repeats}
     for first in range(0, one.train.trees, TREES_PER_PART):
         count = min(TREES_PER_PART, one.train.trees - first)
-        batches.append(f"{first:05d}")
-        made.append(
-            Task(
-                "paper-drops",
-                batches[-1],
-                TRAIN_IMPORTANCE.version,
-                {**params, "count": count},
-                partial(work.dropped, one.name, names, one.train, first, count, config.papers.repeats, one.classes),
-                needs=(("paper-training", "all"), ("paper-model", one.name)),
-            )
-        )
-    made.append(
-        Task(
-            "paper-importance",
-            "all",
-            VERSION,
-            params,
-            partial(work.importance, tuple(batches), one.features),
-            needs=tuple(("paper-drops", b) for b in batches),
-        )
-    )
-    return made
+        part = f"{first:05d}"
+        batches.append(part)
+        measure = partial(work.measure_drops, one, names, first, count, config.papers.repeats)
+        reads = (("paper-training", "all"), ("paper-model", one.name))
+        counted = {**params, "count": count}
+        tasks.append(Task("paper-drops", part, TRAIN_IMPORTANCE.version, counted, measure, needs=reads))
+    merge = partial(work.importance, tuple(batches), one.features)
+    needs = tuple(("paper-drops", b) for b in batches)
+    return [*tasks, Task("paper-importance", "all", VERSION, params, merge, needs=needs)]
 
 
 def facts_of(config: Config, one: Variant) -> dict[str, Any]:
@@ -235,7 +139,7 @@ def _version() -> int:
     return 1000 * OTHERS_VERSION + TRAIN_TREES.version
 
 
-def changed(
+def make_variant(
     config: Config, name: str, features: Sequence[str], classes: int | None = None, rows: int = 0, **train: Any
 ) -> Variant:
     """The run's own classifier with other features, classes or training parameters."""
@@ -245,17 +149,11 @@ def changed(
 
 def comparison_tasks(config: Config, pairs: Iterable[tuple[Variant, Variant]]) -> list[Task]:
     """How much better the first of each pair is than the second on the same test echoes, with an interval."""
-    made = []
+    tasks = []
     for one, other in pairs:
         known = min(one.classes, other.classes)
-        made.append(
-            Task(
-                "paper-difference",
-                f"{one.name}-{other.name}",
-                VERSION,
-                {"classes": known, "block": config.papers.block},
-                partial(work.compared, one.name, other.name, known, config.papers.block),
-                needs=(("paper-judged", one.name), ("paper-judged", other.name), ("paper-tested", "all")),
-            )
-        )
-    return made
+        params = {"classes": known, "block": config.papers.block}
+        compare = partial(work.compare, one.name, other.name, known, config.papers.block)
+        needs = (("paper-judged", one.name), ("paper-judged", other.name), ("paper-tested", "all"))
+        tasks.append(Task("paper-difference", f"{one.name}-{other.name}", VERSION, params, compare, needs=needs))
+    return tasks

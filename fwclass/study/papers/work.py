@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.assess.intervals import FIGURES, caution, difference, intervals, scores
+from fwclass.assess.intervals import FIGURES, difference, intervals, scores
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
 from fwclass.graph.areas import rows_to_test
@@ -39,8 +39,32 @@ WARM_ROWS = 2000
 """Rows that a timing begins with and does not count: compiled code is loaded then."""
 
 
-def drawn(
-    tile: Tile,
+@dataclass(frozen=True)
+class Variant:
+    """A classifier that differs from the run's own.
+
+    Attributes
+    ----------
+    name : of its parts.
+    features : what it decides by, of those of the sample.
+    train : its method and parameters; the sample's are those of the configuration.
+    classes : how many of `all_classes` it knows, the first.
+    rows : so many rows of the sample train it at most; 0 is all.
+    squares : edge of the squares that a machine's rows are thinned and its search is folded by, and their gap [m];
+        None: pieces of consecutive pulses.
+    filtered : index of the class that the ground filter answers; the classifier knows the others. None: it knows all.
+    """
+
+    name: str
+    features: tuple[str, ...]
+    train: TrainParams
+    classes: int
+    rows: int = 0
+    squares: tuple[float, float] | None = None
+    filtered: int | None = None
+
+
+def draw_test_echoes(
     columns: Mapping[str, str],
     also: Mapping[str, str],
     names: tuple[str, ...],
@@ -50,6 +74,7 @@ def drawn(
     classes: tuple[ClassDef, ...],
     share: float,
     seed: int,
+    tile: Tile,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
@@ -57,8 +82,8 @@ def drawn(
     table = inputs.rows(tile.key, {**_TABLE, **columns, **also, "reference": "label"})
     index = class_index(table["reference"], classes)
     key = canonical_key(table)
-    lucky = hash_keys(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
-    rows = np.flatnonzero(rows_to_test(table, train, test, gap) & (index >= 0) & lucky)
+    sampled = hash_keys(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
+    rows = np.flatnonzero(rows_to_test(table, train, test, gap) & (index >= 0) & sampled)
     arrays: dict[str, NDArray] = {
         "X": sample_matrix(table.take(rows), names, tile.key),
         "y": index[rows].astype(np.uint8),
@@ -71,9 +96,7 @@ def drawn(
     return {"rows": len(rows)}
 
 
-def gathered(
-    tiles: tuple[str, ...], names: tuple[str, ...], params: TrainParams, inputs: PartInputs, directory: Path
-) -> dict[str, Any]:
+def gather_test_echoes(tiles: tuple[str, ...], inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """The test echoes of all tiles, by key."""
     parts = [inputs.arrays("paper-test", t, TEST)[0] for t in tiles]
     order = np.argsort(np.concatenate([p["key"] for p in parts]), kind="stable")
@@ -85,7 +108,7 @@ def gathered(
     return {"rows": len(order)}
 
 
-def training(
+def merge_sample(
     tiles: tuple[str, ...], names: tuple[str, ...], params: TrainParams, inputs: PartInputs, directory: Path
 ) -> dict[str, Any]:
     """The sample of all tiles."""
@@ -96,72 +119,52 @@ def training(
     return {"rows": sample.rows, "counts": sample.counts.tolist(), "eligible": sample.eligible.tolist()}
 
 
-def sample_for(
-    inputs: PartInputs,
-    names: tuple[str, ...],
-    features: tuple[str, ...],
-    classes: int,
-    most: int = 0,
-    filtered: int | None = None,
-) -> Sample:
-    """The sample with the columns and the classes that a variant knows, the first but `filtered`; `most` rows of it, 0
-    for all."""
+def sample_for(inputs: PartInputs, names: tuple[str, ...], one: Variant) -> Sample:
+    """The sample with the columns and the classes that a variant knows; `Variant.rows` rows of it."""
     whole = Sample.from_arrays(names, inputs.arrays("paper-training", "all", SAMPLE)[0])
-    at = [names.index(f) for f in features]
-    known = _known(classes, filtered)
+    known = _known(one)
     rows = np.isin(whole.y, known)
-    X = np.ascontiguousarray(whole.X[rows][:, at])
+    X = np.ascontiguousarray(whole.X[rows][:, [names.index(f) for f in one.features]])
     y = np.searchsorted(known, whole.y[rows]).astype(np.uint8)
-    made = Sample(features, X, y, whole.key[rows], whole.hash[rows], whole.eligible[known])
-    made = replace(made, place=whole.place[rows]) if len(whole.place) else made
-    return fewer(made, most) if most else made
+    sample = Sample(one.features, X, y, whole.key[rows], whole.hash[rows], whole.eligible[known])
+    sample = replace(sample, place=whole.place[rows]) if len(whole.place) else sample
+    return fewer(sample, one.rows) if one.rows else sample
 
 
-def _known(classes: int, filtered: int | None) -> NDArray[np.int64]:
-    """Indices of the classes that a classifier knows."""
-    return np.array([k for k in range(classes) if k != filtered], np.int64)
+def _known(one: Variant) -> NDArray[np.int64]:
+    """Indices of the classes that a variant's classifier knows."""
+    return np.array([k for k in range(one.classes) if k != one.filtered], np.int64)
 
 
-def fitted(
-    sample: Sample,
-    params: TrainParams,
-    compare: CompareParams,
-    classes: tuple[ClassDef, ...],
-    squares: tuple[float, float] | None = None,
-) -> Model:
-    """The classifier that `params.method` names."""
+def fit_variant(sample: Sample, one: Variant, compare: CompareParams, classes: tuple[ClassDef, ...]) -> Model:
+    """A variant's classifier, trained on `sample`; `classes` are all, also those that it does not know."""
+    known, params = tuple(classes[k] for k in _known(one)), one.train
     if params.method == "forest":
-        return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
-    return train_other(sample, params, compare, classes, params.method, spatial(*squares) if squares else BY_PULSES)
+        return train(sample, grow_trees(sample, known, 0, params.trees, params), params, known)
+    places = spatial(*one.squares) if one.squares else BY_PULSES
+    return train_other(sample, params, compare, known, params.method, places)
 
 
-def learned(
+def learn(
+    one: Variant,
     names: tuple[str, ...],
-    features: tuple[str, ...],
-    params: TrainParams,
     compare: CompareParams,
     classes: tuple[ClassDef, ...],
-    rows: int,
-    squares: tuple[float, float] | None,
-    filtered: int | None,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
     """A variant's model."""
-    sample = sample_for(inputs, names, features, len(classes), rows, filtered)
-    classes = tuple(c for k, c in enumerate(classes) if k != filtered)
-    model = fitted(sample, params, compare, classes, squares)
+    model = fit_variant(sample_for(inputs, names, one), one, compare, classes)
     save_model(directory / MODEL, model)
     card = model.card
     bag = card.get("out_of_bag") or {}
-    told = {n: card["params"].get(n) for n in ("c", "gamma")}
     return {
         "rows": int(np.sum(card["samples"])),
         "notes": list(card.get("notes", ())),
         "out_of_bag": bag.get("accuracy"),
         "nodes": len(model.feature) if isinstance(model, Forest) else None,
         "vectors": len(model.vectors) if isinstance(model, KernelMachine) else None,
-        "params": told,
+        "params": {n: card["params"].get(n) for n in ("c", "gamma")},
     }
 
 
@@ -173,48 +176,47 @@ def _test(inputs: PartInputs) -> dict[str, NDArray]:
     return inputs.arrays("paper-tested", "all", TEST)[0]
 
 
-def judged(
-    name: str,
+def judge(
+    one: Variant,
     names: tuple[str, ...],
     classes: tuple[ClassDef, ...],
-    known: int,
-    filtered: int | None,
     edge: float,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
-    """Confusion of a variant on the test echoes: rows are all classes, columns the first `known`, which it tells.
+    """Confusion of a variant on the test echoes: rows are all classes, columns those that it tells.
 
     The answers (uint8, index of the class) are kept for comparisons between variants.
     """
-    model, test = _model(inputs, name), _test(inputs)
+    model, test = _model(inputs, one.name), _test(inputs)
     X = np.ascontiguousarray(test["X"][:, [names.index(f) for f in model.features]])
-    found, _ = answer(X, model)
-    if filtered is not None:
-        found = np.where(test["ground"], filtered, _known(known, filtered)[found])
-    cell = test["y"].astype(np.int64) * known + found
-    matrix = np.bincount(cell, minlength=len(classes) * known).reshape(len(classes), known)
-    write_arrays(directory / ANSWERS, {"found": found.astype(np.uint8)})
-    return {"matrix": matrix.tolist(), "intervals": intervals(by_block(test, found, known, edge))}
+    answers, _ = answer(X, model)
+    if one.filtered is not None:
+        answers = np.where(test["ground"], one.filtered, _known(one)[answers])
+    cell = test["y"].astype(np.int64) * one.classes + answers
+    matrix = np.bincount(cell, minlength=len(classes) * one.classes).reshape(len(classes), one.classes)
+    write_arrays(directory / ANSWERS, {"found": answers.astype(np.uint8)})
+    return {"matrix": matrix.tolist(), "intervals": intervals(by_block(test, answers, one.classes, edge))}
 
 
-def by_block(test: Mapping[str, NDArray], found: NDArray[np.int64], known: int, edge: float) -> NDArray[np.int64]:
+def by_block(test: Mapping[str, NDArray], answers: NDArray[np.int64], known: int, edge: float) -> NDArray[np.int64]:
     """int64 (blocks, known, known): the confusion in every square of `edge` [m] of the global grid that has a test echo
     of one of the first `known` classes."""
     scored = test["y"] < known
     mm = whole_millimetres(edge, "papers.block")
     square = np.stack([test["east"][scored] // mm, test["north"][scored] // mm], axis=1)
     blocks, place = np.unique(square, axis=0, return_inverse=True)
-    cell = (place.reshape(-1) * known + test["y"][scored].astype(np.int64)) * known + found[scored]
+    cell = (place.reshape(-1) * known + test["y"][scored].astype(np.int64)) * known + answers[scored]
     return np.bincount(cell, minlength=len(blocks) * known * known).reshape(len(blocks), known, known)
 
 
-def cautioned(made: Mapping[str, Any]) -> dict[str, Any]:
-    """What `compared` found, with what is to be said where it rests on few blocks (``caution``, or None)."""
-    return {**made, "caution": caution(made["blocks"])}
+def spans(change: Mapping[str, Any]) -> dict[str, dict[str, float | None]]:
+    """``{figure: {"value", "low", "high"}}`` of a `difference`, fractions; None where it has no interval."""
+    ends = {f: (change[f]["difference"], *(change[f]["interval"] or (None, None))) for f in FIGURES}
+    return {f: dict(zip(("value", "low", "high"), v, strict=True)) for f, v in ends.items()}
 
 
-def compared(name: str, other: str, known: int, edge: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
+def compare(name: str, other: str, known: int, edge: float, inputs: PartInputs, directory: Path) -> dict[str, Any]:
     """How much better `name` is than `other`: ``{"blocks", figure: {"value", "low", "high"}}``, fractions; low and high
     are None where there are too few blocks for an interval."""
     test = _test(inputs)
@@ -222,45 +224,36 @@ def compared(name: str, other: str, known: int, edge: float, inputs: PartInputs,
         by_block(test, inputs.arrays("paper-judged", one, ANSWERS)[0]["found"].astype(np.int64), known, edge)
         for one in (other, name)
     ]
-    told = difference(*both)
-    if told is None:
+    change = difference(*both)
+    if change is None:
         gain = np.diff([scores(b.sum(axis=0)[None])[0] for b in both], axis=0)[0]
-        lone = {f: {"value": float(v), "low": None, "high": None} for f, v in zip(FIGURES, gain, strict=True)}
-        return {"blocks": len(both[0]), **lone}
-    spans = {f: (told[f]["difference"], *(told[f]["interval"] or (None, None))) for f in FIGURES}
-    return {
-        "blocks": told["blocks"],
-        **{f: dict(zip(("value", "low", "high"), v, strict=True)) for f, v in spans.items()},
-    }
+        change_alone = {f: {"value": float(v), "low": None, "high": None} for f, v in zip(FIGURES, gain, strict=True)}
+        return {"blocks": len(both[0]), **change_alone}
+    return {"blocks": change["blocks"], **spans(change)}
 
 
-def timed(
-    name: str,
+def time_variant(
+    one: Variant,
     names: tuple[str, ...],
-    features: tuple[str, ...],
-    params: TrainParams,
     compare: CompareParams,
     classes: tuple[ClassDef, ...],
-    rows: int,
-    squares: tuple[float, float] | None,
-    filtered: int | None,
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
     """Processor seconds of training and of answering, without reading, writing and loading of compiled code."""
-    sample = sample_for(inputs, names, features, len(classes), rows, filtered)
-    classes = tuple(c for k, c in enumerate(classes) if k != filtered)
-    model, test = _model(inputs, name), _test(inputs)
-    asked = test["X"] if filtered is None else test["X"][~test["ground"]]
-    X = np.ascontiguousarray(asked[:, [names.index(f) for f in features]])
+    sample, params = sample_for(inputs, names, one), one.train
+    known = tuple(classes[k] for k in _known(one))
+    model, test = _model(inputs, one.name), _test(inputs)
+    tested_rows = test["X"] if one.filtered is None else test["X"][~test["ground"]]
+    X = np.ascontiguousarray(tested_rows[:, [names.index(f) for f in one.features]])
     answer(X[:WARM_ROWS], model)
     if params.method == "forest":
-        grow_trees(sample, classes, 0, 1, params)
+        grow_trees(sample, known, 0, 1, params)
     began = time.process_time()
     if params.method == "forest":
-        grow_trees(sample, classes, 0, params.trees, params)
+        grow_trees(sample, known, 0, params.trees, params)
     else:
-        fitted(sample, params, compare, classes, squares)
+        fit_variant(sample, one, compare, classes)
     trained = time.process_time()
     answer(X, model)
     return {
@@ -280,24 +273,15 @@ def trees_of(model: Forest, first: int, count: int) -> list[Tree]:
     ]
 
 
-def dropped(
-    name: str,
-    names: tuple[str, ...],
-    params: TrainParams,
-    first: int,
-    count: int,
-    repeats: int,
-    classes: int,
-    inputs: PartInputs,
-    directory: Path,
+def measure_drops(
+    one: Variant, names: tuple[str, ...], first: int, count: int, repeats: int, inputs: PartInputs, directory: Path
 ) -> dict[str, Any]:
     """What permuting a feature takes from some of the trees."""
-    model = _model(inputs, name)
+    model = _model(inputs, one.name)
     if not isinstance(model, Forest):
-        raise TypeError(f"{name} is no forest")
-    sample = sample_for(inputs, names, model.features, classes)
-    made, rows = drops(sample, trees_of(model, first, count), first, params, repeats)
-    write_arrays(directory / DROPS, {"drops": made, "rows": rows})
+        raise TypeError(f"{one.name} is no forest")
+    losses, rows = drops(sample_for(inputs, names, one), trees_of(model, first, count), first, one.train, repeats)
+    write_arrays(directory / DROPS, {"drops": losses, "rows": rows})
     return {"trees": count}
 
 
@@ -306,5 +290,5 @@ def importance(
 ) -> dict[str, Any]:
     """Mean drop of the out-of-bag accuracy by feature."""
     parts = [inputs.arrays("paper-drops", b, DROPS)[0] for b in batches]
-    made, rows = (np.concatenate([p[n] for p in parts]) for n in ("drops", "rows"))
-    return dict(summary(features, made, rows))
+    losses, rows = (np.concatenate([p[n] for p in parts]) for n in ("drops", "rows"))
+    return dict(summary(features, losses, rows))

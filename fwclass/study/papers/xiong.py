@@ -7,52 +7,35 @@ from typing import Any
 
 import numpy as np
 
-from fwclass import __version__
 from fwclass.assess.stage import figures
 from fwclass.conf import Config
-from fwclass.graph.layout import Layout
-from fwclass.run.part import Name
-from fwclass.run.runner import Runner, require_all
 from fwclass.select.work import scale_of
-from fwclass.store.receipts import Receipt
 from fwclass.study.papers.begin import base_of
-from fwclass.study.papers.claims import judged
-from fwclass.study.papers.variants import Variant, changed
-from fwclass.study.papers.work import cautioned
+from fwclass.study.papers.claims import judge_claims
+from fwclass.study.papers.facts import Receipts, differences, heading, rows_by_class, times
+from fwclass.study.papers.variants import make_variant
+from fwclass.study.papers.work import Variant
 from fwclass.study.papers.xiong_claims import CLAIMS
-from fwclass.study.select.thinning import RATE, cost_task, rate_tasks, told
 
 SELECTED, ALL, SVM_SELECTED, SVM = "rf_selected", "rf", "svm_selected", "svm"
-Made = Mapping[Name, Receipt]
+_PRINTED = ("strategies", "samples", "selection", "radii", "groups", "thinning")
 
 
 def variants(config: Config, names: tuple[str, ...], chosen: tuple[str, ...]) -> tuple[Variant, ...]:
     """The paper's four strategies."""
     return (
-        changed(config, SELECTED, chosen),
-        changed(config, ALL, names),
-        changed(config, SVM_SELECTED, chosen, method="linear-svm"),
-        changed(config, SVM, names, method="linear-svm"),
+        make_variant(config, SELECTED, chosen),
+        make_variant(config, ALL, names),
+        make_variant(config, SVM_SELECTED, chosen, method="linear-svm"),
+        make_variant(config, SVM, names, method="linear-svm"),
     )
 
 
-def comparisons(found: Sequence[Variant]) -> list[tuple[Variant, Variant]]:
+def comparisons(variants: Sequence[Variant]) -> list[tuple[Variant, Variant]]:
     """What selection gains for either classifier, and the forest over the SVM."""
-    by_name = {v.name: v for v in found}
+    by_name = {v.name: v for v in variants}
     pairs = ((SELECTED, ALL), (SVM_SELECTED, SVM), (SELECTED, SVM_SELECTED), (ALL, SVM))
     return [(by_name[a], by_name[b]) for a, b in pairs]
-
-
-def thinned(config: Config, runner: Runner, layout: Layout, names: tuple[str, ...]) -> dict[str, Any]:
-    """Accuracy and time over ``select.rates`` on the training areas, for a forest by `names` (made already)."""
-    done = require_all(runner, rate_tasks(layout, names))
-    boxes = config.areas.boxes("train")
-    trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
-    receipts = {t: runner.store.receipt("tile", t.key) for t in trained}
-    largest = max(trained, key=lambda t: (receipts[t].meta["rows"] if receipts[t] else 0, t.key))  # type: ignore[union-attr]
-    timing = cost_task(layout, largest, names)
-    cost = require_all(runner, [timing])[timing.name].meta
-    return told(config, names, {r: done[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
 
 
 def facts(
@@ -61,38 +44,28 @@ def facts(
     report: Mapping[str, Any],
     selection: Mapping[str, Any],
     thinning: Mapping[str, Any],
-    found: Sequence[Variant],
-    made: Made,
+    variants: Sequence[Variant],
+    receipts: Receipts,
 ) -> dict[str, Any]:
     """Everything that the page tells, as plain data."""
     names = [c.name for c in config.classes]
-    meta = made["paper-training", "all"].meta
-    rows = np.array(made["paper-judged", found[0].name].meta["matrix"]).sum(axis=1).tolist()
     gathered: dict[str, Any] = {
-        "paper": "xiong2018",
-        "survey": config.survey.name,
-        "fwclass": __version__,
-        **{k: printed[k] for k in ("citation", "doi", "data", "notes")},
-        "printed": {k: printed[k] for k in ("strategies", "samples", "selection", "radii", "groups", "thinning")},
-        "classes": [{"name": c.name, "code": c.code} for c in config.survey.classes],
+        **heading("xiong2018", config, printed, _PRINTED),
         "candidates": selection["candidates"],
         "chosen": selection["chosen"],
-        "rows": {name: [int(meta["counts"][k]), int(rows[k])] for k, name in enumerate(names)},
+        "rows": rows_by_class(receipts, variants[0], names),
         "areas": report["areas"],
         "whole": report["accuracy"],
         "settings": _settings(config),
         "selection": dict(selection),
         "thinning": dict(thinning),
-        "strategies": {v.name: _strategy(made, v, names) for v in found},
-        "differences": {
-            f"{a.name}/{b.name}": cautioned(made["paper-difference", f"{a.name}-{b.name}"].meta)
-            for a, b in comparisons(found)
-        },
-        "importance": importances(made["paper-importance", "all"].meta, printed["groups"]),
+        "strategies": {v.name: _strategy(receipts, v, names) for v in variants},
+        "differences": differences(receipts, comparisons(variants)),
+        "importance": importances(receipts["paper-importance", "all"].meta, printed["groups"]),
         "radii": radii(selection["candidates"], selection["chosen"], printed["radii"]),
-        "times": {v.name: dict(made["paper-time", v.name].meta) for v in found},
+        "times": times(receipts, variants),
     }
-    return {**gathered, "claims": judged(printed["claims"], CLAIMS, gathered)}
+    return {**gathered, "claims": judge_claims(printed["claims"], CLAIMS, gathered)}
 
 
 def _settings(config: Config) -> dict[str, Any]:
@@ -116,22 +89,22 @@ def _settings(config: Config) -> dict[str, Any]:
     }
 
 
-def _strategy(made: Made, one: Variant, names: Sequence[str]) -> dict[str, Any]:
-    answers, model = made["paper-judged", one.name].meta, made["paper-model", one.name].meta
-    told_ = figures(np.array(answers["matrix"], np.int64)[: one.classes], list(names))
+def _strategy(receipts: Receipts, one: Variant, names: Sequence[str]) -> dict[str, Any]:
+    answers, model = receipts["paper-judged", one.name].meta, receipts["paper-model", one.name].meta
+    table = figures(np.array(answers["matrix"], np.int64)[: one.classes], list(names))
 
     def rest(values: Sequence[float | None]) -> dict[str, float | None]:
         return {n: None if v is None else 1 - v for n, v in zip(names, values, strict=True)}
 
     return {
-        **told_,
+        **table,
         "intervals": answers["intervals"],
         "features": len(one.features),
         "nodes": model["nodes"],
         "out_of_bag": model["out_of_bag"],
         "notes": model["notes"],
-        "omission": rest(told_["producers_accuracy"]),
-        "commission": rest(told_["users_accuracy"]),
+        "omission": rest(table["producers_accuracy"]),
+        "commission": rest(table["users_accuracy"]),
     }
 
 
@@ -163,16 +136,16 @@ def radii(
     """Per radius [m]: which features survive, which could have, and which survive in the paper."""
 
     def at(names: Sequence[str]) -> dict[float, list[str]]:
-        found: dict[float, list[str]] = {}
+        by_radius: dict[float, list[str]] = {}
         for name in names:
             scale = scale_of(name)
             if scale is not None and scale.kind == "r":
-                found.setdefault(scale.metres, []).append(base_of(name))
-        return found
+                by_radius.setdefault(scale.metres, []).append(base_of(name))
+        return by_radius
 
-    asked, kept = at(candidates), at(chosen)
+    tried, ours = at(candidates), at(chosen)
     paper = {float(r): list(v) for r, v in printed.items()}
     return [
-        {"radius": r, "ours": kept.get(r, []), "of": len(asked.get(r, [])), "paper": paper.get(r)}
-        for r in sorted({*asked, *paper})
+        {"radius": r, "ours": ours.get(r, []), "of": len(tried.get(r, [])), "paper": paper.get(r)}
+        for r in sorted({*tried, *paper})
     ]

@@ -34,8 +34,8 @@ def _gain(pair: str, up: bool = True) -> Callable[[Facts], Verdict]:
     """A claim that the first of a pair is more accurate, or (`up` false) that it hardly differs."""
 
     def claim(facts: Facts) -> Verdict:
-        found = facts["differences"][pair]
-        one = found["overall_accuracy"]
+        difference = facts["differences"][pair]
+        one = difference["overall_accuracy"]
         first, second = pair.split("/")
         if pair in ("rf_selected/rf", "svm_selected/svm") and _kept_all(facts):
             return NOTHING_DROPPED
@@ -44,7 +44,7 @@ def _gain(pair: str, up: bool = True) -> Callable[[Facts], Verdict]:
         if one["low"] is None:
             return text, OPEN, "too few blocks for an interval"
         sure = one["low"] > 0 or one["high"] < 0
-        why = f"{spanned(found)}" + ("" if sure else ": no difference beyond chance")
+        why = f"{spanned(difference)}" + ("" if sure else ": no difference beyond chance")
         if not up:
             return text, verdict(abs(one["value"]) < NEAR), why
         printed = facts["printed"]["strategies"]
@@ -114,12 +114,12 @@ def _height_statistics(facts: Facts) -> Verdict:
     lacking = _without_group(order, "height statistics")
     if lacking:
         return lacking
-    kept = [n for r in facts["radii"] for n in r["ours"] if n.startswith("height_")]
-    text = f"{len(kept)} of {len(facts['chosen'])} features"
+    statistics = [n for r in facts["radii"] for n in r["ours"] if n.startswith("height_")]
+    text = f"{len(statistics)} of {len(facts['chosen'])} features"
     little = order.index("height statistics") >= len(order) - 2
     return (
         text,
-        verdict(little and len(kept) <= len(facts["chosen"]) / 5),
+        verdict(little and len(statistics) <= len(facts["chosen"]) / 5),
         (f"place {order.index('height statistics') + 1} of {len(order)} groups by importance"),
     )
 
@@ -159,10 +159,10 @@ def _time(key: str) -> Callable[[Facts], Verdict]:
 def _thinning(facts: Facts) -> Verdict:
     steps = facts["thinning"]["steps"]
     whole = max(steps, key=lambda s: s["rate"])
-    asked = facts["printed"]["thinning"]["rate"]
-    least = min(steps, key=lambda s: abs(s["rate"] - asked))
-    if not 0.5 * asked <= least["rate"] <= 2 * asked:
-        return "–", OPEN, f"no rate near {100 * asked:g} % is among select.rates"
+    rate = facts["printed"]["thinning"]["rate"]
+    least = min(steps, key=lambda s: abs(s["rate"] - rate))
+    if not 0.5 * rate <= least["rate"] <= 2 * rate:
+        return "–", OPEN, f"no rate near {100 * rate:g} % is among select.rates"
     lost = whole["accuracy"] - least["accuracy"]
     text = f"{percent(least['accuracy'])} at {100 * least['rate']:g} %, {percent(whole['accuracy'])} at all"
     why = (

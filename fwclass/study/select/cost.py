@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,7 @@ def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> 
         "echoes": config.select.timing_echoes,
     }
     work = partial(
-        timed,
+        time_sets,
         tile,
         halo,
         columns,
@@ -67,7 +67,7 @@ def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> 
     return {s: by_set[computed(s)] for s in sets}
 
 
-def timed(
+def time_sets(
     tile: Tile,
     halo: float,
     columns: Mapping[str, str],
@@ -79,17 +79,23 @@ def timed(
     inputs: PartInputs,
     directory: Path,
 ) -> dict[str, Any]:
-    """Medians over `repeats` runs of every set, in turn, after one that is not counted."""
+    """Processor time of every set [us per echo]."""
     whole = inputs.chunk(tile, halo, columns, present)
     chunk = Chunk(whole.table, whole.core[:echoes], tile)
-    seconds = np.zeros((repeats + 1, len(sets)))
+    micro = microseconds([partial(features, chunk, names, params) for names in sets], repeats, len(chunk.core))
+    return {"microseconds": micro, "echoes": len(chunk.core)}
+
+
+def microseconds(works: Sequence[Callable[[], object]], repeats: int, echoes: int) -> list[float]:
+    """Medians of the processor time per echo over `repeats` runs of `works`, in turn, after one that is not counted."""
+    seconds = np.zeros((repeats + 1, len(works)))
     for turn in seconds:
-        for k, names in enumerate(sets):
+        for k, work in enumerate(works):
             began = time.process_time()
-            features(chunk, names, params)
+            work()
             turn[k] = time.process_time() - began
-    medians = np.median(seconds[1:], axis=0) / max(1, len(chunk.core)) * 1e6
-    return {"microseconds": [round(v, 3) for v in medians.tolist()], "echoes": len(chunk.core)}
+    medians = np.median(seconds[1:], axis=0) / max(1, echoes) * 1e6
+    return [round(v, 3) for v in medians.tolist()]
 
 
 def parts_of(chosen: Names) -> tuple[dict[str, Names], dict[str, Names], dict[str, Names]]:

@@ -44,23 +44,23 @@ def _beside(path: Path) -> tuple[Path, Path]:
     return path.with_suffix(".json"), path.with_suffix(".png")
 
 
-def write(made: Mapping[str, Any], path: Path) -> None:
+def write(selection: Mapping[str, Any], path: Path) -> None:
     """The YAML at `path`, all numbers and the picture beside it."""
     numbers, picture = _beside(path)
-    if made["method"] == THINNING:
-        text, drawn = setting(made), draw(made)
+    if selection["method"] == THINNING:
+        text, drawn = setting(selection), draw(selection)
     else:
-        title = f"{made['survey']}: {result.TITLES[made['method']]}"
-        text = result.scales_file(made) if made["method"] == "scales" else result.set_file(made)
-        drawn = draw_selection(result.curve_of(made), made["front"], made["chosen"], title)
+        title = f"{selection['survey']}: {result.TITLES[selection['method']]}"
+        text = result.scales_file(selection) if selection["method"] == "scales" else result.set_file(selection)
+        drawn = draw_selection(result.curve_of(selection), selection["front"], selection["chosen"], title)
     for place, data in ((picture, drawn), (path, text.encode())):
         with whole(place) as beside:
             beside.write_bytes(data)
-    write_json(numbers, dict(made))
+    write_json(numbers, dict(selection))
 
 
-def describe(made: Mapping[str, Any], path: Path) -> str:
+def describe(selection: Mapping[str, Any], path: Path) -> str:
     """What to tell on the terminal."""
     numbers, picture = _beside(path)
-    text = describe_thinning(made) if made["method"] == THINNING else result.describe(made)
+    text = describe_thinning(selection) if selection["method"] == THINNING else result.describe(selection)
     return f"{text}\n\n{path}\n{numbers}\n{picture}"

@@ -31,7 +31,7 @@ def sets_to_time(search: Search, smallest_parts: bool = True) -> list[Names]:
     return list(dict.fromkeys([(), *(s.score.features for s in search.steps), *more]))
 
 
-def told(search: Search, cost: Mapping[Names, float], pick: str) -> dict[str, Any]:
+def plain_result(search: Search, cost: Mapping[Names, float], pick: str) -> dict[str, Any]:
     """The curve, the sets that stand out, the front of accuracy and cost: plain data."""
     scores = [s.score for s in search.steps]
     spent = [cost[s.features] for s in scores]
@@ -106,9 +106,9 @@ def set_file(result: Mapping[str, Any]) -> str:
     return str(yaml.safe_dump(tree, sort_keys=False, width=110, default_flow_style=None))
 
 
-def scales_file(made: Mapping[str, Any]) -> str:
+def scales_file(result: Mapping[str, Any]) -> str:
     """The chosen scales as settings, which a survey's file can take over."""
-    tree = {"classify": {"refine": {"between": list(made["classes"]), "scales": list(made["scales"])}}}
+    tree = {"classify": {"refine": {"between": list(result["classes"]), "scales": list(result["scales"])}}}
     return str(yaml.safe_dump(tree, sort_keys=False, width=110, default_flow_style=None))
 
 

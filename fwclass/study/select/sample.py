@@ -35,7 +35,7 @@ _TABLE = dict.fromkeys(("strip", "pulse", "echo_number", "x", "y"), "tile")
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedSample:
     """A sample with the place of every row [m]; columns without information are named in `left_out`."""
 
     sample: Sample
@@ -60,24 +60,16 @@ def sample_tasks(layout: Layout, names: tuple[str, ...]) -> list[Task]:
     tasks = []
     for tile in layout.tiles:
         if tile.key in chosen:
-            work = partial(_placed, tile, columns, names, boxes, train, config.classes)
+            work = partial(_place_rows, tile, columns, names, boxes, train, config.classes)
             needs = needs_of({**columns, "reference": "label"}, (tile.key,))
             tasks.append(Task(PLACED, tile.key, TRAIN_SAMPLE.version, drawn, work, needs=needs))
     folded = {n: plain(config.select)[n] for n in ("block", "gap", "folds")}
-    tasks.append(
-        Task(
-            TRAINING,
-            "all",
-            TRAIN_SAMPLE.version,
-            {**drawn, **folded},
-            partial(_folded, chosen, names, train, config.select, config.classes),
-            needs=tuple((PLACED, k) for k in chosen),
-        )
-    )
-    return tasks
+    work = partial(_fold_sample, chosen, names, train, config.select, config.classes)
+    needs = tuple((PLACED, k) for k in chosen)
+    return [*tasks, Task(TRAINING, "all", TRAIN_SAMPLE.version, {**drawn, **folded}, work, needs=needs)]
 
 
-def _placed(
+def _place_rows(
     tile: Tile,
     columns: Mapping[str, str],
     names: tuple[str, ...],
@@ -97,24 +89,24 @@ def _placed(
     return {"rows": sample.rows}
 
 
-def _with_places(sample: Sample, table: Table) -> Placed:
+def _with_places(sample: Sample, table: Table) -> PlacedSample:
     key = canonical_key(table)
     order = np.argsort(key)
     rows = order[np.searchsorted(key[order], sample.key)]
-    return Placed(sample, table["x"][rows], table["y"][rows])
+    return PlacedSample(sample, table["x"][rows], table["y"][rows])
 
 
-def _save(directory: Path, placed: Placed) -> None:
+def _save(directory: Path, placed: PlacedSample) -> None:
     where = {"place_x": millimetres(placed.x), "place_y": millimetres(placed.y)}
     write_arrays(directory / SAMPLE, {**placed.sample.arrays(), **where})
 
 
-def _load(inputs: PartInputs, stage: str, part: str, names: Sequence[str]) -> Placed:
+def _load(inputs: PartInputs, stage: str, part: str, names: Sequence[str]) -> PlacedSample:
     arrays, _ = inputs.arrays(stage, part, SAMPLE)
-    return Placed(Sample.from_arrays(names, arrays), arrays["place_x"] * 0.001, arrays["place_y"] * 0.001)
+    return PlacedSample(Sample.from_arrays(names, arrays), arrays["place_x"] * 0.001, arrays["place_y"] * 0.001)
 
 
-def _folded(
+def _fold_sample(
     tiles: tuple[str, ...],
     names: tuple[str, ...],
     train: TrainParams,
@@ -137,7 +129,7 @@ def _folded(
     x, y = (np.concatenate([getattr(p, n) for p in parts])[rows] for n in ("x", "y"))
     folds = spatial_folds(x, y, sample.y, params.block, params.gap, params.folds)
     notes = check_folds(folds, sample.y, tuple(c.name for c in classes))
-    _save(directory, Placed(sample, x, y))
+    _save(directory, PlacedSample(sample, x, y))
     write_arrays(directory / FOLDS, {"fold": folds.fold, "near": folds.near.astype(np.uint8)})
     return {
         "rows": sample.rows,
@@ -185,15 +177,15 @@ def useless(sample: Sample) -> dict[str, str]:
     return reasons
 
 
-_kept: dict[tuple[str, str], tuple[Placed, Folds]] = {}
+_loaded: dict[tuple[str, str], tuple[PlacedSample, Folds]] = {}
 
 
-def training_of(inputs: PartInputs, names: tuple[str, ...]) -> tuple[Placed, Folds]:
+def training_of(inputs: PartInputs, names: tuple[str, ...]) -> tuple[PlacedSample, Folds]:
     """The sample and its folds, kept in this process as long as they are the same."""
     key = (str(inputs.path(TRAINING, "all", FOLDS)), inputs.digest(TRAINING, "all"))
-    if key not in _kept:
-        _kept.clear()
+    if key not in _loaded:
+        _loaded.clear()
         arrays, _ = inputs.arrays(TRAINING, "all", FOLDS)
         folds = Folds(arrays["fold"], arrays["near"].astype(bool), int(inputs.meta(TRAINING, "all")["blocks"]))
-        _kept[key] = _load(inputs, TRAINING, "all", names), folds
-    return _kept[key]
+        _loaded[key] = _load(inputs, TRAINING, "all", names), folds
+    return _loaded[key]

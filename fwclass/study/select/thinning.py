@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,23 +12,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.conf import Config
 from fwclass.features.params import Asked
 from fwclass.features.stage import FEATURES, features
 from fwclass.graph.areas import within
 from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
+from fwclass.graph.stage import Plan
+from fwclass.graph.stages import check_features
+from fwclass.graph.walk import until_labels, until_tiles
 from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.publish.selectplot import draw_rates
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
+from fwclass.run.runner import Runner, ancestors, require_all
 from fwclass.schema import Table, canonical_key
 from fwclass.select.folds import check_folds, spatial_folds
 from fwclass.select.params import SelectParams
 from fwclass.select.score import Names, Trial, as_good, score
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
-from fwclass.study.select.cost import computed
-from fwclass.study.select.trials import predicted
+from fwclass.study.select.cost import computed, microseconds
+from fwclass.study.select.trials import predict
 from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
 from fwclass.thin.sample import THIN, covering, uniform
@@ -58,22 +64,11 @@ def rate_tasks(layout: Layout, names: Names) -> list[Task]:
         "features": list(names),
         "areas": [list(b.bounds) for b in boxes],
     }
-    tasks = []
+    keys, version, tasks = tuple(t.key for t in chosen), 1000 * THIN.version + TRAIN_TREES.version, []
     for rate in config.select.rates:
         thin = config.thin.model_copy(update={"rate": rate})
-        work = partial(
-            at_rate, tuple(t.key for t in chosen), columns, names, boxes, thin, train, config.select, config.classes
-        )
-        tasks.append(
-            Task(
-                RATE,
-                f"{rate:g}",
-                1000 * THIN.version + TRAIN_TREES.version,
-                {**params, "thin": plain(thin)},
-                work,
-                needs,
-            )
-        )
+        work = partial(at_rate, keys, columns, names, boxes, thin, train, config.select, config.classes)
+        tasks.append(Task(RATE, f"{rate:g}", version, {**params, "thin": plain(thin)}, work, needs))
     return tasks
 
 
@@ -86,11 +81,11 @@ def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
     columns = layout.columns(asked.reads)
     present = layout.around(tile.box.grown(halo), layout.keys)
     params = {**config.features.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}
-    work = partial(_timed, tile, halo, columns, present, names, config.features, config.select)
+    work = partial(_time_rates, tile, halo, columns, present, names, config.features, config.select)
     return Task(RATE_COST, digest_of(params)[:16], FEATURES.version, params, work, needs=needs_of(columns, present))
 
 
-def _timed(
+def _time_rates(
     tile: Tile,
     halo: float,
     columns: Mapping[str, str],
@@ -103,15 +98,11 @@ def _timed(
 ) -> dict[str, Any]:
     whole = inputs.chunk(tile, halo, columns, present)
     echoes = whole.core[: select.timing_echoes]
-    seconds = np.zeros((select.timing_repeats + 1, len(select.rates)))
-    for turn in seconds:
-        for k, rate in enumerate(select.rates):
-            core = echoes[np.floor(np.arange(0, len(echoes), 1.0 / rate)).astype(np.int64)]
-            began = time.process_time()
-            features(Chunk(whole.table, core, tile), names, params)
-            turn[k] = time.process_time() - began
-    medians = np.median(seconds[1:], axis=0) / max(1, len(echoes)) * 1e6
-    return {"microseconds": [round(v, 3) for v in medians.tolist()]}
+    works = []
+    for rate in select.rates:
+        core = echoes[np.floor(np.arange(0, len(echoes), 1.0 / rate)).astype(np.int64)]
+        works.append(partial(features, Chunk(whole.table, core, tile), names, params))
+    return {"microseconds": microseconds(works, select.timing_repeats, len(echoes))}
 
 
 def at_rate(
@@ -128,17 +119,17 @@ def at_rate(
 ) -> dict[str, Any]:
     """Labelled echoes of the training areas, thinned; every block classified by a forest of the other folds' sample,
     and every echo by its nearest sampled one."""
-    table = _labelled(tiles, columns, boxes, classes, inputs)
+    table = _read_labelled(tiles, columns, boxes, classes, inputs)
     x, y, z = (table[n] for n in "xyz")
     reference = class_index(table["reference"], classes).astype(np.uint8)
     folds = spatial_folds(x, y, reference, select.block, select.gap, select.folds)
     key = canonical_key(table)
     _warm(x, y, z, key, thin)
     began = time.process_time()
-    kept = covering(x, y, z, key, uniform(x, y, z, key, thin), thin.reach)
+    sampled = covering(x, y, z, key, uniform(x, y, z, key, thin), thin.reach)
     seconds = {"sample": time.process_time() - began, "train": 0.0, "vote": 0.0}
-    notes = check_folds(folds, np.where(kept, reference, 255).astype(np.uint8), tuple(c.name for c in classes))
-    rows = np.flatnonzero(kept)
+    notes = check_folds(folds, np.where(sampled, reference, 255).astype(np.uint8), tuple(c.name for c in classes))
+    rows = np.flatnonzero(sampled)
     some = table.select(names).take(rows)
     X = sample_matrix(some, names, THINNING)
     answers = np.zeros(len(rows), np.int64)
@@ -150,15 +141,15 @@ def at_rate(
         )
         trained.append(sample.rows)
         if f == 0:  # untimed: what is compiled at its first call
-            predicted(X[:1], grow_trees(sample, classes, 0, 1, train), names, classes)
+            predict(X[:1], grow_trees(sample, classes, 0, 1, train), names, classes)
         began = time.process_time()
         trees = grow_trees(sample, classes, 0, train.trees, train)
         seconds["train"] += time.process_time() - began
         began = time.process_time()
-        answers[judged] = predicted(X[judged], trees, names, classes)
+        answers[judged] = predict(X[judged], trees, names, classes)
         seconds["vote"] += time.process_time() - began
     began = time.process_time()
-    followed = index_of_followed((x, y, z), kept, thin.reach)
+    followed = index_of_followed((x, y, z), sampled, thin.reach)
     seconds["follow"] = time.process_time() - began
     return {
         "matrices": _matrices(reference, answers[followed], folds.fold, select.folds, len(classes)),
@@ -179,7 +170,7 @@ def _warm(
     index_of_followed((x, y, z), np.arange(len(x)) % 2 == 0, thin.reach)
 
 
-def _labelled(
+def _read_labelled(
     tiles: tuple[str, ...],
     columns: Mapping[str, str],
     boxes: tuple[Box, ...],
@@ -203,7 +194,29 @@ def _matrices(
     return np.bincount(cell, minlength=folds * n * n).reshape(folds, n, n).tolist()
 
 
-def told(
+def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
+    """The curve over ``select.rates`` on the training areas, for a classifier by `names`; plain data."""
+    config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))  # all features are there then
+    check_features(config, names, "survey.features or --candidates")
+    plan = until_tiles(Plan(config, names, names), runner)
+    return measure_rates(config, runner, plan.layout, names, until_labels(plan))
+
+
+def measure_rates(
+    config: Config, runner: Runner, layout: Layout, names: Names, labels: Sequence[Task] = ()
+) -> dict[str, Any]:
+    """The same where the tiles are there; `labels` are the tasks until all labels are, where they may not be."""
+    rates = rate_tasks(layout, names)
+    receipts = require_all(runner, ancestors([*labels, *rates], [t.name for t in rates]))
+    boxes = config.areas.boxes("train")
+    trained = [t for t in layout.tiles if any(t.box.touches(b) for b in boxes)]
+    largest = max(trained, key=lambda t: (runner.store.rows("tile", t.key), t.key))
+    timing = cost_task(layout, largest, names)
+    cost = require_all(runner, [timing])[timing.name].meta
+    return plain_curve(config, names, {r: receipts[RATE, f"{r:g}"].meta for r in config.select.rates}, cost)
+
+
+def plain_curve(
     config: Any, names: Names, metas: Mapping[float, Mapping[str, Any]], cost: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The curve: plain data."""
@@ -269,4 +282,5 @@ def describe_thinning(result: Mapping[str, Any]) -> str:
 
 
 def draw(result: Mapping[str, Any]) -> bytes:
+    """The picture of a thinning curve, PNG."""
     return draw_rates(result["steps"], result["lowest"], f"{result['survey']}: thinning (Xiong 2018)")

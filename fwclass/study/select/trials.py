@@ -39,10 +39,10 @@ class Trials:
         """The trials of `subsets`, in their order."""
         stage = RANKED if ranked else TRIAL
         tasks = {(s, f): self._task(stage, s, f) for s in subsets for f in range(self.config.select.folds)}
-        done = require_all(self.runner, list(tasks.values()))
+        receipts = require_all(self.runner, list(tasks.values()))
         trials = []
         for s in subsets:
-            metas = [done[tasks[s, f].name].meta for f in range(self.config.select.folds)]
+            metas = [receipts[tasks[s, f].name].meta for f in range(self.config.select.folds)]
             weight = np.mean([m["importance"] for m in metas], axis=0) if ranked else None
             trials.append(Trial(s, np.array([m["matrix"] for m in metas], np.int64), weight))
         return trials
@@ -57,20 +57,13 @@ class Trials:
             "features": list(subset),
             "repeats": select.repeats if stage == RANKED else None,
         }
-        work = partial(
-            tried,
-            subset,
-            fold,
-            self.candidates,
-            self.train,
-            self.config.classes,
-            select.repeats if stage == RANKED else 0,
-        )
+        repeats = select.repeats if stage == RANKED else 0
+        work = partial(try_features, subset, fold, self.candidates, self.train, self.config.classes, repeats)
         part = f"{digest_of(list(subset))[:16]}-{fold:02d}"
         return Task(stage, part, VERSION * 1000 + TRAIN_TREES.version, params, work, needs=((TRAINING, "all"),))
 
 
-def tried(
+def try_features(
     subset: Names,
     fold: int,
     candidates: Names,
@@ -83,14 +76,14 @@ def tried(
     """A forest by `subset` from the rows outside `fold`: its confusion matrix inside, and its importances."""
     placed, folds = training_of(inputs, candidates)
     sample = columns_of(placed.sample, subset)
-    grown_from, judged = sample.take(folds.trains(fold)), folds.judged(fold)
-    trees = grow_trees(grown_from, classes, 0, params.trees, params)
-    answers = predicted(sample.X[judged], trees, subset, classes)
+    training, judged = sample.take(folds.trains(fold)), folds.judged(fold)
+    trees = grow_trees(training, classes, 0, params.trees, params)
+    answers = predict(sample.X[judged], trees, subset, classes)
     n = len(classes)
     matrix = np.bincount(sample.y[judged].astype(np.int64) * n + answers, minlength=n * n).reshape(n, n)
     plain: dict[str, Any] = {"matrix": matrix.tolist()}
     if repeats:
-        lost = importance(grown_from, trees, n, params, repeats)
+        lost = importance(training, trees, n, params, repeats)
         plain["importance"] = np.asarray(lost, np.float64).mean(axis=1).tolist()
     return plain
 
@@ -102,7 +95,7 @@ def columns_of(sample: Sample, subset: Names) -> Sample:
     return Sample(subset, X, sample.y, sample.key, sample.hash, sample.eligible)
 
 
-def predicted(X: Any, trees: Any, names: Names, classes: Sequence[ClassDef]) -> Any:
+def predict(X: Any, trees: Any, names: Names, classes: Sequence[ClassDef]) -> Any:
     """Index of the class with most votes, int64 (rows,)."""
     card = {"format": FORMAT, "features": list(names), "classes": [c.plain() for c in classes]}
     if len(X) == 0:

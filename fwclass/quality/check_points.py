@@ -1,0 +1,142 @@
+"""A survey's heights against check points that were surveyed on the ground, as mapping standards ask."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import scipy  # its parts are loaded when they are used
+from numpy.typing import NDArray
+
+from fwclass.grid import millimetres
+
+Floats = NDArray[np.float64]
+
+VEGETATED = (3, 4, 5)
+"""Class codes of check points under plants (LAS 1.4: low, medium, high vegetation)."""
+
+FEWEST = 30
+"""Check points that a statement of accuracy stands on (ASPRS Positional Accuracy Standards 2023, 7.11)."""
+
+SHIFTED = 3.0
+"""Standard errors of the mean above which all heights are shifted, and are said to be."""
+
+ANOTHER_DATUM = 1.0
+"""m; no survey is so far off in the mean, but heights above an ellipsoid or in feet are."""
+
+
+def ground_heights(
+    points: tuple[Floats, Floats], ground: tuple[Floats, Floats, Floats], reach: float
+) -> tuple[Floats, Floats]:
+    """Height of the ground at points in plan, and how far the nearest ground echo is, both (n,) in m.
+
+    The height is that of the Delaunay triangle of the ground echoes within `reach` [m] around the point, by a straight
+    plane; NaN where no triangle holds it. Of echoes at one place the lowest counts, so that the order of the
+    echoes, and what lies beyond, changes nothing.
+
+    Parameters
+    ----------
+    points : x and y of the points, each (n,) [m].
+    ground : x, y and z of the ground echoes, each (m,) [m].
+    """
+    height, near = np.full(len(points[0]), np.nan), np.full(len(points[0]), np.nan)
+    x, y = (millimetres(c) for c in ground[:2])
+    order = np.lexsort((ground[2], y, x))
+    x, y, z = x[order], y[order], ground[2][order]
+    lowest = np.ones(len(x), bool)
+    lowest[1:] = (np.diff(x) != 0) | (np.diff(y) != 0)
+    x, y, z = x[lowest], y[lowest], z[lowest]
+    far = round(1000.0 * reach)
+    for k, (px, py) in enumerate(zip(*(millimetres(c).tolist() for c in points), strict=True)):
+        first, last = np.searchsorted(x, (px - far, px + far + 1))
+        dx, dy = x[first:last] - px, y[first:last] - py
+        square = dx * dx + dy * dy
+        inside = np.flatnonzero(square <= far * far)
+        if len(inside):
+            near[k] = math.sqrt(int(square[inside].min())) / 1000.0
+            height[k] = _of_triangle(dx[inside] / 1000.0, dy[inside] / 1000.0, z[first:last][inside])
+    return height, near
+
+
+def _of_triangle(dx: Floats, dy: Floats, z: Floats) -> float:
+    """Height at the origin; NaN where no triangle holds it."""
+    exact = np.flatnonzero((dx == 0.0) & (dy == 0.0))
+    if len(exact):
+        return float(z[exact[0]])
+    if len(z) < 3:
+        return math.nan
+    try:
+        triangles = scipy.spatial.Delaunay(np.stack([dx, dy], axis=1))
+    except scipy.spatial.QhullError:  # all on one line
+        return math.nan
+    chosen = int(triangles.find_simplex(np.zeros((1, 2)))[0])
+    if chosen < 0:
+        return math.nan
+    matrix = triangles.transform[chosen]
+    first, second = (matrix[:2] @ -matrix[2]).tolist()
+    corners = z[triangles.simplices[chosen]]
+    return float(first * corners[0] + second * corners[1] + (1.0 - first - second) * corners[2])
+
+
+def height_facts(dz: Floats, code: NDArray[np.integer]) -> dict[str, Any]:
+    """Figures of the differences in height, survey less check point (n,) [m], NaN where there is none: of ``all``, of
+    ``open`` land and of what is ``vegetated`` by its class `code` (n,), -1 for none. None without a point."""
+    known, plants = np.isfinite(dz), np.isin(code, VEGETATED)
+    return {
+        name: _figures(dz[known & which]) if (known & which).any() else None
+        for name, which in (("all", np.ones(len(dz), bool)), ("open", ~plants), ("vegetated", plants))
+    }
+
+
+def _figures(dz: Floats) -> dict[str, Any]:
+    n, rmse = len(dz), math.sqrt(float((dz**2).mean()))
+    low, high = (rmse * math.sqrt(n / float(scipy.special.chdtri(n, p))) for p in (0.025, 0.975))
+    return {
+        "count": n,
+        "mean": float(dz.mean()),
+        "sd": float(dz.std(ddof=1)) if n > 1 else None,
+        "rmse": rmse,
+        "rmse_interval": [low, high],
+        "accuracy_95": 1.96 * rmse,
+        "percentile_95": float(np.quantile(np.abs(dz), 0.95)),
+        "lowest": float(dz.min()),
+        "highest": float(dz.max()),
+    }
+
+
+def check_remarks(facts: Mapping[str, Any], reach: float) -> list[str]:
+    """What a reader has to know of ``check_points``, as `deliver` writes them."""
+    lines, figures, given = list[str](), facts["all"], facts["given"]
+    compared = 0 if figures is None else figures["count"]
+    if compared < given:
+        lines.append(
+            f"{given - compared} of {given} check points are not compared: no ground echoes around them within "
+            f"quality.check_points.reach ({reach:g} m)"
+        )
+    if figures is None:
+        return lines
+    if compared < FEWEST:
+        lines.append(
+            f"{compared} check points tell little of a survey's accuracy: the ASPRS standards ask for {FEWEST}"
+        )
+    mean, sd = figures["mean"], figures["sd"] or 0.0
+    if abs(mean) > max(SHIFTED * sd / math.sqrt(compared), 0.5 * figures["rmse"]) and compared > 2:
+        side = "above" if mean > 0.0 else "below"
+        lines.append(
+            f"the survey lies {abs(mean):.2f} m {side} the check points on average, more than chance explains"
+            + (": are both heights of one kind (geoid or ellipsoid, metres)?" if abs(mean) > ANOTHER_DATUM else "")
+        )
+    return lines
+
+
+def facts_of(points: Sequence[Floats], height: Floats, near: Floats, code: NDArray[np.integer]) -> dict[str, Any]:
+    """The part ``check_points`` of the survey's quality: how many are `given`, and their figures."""
+    dz = height - points[2]
+    return {"given": len(dz), "nearest_echo": _median(near), **height_facts(dz, code)}
+
+
+def _median(values: Floats) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None
