@@ -104,9 +104,9 @@ def corrections_of(here: StageInputs) -> Table:
 def apply_labels(echoes: Table, labels: Table, reach: float, reference: NDArray) -> tuple[NDArray, int]:
     """`reference` (rows,) with what `labels` say in its place, and how many of them say something."""
     rows, own = match_labels(echoes, labels, reach)
-    made = np.array(reference, np.uint8)
-    made[rows] = labels["label_code"][own]
-    return made, len(rows)
+    codes = np.array(reference, np.uint8)
+    codes[rows] = labels["label_code"][own]
+    return codes, len(rows)
 
 
 def corrected_training_rows(echoes: Table, corrections: Table, areas: AreasSection, reach: float) -> NDArray[np.bool_]:
