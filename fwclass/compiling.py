@@ -74,7 +74,7 @@ def count() -> int:
 
 
 def runs() -> bool:
-    """This process compiles a kernel, or waits for one."""
+    """Whether this process compiles a kernel, or waits for one."""
     return _under_way.total() > 0
 
 

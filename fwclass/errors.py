@@ -23,7 +23,7 @@ _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def is_control(character: str) -> bool:
-    """It has no shape of its own: a terminal obeys it, and a reader does not see it."""
+    """Whether a character is an instruction to the terminal, which a reader does not see."""
     return unicodedata.category(character) in _UNSEEN
 
 
@@ -135,7 +135,7 @@ _LEAST = 1 << 16
 
 
 def is_interrupt(fault: BaseException) -> bool:
-    """Ctrl-C lies behind it: compiled code tells it by a `SystemError`."""
+    """Whether Ctrl-C lies behind a fault: compiled code tells it by a `SystemError`."""
     return any(isinstance(one, KeyboardInterrupt) for one in _behind(fault))
 
 

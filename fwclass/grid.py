@@ -93,7 +93,7 @@ class Box:
 
     @property
     def area(self) -> float:
-        """[m²]."""
+        """Area [m²]."""
         return (self.xmax - self.xmin) * (self.ymax - self.ymin)
 
 

@@ -1,4 +1,4 @@
-"""The current directory decides nothing: it may be a stranger's, and what runs is this program alone.
+"""Nothing is imported or read from the current directory, which may be a stranger's.
 
 Python imports modules from there (`python -m`, `python -c`, which starts the workers), numba and matplotlib read their
 configuration from there, and numba's names a directory of compiled code, which it unpickles.

@@ -62,7 +62,7 @@ def below(directory: Path, name: str) -> Path:
 
 
 def path_matches(parts: Sequence[str], pattern: Sequence[str], hidden: bool = False) -> bool:
-    """`glob` would find the path of `parts` by `pattern`, part by part; ``**`` stands for any number of directories.
+    """Whether `glob` would find the path of `parts` by `pattern`; ``**`` stands for any number of directories.
 
     Names that begin with a dot match a pattern that does, or any if `hidden`. Takes time in proportion to the product
     of the two lengths, however many ``**`` there are.

@@ -40,7 +40,7 @@ class Pieces:
 
 
 @dataclass(frozen=True)
-class Joined:
+class ContourLines:
     """Contour lines, as rows of `Pieces`.
 
     Attributes
@@ -59,7 +59,7 @@ class Joined:
     depression: NDArray[np.bool_]
 
 
-def join_lines(pieces: Pieces) -> Joined:
+def join_lines(pieces: Pieces) -> ContourLines:
     """Lines of the pieces of all blocks, by the first piece of each."""
     ends, n = pieces.ends, len(pieces.ends)
     places = np.concatenate([ends[:, :4], ends[:, [0, 4, 5, 6]]])
@@ -72,6 +72,6 @@ def join_lines(pieces: Pieces) -> Joined:
     x, y = (np.repeat(v[lines.first[:-1]], counts) for v in (x0, y0))  # areas about one vertex of the line
     area = area + (x0 - x) * (y1 - y0) - (y0 - y) * (x1 - x0)
     whole = [np.add.reduceat(v, lines.first[:-1]) if n else v for v in (length, area)]
-    return Joined(
+    return ContourLines(
         lines.order, lines.first, ends[lines.order[lines.first[:-1]], 0], whole[0], lines.closed & (whole[1] < 0)
     )

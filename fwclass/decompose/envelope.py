@@ -38,7 +38,7 @@ class Envelope:
 
     @classmethod
     def of(cls, parts: Iterable[Table], cell: float) -> Envelope:
-        """Of the returns (``x, y, z`` [m]) of all chunks of a strip, in any order."""
+        """The envelope of the returns (``x, y, z`` [m]) of all chunks of a strip, in any order."""
         keys, lowest = np.empty(0, np.int64), np.empty(0)
         bottom, top = np.nan, np.nan
         for table in parts:

@@ -25,7 +25,7 @@ OUTSIDE = 2.0
 
 
 @inlined
-def held(t, n):  # type: ignore[no-untyped-def]
+def bound_time(t, n):  # type: ignore[no-untyped-def]
     """The time `t`, or the bound it lies beyond, of an echo of a waveform of `n` samples; the first bound for NaN."""
     return min(max(-OUTSIDE, t), n - 1.0 + OUTSIDE)
 
@@ -98,7 +98,7 @@ def fit_one(p, y, weight, pad, n, prior, limits, look, sums):  # type: ignore[no
 
     `sums` : `moments` of the weights."""
     narrow, wide, iterations, tolerance, highest = limits
-    b, a, t, s = p[0], p[1], held(p[2], n), p[3]
+    b, a, t, s = p[0], p[1], bound_time(p[2], n), p[3]
     damping = FIRST_DAMPING
     tb, ta, tt, ts = b, a, t, s
     chi = np.inf
@@ -163,7 +163,7 @@ def fit_one(p, y, weight, pad, n, prior, limits, look, sums):  # type: ignore[no
         x0 = (x0 - l10 * x1 - l20 * x2 - l30 * x3) * l00
         tb = b + x0
         ta = min(max(a + x1, 0.1 * a), 4.0 * a, highest)
-        tt = held(t + min(max(x2, -LONGEST_STEP), LONGEST_STEP), n)
+        tt = bound_time(t + min(max(x2, -LONGEST_STEP), LONGEST_STEP), n)
         ts = min(max(s + x3, 0.5 * s, narrow), wide)
     p[0], p[1], p[2], p[3] = b, a, t, s
     return chi, steps
@@ -204,7 +204,7 @@ def less(y, level, n, residual):  # type: ignore[no-untyped-def]
 
 
 @vectorised
-def _explained(y, level, residual, weight, n):  # type: ignore[no-untyped-def]
+def _explained_sums(y, level, residual, weight, n):  # type: ignore[no-untyped-def]
     """Sums of w (r^2 - q^2) and w (r - q), where q is what the sample has over the level."""
     two, one = 0.0, 0.0
     for i in range(n):
@@ -220,7 +220,7 @@ def _lay(p, count, y, pad, first, last, n, look, residual, basis, window):  # ty
     """`lay` between the samples `first` and `last` of the padded buffer, which hold all windows."""
     less(y[first:], p[0], last - first, residual[first:])
     for k in range(count):
-        row, cell, whole, dt, ds = place(look, held(p[3 * k + 2], n), p[3 * k + 3])
+        row, cell, whole, dt, ds = place(look, bound_time(p[3 * k + 2], n), p[3 * k + 3])
         start = pad + whole + look.first[cell]
         length = look.length[cell]
         window[k, 0], window[k, 1], window[k, 2], window[k, 3] = start, start + length, cell, row
@@ -232,7 +232,7 @@ def _span(p, count, pad, n, look):  # type: ignore[no-untyped-def]
     """(first, past the last) sample that an echo of `p` reaches, in the padded buffer."""
     first, last = pad + n, pad
     for k in range(count):
-        _, cell, whole, _, _ = place(look, held(p[3 * k + 2], n), p[3 * k + 3])
+        _, cell, whole, _, _ = place(look, bound_time(p[3 * k + 2], n), p[3 * k + 3])
         start = pad + whole + look.first[cell]
         first, last = min(first, start), max(last, start + look.length[cell])
     return first, last
@@ -240,10 +240,10 @@ def _span(p, count, pad, n, look):  # type: ignore[no-untyped-def]
 
 @kernel
 def lay(p, count, y, pad, n, look, residual, basis, window):  # type: ignore[no-untyped-def]
-    """Lay the `count` echoes of `p` under the waveform.
+    """Take the level and the `count` echoes of `p` off the waveform.
 
     Fills ``residual``, ``window[k]`` (first, past the last sample of echo k, in the padded buffer; its cell in width
-    and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window. Times count as `held`.
+    and its row of the table) and ``basis[k, :, j]`` = (u, v, x) on the window. Times count as `bound_time`.
     """
     _lay(p, count, y, pad, pad, pad + n, n, look, residual, basis, window)
 
@@ -257,7 +257,7 @@ def evaluate(p, count, y, weight, pad, n, look, sums, residual, basis, window): 
     """
     first, last = _span(p, count, pad, n, look)
     _lay(p, count, y, pad, first, last, n, look, residual, basis, window)
-    two, one = _explained(y[first:], p[0], residual[first:], weight[first:], last - first)
+    two, one = _explained_sums(y[first:], p[0], residual[first:], weight[first:], last - first)
     b = p[0]
     return sums[2] - 2.0 * b * sums[1] + b * b * sums[0] + two, sums[1] - b * sums[0] + one
 
@@ -390,7 +390,7 @@ def _bounded_step(p, move, count, n, narrow, wide, highest, trial):  # type: ign
         a = 3 * k + 1
         trial[a] = min(max(p[a] + move[a], 0.1 * p[a]), 4.0 * p[a], highest)
         shift = min(max(move[a + 1], -LONGEST_STEP), LONGEST_STEP)
-        trial[a + 1] = held(p[a + 1] + shift, n)
+        trial[a + 1] = bound_time(p[a + 1] + shift, n)
         trial[a + 2] = min(max(p[a + 2] + move[a + 2], 0.5 * p[a + 2], narrow), wide)
 
 

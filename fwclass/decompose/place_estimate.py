@@ -109,9 +109,9 @@ def _curves(sample: Waveforms, fits: Fits, params: DecomposeParams, pulse: Syste
     return tuple(curves)
 
 
-def _nearest(gap: Floats, row: NDArray[np.int64], mine: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Of the echoes of every row that are `mine` the one of the least gap, the first on a tie."""
-    at = np.flatnonzero(mine)
+def _nearest(gap: Floats, row: NDArray[np.int64], selected: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Of the echoes of every row that are `selected` the one of the least gap, the first on a tie."""
+    at = np.flatnonzero(selected)
     order = at[np.lexsort((at, np.abs(gap[at]), row[at]))]
     return order[np.unique(row[order], return_index=True)[1]]
 

@@ -169,7 +169,7 @@ def _by_time(p, count):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _dropped(p, count, n, share, reach, drop):  # type: ignore[no-untyped-def]
+def _mark_dropped(p, count, n, share, reach, drop):  # type: ignore[no-untyped-def]
     """Mark echoes that are fitted but not reported: those that peak outside the segment, and those lower than `share`
     of one up to `reach` samples before, the receiver's ringing."""
     for k in range(count):
@@ -441,7 +441,7 @@ def fit_all(  # type: ignore[no-untyped-def]
         if fitted == 0:
             count[w] = 0
             continue
-        _dropped(p, fitted, n, settings.tail_share, settings.tail_reach, drop)
+        _mark_dropped(p, fitted, n, settings.tail_share, settings.tail_reach, drop)
         written = 0
         for k in range(fitted):
             if drop[k]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from fwclass.decompose.least_squares import fit, held, lay
+from fwclass.decompose.least_squares import bound_time, fit, lay
 from fwclass.decompose.peaks import is_peak, match_filter, next_above, surer
 from fwclass.kernel import inlined, vectorised
 
@@ -104,7 +104,7 @@ def _split_start(p, count, k, later, sigma, n, trial):  # type: ignore[no-untype
     spread = max(p[a + 2] ** 2 - sigma * sigma, 0.14 * sigma * sigma)
     apart = max(math.sqrt(spread / (later * (1.0 - later))), 0.8 * sigma)
     whole = p[a] * p[a + 2] / narrow
-    first, second = held(p[a + 1] - later * apart, n), held(p[a + 1] + (1.0 - later) * apart, n)
+    first, second = bound_time(p[a + 1] - later * apart, n), bound_time(p[a + 1] + (1.0 - later) * apart, n)
     trial[a], trial[a + 1], trial[a + 2] = whole * (1.0 - later), first, narrow
     trial[b], trial[b + 1], trial[b + 2] = whole * later, second, narrow
 

@@ -26,7 +26,7 @@ NEVER = -1
 
 
 @dataclass(frozen=True)
-class Written:
+class Change:
     """What was added to the file: `time` of the rows (0 where there are none), how many, and how many echoes of those
     that were meant have none: they had the class already, or were corrected by others since."""
 
@@ -126,7 +126,7 @@ class Corrections:
                 do="take the new one (button below), and draw again: its echoes may be others",
             )
 
-    def add(self, columns: Mapping[str, NDArray], code: int) -> Written:
+    def add(self, columns: Mapping[str, NDArray], code: int) -> Change:
         """Give the echoes (strip, pulse, echo_number, x, y, z) the class `code`, `TAKEN_BACK` for none."""
         now = 0
         wanted = EchoLabels.of(columns, np.full(len(columns["strip"]), code), 0, self.who)
@@ -140,9 +140,9 @@ class Corrections:
             )
 
         rows = add_corrections(self._delivery.root, change).rows
-        return Written(now if rows else 0, rows, wanted.rows - rows)
+        return Change(now if rows else 0, rows, wanted.rows - rows)
 
-    def revert(self, when: int) -> Written:
+    def revert(self, when: int) -> Change:
         """Give the echoes of the rows that this user wrote at `when` what they had before; not those that have later
         rows. `InputError` where there are no such rows."""
         now = left = 0
@@ -171,7 +171,7 @@ class Corrections:
             return EchoLabels.of({n: getattr(rows, n) for n in COLUMNS[:-1]}, former[last], now, self.who)
 
         rows = add_corrections(self._delivery.root, change).rows
-        return Written(now if rows else 0, rows, left)
+        return Change(now if rows else 0, rows, left)
 
 
 def in_place(

@@ -14,7 +14,7 @@ from fwclass.decompose.params import DecomposeParams
 from fwclass.delivery.explain import tile_features
 from fwclass.delivery.opened import Delivery
 from fwclass.errors import FwclassError, InputError
-from fwclass.graph.learn import merged_sample
+from fwclass.graph.learn import survey_sample
 from fwclass.graph.sources import chunk_name, pulse_of, waveforms_of
 from fwclass.model.matrix import sample_matrix
 from fwclass.run.inputs import PartInputs
@@ -68,13 +68,13 @@ class BehindEchoes:
             "strip": strip,
             "pulse": pulse,
             "says": says,
-            "time": _listed(picture.time),
-            "samples": _listed(picture.samples),
-            "residual": _listed(residual),
-            "fine": _listed(picture.fine),
-            "total": _listed(picture.total),
-            "curves": [_listed(c) for c in picture.curves],
-            "vendor": _listed(picture.vendor),
+            "time": _finite(picture.time),
+            "samples": _finite(picture.samples),
+            "residual": _finite(residual),
+            "fine": _finite(picture.fine),
+            "total": _finite(picture.total),
+            "curves": [_finite(c) for c in picture.curves],
+            "vendor": _finite(picture.vendor),
             "echoes": [
                 {k: _plain(e[k]) for k in ("time", "amplitude", "amplitude_sigma", "width", "width_sigma")}
                 for e in facts["echoes"]
@@ -129,13 +129,13 @@ class BehindEchoes:
         names = forest.features
         X = self._features.get(tile, lambda: self._matrix(tile, names), lambda matrix: matrix.nbytes)
         mine = X[[row]]
-        shares = {c.name: float(s[0]) for c, s in self._asked(mine, forest)}
+        shares = {c.name: float(s[0]) for c, s in self._answers(mine, forest)}
         order = sorted(shares, key=lambda name: -shares[name])
         winner, other = order[0], order[1] if len(order) > 1 else order[0]
         medians, of = self._medians(forest, X, tile)
         variants = np.repeat(mine, X.shape[1], axis=0)
         np.fill_diagonal(variants, medians[other][0.5])
-        answers = {c.name: s for c, s in self._asked(variants, forest)}
+        answers = {c.name: s for c, s in self._answers(variants, forest)}
         effects = shares[winner] - answers[winner]
         telling = np.argsort(-effects, kind="stable")[:TELLING].tolist()
         features = [
@@ -162,7 +162,7 @@ class BehindEchoes:
         """The model's features of a tile, (rows, features)."""
         return np.asarray(sample_matrix(tile_features(self._store, self._inputs, tile, names), names, tile))
 
-    def _asked(self, X: NDArray, forest: Any) -> list[tuple[Any, NDArray]]:
+    def _answers(self, X: NDArray, forest: Any) -> list[tuple[Any, NDArray]]:
         answers = classify(np.ascontiguousarray(X, np.float32), forest, True)
         return [(c, answers[f"probability_{c.code}"]) for c in forest.classes]
 
@@ -176,15 +176,15 @@ class BehindEchoes:
             )
 
     def _here(self, X: NDArray, forest: Any) -> Mapping[str, Mapping[float, NDArray]]:
-        return _quantiles(X, self._given(X, forest), forest)
+        return _quantiles(X, self._class_numbers(X, forest), forest)
 
     def _of_training(self, forest: Any) -> Mapping[str, Mapping[float, NDArray]]:
-        sample = merged_sample(self._inputs, forest.features)
+        sample = survey_sample(self._inputs, forest.features)
         return _quantiles(sample.X, sample.y, forest)
 
-    def _given(self, X: NDArray, forest: Any) -> NDArray:
+    def _class_numbers(self, X: NDArray, forest: Any) -> NDArray:
         """Number of the class of every row."""
-        return np.argmax(np.stack([s for _, s in self._asked(X, forest)]), axis=0)
+        return np.argmax(np.stack([s for _, s in self._answers(X, forest)]), axis=0)
 
 
 def _quantiles(X: NDArray, y: NDArray, forest: Any) -> Mapping[str, Mapping[float, NDArray]]:
@@ -200,7 +200,7 @@ def _quantiles(X: NDArray, y: NDArray, forest: Any) -> Mapping[str, Mapping[floa
     return out
 
 
-def _listed(values: NDArray) -> list[float | None]:
+def _finite(values: NDArray) -> list[float | None]:
     return [round(float(v), 4) if math.isfinite(v) else None for v in values]
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fwclass.delivery.echoes import table_columns
 from fwclass.delivery.opened import Delivery
-from fwclass.delivery.viewed_corrections import Corrections, Rows, Written, in_place
+from fwclass.delivery.viewed_corrections import Change, Corrections, Rows, in_place
 from fwclass.errors import InputError
 from fwclass.formats.echo_labels import TAKEN_BACK
 from fwclass.schema import IDENTITY, Table, canonical_key
@@ -147,7 +147,7 @@ class Relabelling:
             codes[key] = in_place(columns, rows.of(key), self.corrections.reach)[0][places[key]]
         return np.array([rows.all.rows, 0], "<u4").tobytes() + self._marked(places, codes)
 
-    def _outcome(self, written: Written) -> dict[str, Any]:
+    def _outcome(self, written: Change) -> dict[str, Any]:
         rows = self.corrections.rows()
         summary = {"time": written.time or None, "echoes": written.rows, "left": written.left}
         return {**summary, "rows": rows.all.rows, "standing": rows.labels.rows}

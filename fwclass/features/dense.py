@@ -77,13 +77,13 @@ class Crowd:
 
     @classmethod
     def of_parts(cls, parts: Iterable[Mapping[str, Any] | None]) -> Crowd | None:
-        """All of what parts of a survey told (`told`), None where nothing is dense."""
+        """All of what parts of a survey hold (`facts`), None where nothing is dense."""
         known = [p for p in parts if p]
         cubes, columns = (Fullest.of_parts(p[name] for p in known) for name in ("cubes", "columns"))
         return cls(cubes, columns) if cubes or columns else None
 
     def facts(self) -> dict[str, Any]:
-        """Plain data."""
+        """As plain data."""
         return asdict(self)
 
     def text(self, params: FeaturesParams) -> str:

@@ -174,7 +174,7 @@ def candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, x, y, z):
 
 
 @kernel
-def carried(values, start, ncols, nrows, half, row, col, to):  # type: ignore[no-untyped-def]
+def carry(values, start, ncols, nrows, half, row, col, to):  # type: ignore[no-untyped-def]
     """Copy what the `candidates` of a cell carry, `values` (echoes,), to `to` (room,); zero for those that fill up."""
     m = np.uint64(0)
     reach = len(half) - 1

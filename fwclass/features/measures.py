@@ -163,7 +163,7 @@ def measure(code, m, s, out):  # type: ignore[no-untyped-def]
     elif code < ABOVE_RANK:
         _heights(code, m, out)
     elif code < SHARE_1:
-        _scaled(m[PERCENTILE + code - ABOVE_RANK], -QUANTUM, out)
+        _scale(m[PERCENTILE + code - ABOVE_RANK], -QUANTUM, out)
     elif code < VERTICALITY:
         _eigen(code, s[L1], s[L2], s[L3], out)
     elif code < SINGLES:
@@ -175,7 +175,7 @@ def measure(code, m, s, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _scaled(values, unit, out):  # type: ignore[no-untyped-def]
+def _scale(values, unit, out):  # type: ignore[no-untyped-def]
     for k in range(len(out)):
         out[k] = values[k] * unit + 0.0  # no minus zero
 
@@ -184,9 +184,9 @@ def _scaled(values, unit, out):  # type: ignore[no-untyped-def]
 def _counts(code, m, out):  # type: ignore[no-untyped-def]
     n = m[N]
     if code == COUNT:
-        _scaled(n, 1.0, out)
+        _scale(n, 1.0, out)
     elif code == FURTHEST:
-        _scaled(m[REACH], QUANTUM, out)
+        _scale(m[REACH], QUANTUM, out)
     else:
         among = m[AREA] if code == DENSITY else m[CYLINDER]
         for k in range(len(out)):
@@ -216,9 +216,9 @@ def _heights(code, m, out):  # type: ignore[no-untyped-def]
         for k in range(len(out)):
             out[k] = -z[k] / n[k] * QUANTUM
     elif code == ABOVE_LOWEST:
-        _scaled(low, -QUANTUM, out)
+        _scale(low, -QUANTUM, out)
     elif code == BELOW_HIGHEST:
-        _scaled(high, QUANTUM, out)
+        _scale(high, QUANTUM, out)
     else:
         _standard_moments(code, m, out)
 
@@ -279,7 +279,7 @@ def entropy(l1, l2, l3):  # type: ignore[no-untyped-def]
 def _normal(code, m, s, out):  # type: ignore[no-untyped-def]
     u, v, w = s[NX], s[NY], s[NZ]
     if code >= NORMAL_X:
-        _scaled(s[NX + code - NORMAL_X], 1.0, out)
+        _scale(s[NX + code - NORMAL_X], 1.0, out)
     elif code == VERTICALITY:
         for k in range(len(out)):
             out[k] = max(1.0 - w[k], 0.0) if w[k] == w[k] else np.nan

@@ -146,9 +146,9 @@ def add_kinds(kinds, at, moments):  # type: ignore[no-untyped-def]
     moments[INTERMEDIATE] += float(packed >> 42)
 
 
-def packed_kinds(number: ArrayLike, of: ArrayLike) -> NDArray[np.int64]:
+def packed_kinds(number: ArrayLike, count: ArrayLike) -> NDArray[np.int64]:
     """int64 (echoes,) with 1 in the 21-bit field of the echo's kind: single, first, intermediate; 0 is a last echo."""
-    place, echoes = np.asarray(number, np.int64), np.asarray(of, np.int64)
+    place, echoes = np.asarray(number, np.int64), np.asarray(count, np.int64)
     several = echoes > 1
     first, last = several & (place <= 1), several & (place >= echoes) & (place > 1)
     between = several & ~first & ~last

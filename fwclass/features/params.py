@@ -100,7 +100,7 @@ class FeaturesParams(Params):
 
 
 def is_feature(name: str) -> bool:
-    """`name` is computed by this room."""
+    """Whether `name` is a feature of a neighbourhood, a cell or a pulse, which this room computes."""
     try:
         return split_name(name)[0] in _BASES
     except KeyError:

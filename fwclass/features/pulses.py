@@ -39,7 +39,7 @@ def pulse_variances(chunk: Chunk, names: tuple[str, ...], params: FeaturesParams
         values = chunk.table[MEASURED[name]].astype(np.float64)
         out = np.empty(chunk.table.rows, np.float32)
         out[order] = _variances(x[order], y[order], values[order], first, limit)
-        out[lone] = _joined(x[lone], y[lone], number[lone], values[lone], firsts, limit)
+        out[lone] = _variances_by_x(x[lone], y[lone], number[lone], values[lone], firsts, limit)
         variances[name] = out[chunk.core]
     return variances
 
@@ -70,23 +70,23 @@ def _alone(
 
 
 @kernel
-def _joined(x, y, number, values, first, limit):  # type: ignore[no-untyped-def]
+def _variances_by_x(x, y, number, values, first, limit):  # type: ignore[no-untyped-def]
     """As `_variances`, of groups in order of x; NaN where an echo number occurs twice within reach."""
-    out, held = np.empty(len(x), np.float32), np.zeros(4, np.uint64)
+    out, numbers = np.empty(len(x), np.float32), np.zeros(4, np.uint64)
     for p in range(len(first) - 1):
         low = first[p]
         for i in range(first[p], first[p + 1]):
             while x[i] - x[low] > limit:
                 low += 1
-            held[:] = 0
+            numbers[:] = 0
             n, total, squares, twice = 0, 0.0, 0.0, False
             j = low
             while j < first[p + 1] and x[j] - x[i] <= limit and not twice:
                 dx, dy = x[j] - x[i], y[j] - y[i]
                 if dx * dx + dy * dy <= limit * limit:
                     field, bit = (number[j] >> 6) & 3, np.uint64(1) << np.uint64(number[j] & 63)
-                    twice = (held[field] & bit) != 0
-                    held[field] |= bit
+                    twice = (numbers[field] & bit) != 0
+                    numbers[field] |= bit
                     if not math.isnan(values[j]):
                         apart = values[j] - values[i] if not math.isnan(values[i]) else values[j]
                         n += 1

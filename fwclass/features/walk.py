@@ -16,7 +16,7 @@ from fwclass.features.eigen import BATCH
 from fwclass.features.gather import (
     LANES,
     candidates,
-    carried,
+    carry,
     compact,
     count_within,
     distances,
@@ -198,13 +198,13 @@ def walk(grid, values, task, scratch, block, begin_at, end_at, out, chosen):  # 
                 continue
             m = candidates(xs, ys, zs, start, ncols, nrows, half, row, col, first, x, y, z)
             if len(kinds):
-                carried(values.kinds, start, ncols, nrows, half, row, col, kinds)
+                carry(values.kinds, start, ncols, nrows, half, row, col, kinds)
             if len(amplitude):
-                carried(values.amplitude, start, ncols, nrows, half, row, col, amplitude)
+                carry(values.amplitude, start, ncols, nrows, half, row, col, amplitude)
             if len(width):
-                carried(values.width, start, ncols, nrows, half, row, col, width)
+                carry(values.width, start, ncols, nrows, half, row, col, width)
             if len(intensity):
-                carried(values.intensity, start, ncols, nrows, half, row, col, intensity)
+                carry(values.intensity, start, ncols, nrows, half, row, col, intensity)
             at = first
             while at_once and at < last:
                 at, filled = sum_within(

@@ -163,7 +163,7 @@ def _heights(dz, held, m, powers, moments, p):  # type: ignore[no-untyped-def]
     moments[Z, p], moments[ZZ, p], moments[ZZZ, p], moments[ZZZZ, p] = sz, zz, third, fourth
     moments[LOW, p], moments[HIGH, p] = low, high
     if zz >= EXACT or fourth >= EXACT:
-        wide_heights(_picked(dz, held, m), moments[:, p])
+        wide_heights(_pick(dz, held, m), moments[:, p])
 
 
 @inlined
@@ -179,11 +179,11 @@ def _values(values, held, m, moments, row, p):  # type: ignore[no-untyped-def]
         squares += value * value
     moments[row, p], moments[row + 1, p], moments[row + 2, p] = with_value, total, squares
     if squares >= EXACT:
-        wide_squares(_picked(values, held, m), moments[:, p], row)
+        wide_squares(_pick(values, held, m), moments[:, p], row)
 
 
 @kernel
-def _picked(values, held, m):  # type: ignore[no-untyped-def]
+def _pick(values, held, m):  # type: ignore[no-untyped-def]
     """Those of the first `m` of `values` that are `held`."""
     picked, n = np.empty(m), 0
     for k in range(m):

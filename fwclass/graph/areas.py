@@ -21,7 +21,7 @@ def within(table: Table, boxes: tuple[Box, ...]) -> NDArray[np.bool_]:
     return inside
 
 
-def tested(
+def rows_to_test(
     table: Table, train: tuple[Box, ...], test: tuple[Box, ...], gap: float, taught: Table | None = None
 ) -> NDArray[np.bool_]:
     """Rows to judge on: inside `test` (anywhere if empty), and further than `gap` [m] from every training box and from
@@ -38,6 +38,6 @@ def training_tiles(plan: Plan) -> list[Tile]:
     return [t for t in plan.layout.tiles if t.key in corrected or any(t.box.touches(b) for b in boxes)]
 
 
-def labelled(plan: Plan) -> bool:
-    """The survey has a reference."""
+def has_reference(plan: Plan) -> bool:
+    """Whether the survey has a reference."""
     return plan.config.survey.reference.kind != "none"

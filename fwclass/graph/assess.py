@@ -23,10 +23,10 @@ from fwclass.assess.stage import (
 )
 from fwclass.classify.kept import Kept
 from fwclass.conf.model import AreasSection
-from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested
+from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test
 from fwclass.graph.corrections import CORRECTIONS, corrections_around, corrections_of, reach_around, untaught_rows
 from fwclass.graph.kept import deciding_column, keeping
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, class_index
 from fwclass.schema import Table
 from fwclass.store.arrays import write_arrays
@@ -54,7 +54,7 @@ def count_tile(
     classes: tuple[ClassDef, ...],
     reach: float | None = None,
     kept: Kept | None = None,
-) -> Made:
+) -> Result:
     """Confusion counts (whole, and by blocks of edge `block` [m]) and feature histograms of a tile's echoes in the test
     areas; the ground filter's counts of all its labelled echoes, for it learns from none.
 
@@ -65,7 +65,7 @@ def count_tile(
     table = here.rows()
     filtered = ground_counts(table, classes)
     if reach is None or not here.parts(CORRECTIONS):
-        table = table.take(tested(table, areas.boxes("train"), areas.boxes("test"), areas.gap))
+        table = table.take(rows_to_test(table, areas.boxes("train"), areas.boxes("test"), areas.gap))
     else:
         table = table.take(untaught_rows(table, corrections_of(here), areas, reach))
     stay = kept.rows(table["source_class"]) if kept else np.zeros(table.rows, bool)
@@ -122,7 +122,7 @@ def assess_survey(
     block: float,
     classes: tuple[ClassDef, ...],
     quantiles: tuple[float, ...],
-) -> Made:
+) -> Result:
     """Figures over all test areas with their intervals, and the distribution of the features by class.
 
     What it keeps of the blocks serves to compare two runs.
@@ -181,7 +181,7 @@ COUNT_CONFUSION = Stage(
     "tile",
     "echo",
     count_tile,
-    when=labelled,
+    when=has_reference,
     arguments=lambda plan: {**_judging(plan), **keeping(plan)},
     each=_learned_around,
     own=lambda plan: (*IDENTITY_AND_PLACE, "z", *feature_columns(plan), *_ANSWERS, *deciding_column(plan)),
@@ -196,7 +196,7 @@ ASSESS = Stage(
     "survey",
     "echo",
     assess_survey,
-    when=labelled,
+    when=has_reference,
     arguments=lambda plan: {**_judging(plan), "quantiles": plan.config.assess.quantiles},
     after=("confusion",),
     needs=lambda plan, part: [("confusion", t.key) for t in plan.layout.tiles],

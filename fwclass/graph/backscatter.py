@@ -16,7 +16,7 @@ from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.rasters import Mosaic, owned
 from fwclass.graph.sources import MEASURE_PULSE, READ_SPAN, placement_of, pulse_of, strip_of, waveforms_of
 from fwclass.graph.stacking import chunks_near
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.raster.bilinear import bilinear
 from fwclass.ground.stage import TERRAIN
@@ -37,7 +37,7 @@ LAYERS, EDGE = 32, 128
 """Voxels of a chunk of the delivered arrays: up, and to both sides; 2 MiB."""
 
 
-def sample_chunk(here: StageInputs, params: SampleParams, fit: DecomposeParams, block: float) -> Made:
+def sample_chunk(here: StageInputs, params: SampleParams, fit: DecomposeParams, block: float) -> Result:
     """The samples of a chunk, freed of the pulse, by block of the fixed grid."""
     strip = strip_of(here.part)
     pulse, placement = pulse_of(strip, here.inputs), placement_of(strip, here.inputs)
@@ -62,7 +62,7 @@ def samples_in(here: StageInputs, box: Box, block: float) -> Table:
     return table.take(box.contains(table["x"], table["y"]))
 
 
-def voxel_block(here: StageInputs, params: VoxelParams, block: float) -> Made:
+def voxel_block(here: StageInputs, params: VoxelParams, block: float) -> Result:
     """The voxels of a block."""
     window = owned(here.tile, params.size)
     echoes = around_block(here).table
@@ -80,7 +80,7 @@ def voxel_block(here: StageInputs, params: VoxelParams, block: float) -> Made:
     }
 
 
-def profile_block(here: StageInputs, params: ProfileParams, terrain_cell: float, block: float) -> Made:
+def profile_block(here: StageInputs, params: ProfileParams, terrain_cell: float, block: float) -> Result:
     """The vertical profiles of the cells of a block."""
     window = owned(here.tile, params.cell)
     samples = samples_in(here, window.box, block)
@@ -95,7 +95,7 @@ def profile_block(here: StageInputs, params: ProfileParams, terrain_cell: float,
 
 def deliver_samples(
     here: StageInputs, params: PublishParams, crs: str | None, standard_time: bool, block: float
-) -> Made:
+) -> Result:
     """The samples of a block as LAZ and GeoParquet."""
     table = samples_in(here, here.tile.box, block)
     if table.rows:
@@ -108,7 +108,7 @@ def deliver_samples(
     return {"rows": table.rows}
 
 
-def deliver_voxels(here: StageInputs, size: float, block: float, crs: str | None) -> Made:
+def deliver_voxels(here: StageInputs, size: float, block: float, crs: str | None) -> Result:
     """The voxels of the survey as one Zarr group: z, y, x, in chunks that can be read alone."""
     parts = {k: here.inputs.meta("voxels", k)["layers"] for k in here.parts("voxels")}
     windows = {k: owned(TileGrid(block).tile(k), size) for k, layers in parts.items() if layers is not None}
@@ -137,7 +137,7 @@ def deliver_voxels(here: StageInputs, size: float, block: float, crs: str | None
     return {"voxels": math.prod(shape), "blocks": len(windows)}
 
 
-def deliver_profiles(here: StageInputs, params: ProfileParams, block: float, crs: str | None) -> Made:
+def deliver_profiles(here: StageInputs, params: ProfileParams, block: float, crs: str | None) -> Result:
     """The profiles of the survey as one Zarr group: height, y, x."""
     windows = {k: owned(TileGrid(block).tile(k), params.cell) for k in here.parts("profiles")}
     whole = _whole(windows.values())

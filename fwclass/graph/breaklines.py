@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.water import Points, read_as, source_of
 from fwclass.grid import Box, quantise
 from fwclass.read.polygons import open_polygons, read_lines, reproject
@@ -17,7 +17,7 @@ BREAKLINES = "breaklines"
 FILE = "knots"
 
 
-def breaklines_read(here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float) -> Made:
+def breaklines_read(here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float) -> Result:
     """Places every `step` [m] at most along the lines, with heights between those of their points."""
     path = here.file()
     shapes, z = read_lines(open_polygons(path, layer))
@@ -37,13 +37,13 @@ def breaklines_in(here: StageInputs, box: Box) -> list[Points]:
     return [(arrays["x"][rows], arrays["y"][rows], arrays["z"][rows])]
 
 
-def _wanted(plan: Plan) -> bool:
+def _is_wanted(plan: Plan) -> bool:
     return plan.config.breaklines.file is not None
 
 
 def breaklines_needed(plan: Plan) -> list[Name]:
     """The part that holds the survey's breaklines, for a stage that makes terrain."""
-    return [(BREAKLINES, "all")] if _wanted(plan) else []
+    return [(BREAKLINES, "all")] if _is_wanted(plan) else []
 
 
 READ_BREAKLINES = Stage(
@@ -52,7 +52,7 @@ READ_BREAKLINES = Stage(
     "survey",
     "part",
     breaklines_read,
-    when=_wanted,
+    when=_is_wanted,
     arguments=lambda plan: {**read_as(plan.survey.breaklines, plan.survey.crs), "step": plan.config.terrain.thin},
     source=lambda plan, part: source_of(plan.survey.breaklines),
 )

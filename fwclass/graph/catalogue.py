@@ -12,7 +12,7 @@ from fwclass.graph.assess import COUNT_CONFUSION
 from fwclass.graph.outputs import DELIVER_TILE, NO_BYTE, TILE_ENDING, TILES, class_names, columns_of_tiles, crs_of
 from fwclass.graph.raster_outputs import DELIVER_RASTERS
 from fwclass.graph.sites import WHOLE, sites
-from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.vectors import vector_layers
 from fwclass.grid import Box, TileGrid
 from fwclass.publish.copc import copc_columns, write_tile_copc
@@ -40,12 +40,12 @@ def deliver_overview(
     standard_time: bool,
     calibrated: bool,
     names: Mapping[str, str],
-) -> Made:
+) -> Result:
     """A fair sample of all echoes as COPC, drawn by the hash that the tiles' levels are drawn by."""
     total = sum(here.inputs.meta("tile", tile)["rows"] for tile in here.present)
     share = min(1.0, params.overview_echoes / max(1, total))
     bound = np.uint64(min(share * 2.0**64, float(2**64 - 2048)))
-    table = Table.concat(_drawn(here, bound))
+    table = Table.concat(_draw_echoes(here, bound))
     if not table.rows:
         return {"rows": 0}
     path = here.directory / OVERVIEW
@@ -59,7 +59,7 @@ def deliver_overview(
     return {"rows": table.rows}
 
 
-def _drawn(here: StageInputs, bound: np.uint64) -> Iterator[Table]:
+def _draw_echoes(here: StageInputs, bound: np.uint64) -> Iterator[Table]:
     """Of every tile the echoes whose hash lies below `bound`."""
     identity = dict.fromkeys(IDENTITY, "tile")
     for tile in here.present:
@@ -77,7 +77,7 @@ def deliver_catalogue(
     polygons: Names,
     vectors: Names = (),
     contours: bool = False,
-) -> Made:
+) -> Result:
     """The list of tiles for QGIS and PDAL, and a project that shows all of the delivery."""
     tiles = _facts(here)
     facts, system = sum_tiles(tiles), crs_of(crs)
@@ -103,7 +103,7 @@ def deliver_catalogue(
 
 def deliver_polygons(
     here: StageInputs, crs: str | None, names: Mapping[str, str], size: float, areas: Mapping[str, list[list[float]]]
-) -> Made:
+) -> Result:
     """The tiles as polygons with their figures, and the training and test areas."""
     tiles = _facts(here)
     layers = [_tile_layer(here, tiles, _present(sum_tiles(tiles), names), size), *_area_layers(areas)]
@@ -174,12 +174,12 @@ def _overview_columns(plan: Plan) -> Names:
     return tuple(dict.fromkeys((*(c for c in columns if c in (*NEEDED, *OF_FIELDS)), *copc_columns(columns))))
 
 
-def _streamed(plan: Plan) -> Names:
+def _cloud_columns(plan: Plan) -> Names:
     calibrated = plan.config.radiometry.calibrates
     return tuple(c for c in _overview_columns(plan) if calibrated or c != "reflectance")
 
 
-def _shared(plan: Plan) -> dict[str, Any]:
+def _shared_arguments(plan: Plan) -> dict[str, Any]:
     survey = plan.survey
     return {"crs": survey.crs, "standard_time": survey.standard_time, "names": class_names(plan)}
 
@@ -188,13 +188,13 @@ def _areas(plan: Plan) -> dict[str, list[list[float]]]:
     return {kind: [list(b.bounds) for b in plan.config.areas.boxes(kind)] for kind in ("train", "test")}
 
 
-def _published(plan: Plan, part: object) -> list[tuple[str, str]]:
+def _parts_listed(plan: Plan, part: object) -> list[tuple[str, str]]:
     tiles = [(DELIVER_TILE.name, t.key) for t in plan.layout.tiles]
     rasters = [(DELIVER_RASTERS.name, site.name) for site in sites(plan.layout)]
     return [*tiles, *rasters, (DELIVER_OVERVIEW.name, "all")]
 
 
-def _judged(plan: Plan, part: object) -> list[tuple[str, str]]:
+def _parts_drawn(plan: Plan, part: object) -> list[tuple[str, str]]:
     stages = (DELIVER_TILE.name, *([COUNT_CONFUSION.name] if COUNT_CONFUSION.when(plan) else []))
     return [(stage, t.key) for stage in stages for t in plan.layout.tiles]
 
@@ -206,7 +206,7 @@ DELIVER_OVERVIEW = Stage(
     "echo",
     deliver_overview,
     arguments=lambda plan: {
-        **_shared(plan),
+        **_shared_arguments(plan),
         "params": plan.config.publish,
         "calibrated": plan.config.radiometry.calibrates,
     },
@@ -221,15 +221,15 @@ DELIVER_CATALOGUE = Stage(
     "part",
     deliver_catalogue,
     arguments=lambda plan: {
-        **_shared(plan),
-        "columns": _streamed(plan),
+        **_shared_arguments(plan),
+        "columns": _cloud_columns(plan),
         "title": plan.config.survey.name,
         "polygons": ("tiles", "areas") if any(_areas(plan).values()) else ("tiles",),
         **({"vectors": vector_layers(plan)} if vector_layers(plan) else {}),
         "contours": plan.config.contours.enabled,
     },
     after=(DELIVER_TILE.name, DELIVER_RASTERS.name, DELIVER_OVERVIEW.name),
-    needs=_published,
+    needs=_parts_listed,
     where="deliver",
 )
 DELIVER_POLYGONS = Stage(
@@ -245,7 +245,7 @@ DELIVER_POLYGONS = Stage(
         "areas": _areas(plan),
     },
     after=(DELIVER_TILE.name, COUNT_CONFUSION.name),
-    needs=_judged,
+    needs=_parts_drawn,
     check=True,  # it tells accuracy: where that cannot be made, the delivery is whole all the same
     where="deliver",
 )

@@ -16,7 +16,7 @@ from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping, source_of
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.learn import MODEL
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import thins
 from fwclass.model import Model, sample_matrix
 from fwclass.model.ranges import RangeCounter
@@ -61,7 +61,7 @@ def _model(here: StageInputs, digest: str | None) -> Model:
 
 def classify_tile(
     here: StageInputs, names: tuple[str, ...], probabilities: bool, model: str | None, kept: Kept | None = None
-) -> Made:
+) -> Result:
     """Class, confidence and entropy of a tile's echoes, and with `probabilities` the share of every class.
 
     `names`: the features that decide; `model`: digest of a given one, None for the run's own; `kept`: which echoes
@@ -89,7 +89,7 @@ def classify_thinned_tile(
     reach: float,
     thin: int,
     kept: Kept | None = None,
-) -> Made:
+) -> Result:
     """As `classify_tile`, for a thinned run (of the sample's version `thin`): the model is asked about sampled echoes,
     in the halo too, and every other echo takes the answer to its nearest one within `reach` [m]."""
     chunk = here.chunk()
@@ -122,10 +122,10 @@ def codes_of(table: Table) -> dict[str, int]:
     return {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}
 
 
-def _asked(plan: Plan) -> Mapping[str, Any]:
+def _arguments(plan: Plan) -> Mapping[str, Any]:
     shares = plan.config.classify.probabilities
-    asked = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
-    return {**asked, **keeping(plan)}
+    arguments = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
+    return {**arguments, **keeping(plan)}
 
 
 def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:
@@ -151,7 +151,7 @@ CLASSIFY_ECHOES = Stage(
     "echo",
     classify_tile,
     when=lambda plan: not thins(plan.config) and fine_layer(plan) is None,
-    arguments=_asked,
+    arguments=_arguments,
     own=lambda plan: (*plan.names, *deciding_column(plan)),
     writes=classes_written,
     after=("train",),
@@ -162,7 +162,7 @@ CLASSIFY_THINNED = replace(
     CLASSIFY_ECHOES,
     function=classify_thinned_tile,
     when=lambda plan: thins(plan.config),
-    arguments=lambda plan: {**_asked(plan), "reach": plan.config.thin.reach, "thin": THIN.version},
+    arguments=lambda plan: {**_arguments(plan), "reach": plan.config.thin.reach, "thin": THIN.version},
     reads=lambda plan: (*_PLACE, *plan.names, *THIN.writes),
     own=deciding_column,
     halo=lambda plan: plan.config.thin.reach,

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fwclass.contours.join import Joined, Pieces, join_lines
+from fwclass.contours.join import ContourLines, Pieces, join_lines
 from fwclass.contours.lines import lines
 from fwclass.contours.params import ContourParams
 from fwclass.contours.smooth import margin, smooth_terrain
 from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import crs_of
 from fwclass.graph.rasters import Mosaic
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.publish.contour_file import Contours, write_contours
@@ -39,7 +39,7 @@ BATCH = 1 << 20
 
 def contour_block(
     here: StageInputs, params: ContourParams, cell: float, inside: tuple[int, int, int, int] | None = None
-) -> Made:
+) -> Result:
     """Pieces of the contour lines of one block, whose squares have their south-western corner in it, and all corners
     `inside` the survey: their first column and row in the block, and how many of either; None for all."""
     nodes = _corners(here.tile, cell)
@@ -63,7 +63,7 @@ def _corners(block: Tile, cell: float) -> Window:
     return Window(cell, own.col, own.row, own.ncols + 1, own.nrows + 1)
 
 
-def deliver_contours(here: StageInputs, params: ContourParams, crs: str | None) -> Made:
+def deliver_contours(here: StageInputs, params: ContourParams, crs: str | None) -> Result:
     """All contour lines as a GeoPackage, with a style beside it. Only where pieces begin and end is held of all of
     them; vertices are laid into a file that has no name, block by block, and written line by line."""
     blocks = here.parts(CONTOUR_BLOCKS.name)
@@ -110,7 +110,7 @@ def _of_coarse(blocks: Sequence[str], params: ContourParams) -> list[str]:
 
 
 def _places(
-    pieces: Pieces, lines: Joined, long_enough: NDArray[np.bool_]
+    pieces: Pieces, lines: ContourLines, long_enough: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """For every piece the vertices that are written of it, and which row the first of them gets."""
     begins = np.zeros(len(lines.order), bool)

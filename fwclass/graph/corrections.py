@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from fwclass.conf.model import AreasSection
 from fwclass.formats.echo_labels import FIELD, EchoLabels, read_echo_labels
-from fwclass.graph.areas import tested
+from fwclass.graph.areas import rows_to_test
 from fwclass.graph.layout import FileDigests, Layout
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import TileGrid
 from fwclass.label.corrections import COLUMNS, last_of_each, match_labels, outside, reference_codes
 from fwclass.model import ClassDef
@@ -29,7 +29,7 @@ ALL = "all"
 _ROUNDING = 0.001
 
 
-def echo_labels_read(here: StageInputs, size: float, reach: float, margin: float, field: str) -> Made:
+def echo_labels_read(here: StageInputs, size: float, reach: float, margin: float, field: str) -> Result:
     """Labels of a file that are not taken back, cut by the tiles of `size` that an echo of theirs may lie in."""
     labels = read_echo_labels(here.file(), here.file(), field).standing()
     return _cut(here, labels, labels.code, size, reach, margin)
@@ -37,7 +37,7 @@ def echo_labels_read(here: StageInputs, size: float, reach: float, margin: float
 
 def corrections_read(
     here: StageInputs, size: float, reach: float, margin: float, classes: tuple[ClassDef, ...]
-) -> Made:
+) -> Result:
     """Corrections that are not taken back, cut by the tiles of `size` that lie within `margin` of them [m]."""
     labels = read_echo_labels(here.file(), here.file()).standing()
     stands = labels.code >= 0
@@ -104,20 +104,20 @@ def corrections_of(here: StageInputs) -> Table:
 def apply_labels(echoes: Table, labels: Table, reach: float, reference: NDArray) -> tuple[NDArray, int]:
     """`reference` (rows,) with what `labels` say in its place, and how many of them say something."""
     rows, own = match_labels(echoes, labels, reach)
-    made = np.array(reference, np.uint8)
-    made[rows] = labels["label_code"][own]
-    return made, len(rows)
+    codes = np.array(reference, np.uint8)
+    codes[rows] = labels["label_code"][own]
+    return codes, len(rows)
 
 
 def corrected_training_rows(echoes: Table, corrections: Table, areas: AreasSection, reach: float) -> NDArray[np.bool_]:
     """bool (rows,): the echo is corrected, and trains wherever it lies; not within `areas.gap` of a listed test
     area."""
     trained = np.zeros(echoes.rows, bool)
-    trained[match_labels(echoes, taught(corrections, areas), reach)[0]] = True
+    trained[match_labels(echoes, teaching_corrections(corrections, areas), reach)[0]] = True
     return trained
 
 
-def taught(corrections: Table, areas: AreasSection) -> Table:
+def teaching_corrections(corrections: Table, areas: AreasSection) -> Table:
     """The corrections that the model learns from: none near a listed test area, which stays one."""
     return corrections.take(outside(corrections, [box.grown(areas.gap) for box in areas.boxes("test")]))
 
@@ -126,7 +126,7 @@ def untaught_rows(echoes: Table, corrections: Table, areas: AreasSection, reach:
     """bool (rows,): the echo is tested; it neither lies near an area or an echo that the model learns from, nor is one
     of these."""
     train, test = areas.boxes("train"), areas.boxes("test")
-    rows = tested(echoes, train, test, areas.gap, taught(corrections, areas))
+    rows = rows_to_test(echoes, train, test, areas.gap, teaching_corrections(corrections, areas))
     return rows & ~corrected_training_rows(echoes, corrections, areas, reach)
 
 

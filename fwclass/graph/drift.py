@@ -23,15 +23,15 @@ def drift(card: Mapping[str, Any], counts: Sequence[Mapping[str, Sequence[int]]]
         return None
     outside = shares(counts)
     worst = [(name, share) for name, share in outside.items() if share >= SAID_FROM]
-    words = []
+    remarks = []
     if worst:
-        listed = ", ".join(f"{_percent(share)} of {visible(name)}{_seen(card, name)}" for name, share in worst[:WORST])
+        listed = ", ".join(f"{_percent(s)} of {visible(n)}{_learned_range(card, n)}" for n, s in worst[:WORST])
         more = f", and {len(worst) - WORST} more features from {_percent(SAID_FROM)} on" if len(worst) > WORST else ""
-        words = [f"the model has not seen such data: outside of what it learned from lie {listed}{more}"]
-    return {"outside": outside, "remarks": words}
+        remarks = [f"the model has not seen such data: outside of what it learned from lie {listed}{more}"]
+    return {"outside": outside, "remarks": remarks}
 
 
-def _seen(card: Mapping[str, Any], name: str) -> str:
+def _learned_range(card: Mapping[str, Any], name: str) -> str:
     pair = card[RANGES].get(name)
     return f" (learned {pair[0]:.4g} to {pair[1]:.4g})" if pair else ""
 

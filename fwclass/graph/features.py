@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fwclass.features.dense import Crowd, crowd_facts
 from fwclass.features.params import NORMAL, Asked, FeaturesParams, is_feature
 from fwclass.features.stage import FEATURES, features
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import features_of_some, sampled_columns
 from fwclass.schema import Table
 
@@ -18,7 +18,7 @@ def neighbourhood_features(plan: Plan) -> Asked:
     return Asked.of(sorted(n for n in plan.computed if is_feature(n)))
 
 
-def compute_features(here: StageInputs, params: FeaturesParams, names: tuple[str, ...]) -> Made:
+def compute_features(here: StageInputs, params: FeaturesParams, names: tuple[str, ...]) -> Result:
     """Neighbourhood features of a tile's echoes; of a thinned run's, of the sampled ones."""
     sampled = here.own_rows()["sampled"] if here.own else None
     tables, rows, crowds = [], [], []

@@ -26,7 +26,7 @@ class Digests:
 
     def __init__(self, store: Store) -> None:
         self._store = store
-        self._known = _remembered(store)
+        self._known = _load(store)
         self._read_only, self._changed, self._saved = store.read_only, False, time.monotonic()
         self._sizes = {(Path(path).name, facts[0]) for path, facts in self._known.items()}
 
@@ -63,7 +63,7 @@ class Digests:
         return digest_file(path)
 
 
-def _remembered(store: Store) -> dict[str, Any]:
+def _load(store: Store) -> dict[str, Any]:
     """What was remembered; nothing where that is damaged, and all files are read again."""
     try:
         known = unseal(store.recall(_INPUTS) or {})

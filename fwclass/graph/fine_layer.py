@@ -15,7 +15,7 @@ from fwclass.store.remote_file import local
 
 @dataclass(frozen=True)
 class FineLayer:
-    """Where it answers, and what it decides by.
+    """The second layer: where it answers, and what it decides by.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class FineLayer:
 def fine_layer(plan: Plan) -> FineLayer | None:
     """The second layer of a run, None without one."""
     if plan.model is not None:
-        model = _given(str(local(plan.model[0])), plan.model[1])
+        model = _two_layer(str(local(plan.model[0])), plan.model[1])
         return _layer(plan, model.pair, model.within, model.fine.features) if model else None
     params = plan.config.classify.refine
     if not params.between:
@@ -54,6 +54,6 @@ def _layer(plan: Plan, pair: tuple[int, int], within: float, names: tuple[str, .
 
 
 @lru_cache(maxsize=4)
-def _given(path: str, digest: str) -> TwoLayer | None:
+def _two_layer(path: str, digest: str) -> TwoLayer | None:
     model = load_model(Path(path))
     return model if isinstance(model, TwoLayer) else None

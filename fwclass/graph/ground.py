@@ -15,7 +15,7 @@ from fwclass.errors import StoreError
 from fwclass.graph.breaklines import BREAKLINES, breaklines_in, breaklines_needed
 from fwclass.graph.layout import Layout
 from fwclass.graph.rasters import Mosaic, write_rasters
-from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.water import LEVELS, Water, levels_needed, water_of
 from fwclass.grid import Box, Tile, TileGrid, Window, groups, joint_box
 from fwclass.ground.filters import Flags
@@ -53,7 +53,7 @@ class Surroundings:
     pieces: tuple[tuple[str, int], ...]
 
     def facts(self, results: Table) -> dict[str, Any]:
-        """For the receipt of a block that `results` this of its own echoes: whose they are, a digest for every tile."""
+        """Facts for the receipt of a block with `results` of its echoes: whose they are, a digest for every tile."""
         offsets = np.cumsum([0, *(rows for _, rows in self.pieces)])
         cells = by_name(results, (key for key, _ in self.pieces), offsets.tolist())
         return {"pieces": [list(p) for p in self.pieces], CELLS: cells}
@@ -85,13 +85,13 @@ def around_block(here: StageInputs) -> Surroundings:
     return surroundings(here.inputs, here.tile, here.halo, here.tile_size, here.columns, here.present)
 
 
-def filter_block(here: StageInputs, params: GroundParams) -> Made:
+def filter_block(here: StageInputs, params: GroundParams) -> Result:
     """Ground and noise flags of a block's echoes, tile after tile."""
     around = around_block(here)
     return of_flags(around, filter_ground(around.table, params))
 
 
-def of_flags(around: Surroundings, flags: Flags) -> Made:
+def of_flags(around: Surroundings, flags: Flags) -> Result:
     """What a filter says of all echoes around a block, as the block's part: of its own ones alone."""
     table = Table({"ground": flags.ground[around.own], "noise": flags.noise[around.own]})
     return table, {
@@ -106,7 +106,7 @@ STACK = "stack"
 """The stage whose echoes, of several pulses together, are ground too."""
 
 
-def terrain_block(here: StageInputs, params: TerrainParams) -> Made:
+def terrain_block(here: StageInputs, params: TerrainParams) -> Result:
     """Terrain rasters of a block, and the heights above ground of its echoes, tile after tile."""
     core = Window.covering(here.tile.box, params.cell)
     around = around_block(here)
@@ -148,7 +148,7 @@ def _knots(here: StageInputs, water: Water | None, box: Box) -> Points | None:
     return x, y, z
 
 
-def gather_columns(here: StageInputs, source: str, columns: tuple[str, ...], block: float) -> Made:
+def gather_columns(here: StageInputs, source: str, columns: tuple[str, ...], block: float) -> Result:
     """Columns that blocks of edge `block` [m] wrote about a tile's echoes, in the tile's row order."""
     places = here.inputs.rows(here.part, {"x": "tile", "y": "tile"})
     out = {n: np.zeros(places.rows, np.dtype(column(n).dtype)) for n in columns}
@@ -172,7 +172,7 @@ def gather_columns(here: StageInputs, source: str, columns: tuple[str, ...], blo
 
 def measure_seams(
     here: StageInputs, ground: GroundParams, terrain: TerrainParams, most_cells: int, bounds: tuple[float, ...]
-) -> Made:
+) -> Result:
     """The survey filtered once more as a single block, against what its blocks say.
 
     Where it lies in several places, each of them is one: blocks that do not touch know nothing of each other. A place

@@ -13,7 +13,7 @@ from fwclass.conf import Config
 from fwclass.conf.model import ClassSection, ReferenceSection
 from fwclass.graph.classify import codes_of
 from fwclass.graph.kept import deciding_column, keeping
-from fwclass.graph.stage import Made, Stage, StageInputs
+from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.schema import Table
 
 UNCLASSIFIED, GROUND, LOW_NOISE, HIGH_NOISE = 1, 2, 7, 18
@@ -42,7 +42,7 @@ def without_classifier(config: Config) -> Config:
     return Config(**{**vars(config), **sections})
 
 
-def by_ground(here: StageInputs, kept: Kept | None = None) -> Made:
+def by_ground(here: StageInputs, kept: Kept | None = None) -> Result:
     """Codes of a tile's echoes by the filter's flags: 2 ground, 7 or 18 noise below or above the terrain, 1 the rest.
 
     Noise without a terrain below counts as low. There is no confidence, and no entropy (NaN). `kept` echoes have the

@@ -68,8 +68,8 @@ def class_remarks(
     sentences = []
     if stay:
         sentences.append(
-            f"{sum(stay.values()):,} {what} keep the class of their source ({_listed(stay)}): they are not classified, "
-            "have no confidence, and no accuracy counts them"
+            f"{sum(stay.values()):,} {what} keep the class of their source ({_listing(stay)}): they are not classified"
+            ", have no confidence, and no accuracy counts them"
         )
     elif kept:
         sentences.append(f"none of the {what} has a class that is to be kept (classify.only, classify.keep)")
@@ -77,13 +77,13 @@ def class_remarks(
         codes = ",".join(map(str, lost))
         sentences.append(
             f"the sources have {sum(lost.values()):,} {what} of classes that are not told apart here "
-            f"({_listed(lost)}): they get others; --keep {codes} (classify.keep=[{codes}]) leaves them as they are, "
+            f"({_listing(lost)}): they get others; --keep {codes} (classify.keep=[{codes}]) leaves them as they are, "
             "--only 0,1 (classify.only=[0,1]) classifies only what has no class"
         )
     return sentences
 
 
-def _listed(by_code: Mapping[int, int]) -> str:
+def _listing(by_code: Mapping[int, int]) -> str:
     most = sorted(by_code, key=lambda c: (-by_code[c], c))
     words = [f"{f'{c} {STANDARD[c]}' if c in STANDARD else standard_name(c)}: {by_code[c]:,}" for c in most[:SHOWN]]
     return ", ".join(words) + (f" and {len(most) - SHOWN} more" if len(most) > SHOWN else "")

@@ -19,7 +19,7 @@ from fwclass.graph.corrections import (
     reach_here,
 )
 from fwclass.graph.layout import PolygonFile
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.label.polygons import Polygons, from_polygons
 from fwclass.label.stage import LABEL, LabelParams, from_cloud, from_source
 from fwclass.label.values import codes_of, groups_of
@@ -47,7 +47,7 @@ def polygons_read(
     crs: str | None,
     layer: str,
     own_crs: str | None,
-) -> Made:
+) -> Result:
     """Polygons of a file with their codes, in whole millimetres of the survey's system (`crs`, WKT).
 
     `own_crs`: the system that the file's coordinates are in (WKT; None: the survey's).
@@ -90,42 +90,42 @@ def polygons_at(parts: tuple[str, ...], inputs: PartInputs) -> Polygons:
     return _loaded[key]
 
 
-def label_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+def label_by_source(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
     """Reference classes from the source's own classification; corrections lie within `reach` [m] of their echo."""
     chunk = here.chunk()
-    return _counted(*_corrected(here, chunk, from_source(chunk), reach))
+    return _with_counts(*_correct(here, chunk, from_source(chunk), reach))
 
 
-def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+def label_by_cloud(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
     """Reference classes from the nearest point of another cloud."""
     box, clouds = here.tile.box.grown(here.halo), here.parts("reference")
     cloud = here.inputs.inside(box, here.tile_size, dict.fromkeys(_CLOUD, "reference"), clouds, base="reference")
     order = np.lexsort(tuple(cloud[n] for n in ("source_class", "gps_time", "z", "y", "x")))
     chunk = here.chunk()
-    return _counted(*_corrected(here, chunk, from_cloud(chunk, cloud.take(order), params), reach))
+    return _with_counts(*_correct(here, chunk, from_cloud(chunk, cloud.take(order), params), reach))
 
 
-def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Made:
+def label_by_echoes(here: StageInputs, params: LabelParams, reach: float = 0.0) -> Result:
     """Reference classes by strip, pulse and number of the echo."""
     chunk = here.chunk()
     echoes = chunk.table.take(chunk.core)
     labels = labels_of(here.inputs, ECHO_LABELS, here.parts(ECHO_LABELS), here.part)
     reference, known = apply_labels(echoes, labels, params.max_move, np.zeros(echoes.rows, np.uint8))
-    table, facts = _counted(*_corrected(here, chunk, Table({"reference": reference}), reach))
+    table, facts = _with_counts(*_correct(here, chunk, Table({"reference": reference}), reach))
     return table, {**facts, "by_echo": known}
 
 
-def label_by_polygons(here: StageInputs, reach: float = 0.0) -> Made:
+def label_by_polygons(here: StageInputs, reach: float = 0.0) -> Result:
     """Reference classes from the polygons that the echoes lie in; implausible echoes have none, whatever is above."""
     chunk = here.chunk()
     table, ambiguous = from_polygons(chunk, polygons_at(here.parts("polygons"), here.inputs).within(here.tile.box))
     implausible = (chunk.table["fit_flags"][chunk.core] & IMPLAUSIBLE) > 0
     table = Table({"reference": np.where(implausible, 0, table["reference"])})
-    table, facts = _counted(*_corrected(here, chunk, table, reach))
+    table, facts = _with_counts(*_correct(here, chunk, table, reach))
     return table, {**facts, "ambiguous": ambiguous}
 
 
-def _corrected(here: StageInputs, chunk: Chunk, table: Table, reach: float) -> tuple[Table, int | None]:
+def _correct(here: StageInputs, chunk: Chunk, table: Table, reach: float) -> tuple[Table, int | None]:
     """`table` with the corrections of the tile's echoes, and how many there are; None where nothing is corrected."""
     if not here.parts(CORRECTIONS):
         return table, None
@@ -133,7 +133,7 @@ def _corrected(here: StageInputs, chunk: Chunk, table: Table, reach: float) -> t
     return Table({"reference": reference}), number
 
 
-def _counted(table: Table, corrected: int | None) -> tuple[Table, dict[str, Any]]:
+def _with_counts(table: Table, corrected: int | None) -> tuple[Table, dict[str, Any]]:
     codes, counts = np.unique(table["reference"], return_counts=True)
     facts: dict[str, Any] = {"codes": {str(c): int(n) for c, n in zip(codes.tolist(), counts.tolist(), strict=True)}}
     return table, facts if corrected is None else {**facts, "corrected": corrected}
@@ -179,7 +179,7 @@ def _label_parts(plan: Plan, tile: Any) -> list[Name]:
     return [*((ECHO_LABELS, p) for p in plan.layout.echo_labels.get(tile.key, ())), *corrections_here(plan, tile)]
 
 
-def _moved(plan: Plan) -> float:
+def _correction_reach(plan: Plan) -> float:
     """How far around a tile corrections are read that may be of its echoes [m]."""
     return plan.config.label.max_move if plan.tiled is not None and plan.tiled.corrected else 0.0
 
@@ -208,7 +208,7 @@ LABEL_BY_SOURCE = Stage(
     silent=_OF_ECHOES,
     own=("x", "y", "z", "source_class"),
     writes=_CLASSES,
-    halo=_moved,
+    halo=_correction_reach,
     after=(CORRECTIONS,),
     needs=corrections_here,
     check=_only_judges,
@@ -218,7 +218,7 @@ LABEL_BY_CLOUD = replace(
     function=label_by_cloud,
     when=_of_kind("cloud"),
     own=("x", "y", "z", "gps_time"),
-    halo=lambda plan: max(LABEL.halo(plan.config.label), _moved(plan)),
+    halo=lambda plan: max(LABEL.halo(plan.config.label), _correction_reach(plan)),
     after=("reference", CORRECTIONS),
     needs=_clouds,
 )
@@ -242,7 +242,7 @@ LABEL_BY_POLYGONS = Stage(
     each=reach_here,
     own=("x", "y", "z", "fit_flags"),
     writes=_CLASSES,
-    halo=_moved,
+    halo=_correction_reach,
     after=("polygons", CORRECTIONS),
     needs=lambda plan, tile: [*(("polygons", p) for p in plan.layout.polygons), *corrections_here(plan, tile)],
     check=_only_judges,

@@ -1,4 +1,4 @@
-"""What all plans stand on: the source strips, the tiles there are, and where their columns come from."""
+"""What stages are planned by: the source strips, the tiles there are, and where their columns come from."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class Layout:
-    """What phase three stands on: the tiles there are, where and when their echoes lie, and the reference tiles.
+    """The tiles of a survey: where and when their echoes lie, and which of them have reference points.
 
     `occupied` has for every size of block [m] those that own an echo; `times` is (first, last) GPS time [s], NaN
     without any; `passes` the same of every tile, for each strip that has times there; `lowest` the least z [m];

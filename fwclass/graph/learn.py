@@ -16,7 +16,7 @@ from fwclass.graph.corrections import CORRECTIONS, corrected_training_rows, corr
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.machine_search import MACHINE_SEARCH, gather_trials, judge, searches, spatial, trials
 from fwclass.graph.model_fit import computed
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import sampled_columns
 from fwclass.grid import Box, millimetres
 from fwclass.model import ClassDef, Model, Tree
@@ -56,7 +56,7 @@ def draw_tile(
     classes: tuple[ClassDef, ...],
     judging: AreasSection | None = None,
     reach: float = 0.0,
-) -> Made:
+) -> Result:
     """The rows of a tile that may train: those in training areas, and those that are corrected, wherever they lie."""
     table = here.rows()
     inside, corrected = within(table, areas), taught_rows(here, table, judging, reach)
@@ -88,7 +88,7 @@ def places(table: Table) -> NDArray[np.int64]:
 
 def merge_samples(
     here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...]
-) -> Made:
+) -> Result:
     """The survey's sample; refused where a forest cannot be trained on it."""
     tiles = here.parts(TRAIN_SAMPLE.name)
     if not tiles:
@@ -106,16 +106,16 @@ def load_sample(inputs: PartInputs, stage: str, part: str, names: tuple[str, ...
     return Sample.from_arrays(names, inputs.arrays(stage, part, SAMPLE)[0])
 
 
-def merged_sample(inputs: PartInputs, names: tuple[str, ...]) -> Sample:
+def survey_sample(inputs: PartInputs, names: tuple[str, ...]) -> Sample:
     """The sample of the whole survey."""
     return load_sample(inputs, "training", "all", names)
 
 
 def grow_part(
     here: StageInputs, names: tuple[str, ...], params: TrainParams, classes: tuple[ClassDef, ...], count: int
-) -> Made:
+) -> Result:
     """Some of the forest's trees, from that on which the part is named after."""
-    trees = grow_trees(merged_sample(here.inputs, names), classes, int(here.part), count, params)
+    trees = grow_trees(survey_sample(here.inputs, names), classes, int(here.part), count, params)
     arrays: dict[str, NDArray] = {}
     for number, (feature, threshold, child) in enumerate(trees, int(here.part)):
         arrays |= {f"{number:05d}-feature": feature, f"{number:05d}-threshold": threshold, f"{number:05d}-child": child}
@@ -129,9 +129,11 @@ def _load_trees(inputs: PartInputs, batch: str) -> list[Tree]:
     return [(arrays[f"{n}-feature"], arrays[f"{n}-threshold"], arrays[f"{n}-child"]) for n in numbers]
 
 
-def permute_features(here: StageInputs, names: tuple[str, ...], params: TrainParams, count: int, repeats: int) -> Made:
+def permute_features(
+    here: StageInputs, names: tuple[str, ...], params: TrainParams, count: int, repeats: int
+) -> Result:
     """What some of the forest's trees lose when a feature is permuted."""
-    sample, trees = merged_sample(here.inputs, names), _load_trees(here.inputs, here.part)
+    sample, trees = survey_sample(here.inputs, names), _load_trees(here.inputs, here.part)
     lost, judged = drops(sample, trees, int(here.part), params, repeats)
     write_arrays(here.directory / DROPS, {"drops": lost, "judged": judged})
     return {"rows": int(judged.sum())}
@@ -143,14 +145,14 @@ def deliver_forest(
     params: TrainParams,
     classes: tuple[ClassDef, ...],
     computed: Mapping[str, Any],
-) -> Made:
+) -> Result:
     """The forest, delivered as the run's model."""
     trees = [tree for batch in here.parts("trees") for tree in _load_trees(here.inputs, batch)]
     lost = None
     if params.importance_repeats:
         parts = [here.inputs.arrays("importance", b, DROPS)[0] for b in here.parts("importance")]
         lost = (np.concatenate([p["drops"] for p in parts]), np.concatenate([p["judged"] for p in parts]))
-    forest = stamp(train(merged_sample(here.inputs, names), trees, params, classes, lost), computed)
+    forest = stamp(train(survey_sample(here.inputs, names), trees, params, classes, lost), computed)
     save_model(here.directory / MODEL, forest)
     return {"card": dict(forest.card), "trees": forest.trees, "nodes": len(forest.feature)}
 
@@ -164,9 +166,9 @@ def train_baseline(
     computed: Mapping[str, Any],
     block: float,
     gap: float,
-) -> Made:
+) -> Result:
     """The classifier that ``train.method`` names where it is no forest, delivered as the run's model."""
-    sample, places = merged_sample(here.inputs, names), spatial(block, gap)
+    sample, places = survey_sample(here.inputs, names), spatial(block, gap)
     parts = here.parts(MACHINE_SEARCH)
     search = gather_trials(here.inputs, parts, sample, compare.rbf_svm, places) if parts else None
     model: Model = stamp(train_other(sample, params, compare, classes, params.method, places, search), computed)
@@ -184,9 +186,9 @@ def try_machine(
     block: float,
     gap: float,
     trial: tuple[float, float, int],
-) -> Made:
+) -> Result:
     """How often the machine of one (C, gamma, fold) is right."""
-    sample, places = merged_sample(here.inputs, names), spatial(block, gap)
+    sample, places = survey_sample(here.inputs, names), spatial(block, gap)
     weights = machine_weights(fewer(sample, machine.max_rows, places.edge), params, classes)
     return judge(here, sample, trial, machine, scaling, weights, places)
 
@@ -197,12 +199,12 @@ def stamp(model: Any, computed: Mapping[str, Any]) -> Any:
 
 
 def trains(plan: Plan) -> bool:
-    """The run trains a model of its own."""
+    """Whether the run trains a model of its own."""
     return plan.config.survey.model is None
 
 
 def forest_learns(plan: Plan) -> bool:
-    """The run trains a forest of our own; of two layers as the first."""
+    """Whether the run trains a forest of our own; of two layers as the first."""
     return trains(plan) and plan.config.train.method == "forest"
 
 
@@ -224,7 +226,7 @@ def _batches(plan: Plan) -> list[_Batch]:
 
 
 def growing(plan: Plan) -> Mapping[str, Any]:
-    """What the stages that learn get besides."""
+    """Arguments that all stages that learn share."""
     config = plan.config
     return {"names": config.features_asked, "params": config.train, "classes": config.classes}
 
@@ -235,7 +237,7 @@ def parameters_of(plan: Plan, names: tuple[str, ...]) -> Mapping[str, Any]:
     return computed(names, config.features, config.ground.method, plan.layout.quantities)
 
 
-def _computed(plan: Plan) -> Mapping[str, Any]:
+def _feature_settings(plan: Plan) -> Mapping[str, Any]:
     return parameters_of(plan, plan.config.features_asked)
 
 
@@ -315,7 +317,7 @@ TRAIN_FOREST = Stage(
     deliver_forest,
     when=lambda plan: _one_layer(plan) and forest_learns(plan),
     parts=lambda plan: ("model",),
-    arguments=lambda plan: {**growing(plan), "computed": _computed(plan)},
+    arguments=lambda plan: {**growing(plan), "computed": _feature_settings(plan)},
     after=("training", "trees", "importance"),
     needs=lambda plan, part: [
         ("training", "all"),
@@ -354,7 +356,7 @@ TRAIN_BASELINE = Stage(
     arguments=lambda plan: {
         **growing(plan),
         "compare": plan.config.compare,
-        "computed": _computed(plan),
+        "computed": _feature_settings(plan),
         **_squares(plan),
     },
     after=("training", MACHINE_SEARCH),

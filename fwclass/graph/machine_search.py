@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from fwclass.errors import InputError
-from fwclass.graph.stage import Made, Plan, StageInputs
+from fwclass.graph.stage import Plan, Result, StageInputs
 from fwclass.run.inputs import PartInputs
 from fwclass.select.folds import spatial_folds
 from fwclass.train.baselines.params import RbfSvmParams
@@ -35,7 +35,7 @@ def trials(plan: Plan) -> list[Trial]:
 
 
 def searches(plan: Plan) -> bool:
-    """There is something to choose from."""
+    """Whether the settings name more than one pair of C and gamma."""
     return plan.config.train.method == "rbf-svm" and len(pairs_of(plan.config.compare.rbf_svm)) > 1
 
 
@@ -65,7 +65,7 @@ def judge(
     scaling: str,
     weights: object,
     places: Places,
-) -> Made:
+) -> Result:
     """What one trial has right."""
     looked = search_rows(sample, svm, places.edge)
     c, gamma, fold = trial

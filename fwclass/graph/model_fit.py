@@ -23,14 +23,14 @@ def computed(
     widths which `quantities` these are, where it is known.
     """
     names = tuple(names)
-    asked = Asked.of(n for n in names if is_feature(n))
-    kinds = {scale.kind for scale, _ in asked.scales}
+    request = Asked.of(n for n in names if is_feature(n))
+    kinds = {scale.kind for scale, _ in request.scales}
     needed: dict[str, bool] = {
-        "cell_x": "zc" in asked.plain,
-        "cell_y": "zc" in asked.plain,
+        "cell_x": "zc" in request.plain,
+        "cell_y": "zc" in request.plain,
         "nearest_reach": "k" in kinds,
-        "optimal_radii": "o" in kinds or "optimal_radius" in asked.plain,
-        "orientation_rounds": "oriented_inclination" in asked.bases,
+        "optimal_radii": "o" in kinds or "optimal_radius" in request.plain,
+        "orientation_rounds": "oriented_inclination" in request.bases,
         "normal_radius": any(n in RADIOMETRY.writes for n in names),
     }
     plain = params.model_dump(mode="json")

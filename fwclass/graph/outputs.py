@@ -17,7 +17,7 @@ from fwclass.graph.kept import deciding_column, keeping, kept_names
 from fwclass.graph.layout import Strip
 from fwclass.graph.radiometry import MEASURE_RADIOMETRY
 from fwclass.graph.sources import RETURNS, link_table, spans_of, strip_of
-from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.tiling import source_codes, tiles_of_strips
 from fwclass.publish.copc import write_tile_copc
 from fwclass.publish.geoparquet import about_delivery, round_floats, write_geoparquet
@@ -83,7 +83,7 @@ def deliver_tile(
     standard_time: bool,
     calibrated: bool,
     names: Mapping[str, str],
-) -> Made:
+) -> Result:
     """A tile as COPC and as GeoParquet. Without a calibration the COPC has no `reflectance`: other programs show its
     no-data number as a value. `names` of classes by code."""
     table, directory = here.rows(), here.directory
@@ -99,7 +99,9 @@ def deliver_tile(
     return {"rows": table.rows, "beyond": copc["beyond"], "facts": tile_facts(table)}
 
 
-def deliver_strip(here: StageInputs, params: PublishParams, codes: Mapping[str, int], kept: Kept | None = None) -> Made:
+def deliver_strip(
+    here: StageInputs, params: PublishParams, codes: Mapping[str, int], kept: Kept | None = None
+) -> Result:
     """A source strip in its own order with every point's class: that of its nearest echo of the same pulse, or its own
     where that is `kept`.
 
@@ -177,7 +179,7 @@ def _legacy_codes(plan: Plan, part: _Strip) -> Mapping[str, Any]:
     return {"codes": codes}
 
 
-def _read_again(plan: Plan, part: _Strip) -> list[Name]:
+def _chunks_of_returns(plan: Plan, part: _Strip) -> list[Name]:
     """The chunks whose returns are asked for their own class."""
     waves = {s.key for s in spans_of(plan, part.strip) if s.waves} if deciding_column(plan) else ()
     return [("read", c) for c in part.chunks if c in waves]
@@ -229,7 +231,7 @@ DELIVER_STRIP = Stage(
     after=("read", "decompose", "classify", "tile"),
     needs=lambda plan, part: [
         *(("decompose", c) for c in part.chunks),
-        *_read_again(plan, part),
+        *_chunks_of_returns(plan, part),
         *((stage, t) for t in part.tiles for stage in ("classify", "tile")),
     ],
     source=lambda plan, part: (part.strip.path, part.strip.digests),

@@ -17,7 +17,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.features.params import MAX_REACH
 from fwclass.graph.classify import CLASSIFY_ECHOES
 from fwclass.graph.ground import FILTER_GROUND, around_block, of_flags
-from fwclass.graph.stage import Made, Stage, StageInputs, always, plain_values
+from fwclass.graph.stage import Result, Stage, StageInputs, always, plain_values
 from fwclass.ground.filters import Flags
 from fwclass.schema import Column, Table, column
 
@@ -63,13 +63,13 @@ def chunk_stage(
             got=wrong[0] if wrong else "none",
         )
     return Stage(
-        _named(name),
+        _check_name(name),
         version,
         "tile",
         "echo",
         OfChunk(name, function),
         arguments=_constant(name, settings),
-        reads=_read(name, reads),
+        reads=_column_names(name, reads),
         writes=tuple(c.name for c in columns),
         declares=columns,
         halo=_halo(name, halo),
@@ -110,7 +110,7 @@ def classifier_stage(
         function=OfRows(CLASSIFY.name, function),
         when=always,
         arguments=lambda plan: {**arguments(plan), "classes": plan.config.classes},
-        own=_read(CLASSIFY.name, reads),
+        own=_column_names(CLASSIFY.name, reads),
         writes=CLASSIFY.writes,
         after=(),
         needs=lambda plan, tile: (),
@@ -125,13 +125,13 @@ def delivery_stage(
     at the paths that they have in the delivery; `table` has the columns `reads`, `tile` is the tile's key, which the
     files' names must have in them."""
     return Stage(
-        _named(name),
+        _check_name(name),
         version,
         "tile",
         "echo",
         OfDelivery(name, function),
         arguments=_constant(name, settings),
-        own=_read(name, reads),
+        own=_column_names(name, reads),
         where="deliver",
     )
 
@@ -155,9 +155,9 @@ class Adapter:
         if set(values) != set(names):
             got = ", ".join(map(str, values)) or "nothing"
             raise self.fault("a function gives other columns than its stage writes", ", ".join(names), got, "name them")
-        return Table({n: self._checked(n, v, rows) for n, v in values.items()})
+        return Table({n: self._check(n, v, rows) for n, v in values.items()})
 
-    def _checked(self, name: str, value: Any, rows: int) -> NDArray:
+    def _check(self, name: str, value: Any, rows: int) -> NDArray:
         values = np.asarray(value)
         if values.shape != (rows,):
             raise self.fault(
@@ -190,7 +190,7 @@ class Adapter:
 class OfChunk(Adapter):
     """The adapter of a function over a chunk."""
 
-    def __call__(self, here: StageInputs, **settings: Any) -> Made:
+    def __call__(self, here: StageInputs, **settings: Any) -> Result:
         chunk = here.chunk()
         return self.columns(self.function(chunk, **settings), len(chunk.core), here.writes)
 
@@ -199,7 +199,7 @@ class OfChunk(Adapter):
 class OfRows(Adapter):
     """The adapter of a classifier of a tile's rows."""
 
-    def __call__(self, here: StageInputs, classes: tuple[ClassDef, ...], **settings: Any) -> Made:
+    def __call__(self, here: StageInputs, classes: tuple[ClassDef, ...], **settings: Any) -> Result:
         rows = here.rows()
         table = self.columns(self.function(rows, **settings), rows.rows, CLASSIFY.writes)
         codes, counts = np.unique(table["classification"], return_counts=True)
@@ -222,15 +222,15 @@ class OfRows(Adapter):
 class OfBlock(Adapter):
     """The adapter of a ground filter."""
 
-    def __call__(self, here: StageInputs, block: float, **settings: Any) -> Made:
+    def __call__(self, here: StageInputs, block: float, **settings: Any) -> Result:
         around = around_block(here)
-        given = self.function(around.table, **settings)
-        flags = [np.asarray(f) for f in given] if isinstance(given, (tuple, list)) else []
+        answer = self.function(around.table, **settings)
+        flags = [np.asarray(f) for f in answer] if isinstance(answer, (tuple, list)) else []
         if len(flags) != 2 or any(f.dtype != bool or f.shape != (around.table.rows,) for f in flags):
             raise self.fault(
                 "a ground filter gives two flags for every row: ground, and noise",
                 f"two bool arrays of {around.table.rows:,}",
-                ", ".join(f"{f.dtype} {f.shape}" for f in flags) or type(given).__name__,
+                ", ".join(f"{f.dtype} {f.shape}" for f in flags) or type(answer).__name__,
                 "return ground, noise",
             )
         return of_flags(around, Flags(*flags))
@@ -240,7 +240,7 @@ class OfBlock(Adapter):
 class OfDelivery(Adapter):
     """The adapter of a function that writes files of a tile."""
 
-    def __call__(self, here: StageInputs, **settings: Any) -> Made:
+    def __call__(self, here: StageInputs, **settings: Any) -> Result:
         table = here.rows()
         self.function(table, here.directory, here.part, **settings)
         names = [p.relative_to(here.directory).as_posix() for p in here.directory.rglob("*") if p.is_file()]
@@ -261,7 +261,7 @@ _PROGRAM = ("laz/", "parquet/", "rasters/", "model/", "report")
 """Where the program's own deliveries lie."""
 
 
-def _named(name: str) -> str:
+def _check_name(name: str) -> str:
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise ConfigError(
             "this cannot be the name of a stage",
@@ -272,7 +272,7 @@ def _named(name: str) -> str:
     return name
 
 
-def _read(name: str, reads: Iterable[str]) -> tuple[str, ...]:
+def _column_names(name: str, reads: Iterable[str]) -> tuple[str, ...]:
     if isinstance(reads, str):
         raise ConfigError(
             "the columns that a stage reads are a list",

@@ -18,17 +18,17 @@ FREQUENCIES = 257
 """Of the noise's spectrum, up to half of the sampling rate."""
 
 
-def pulse_picture(pulse: SystemPulse, of: str) -> bytes:
-    """PNG of the system's pulse of `of`, beside a Gaussian of its width."""
+def pulse_picture(pulse: SystemPulse, source: str) -> bytes:
+    """PNG of the system's pulse of `source`, beside a Gaussian of its width."""
     time = _times(pulse)
-    return draw_pulse(time, pulse.at(time), SystemPulse.gaussian(pulse.fwhm).at(time), _title(pulse, of))
+    return draw_pulse(time, pulse.at(time), SystemPulse.gaussian(pulse.fwhm).at(time), _title(pulse, source))
 
 
 def receiver_picture(
-    pulse: SystemPulse, recorded: SystemPulse | None, places: Mapping[str, Any] | None, of: str
+    pulse: SystemPulse, recorded: SystemPulse | None, places: Mapping[str, Any] | None, source: str
 ) -> bytes:
-    """PNG of all that is known of the receiver of `of`: its pulse beside the recorded outgoing one, the spectrum of its
-    noise, and its vendor's offset over the height (`places`, see `describe_placement`)."""
+    """PNG of all that is known of the receiver of `source`: its pulse beside the recorded outgoing one, the spectrum of
+    its noise, and its vendor's offset over the height (`places`, see `describe_placement`)."""
     time = _times(pulse)
     spectra = []
     for channel in pulse.channels:
@@ -43,7 +43,7 @@ def receiver_picture(
     ]
     gaussian = SystemPulse.gaussian(pulse.fwhm).at(time)
     left = None if recorded is None else recorded.at(time)
-    return draw_receiver(ReceiverPicture(_title(pulse, of), time, pulse.at(time), gaussian, left, spectra, offsets))
+    return draw_receiver(ReceiverPicture(_title(pulse, source), time, pulse.at(time), gaussian, left, spectra, offsets))
 
 
 def _channel(spacing: float, saturation: float) -> str:
@@ -54,7 +54,7 @@ def _times(pulse: SystemPulse) -> np.ndarray:
     return np.linspace(-2.0 * pulse.fwhm, max(4.0 * pulse.fwhm, LEAST_REACH), 1201)
 
 
-def _title(pulse: SystemPulse, of: str) -> str:
+def _title(pulse: SystemPulse, source: str) -> str:
     origin = f"from {pulse.echoes:,} echoes" if pulse.echoes else "not measured"
     origin = f"of {pulse.outgoing:,} recorded outgoing pulses" if pulse.outgoing else origin
-    return f"System's pulse of {of}: {pulse.shape}, {pulse.fwhm:.2f} ns wide, {origin}"
+    return f"System's pulse of {source}: {pulse.shape}, {pulse.fwhm:.2f} ns wide, {origin}"

@@ -17,7 +17,7 @@ from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
-from fwclass.graph.stage import Made, Stage, StageInputs
+from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole
@@ -44,7 +44,7 @@ FACTS, PAGE, POLYGONS = "quality.json", "quality.html", "quality.gpkg"
 PIECES = tuple(Pieces.__dataclass_fields__)
 
 
-def quality_of_block(here: StageInputs, params: QualityParams) -> Made:
+def quality_of_block(here: StageInputs, params: QualityParams) -> Result:
     """Counts by cell, pieces of strips and pairs of planes of one block."""
     box = here.tile.box
     quality = block_quality(here.inputs.inside(box, here.tile_size, here.columns, here.present), box, params)
@@ -88,7 +88,7 @@ def deliver_quality(
     files: Mapping[str, str],
     block: float,
     places: Mapping[str, tuple[float, float, float, float]],
-) -> Made:
+) -> Result:
     """The survey's quality as JSON and rasters. `files`: names by number; `block`: edge of the blocks [m]; `places`:
     bounds [m] of the sites."""
     # matplotlib is slow to load, and only the page needs it

@@ -12,7 +12,7 @@ import numpy as np
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
 from fwclass.graph.layout import FileDigests, Layout
-from fwclass.graph.stage import Flown, Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Flown, Plan, Result, Stage, StageInputs
 from fwclass.radiometry.stage import (
     CALIBRATE,
     OVERLAP,
@@ -69,7 +69,7 @@ def check_altitude(layout: Layout) -> None:
         )
 
 
-def flown(here: StageInputs, crs: str | None, undulation: float, times: tuple[float, float]) -> Made:
+def flown(here: StageInputs, crs: str | None, undulation: float, times: tuple[float, float]) -> Result:
     """A file's trajectory on the time scale of a survey of `times`, sorted by time."""
     path = here.file()
     table = in_survey_time(thin_trajectory(read_trajectory(path, crs, undulation), SPACING), *times, where=path)
@@ -87,7 +87,7 @@ def flown_by(plan: Plan, receipts: Mapping[Name, Receipt]) -> Flown:
     return known
 
 
-def pointing(here: StageInputs, params: RadiometryParams) -> Made:
+def pointing(here: StageInputs, params: RadiometryParams) -> Result:
     """Refuses a trajectory that the beams of some tiles do not come from."""
     echoes = Table.concat([here.inputs.table("tile", key, _POINTING) for key in here.parts("tile")])
     flights = here.parts("trajectory")
@@ -113,7 +113,7 @@ def _around(here: StageInputs, flight: str, times: Any) -> Table:
     return here.inputs.groups("trajectory", flight, sorted(g for g in groups if 0 <= g < len(begins)))
 
 
-def compare_strips(here: StageInputs, params: RadiometryParams) -> Made:
+def compare_strips(here: StageInputs, params: RadiometryParams) -> Result:
     """What a tile says about the gains of its strips."""
     chunk = here.chunk()
     trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None
@@ -121,7 +121,7 @@ def compare_strips(here: StageInputs, params: RadiometryParams) -> Made:
     return {}
 
 
-def calibrate_strips(here: StageInputs, params: RadiometryParams) -> Made:
+def calibrate_strips(here: StageInputs, params: RadiometryParams) -> Result:
     """The gains of the strips and the constant of the survey."""
     tiles = here.parts("overlap")
     calibration = calibrate((Overlap.from_arrays(here.inputs.arrays("overlap", t, COUNTS)[0]) for t in tiles), params)
@@ -130,7 +130,7 @@ def calibrate_strips(here: StageInputs, params: RadiometryParams) -> Made:
     return {"calibration": facts}
 
 
-def measure_radiometry(here: StageInputs, params: RadiometryParams) -> Made:
+def measure_radiometry(here: StageInputs, params: RadiometryParams) -> Result:
     """Radiometric columns of a tile's echoes."""
     chunk = here.chunk()
     trajectory = _trajectory(here, chunk.table["gps_time"]) if here.parts("trajectory") else None
@@ -156,7 +156,7 @@ def _params(plan: Plan) -> Mapping[str, Any]:
     return {"params": plan.config.radiometry}
 
 
-def _ranged(plan: Plan) -> bool:
+def _has_range(plan: Plan) -> bool:
     return has_range(plan.config)
 
 
@@ -186,13 +186,13 @@ def has_pointing(plan: Plan) -> bool:
     return has_range(plan.config) and bool(plan.flown) and bool(_over(plan, _probes(plan)))
 
 
-def _checked(plan: Plan) -> list[Name]:
+def _pointing_parts(plan: Plan) -> list[Name]:
     return [("pointing", "all")] if plan.pointing else []
 
 
 def _overlap_needs(plan: Plan, tile: Any) -> list[Name]:
     box = tile.box.grown(OVERLAP.halo(plan.config.radiometry))
-    return [*_over(plan, plan.layout.around(box, plan.layout.keys)), *_checked(plan)]
+    return [*_over(plan, plan.layout.around(box, plan.layout.keys)), *_pointing_parts(plan)]
 
 
 READ_TRAJECTORY = Stage(
@@ -241,7 +241,7 @@ CALIBRATE_STRIPS = Stage(
     "survey",
     "part",
     calibrate_strips,
-    when=_ranged,
+    when=_has_range,
     arguments=_params,
     after=("overlap",),
     needs=lambda plan, part: [("overlap", t.key) for t in COMPARE_STRIPS.all_parts(plan)],
@@ -252,10 +252,10 @@ MEASURE_RADIOMETRY = Stage(
     "tile",
     "echo",
     measure_radiometry,
-    when=_ranged,
+    when=_has_range,
     arguments=_params,
     own=RADIOMETRY.reads,
     writes=RADIOMETRY.writes,
     after=("calibrate", "trajectory", "pointing"),
-    needs=lambda plan, tile: [(CALIBRATE.name, "all"), *_over(plan, (tile.key,)), *_checked(plan)],
+    needs=lambda plan, tile: [(CALIBRATE.name, "all"), *_over(plan, (tile.key,)), *_pointing_parts(plan)],
 )

@@ -15,7 +15,7 @@ from fwclass.graph.ground import terrain_blocks
 from fwclass.graph.outputs import MAX_CELLS, NO_BYTE, class_names, crs_of
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
-from fwclass.graph.stage import Made, Stage, StageInputs
+from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
 from fwclass.ground.terrain.terrain import NO_TERRAIN
@@ -30,7 +30,7 @@ from fwclass.publish.shade import hillshade, slope
 from fwclass.run.inputs import PartInputs
 
 
-def class_block(here: StageInputs, params: PublishParams) -> Made:
+def class_block(here: StageInputs, params: PublishParams) -> Result:
     """Class and confidence of the highest echo, and the echoes, of every cell of one block of the fixed grid."""
     window = Window.covering(here.tile.box, params.class_cell)
     points = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
@@ -49,7 +49,7 @@ def deliver_rasters(
     cell: float,
     block: float,
     bounds: tuple[float, float, float, float],
-) -> Made:
+) -> Result:
     """Terrain and what it comes from, its slope and roughness, surface, their difference, relief, class, confidence and
     density of a box as COG.
 

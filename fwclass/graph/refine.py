@@ -39,7 +39,7 @@ from fwclass.graph.learn import (
     trains,
 )
 from fwclass.graph.machine_search import spatial
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.model.ranges import RangeCounter
 from fwclass.schema import Table, canonical_key
@@ -58,7 +58,7 @@ DRAWN, MERGED = "refine-sample", "refine-training"
 _PLACE = ("x", "y", "z")
 
 
-def answer_coarse(here: StageInputs, names: tuple[str, ...], model: str | None) -> Made:
+def answer_coarse(here: StageInputs, names: tuple[str, ...], model: str | None) -> Result:
     """The first layer's answers of a tile."""
     if model is None:
         used = model_at(
@@ -80,7 +80,7 @@ def answer_coarse(here: StageInputs, names: tuple[str, ...], model: str | None) 
     return table, {"filled": missing, **outside_facts(outside)}
 
 
-def widen_features(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Made:
+def widen_features(here: StageInputs, layer: FineLayer, params: FeaturesParams) -> Result:
     """Which echoes of a tile are at the boundary, and wide features of those alone, NaN for the others."""
     tables, rows = [], []
     for these, chunk in here.chunks():
@@ -106,7 +106,7 @@ def draw_fine_tile(
     drawing: TrainParams,
     judging: AreasSection | None = None,
     reach: float = 0.0,
-) -> Made:
+) -> Result:
     """The rows of a tile that the second layer may learn from, with all that it decides by."""
     chunk, own = here.chunk(), here.own_rows()
     corrected = taught_rows(here, own, judging, reach)
@@ -131,7 +131,7 @@ def draw_fine_tile(
 
 def merge_fine_samples(
     here: StageInputs, layer: FineLayer, rows: str, drawing: TrainParams, classes: tuple[ClassDef, ...]
-) -> Made:
+) -> Result:
     """The sample of all tiles; refused where the two classes do not meet in the training areas."""
     tiles = here.parts(DRAWN)
     parts = (load_sample(here.inputs, DRAWN, t, layer.names) for t in tiles)
@@ -162,7 +162,7 @@ def train_fine(
     computed: Mapping[str, Any],
     block: float,
     gap: float,
-) -> Made:
+) -> Result:
     """The second layer, and both as one model, delivered as the run's."""
     coarse = load_model(here.inputs.path(TRAIN_COARSE, "model", MODEL))
     sample, without = _with_values(load_sample(here.inputs, MERGED, "all", layer.names))
@@ -203,7 +203,7 @@ def both_answered(
     probabilities: bool,
     model: str | None,
     kept: Kept | None = None,
-) -> Made:
+) -> Result:
     """Answers of both layers for a tile; `kept` echoes have the class of their source."""
     if model is None:
         used = model_at(here.inputs.path("train", "model", MODEL), here.inputs.digest("train", "model"), False)
@@ -247,7 +247,7 @@ def _wide_reads(plan: Plan) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*_PLACE, COARSE[0], *Asked.of(_layer(plan).wide).reads)))
 
 
-def _drawn_by(plan: Plan) -> Mapping[str, Any]:
+def _drawing_arguments(plan: Plan) -> Mapping[str, Any]:
     refine = plan.config.classify.refine
     drawing = plan.config.train.model_copy(update={"samples_per_class": refine.samples_per_class})
     return {"rows": refine.rows, "drawing": drawing}
@@ -287,7 +287,7 @@ DRAW_BOUNDARY = Stage(
         "areas": plan.config.areas.boxes("train"),
         "params": plan.config.features,
         "classes": _pair(plan),
-        **_drawn_by(plan),
+        **_drawing_arguments(plan),
     },
     each=taught_here,
     silent=NOT_OF_THE_SAMPLE | {"also"},
@@ -309,7 +309,7 @@ MERGE_BOUNDARY = Stage(
     "row",
     merge_fine_samples,
     when=_learns,
-    arguments=lambda plan: {"layer": _layer(plan), "classes": _pair(plan), **_drawn_by(plan)},
+    arguments=lambda plan: {"layer": _layer(plan), "classes": _pair(plan), **_drawing_arguments(plan)},
     silent=NOT_OF_THE_SAMPLE,
     after=(DRAWN,),
     needs=lambda plan, part: [(DRAWN, t.key) for t in training_tiles(plan)],

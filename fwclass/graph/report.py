@@ -71,7 +71,7 @@ def write_report(
     from fwclass.publish.report import render_report  # its templates are not needed where nothing was made
 
     source = source_codes({(SPLIT.name, r.part): r for r in receipts_of_run(runner, SPLIT.name)})
-    kept = Kept.of(config.classify)
+    keeps = Kept.of(config.classify)
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
@@ -79,7 +79,7 @@ def write_report(
         "counts": _counts(runner),
         "stages": [_stage(runner, name, tally) for name, tally in runner.tallies.items()],
         "graph": list(graph),
-        "classes": (classes := _classes(config, source, kept) if (classified := "classify" in runner.tallies) else []),
+        "classes": (classes := _classes(config, source, keeps) if (classified := "classify" in runner.tallies) else []),
         "accuracy": (accuracy := _accuracy(runner, config)),
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(runner, names),
@@ -112,12 +112,12 @@ def write_report(
             *_of_accuracy(accuracy, counted, config, names),
             *(plausible or {}).get("remarks", ()),
             *(drifted or {}).get("remarks", ()),
-            *_crowded(runner, config),
+            *_crowd_remarks(runner, config),
             *_empty(files),
             *_of_parts(runner),
-            *(class_remarks(source, known_codes(config.classes), kept) if classified else ()),
+            *(class_remarks(source, known_codes(config.classes), keeps) if classified else ()),
         ],
-        "kept": {str(c): n for c, n in kept_codes(source, kept).items()},
+        "kept": {str(c): n for c, n in kept_codes(source, keeps).items()},
         "ground": _ground(runner, config),
         "water": [body for r in receipts_of_run(runner, LEVELS) for body in r.meta["bodies"]],
         "quality": next((r.meta["quality"] for r in receipts_of_run(runner, "publish-quality")), None),
@@ -172,7 +172,7 @@ def _standing(config: Config, runner: Runner) -> dict[str, Any] | None:
 
 def _input(runner: Runner, survey: Survey) -> dict[str, Any]:
     faults: Counter[str] = Counter()
-    for meta in _read(runner):
+    for meta in _chunk_facts(runner):
         faults.update(meta["faults"])
     indexed = {r.part: r.meta for r in receipts_of_run(runner, "index")}
     files = []
@@ -199,13 +199,13 @@ def _empty(files: Mapping[str, Any]) -> list[str]:
     return [f"files without any point: {', '.join(names[:SHOWN])}{more}"] if names else []
 
 
-def _read(runner: Runner) -> list[Mapping[str, Any]]:
+def _chunk_facts(runner: Runner) -> list[Mapping[str, Any]]:
     """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
     return [r.meta for stage in ("read", "decompose") for r in receipts_of_run(runner, stage) if "returns" in r.meta]
 
 
 def _counts(runner: Runner) -> dict[str, int]:
-    reads = _read(runner)
+    reads = _chunk_facts(runner)
     tiles = receipts_of_run(runner, "tile")
     return {
         "pulses": sum(r.meta["pulses"] for r in receipts_of_run(runner, "index")),
@@ -229,7 +229,7 @@ def _drift(runner: Runner) -> dict[str, Any] | None:
     return drift(cards[0] if cards else {RANGES: {}}, counts)
 
 
-def _crowded(runner: Runner, config: Config) -> list[str]:
+def _crowd_remarks(runner: Runner, config: Config) -> list[str]:
     """That some places are too dense for all echoes of a neighbourhood to count."""
     crowd = Crowd.of_parts(r.meta.get("dense") for r in receipts_of_run(runner, "features"))
     return [crowd.text(config.features)] if crowd else []

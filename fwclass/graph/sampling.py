@@ -9,7 +9,7 @@ import numpy as np
 
 from fwclass.conf.model import AreasSection
 from fwclass.errors import ConfigError
-from fwclass.graph.areas import IDENTITY_AND_PLACE, labelled, tested, training_tiles
+from fwclass.graph.areas import IDENTITY_AND_PLACE, has_reference, rows_to_test, training_tiles
 from fwclass.graph.corrections import (
     CORRECTIONS,
     corrected_training_rows,
@@ -19,7 +19,7 @@ from fwclass.graph.corrections import (
     untaught_rows,
 )
 from fwclass.graph.learn import SAMPLE, trains
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.label.census import census, count_training, lacking, total
 from fwclass.model import ClassDef
 from fwclass.run.part import Name
@@ -29,17 +29,17 @@ from fwclass.store.receipts import Receipt
 LABELS, SAMPLES = "label-counts", "sample-counts"
 
 
-def labels_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...], reach: float = 0.0) -> Made:
+def labels_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...], reach: float = 0.0) -> Result:
     """How many of a tile's echoes are labelled as what, and where they lie."""
     table, train = here.rows(), areas.boxes("train")
     if not here.parts(CORRECTIONS):
-        return census(table, tested(table, train, areas.boxes("test"), areas.gap), train, classes)
+        return census(table, rows_to_test(table, train, areas.boxes("test"), areas.gap), train, classes)
     corrections = corrections_of(here)
     corrected = corrected_training_rows(table, corrections, areas, reach)
     return census(table, untaught_rows(table, corrections, areas, reach), train, classes, corrected)
 
 
-def samples_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Made:
+def samples_counted(here: StageInputs, areas: AreasSection, classes: tuple[ClassDef, ...]) -> Result:
     """How many of a tile's echoes are in the survey's sample."""
     table = here.rows()
     arrays, _ = here.inputs.arrays("training", "all", SAMPLE, ("key",))
@@ -53,7 +53,7 @@ def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
     ----------
     counted : receipts of `COUNT_LABELS`. Where one is missing nothing is said: its echoes may have what is lacking.
     """
-    if not _counted(plan) or len(counted) < len(plan.layout.tiles):
+    if not _counts_labels(plan) or len(counted) < len(plan.layout.tiles):
         return {}
     config = plan.config
     train = config.areas.boxes("train")
@@ -69,8 +69,8 @@ def check_labels(plan: Plan, counted: Mapping[Name, Receipt]) -> dict[str, Any]:
     return dict(whole)
 
 
-def _counted(plan: Plan) -> bool:
-    return trains(plan) and labelled(plan)
+def _counts_labels(plan: Plan) -> bool:
+    return trains(plan) and has_reference(plan)
 
 
 COUNT_LABELS = Stage(
@@ -79,7 +79,7 @@ COUNT_LABELS = Stage(
     "tile",
     "echo",
     labels_counted,
-    when=_counted,
+    when=_counts_labels,
     arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},
     each=reach_around,
     own=(*IDENTITY_AND_PLACE, "z", "reference"),
@@ -93,7 +93,7 @@ COUNT_SAMPLES = Stage(
     "tile",
     "echo",
     samples_counted,
-    when=_counted,
+    when=_counts_labels,
     parts=training_tiles,
     arguments=lambda plan: {"areas": plan.config.areas, "classes": plan.config.classes},
     own=(*IDENTITY_AND_PLACE, "reference"),

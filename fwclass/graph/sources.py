@@ -21,7 +21,7 @@ from fwclass.decompose.signal_noise import with_signal_noise
 from fwclass.decompose.stage import DECOMPOSE, PLACES, PULSE, decompose
 from fwclass.decompose.system_pulse import SystemPulse
 from fwclass.graph.layout import FileDigests, Strip
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.read.source import open_source
 from fwclass.read.spans import Span
 from fwclass.read.stage import READ, ReadParams, index_source, read_span
@@ -94,7 +94,7 @@ def _file(plan: Plan, part: Strip | StripSpan) -> tuple[Location, FileDigests]:
     return strip.path, strip.digests
 
 
-def index(here: StageInputs, params: ReadParams) -> Made:
+def index(here: StageInputs, params: ReadParams) -> Result:
     """Cut a source file into spans that no pulse straddles."""
     source = open_source(here.file())
     spans = index_source(source, params)
@@ -106,7 +106,7 @@ def index(here: StageInputs, params: ReadParams) -> Made:
     }
 
 
-def read_chunk(here: StageInputs, params: ReadParams, span: Span) -> Made:
+def read_chunk(here: StageInputs, params: ReadParams, span: Span) -> Result:
     """Pulses, returns and waveforms of one span."""
     waves = read_span(open_source(here.file()), span, params)
     write_table(here.directory / RETURNS, waves.returns)
@@ -143,7 +143,7 @@ def waveforms_of(part: str, inputs: PartInputs, returns: bool = True) -> Wavefor
     )
 
 
-def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) -> Made:
+def measure_pulse(here: StageInputs, params: PulseParams, fit: DecomposeParams) -> Result:
     """The system's pulse and the receiver of a strip, from a sample of its waveforms; the envelope of its returns."""
     parts, inputs, directory = here.parts("read"), here.inputs, here.directory
     strip, pulses = int(here.part), int(inputs.meta("index", here.part)["pulses"])
@@ -182,7 +182,7 @@ def pulse_of(strip: int, inputs: PartInputs) -> SystemPulse:
     return SystemPulse.from_json(read_json(inputs.path("pulse", f"{strip:05d}", PULSE_FILE)))
 
 
-def measure_places(here: StageInputs, params: DecomposeParams, sample: int) -> Made:
+def measure_places(here: StageInputs, params: DecomposeParams, sample: int) -> Result:
     """What a strip tells of its places, from runs of about `sample` of its pulses."""
     inputs, index = here.inputs, here.inputs.meta("index", here.part)
     parts = here.parts("read")
@@ -213,7 +213,7 @@ def strip_of(chunk: str) -> int:
     return int(chunk.split("-")[0])
 
 
-def decompose_chunk(here: StageInputs, params: DecomposeParams) -> Made:
+def decompose_chunk(here: StageInputs, params: DecomposeParams) -> Result:
     """Echoes of a chunk, and the echo of every return."""
     strip = strip_of(here.part)
     waves = waveforms_of(here.part, here.inputs)
@@ -221,7 +221,7 @@ def decompose_chunk(here: StageInputs, params: DecomposeParams) -> Made:
     return _write_echoes(here, decompose(waves, strip, params, pulse, around, placement_of(strip, here.inputs)))
 
 
-def read_returns(here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span) -> Made:
+def read_returns(here: StageInputs, params: DecomposeParams, reading: ReadParams, width: float, span: Span) -> Result:
     """As `read_chunk` and `decompose_chunk`, of a span without waveforms: its returns are its echoes.
 
     `width`: of a pulse [ns] that nothing is fitted with.

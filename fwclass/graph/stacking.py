@@ -10,7 +10,7 @@ from fwclass.graph.ground import around_block, terrain_blocks
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.rasters import Mosaic, write_rasters
 from fwclass.graph.sources import placement_of, pulse_of, strip_of, waveforms_of
-from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.graph.tiling import SPLIT_ECHOES
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.ground.stage import TERRAIN
@@ -28,7 +28,7 @@ ASIDE = 60.0
 """How far from their echoes pulses may meet the terrain [m]: 100 m below at 30 degrees."""
 
 
-def first_terrain_block(here: StageInputs, params: TerrainParams) -> Made:
+def first_terrain_block(here: StageInputs, params: TerrainParams) -> Result:
     """The terrain of a block as single pulses show it."""
     core = Window.covering(here.tile.box, params.cell)
     t = around_block(here).table
@@ -38,7 +38,7 @@ def first_terrain_block(here: StageInputs, params: TerrainParams) -> Made:
     return {}
 
 
-def stack_block(here: StageInputs, params: StackParams, fit: DecomposeParams, cell: float, block: float) -> Made:
+def stack_block(here: StageInputs, params: StackParams, fit: DecomposeParams, cell: float, block: float) -> Result:
     """The ground echoes that the pulses of a block show together."""
     box = here.tile.box
     reach = box.grown(params.radius)
@@ -63,7 +63,7 @@ def stack_block(here: StageInputs, params: StackParams, fit: DecomposeParams, ce
     return table, {**counts, "roughness": roughness}
 
 
-def deliver_stack(here: StageInputs, params: PublishParams, crs: str | None, standard_time: bool) -> Made:
+def deliver_stack(here: StageInputs, params: PublishParams, crs: str | None, standard_time: bool) -> Result:
     """The stacked echoes of a block as LAZ and GeoParquet, where it has some."""
     table = here.inputs.table(STACK.name, here.part)
     if table.rows:
@@ -74,7 +74,7 @@ def deliver_stack(here: StageInputs, params: PublishParams, crs: str | None, sta
     return {"rows": table.rows}
 
 
-def _enabled(plan: Plan) -> bool:
+def _is_enabled(plan: Plan) -> bool:
     return plan.config.stack.enabled
 
 
@@ -122,7 +122,7 @@ MAKE_FIRST_TERRAIN = Stage(
     "block",
     "echo",
     first_terrain_block,
-    when=_enabled,
+    when=_is_enabled,
     parts=lambda plan: terrain_blocks(plan.layout),
     arguments=lambda plan: {"params": plan.config.terrain},
     reads=TERRAIN.reads,
@@ -135,7 +135,7 @@ STACK_PULSES = Stage(
     "block",
     "pulse",
     stack_block,
-    when=_enabled,
+    when=_is_enabled,
     parts=_blocks,
     arguments=lambda plan: {
         "params": plan.config.stack,
@@ -155,7 +155,7 @@ DELIVER_STACK = Stage(
     "block",
     "part",
     deliver_stack,
-    when=_enabled,
+    when=_is_enabled,
     parts=_blocks,
     arguments=lambda plan: {
         "params": plan.config.publish,

@@ -157,7 +157,7 @@ class StageInputs:
         return self.inputs.chunks(self.tile, self.halo, self.columns, self.present)
 
 
-Made = Table | Mapping[str, Any] | tuple[Table, Mapping[str, Any]]
+Result = Table | Mapping[str, Any] | tuple[Table, Mapping[str, Any]]
 """What a stage's function returns: the part's table, what its receipt says besides, or both."""
 
 
@@ -165,7 +165,7 @@ Made = Table | Mapping[str, Any] | tuple[Table, Mapping[str, Any]]
 class Work:
     """The adapter that every part runs in: loads, calls the stage's function, checks the columns, writes."""
 
-    function: Callable[..., Made]
+    function: Callable[..., Result]
     arguments: Mapping[str, Any]
     part: str
     needs: tuple[Name, ...]
@@ -272,7 +272,7 @@ class Stage:
     version: int
     over: Over
     unit: Unit
-    function: Callable[..., Made]
+    function: Callable[..., Result]
     when: Callable[[Plan], bool] = always
     parts: Callable[[Plan], Sequence[Any]] | None = None
     waves: bool | None = None
@@ -420,12 +420,12 @@ def plain_values(values: Mapping[str, Any], silent: frozenset[str] = frozenset()
     return result
 
 
-def _disjoint(some: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
+def _disjoint(values: dict[str, Any], others: dict[str, Any]) -> dict[str, Any]:
     """Both together; `TypeError` where one would hide a value of the other from the key."""
-    both = some.keys() & more.keys()
+    both = values.keys() & others.keys()
     if both:
         raise TypeError(f"two arguments of a stage enter its key as {', '.join(sorted(both))}: give one another name")
-    return {**some, **more}
+    return {**values, **others}
 
 
 def _plain(value: Any, silent: frozenset[str] = frozenset()) -> Any:

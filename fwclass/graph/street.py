@@ -137,13 +137,13 @@ def frames_with_features(
         yield from ring.rest()
 
 
-def _rows(recording: int, at: int, one: Seen) -> Rows:
-    frame = one.frame
+def _rows(recording: int, at: int, seen: Seen) -> Rows:
+    frame = seen.frame
     beams = np.flatnonzero(~np.isnan(frame.r))
     codes = frame.labels[beams] if frame.labels is not None else np.zeros(len(beams), np.uint8)
     key = (np.uint64(recording) << np.uint64(48)) | (np.uint64(at) << np.uint64(16))
     return Rows(
-        one.features[beams],
+        seen.features[beams],
         codes,
         key | beams.astype(np.uint64),
         np.full(len(beams), frame.place * UNIT, np.float64),

@@ -233,8 +233,8 @@ class LasRecording:
             yield self._frame(number, cutter, one, scan)
         self.left_out.update({"second in a beam": cutter.doubled, "beyond the field": cutter.outside})
 
-    def _frame(self, number: int, cutter: Cutter, one: tuple[NDArray[Any], ...], scan: Scan) -> Frame:
-        time, ranges, labels = cutter.beams(*one)
+    def _frame(self, number: int, cutter: Cutter, scan_points: tuple[NDArray[Any], ...], scan: Scan) -> Frame:
+        time, ranges, labels = cutter.beams(*scan_points)
         labelled = None if np.isin(labels, UNCLASSIFIED).all() else labels
         fixes = self._way.time
         place = float(self._way.place(min(max(time, fixes[0]), fixes[-1])))  # a frame may begin before its first point

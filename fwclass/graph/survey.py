@@ -29,7 +29,7 @@ from fwclass.graph.reference import (
     reference_polygons,
     water_polygons,
 )
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.tiling import CLOUD_ROWS, max_of, min_of
 from fwclass.grid import Box
 from fwclass.paths import name_fault
@@ -56,7 +56,7 @@ LOOKED_AT = 100_000
 """Points at the start of a file that its header is held against."""
 
 
-def simulate_part(here: StageInputs, params: SimulateParams, prefix: str) -> Made:
+def simulate_part(here: StageInputs, params: SimulateParams, prefix: str) -> Result:
     """A strip of the simulated survey, or its trajectory, in the directory `prefix`."""
     from fwclass.simulate.stage import plan_strips, simulate_strip, write_trajectory  # other surveys need not load it
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fwclass.conf import Config
 from fwclass.features.params import FeaturesParams
 from fwclass.features.stage import features
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.schema import Table, column
 from fwclass.stage import Chunk
 from fwclass.thin.params import ThinParams
@@ -16,7 +16,7 @@ from fwclass.thin.sample import THIN, thin
 
 
 def thins(config: Config) -> bool:
-    """Only a share of the echoes is classified."""
+    """Whether only a share of the echoes is classified."""
     return config.thin.rate < 1.0
 
 
@@ -25,7 +25,7 @@ def sampled_columns(plan: Plan) -> tuple[str, ...]:
     return THIN.writes if thins(plan.config) else ()
 
 
-def sample_tile(here: StageInputs, params: ThinParams) -> Made:
+def sample_tile(here: StageInputs, params: ThinParams) -> Result:
     """Which echoes of a tile are sampled."""
     table = thin(here.chunk(), params)
     return table, {"rows": table.rows, "sampled": int(table["sampled"].sum())}

@@ -13,7 +13,7 @@ from fwclass.decompose.stage import DECOMPOSE
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.numbering import numbers
 from fwclass.graph.sources import chunk_name, spans_of, strip_of
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import TileGrid, quantise
 from fwclass.read.stage import read_cloud
 from fwclass.run.inputs import TABLE
@@ -85,7 +85,7 @@ def tiles_of_strips(plan: Plan) -> dict[int, tuple[str, ...]]:
     return {strip: tuple(sorted(keys)) for strip, keys in tiles.items()}
 
 
-def scatter(here: StageInputs, params: TileParams) -> Made:
+def scatter(here: StageInputs, params: TileParams) -> Result:
     """Echoes of a chunk in tile order, one row group a tile; tells how many the source has of every class."""
     echoes = here.inputs.table("decompose", here.part)
     codes, counts = np.unique(echoes["source_class"], return_counts=True)
@@ -102,7 +102,7 @@ def source_codes(splits: Mapping[Name, Receipt]) -> Counter[int]:
     return counted
 
 
-def scatter_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Made:
+def scatter_cloud(here: StageInputs, params: TileParams, rows: tuple[int, int]) -> Result:
     """Reference points of part of a file, in tile order."""
     cloud = read_cloud(here.file(), *rows)
     return _write_split(here, cloud.with_columns({n: quantise(cloud[n]) for n in "xyz"}), params)
@@ -124,19 +124,19 @@ def _fragments(here: StageInputs, stage: str) -> list[Table]:
     return [here.inputs.fragment(stage, part, here.part) for part in here.parts(stage)]
 
 
-def gather_tile(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Made:
+def gather_tile(here: StageInputs, params: TileParams, blocks: tuple[float, ...]) -> Result:
     """A tile's echoes from all chunks, in final row order; tells which blocks of each size [m] own one of them."""
     table = assemble(_fragments(here, "split"), f"tile {here.part}")
     return table, {
         "rows": table.rows,
-        "blocks": {str(size): _occupied(table, size) for size in blocks},
+        "blocks": {str(size): _occupied_blocks(table, size) for size in blocks},
         "bounds": [float(f(table[n])) for f in (min_of, max_of) for n in "xyz"],
         "strips": sorted({int(s) for s in set(table["strip"].tolist())}),
         "times": _passes(table),
     }
 
 
-def _occupied(table: Table, size: float) -> list[str]:
+def _occupied_blocks(table: Table, size: float) -> list[str]:
     ix, iy = TileGrid(size).indices(table["x"], table["y"])
     return sorted({f"{a}_{b}" for a, b in set(zip(ix.tolist(), iy.tolist(), strict=True))})
 
@@ -162,7 +162,7 @@ def max_of(values: Any) -> float:
     return float(values.max())
 
 
-def gather_cloud(here: StageInputs, params: TileParams) -> Made:
+def gather_cloud(here: StageInputs, params: TileParams) -> Result:
     """A tile's reference points."""
     table = assemble_points(_fragments(here, "reference-split"))
     return table, {"rows": table.rows}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass.formats.wkb import point_wkb, polygon_wkb
 from fwclass.graph.outputs import NO_BYTE, class_names, crs_of
 from fwclass.graph.rasters import owned
-from fwclass.graph.stage import Made, Names, Plan, Stage, StageInputs
+from fwclass.graph.stage import Names, Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Tile, Window
 from fwclass.ground.stage import last_of
 from fwclass.publish.geoparquet import write_shape_parquet
@@ -40,7 +40,7 @@ VECTORS = "vectors.gpkg"
 UNITS = {"height": "m", "height_median": "m", "area": "m2", "crown_area": "m2"}
 
 
-def count_pulses(here: StageInputs, square: float) -> Made:
+def count_pulses(here: StageInputs, square: float) -> Result:
     """How many squares of a block hold how many pulses."""
     window = owned(here.tile, square)
     table = here.inputs.inside(window.box, here.tile_size, here.columns, here.present)
@@ -48,7 +48,7 @@ def count_pulses(here: StageInputs, square: float) -> Made:
     return {"squares": {str(n): k for n, k in pulses_by_square(table["x"], table["y"], window).items()}}
 
 
-def choose_cell(here: StageInputs, params: VectorParams) -> Made:
+def choose_cell(here: StageInputs, params: VectorParams) -> Result:
     """The density of the survey's pulses, and the cell that vectors are made in."""
     squares: Counter[int] = Counter()
     for block in here.parts(COUNT_PULSES.name):
@@ -57,11 +57,11 @@ def choose_cell(here: StageInputs, params: VectorParams) -> Made:
     return {"density": density, "cell": cell_of(density, params), "sparse": density < params.sparse}
 
 
-def building_block(here: StageInputs, params: VectorParams) -> Made:
+def building_block(here: StageInputs, params: VectorParams) -> Result:
     """The buildings that lie in one block, and the cells of those that may go on beyond its edge."""
     cell = here.inputs.meta(CELL, "all")["cell"]
     core = owned(here.tile, cell)
-    counts = _counted(here, core.grown(MARGIN), params.buildings.codes, params.buildings.low)
+    counts = _count(here, core.grown(MARGIN), params.buildings.codes, params.buildings.low)
     inner = core.within(core.grown(MARGIN))
     whole, beyond = pieces(roofs(counts)[inner], counts.within(inner), core)
     shapes = footprints(by_piece(whole), cell, params.buildings)
@@ -70,17 +70,17 @@ def building_block(here: StageInputs, params: VectorParams) -> Made:
     return {"buildings": shapes.rows.rows, "beyond": beyond.rows}
 
 
-def tree_block(here: StageInputs, params: VectorParams) -> Made:
+def tree_block(here: StageInputs, params: VectorParams) -> Result:
     """The trees whose tops lie in one block."""
     cell = max(here.inputs.meta(CELL, "all")["cell"], params.trees.cell)
     core = owned(here.tile, cell)
     window = core.grown(math.ceil(params.trees.halo(cell) / cell))
-    shapes = trees(_counted(here, window, params.trees.codes, 0.0), window, core, params.trees)
+    shapes = trees(_count(here, window, params.trees.codes, 0.0), window, core, params.trees)
     _write(here, shapes)
     return {"trees": shapes.rows.rows}
 
 
-def _counted(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
+def _count(here: StageInputs, window: Window, codes: Sequence[int], low: float) -> Counts:
     return count_cells(here.inputs.inside(window.box, here.tile_size, here.columns, here.present), window, codes, low)
 
 
@@ -96,7 +96,7 @@ def _read(here: StageInputs, stage: Stage, columns: Names) -> list[Shapes]:
     return [Shapes(tables(stage.name, b, columns, ROWS), tables(stage.name, b, CORNERS, RINGS)) for b in blocks]
 
 
-def deliver_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Made:
+def deliver_vectors(here: StageInputs, params: VectorParams, publish: PublishParams, crs: str | None) -> Result:
     """All buildings and trees as GeoParquet and GeoPackage; buildings that cross blocks are put together first."""
     facts, layers = dict(here.inputs.meta(CELL, "all")), []
     if here.parts(FIND_BUILDINGS.name):
@@ -219,7 +219,7 @@ def _largest(plan: Plan) -> float:
     return max(plan.config.vectors.cells[-1], plan.config.vectors.trees.cell)
 
 
-def _given(plan: Plan) -> Mapping[str, Any]:
+def _arguments(plan: Plan) -> Mapping[str, Any]:
     return {"params": plan.config.vectors}
 
 
@@ -244,7 +244,7 @@ CHOOSE_CELL = Stage(
     "part",
     choose_cell,
     when=lambda plan: bool(vector_layers(plan)),
-    arguments=_given,
+    arguments=_arguments,
     after=(COUNT_PULSES.name,),
     needs=_of_blocks(COUNT_PULSES.name),
 )
@@ -257,7 +257,7 @@ FIND_BUILDINGS = Stage(
     when=lambda plan: "buildings" in vector_layers(plan),
     parts=_blocks,
     edge=lambda plan: plan.config.terrain.block,
-    arguments=_given,
+    arguments=_arguments,
     reads=("classification", "confidence", "height_above_ground"),
     halo=lambda plan: MARGIN * plan.config.vectors.cells[-1],
     area=_largest_cells,

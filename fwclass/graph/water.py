@@ -12,7 +12,7 @@ from pyproj import CRS
 
 from fwclass.errors import InputError
 from fwclass.graph.layout import FileDigests, PolygonFile
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Window, millimetres
 from fwclass.label.polygons import Polygons, owners
 from fwclass.read.polygons import open_polygons, read_polygons, reproject
@@ -88,7 +88,7 @@ def water_of(here: StageInputs) -> Water | None:
 
 def water_read(
     here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float, stretch: float
-) -> Made:
+) -> Result:
     """Polygons of water in whole millimetres of the survey's system, and places every `step` [m] along their shores."""
     path = here.file()
     shapes = read_polygons(open_polygons(path, layer), None)[1]
@@ -114,7 +114,7 @@ def _line(arrays: Mapping[str, NDArray]) -> Shoreline:
     return Shoreline(arrays["shore_x"], arrays["shore_y"], arrays["body"], arrays["stretch"])
 
 
-def shore_measured(here: StageInputs, reach: float) -> Made:
+def shore_measured(here: StageInputs, reach: float) -> Result:
     """Ground echoes of a tile within `reach` [m] of a shore: which place of it is nearest, and their heights; and how
     many of those further inside lie at which height, by body."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
@@ -130,7 +130,7 @@ def shore_measured(here: StageInputs, reach: float) -> Made:
     return {"echoes": len(rows), "inside": len(inside)}
 
 
-def water_levelled(here: StageInputs, params: WaterParams) -> Made:
+def water_levelled(here: StageInputs, params: WaterParams) -> Result:
     """The level of every body of water, those that are level with their shores, and what a user should know."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
     tiles = [here.inputs.arrays(SHORE, key, FILE)[0] for key in here.parts(SHORE)]
@@ -171,7 +171,7 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
     pairs = list(zip(facts, bodies, strict=True))
     sloping = [t for t, b in pairs if b.lowest is not None and t["highest"] - t["lowest"] > params.most_spread]
     if sloping:
-        some = _named([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
+        some = _listing([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
         lines.append(
             f"{len(sloping)} {all_of} are not flattened: the level differs by more than "
             f"water.most_spread ({params.most_spread:g} m) from place to place, as of a river: {some}. Cut them into "
@@ -191,24 +191,24 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
             words = [f"feature {t['feature']} {t['inside_level']:.2f}, shore {t['shore_level']:.2f} m" for t in some_of]
             lines.append(
                 f"{len(some_of)} {all_of}: ground echoes in them lie {'below' if kept else 'above'} the shore by more "
-                f"than water.most_spread ({params.most_spread:g} m), {does}: {_named(words, '; ')}. Are the polygons "
+                f"than water.most_spread ({params.most_spread:g} m), {does}: {_listing(words, '; ')}. Are the polygons "
                 "in their place?"
             )
     few = [str(t["feature"]) for t, b in pairs if b.level is None]
     if few:
         lines.append(
             f"{len(few)} {all_of} are not flattened: fewer than {params.least} ground echoes lie in them or within "
-            f"{params.shore:g} m of their shores (features {_named(few, ', ')})"
+            f"{params.shore:g} m of their shores (features {_listing(few, ', ')})"
         )
     return lines
 
 
-def _named(words: Sequence[str], between: str) -> str:
+def _listing(words: Sequence[str], between: str) -> str:
     more = f" and {len(words) - NAMED} more" if len(words) > NAMED else ""
     return between.join(words[:NAMED]) + more
 
 
-def _wanted(plan: Plan) -> bool:
+def _is_wanted(plan: Plan) -> bool:
     return plan.config.water.file is not None
 
 
@@ -224,7 +224,7 @@ def source_of(file: PolygonFile | None) -> tuple[Location, FileDigests] | None:
 
 def levels_needed(plan: Plan) -> list[Name]:
     """The part that holds the survey's water, for a stage that flattens it."""
-    return [(LEVELS, "all")] if _wanted(plan) else []
+    return [(LEVELS, "all")] if _is_wanted(plan) else []
 
 
 READ_WATER = Stage(
@@ -233,7 +233,7 @@ READ_WATER = Stage(
     "survey",
     "part",
     water_read,
-    when=_wanted,
+    when=_is_wanted,
     arguments=lambda plan: {
         **read_as(plan.survey.water, plan.survey.crs),
         "step": plan.config.terrain.thin,
@@ -247,7 +247,7 @@ MEASURE_SHORE = Stage(
     "tile",
     "echo",
     shore_measured,
-    when=_wanted,
+    when=_is_wanted,
     arguments=lambda plan: {"reach": plan.config.water.shore},
     own=("x", "y", "z", "ground", "noise"),
     after=(WATER,),
@@ -259,7 +259,7 @@ LEVEL_WATER = Stage(
     "survey",
     "part",
     water_levelled,
-    when=_wanted,
+    when=_is_wanted,
     arguments=lambda plan: {"params": plan.config.water},
     silent=frozenset({"file", "layer", "crs", "shore", "stretch"}),  # what is read tells them
     after=(WATER, SHORE),

@@ -1,4 +1,4 @@
-"""The one door to all ground filters: points in, flags out."""
+"""All ground filters behind one function: points in, flags out."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class Measured:
     outliers: int
 
     def plain(self) -> dict[str, Any]:
-        """For JSON."""
+        """As plain data for JSON."""
         return asdict(self)
 
 
@@ -122,7 +122,7 @@ def table(measured: Measured) -> str:
 def measure(
     x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], last: NDArray[np.bool_]
 ) -> Measured:
-    """What the cloud is like.
+    """Density, relief, buildings and cover of a cloud, measured from its points alone.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ Setting = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Found:
+class Optimum:
     """Where a search ended: the setting and its value."""
 
     setting: Setting
@@ -30,7 +30,7 @@ def most_runs(ranges: Mapping[str, Values], params: GroundSearchParams) -> int:
 
 def search(
     ranges: Mapping[str, Values], start: Setting, value: Callable[[Setting], float], params: GroundSearchParams
-) -> Found:
+) -> Optimum:
     """The setting, a number for each of `ranges` (ranges,), of greatest `value` that is found from `start`.
 
     `start` need not lie on the ranges: what it has stays as long as nothing better is found. Of equal values the one
@@ -48,13 +48,13 @@ def search(
                     best, most = point, reached
         if best == before:
             break
-    return Found(best, most)
+    return Optimum(best, most)
 
 
 def curves(
     ranges: Mapping[str, Values], best: Setting, value: Callable[[Setting], float]
 ) -> dict[str, list[tuple[float, float]]]:
-    """Per parameter (value, told) over its range and its own best value, all others as in `best`."""
+    """Per parameter (value, `value` of the setting) over its range, all others as in `best`."""
     values_by_name = {}
     for k, (name, values) in enumerate(ranges.items()):
         line = sorted({*values, best[k]})

@@ -15,7 +15,7 @@ NO_CONFIDENCE = 255
 
 
 class ClassRasters(NamedTuple):
-    """Of one window, row 0 in the south: class code (0 without an echo), confidence of that class [%], echoes."""
+    """Rasters of a window, row 0 in the south: class code (0 without an echo), its confidence [%], number of echoes."""
 
     classes: NDArray[np.uint8]
     confidence: NDArray[np.uint8]

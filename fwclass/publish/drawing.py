@@ -226,7 +226,7 @@ def legend(axes: Any, handles: list[Any], title: str) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """Without the software's name and date, which would change the bytes."""
+    """The figure as PNG, without the software's name and date, which would change the bytes."""
     for text in figure.findobj(Text):
         text.set_parse_math(False)  # a $ in the name of a class is a $
     out = io.BytesIO()

@@ -185,8 +185,8 @@ def round_floats(table: Table, bits: int, exact: Iterable[str] = ()) -> Table:
     What is dropped is no information where it lies below the value's standard error, and it does not compress. NaN and
     infinity stay.
     """
-    kept = set(exact)
-    names = [n for n in table if table[n].dtype == np.float32 and n not in kept]
+    exempt = set(exact)
+    names = [n for n in table if table[n].dtype == np.float32 and n not in exempt]
     return table.with_columns({n: _round_to_bits(table[n], bits) for n in names}) if names else table
 
 

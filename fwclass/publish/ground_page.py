@@ -132,20 +132,20 @@ def _summary(comparison: Mapping[str, Any], names: list[str], known: list[dict[s
     return text
 
 
-def _row(one: Mapping[str, Any]) -> dict[str, Any]:
-    accuracy = one.get("accuracy") or {}
-    speed = one["points_per_second"]
+def _row(result: Mapping[str, Any]) -> dict[str, Any]:
+    accuracy = result.get("accuracy") or {}
+    speed = result["points_per_second"]
     kappa = accuracy.get("kappa")
     return {
-        "name": one["method"],
+        "name": result["method"],
         "seconds": "–"
-        if one["seconds"] is None
-        else seconds(one["seconds"])
-        if one["seconds"] >= 10
-        else f"{one['seconds']:.2f} s",
+        if result["seconds"] is None
+        else seconds(result["seconds"])
+        if result["seconds"] >= 10
+        else f"{result['seconds']:.2f} s",
         "speed": (f"{speed / 1e6:.2f} M" if speed >= 1e6 else f"{speed / 1e3:.3g} k") if speed else "–",
-        "ground": f"{percent(one['ground_share'])} %",
-        "noise": number(one["noise"]),
+        "ground": f"{percent(result['ground_share'])} %",
+        "noise": number(result["noise"]),
         "kappa_value": kappa,
         "kappa": f"{kappa:.3f}" if kappa is not None else "–",
         **{k: _error(accuracy.get(k)) for k in ("type_i", "type_ii", "total_error")},

@@ -191,9 +191,9 @@ def waves(pulses: Sequence[Mapping[str, Any]] | None) -> list[dict[str, Any]]:
     return [_wave(pulse) for pulse in pulses or ()]
 
 
-def _wave(one: Mapping[str, Any], wide: float = 300.0, tall: float = 130.0) -> dict[str, Any]:
-    samples, start, step = one["samples"], float(one["start"]), float(one["spacing"])
-    base = float(one["baseline"])
+def _wave(pulse: Mapping[str, Any], wide: float = 300.0, tall: float = 130.0) -> dict[str, Any]:
+    samples, start, step = pulse["samples"], float(pulse["start"]), float(pulse["spacing"])
+    base = float(pulse["baseline"])
     low, high = min([*samples, base]), max([*samples, base + 1])
     last = start + step * max(1, len(samples) - 1)
 
@@ -205,11 +205,11 @@ def _wave(one: Mapping[str, Any], wide: float = 300.0, tall: float = 130.0) -> d
 
     dots = " ".join(f"{x(start + step * k):.1f},{y(v):.1f}" for k, v in enumerate(samples))
     fine = [start + (last - start) * k / 240 for k in range(241)]
-    total = [base + sum(_gaussian(t, *echo) for echo in one["echoes"]) for t in fine]
+    total = [base + sum(_gaussian(t, *echo) for echo in pulse["echoes"]) for t in fine]
     fitted = " ".join(f"{x(t):.1f},{y(min(v, high)):.1f}" for t, v in zip(fine, total, strict=True))
-    places = [f"{x(float(echo[0])):.1f}" for echo in one["echoes"]]
+    places = [f"{x(float(echo[0])):.1f}" for echo in pulse["echoes"]]
     several = f"{len(places)} echo{'es' * (len(places) != 1)}"
-    title = f"strip {one['strip']}, pulse {one['pulse']}: {several}"
+    title = f"strip {pulse['strip']}, pulse {pulse['pulse']}: {several}"
     return {"title": title, "dots": dots, "fitted": fitted, "echoes": places, "width": wide, "height": tall}
 
 

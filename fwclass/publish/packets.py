@@ -1,4 +1,4 @@
-"""Waveform packets on their way from a source strip to its published copy."""
+"""Waveform packets of a source strip, copied beside its published copy."""
 
 from __future__ import annotations
 

@@ -75,5 +75,5 @@ def colours(classes: Iterable[Mapping[str, Any]]) -> dict[int, RGB]:
 
 
 def css(colour: RGB) -> str:
-    """``#rrggbb``."""
+    """A colour as ``#rrggbb``."""
     return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -26,13 +26,13 @@ from fwclass.publish.overview_section import (
     verdict,
     waves,
 )
-from fwclass.publish.plausibility_section import plausibility
 from fwclass.publish.quality_section import quality
 from fwclass.publish.sampling_section import sampling
 from fwclass.publish.sections import (
     accuracy,
     classifier,
     distribution,
+    measure,
     number,
     percent,
     quantity,
@@ -46,6 +46,9 @@ from fwclass.publish.stage_graph import stage_graph
 TEMPLATE = "report.html.j2"
 LISTED = 8
 """Outputs of a kind that are listed openly; the others unfold."""
+
+COUNTED = ("unexplained", "outside", "below", "weak", "implausible", "returns_without_echo")
+"""Counts of echoes and returns of a strip that its table shows."""
 
 PULSE, SAMPLING = "pulse", "sampling"
 """Figures that stand in sections of their own, not among the maps."""
@@ -149,7 +152,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         ],
         "remarks": [str(text) for text in report.get("remarks") or ()],
         "waveforms": waveforms(report.get("waveforms")),
-        "plausibility": plausibility(report.get("plausibility")),
+        "plausibility": _plausibility(report.get("plausibility")),
         "ground": ground(report.get("ground")),
         "quality": quality(report.get("quality")),
         "pulse": data_uri(figures[PULSE]) if PULSE in figures else "",
@@ -208,6 +211,24 @@ def _facts(report: Mapping[str, Any], counts: Mapping[str, Any]) -> list[tuple[s
         ("time", seconds(report.get("seconds")), ""),
     )
     return [(label, value + unit) for label, value, unit in wanted if value]
+
+
+def _plausibility(facts: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Echoes beside the returns of their strip: one row for every strip with waveforms; None without any."""
+    if not facts or not facts.get("strips"):
+        return None
+    rows = [
+        {
+            "name": strip["name"],
+            "fitted": number(strip["fitted"]),
+            "cells": [number(strip[name]) for name in COUNTED],
+            "share": percent(strip["implausible_share"]) or "–",
+            "lag1": measure(strip["lag1"]),
+            "inflation": measure(strip["inflation"]),
+        }
+        for strip in facts["strips"]
+    ]
+    return {"rows": rows, "accepted": bool(facts.get("accepted")) and bool(facts.get("remarks"))}
 
 
 def _balance(counts: Mapping[str, Any]) -> dict[str, Any] | None:

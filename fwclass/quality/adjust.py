@@ -74,7 +74,7 @@ def adjust(strips: Sequence[Strip], pairs: Pairs, max_tilt_error: float) -> Adju
     design = _Design(strips, pairs)
     free = np.repeat(counts[:, None] > 0, 3, axis=1)
     for _ in range(ROUNDS):
-        x, cov, unseen, sigma = design.solved(free)
+        x, cov, unseen, sigma = design.solve(free)
         error = np.sqrt(np.maximum(0.0, np.diag(cov))).reshape(n, 3)
         unsure = free & (~(error <= max_tilt_error) | (unseen.reshape(n, 3) > UNSEEN))
         unsure[:, 0] = False
@@ -111,7 +111,7 @@ class _Design:
     def residuals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         return self.dz - np.concatenate([rows @ x[at] for _, at, rows in self.blocks])
 
-    def solved(self, free: NDArray[np.bool_]) -> tuple[NDArray, NDArray, NDArray, float]:
+    def solve(self, free: NDArray[np.bool_]) -> tuple[NDArray, NDArray, NDArray, float]:
         """Solution (3 strips), covariance, the share of each unknown that is not seen, and sigma."""
         used = np.flatnonzero(free.ravel())
         left = np.concatenate([self.dz[some] - np.median(self.dz[some]) for some, _, _ in self.blocks])

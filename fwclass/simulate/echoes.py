@@ -88,11 +88,11 @@ def cluster(time, energy, code, hits, sigma, separation, visible, echo, echo_cod
         if at < 0:
             break
         count = _merge(echo, at, count)
-    kept = 0
+    used = 0
     for k in range(count):
         if peak(echo[k, 1], echo[k, 2], sigma) >= visible:
             last = int(echo[k + 1, 3]) if k + 1 < count else hits
-            echo_code[kept] = _dominant(energy, code, int(echo[k, 3]), last, totals)
-            _copy(echo, k, kept)
-            kept += 1
-    return kept
+            echo_code[used] = _dominant(energy, code, int(echo[k, 3]), last, totals)
+            _copy(echo, k, used)
+            used += 1
+    return used

@@ -135,7 +135,7 @@ def pose(params: SimulateParams, strip: StripPlan, time: NDArray[np.float64]) ->
     )
 
 
-def measured(params: SimulateParams, strip: StripPlan, at: Pose, time: NDArray[np.float64]) -> Pose:
+def measure_pose(params: SimulateParams, strip: StripPlan, at: Pose, time: NDArray[np.float64]) -> Pose:
     """The pose `at` [m, rad] as the navigation has it: with errors that drift slowly and differ from strip to strip."""
     random = np.random.default_rng([params.seed, 4, strip.number])
     metres, degrees = params.flight.position_error, params.flight.attitude_error
@@ -193,10 +193,10 @@ def fire(params: SimulateParams, strip: StripPlan, first: int, count: int) -> Pu
     line, place = np.divmod(number, strip.per_line)
     time = line * (strip.spacing / params.flight.speed) + place / params.sensor.pulse_rate
     at = pose(params, strip, time)
-    seen = measured(params, strip, at, time)
+    measured = measure_pose(params, strip, at, time)
     to_east = strip.left + (strip.right - strip.left) * (place + 0.5) / strip.per_line
     scan = to_east if strip.north else -to_east
-    direction = _beam(seen, scan)
+    direction = _beam(measured, scan)
     late = np.empty(count)
     _clock(normal_table(), params.seed, strip.number, first, late)
     late *= params.sensor.clock_jitter * METRES_PER_NS
@@ -204,7 +204,7 @@ def fire(params: SimulateParams, strip: StripPlan, first: int, count: int) -> Pu
         time=time,
         origin=np.column_stack([at.x, at.y, at.z]),
         direction=_beam(at, scan),
-        measured_origin=np.column_stack([seen.x, seen.y, seen.z]) + late[:, None] * direction,
+        measured_origin=np.column_stack([measured.x, measured.y, measured.z]) + late[:, None] * direction,
         measured_direction=direction,
-        scan_angle=np.degrees(scan + seen.roll),
+        scan_angle=np.degrees(scan + measured.roll),
     )

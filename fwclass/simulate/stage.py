@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.simulate.city import build_scene
-from fwclass.simulate.flight import Pulses, StripPlan, fire, measured, plan_strips, pose
+from fwclass.simulate.flight import Pulses, StripPlan, fire, measure_pose, plan_strips, pose
 from fwclass.simulate.las import (
     INTENSITY_SCALE,
     LONG,
@@ -246,7 +246,7 @@ def write_trajectory(params: SimulateParams, out: Path) -> Path:
     for strip in plan_strips(params):
         last = strip.lines * strip.spacing / params.flight.speed
         when = np.arange(int(last * params.flight.trajectory_rate) + 2) / params.flight.trajectory_rate
-        at = measured(params, strip, pose(params, strip, when), when)
+        at = measure_pose(params, strip, pose(params, strip, when), when)
         table = np.column_stack(
             [
                 strip.first_time + when,

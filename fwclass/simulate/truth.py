@@ -40,12 +40,12 @@ def parts_of_buildings(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.in
     return corners, building.astype(np.int64), box[:, 5]
 
 
-def _overlap(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+def _overlap(first: NDArray[np.float64], second: NDArray[np.float64]) -> bool:
     """Whether two convex polygons share area: no side of either separates them."""
-    for polygon in (one, other):
+    for polygon in (first, second):
         along = np.roll(polygon, -1, axis=0) - polygon
         normals = np.stack([along[:, 1], -along[:, 0]], axis=1)
-        mine, theirs = normals @ one.T, normals @ other.T
+        mine, theirs = normals @ first.T, normals @ second.T
         if ((mine.max(axis=1) <= theirs.min(axis=1)) | (theirs.max(axis=1) <= mine.min(axis=1))).any():
             return False
     return True
@@ -63,13 +63,13 @@ def trees_of(scene: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     return trees, np.array([_is_overtopped(one, crown) for one in crown], bool)
 
 
-def _is_overtopped(one: NDArray[np.float64], crowns: NDArray[np.float64]) -> bool:
-    """Whether one of `crowns` (rows of `Scene.crown`) is higher above the top of `one` than that."""
+def _is_overtopped(crown: NDArray[np.float64], crowns: NDArray[np.float64]) -> bool:
+    """Whether one of `crowns` (rows of `Scene.crown`) is higher above the top of `crown` than that."""
     shape, x, y, bottom, top, reach = crowns.T[:6]
-    share = np.hypot(x - one[1], y - one[2]) / reach
+    share = np.hypot(x - crown[1], y - crown[2]) / reach
     ellipsoid = 0.5 * (bottom + top) + 0.5 * (top - bottom) * np.sqrt(np.clip(1.0 - share**2, 0.0, None))
     height = np.where(shape == CONE, top - share * (top - bottom), ellipsoid)
-    return bool(((share < 1.0) & (height > one[4] + 1e-9)).any())
+    return bool(((share < 1.0) & (height > crown[4] + 1e-9)).any())
 
 
 def write_truth(params: SimulateParams, out: Path) -> Path:

@@ -70,12 +70,12 @@ class Writer:
         """What the stream begins with."""
         return bytes(self.schema.serialize())
 
-    def frame(self, one: Answer) -> memoryview:
+    def frame(self, answer: Answer) -> memoryview:
         """One message; written by one call it is there whole or not at all."""
-        columns: list[Any] = [pa.array([one.number], pa.int64()), pa.array([one.time], pa.float64())]
-        columns.append(pa.array([one.place], pa.float64()))
+        columns: list[Any] = [pa.array([answer.number], pa.int64()), pa.array([answer.time], pa.float64())]
+        columns.append(pa.array([answer.place], pa.float64()))
         for name, kind in LISTS.items():
-            values = getattr(one, name)
+            values = getattr(answer, name)
             flat = pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(np.ascontiguousarray(values))])
             columns.append(pa.FixedSizeListArray.from_arrays(flat, len(values)))
         return memoryview(pa.RecordBatch.from_arrays(columns, schema=self.schema).serialize())

@@ -204,7 +204,7 @@ class Track:
         if not self._in_time(frame):
             return None
         self.used += 1
-        return self._placed(frame, self.geometry)
+        return self._place_frame(frame, self.geometry)
 
     def _in_time(self, frame: Frame) -> bool:
         """Whether the frame comes after the one before; how far along the road it is."""
@@ -261,7 +261,7 @@ class Track:
         self.faults["impossible speed or place"] += 1
         return math.nan
 
-    def _placed(self, frame: Frame, geometry: Geometry) -> Placed:
+    def _place_frame(self, frame: Frame, geometry: Geometry) -> Placed:
         beams = geometry.scan.beams
         x = np.empty(beams if geometry.tilted else 0, np.int32)
         y, z, r = np.empty(beams, np.int32), np.empty(beams, np.int32), np.empty(beams, np.float32)

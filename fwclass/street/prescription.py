@@ -76,21 +76,21 @@ class Prescriber:
         self._number: int | None = None
         self._open = _Open()
 
-    def take(self, one: Answer) -> Iterator[Segment]:
+    def take(self, answer: Answer) -> Iterator[Segment]:
         """The segments that this answer shows to be left."""
-        number = math.floor(one.place / self.params.segment)
+        number = math.floor(answer.place / self.params.segment)
         if self._number is not None and number != self._number:
             yield from self._closed()
         self._number = number
         here = self._open
         if math.isnan(here.first[0]):
-            here.first = (one.time, one.place)
-        here.last = (one.time, one.place)
-        crown = one.classification == self.crown
+            here.first = (answer.time, answer.place)
+        here.last = (answer.time, answer.place)
+        crown = answer.classification == self.crown
         if crown.any():
-            here.y.append(one.y[crown].astype(float))
-            here.z.append(one.z[crown].astype(float))
-            here.x.append(np.full(int(crown.sum()), one.place))
+            here.y.append(answer.y[crown].astype(float))
+            here.z.append(answer.z[crown].astype(float))
+            here.x.append(np.full(int(crown.sum()), answer.place))
 
     def rest(self) -> Iterator[Segment]:
         """The segments that the scanner was in when answers ended."""

@@ -42,10 +42,10 @@ def _kind(name: str) -> pa.DataType:
     return {"side": pa.string(), "returns": pa.int64()}.get(name, pa.float64())
 
 
-def _box(one: Segment) -> tuple[float, float, float, float]:
-    side = 1.0 if one.side == "left" else -1.0
-    low, high = sorted((side * one.near, side * one.far))
-    return one.begin, low, one.end, high
+def _box(segment: Segment) -> tuple[float, float, float, float]:
+    side = 1.0 if segment.side == "left" else -1.0
+    low, high = sorted((side * segment.near, side * segment.far))
+    return segment.begin, low, segment.end, high
 
 
 def _polygon(x0: float, y0: float, x1: float, y1: float) -> bytes:

@@ -46,13 +46,13 @@ class BagRecording:
         size = sum(p.stat().st_size for p in ([path] if path.is_file() else sorted(path.iterdir())) if p.is_file())
         if size > LARGEST:
             raise InputError("the bag is too large", where=path, expected=f"at most {LARGEST} bytes", got=size)
-        with self._opened() as reader:
+        with self._open() as reader:
             kinds: dict[tuple[str, str], int] = {}
             for c in reader.connections:
                 kind = str(c.topic), str(c.msgtype)
                 kinds[kind] = kinds.get(kind, 0) + (c.msgcount if isinstance(c.msgcount, int) else 0)
         scans = sorted({t for t, kind in kinds if kind == SCAN})
-        self.topic = self._chosen(scans, topic, kinds)
+        self.topic = self._choose(scans, topic, kinds)
         self._odometry = next((t for t, kind in sorted(kinds) if kind == ODOMETRY), None)
         self.about: Mapping[str, Any] = {
             "kind": "ROS bag",
@@ -62,7 +62,7 @@ class BagRecording:
             "topics": {f"{t} ({kind})": n for (t, kind), n in sorted(kinds.items())},
         }
 
-    def _chosen(self, scans: list[str], asked: str | None, kinds: Mapping[tuple[str, str], int]) -> str:
+    def _choose(self, scans: list[str], asked: str | None, kinds: Mapping[tuple[str, str], int]) -> str:
         if asked is None and len(scans) == 1:
             return scans[0]
         if asked in scans:
@@ -89,7 +89,7 @@ class BagRecording:
         )
 
     @contextmanager
-    def _opened(self) -> Iterator[Any]:
+    def _open(self) -> Iterator[Any]:
         try:
             from rosbags.rosbag1 import Reader as One
             from rosbags.rosbag2 import Reader as Two
@@ -120,7 +120,7 @@ class BagRecording:
         speed = math.nan
         store = get_typestore(Stores.ROS2_HUMBLE if self._ros2 else Stores.ROS1_NOETIC)  # a bag's own might be anything
         read = store.deserialize_cdr if self._ros2 else store.deserialize_ros1
-        with self._opened() as reader:
+        with self._open() as reader:
             wanted = [c for c in reader.connections if c.topic in (self.topic, self._odometry)]
             coming = iter(reader.messages(connections=wanted))
             at = 0

@@ -90,7 +90,7 @@ class Ring:
             late = self.waiting > 2 * self.params.most_frames
             if released and not late and (released == 2 or not self._complete(self._answered + 1)):
                 return
-            yield from self._given(self._end(self._answered))
+            yield from self._release(self._end(self._answered))
             released += 1
 
     def _complete(self, middle: int) -> bool:
@@ -103,11 +103,11 @@ class Ring:
     def rest(self) -> Iterator[Seen]:
         """The frames that are still waiting when no other will come."""
         while self.waiting:
-            yield from self._given(self._end(self._answered))
+            yield from self._release(self._end(self._answered))
 
-    def _given(self, last: int) -> Iterator[Seen]:
+    def _release(self, last: int) -> Iterator[Seen]:
         if self.asked is None or self._answered in self.asked:
-            yield self._seen(last)
+            yield self._measure(last)
         else:
             self._answered += 1
 
@@ -128,7 +128,7 @@ class Ring:
             first -= 1
         return first
 
-    def _seen(self, last: int) -> Seen:
+    def _measure(self, last: int) -> Seen:
         middle = self._answered
         first = self._begin(middle)
         rows = np.arange(first, last + 1) % self.size

@@ -145,7 +145,7 @@ def trace(  # type: ignore[no-untyped-def]
     ranges,
     labels,
 ):
-    """One scan.
+    """Ranges and labels of one scan of the street.
 
     Parameters
     ----------

@@ -84,7 +84,7 @@ def threshold(ranks, feature, low, high):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _counted(histogram, label, weight, class_weight, total, left, rows, codes, n_codes, whole, table):  # type: ignore[no-untyped-def]
+def _best_counted(histogram, label, weight, class_weight, total, left, rows, codes, n_codes, whole, table):  # type: ignore[no-untyped-def]
     """(gain, low, high) by counting draws per (code, class)."""
     histogram[:n_codes] = 0
     for i in range(len(rows)):
@@ -143,7 +143,7 @@ def _by_digits(packed, other, bucket, n_codes):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sorted(packed, other, bucket, label, weight, class_weight, total, left, rows, codes, n_codes, whole, table):  # type: ignore[no-untyped-def]
+def _best_sorted(packed, other, bucket, label, weight, class_weight, total, left, rows, codes, n_codes, whole, table):  # type: ignore[no-untyped-def]
     """The same by sorting the rows."""
     packed, other = packed[: len(rows)], other[: len(rows)]
     for i in range(len(rows)):
@@ -180,11 +180,11 @@ def best_rank(node, rows, codes, n_codes, whole, table):  # type: ignore[no-unty
     """(divides, gain, low, high): the best threshold of a feature at a node stands between codes `low` and `high`."""
     label, weight, class_weight, total, left = node.label, node.weight, node.class_weight, node.total, node.left
     if n_codes <= len(node.histogram) and n_codes <= SPARSE * len(rows):
-        gain, low, high = _counted(
+        gain, low, high = _best_counted(
             node.histogram, label, weight, class_weight, total, left, rows, codes, n_codes, whole, table
         )
     else:
-        gain, low, high = _sorted(
+        gain, low, high = _best_sorted(
             node.packed,
             node.other,
             node.bucket,

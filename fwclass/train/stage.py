@@ -139,12 +139,12 @@ def out_of_bag(sample: Sample, trees: Sequence[Tree], n_classes: int, params: Tr
         count_out_of_bag(sample.X, feature, threshold, child, weight, votes)
     judged = votes.any(axis=1)
     right = votes.argmax(axis=1)[judged] == sample.y[judged]
-    seen = np.bincount(sample.y[judged], minlength=n_classes)
+    judged_rows = np.bincount(sample.y[judged], minlength=n_classes)
     hits = np.bincount(sample.y[judged][right], minlength=n_classes)
     return {
         "accuracy": float(right.mean()) if len(right) else None,
         "rows": int(judged.sum()),
-        "per_class": [float(h / s) if s else None for h, s in zip(hits, seen, strict=True)],
+        "per_class": [float(h / s) if s else None for h, s in zip(hits, judged_rows, strict=True)],
     }
 
 
@@ -159,14 +159,14 @@ def train(
 
     `drops` of all trees, as `importance.drops` counts them, become the card's ``importance``.
     """
-    written = card(sample, classes, params)
-    asked = params.features_per_split
-    if isinstance(asked, int) and asked > len(sample.features):
-        written["notes"].append(f"train.features_per_split is {asked}: all {len(sample.features)} features are tried")
-    written["out_of_bag"] = out_of_bag(sample, trees, len(classes), params)
+    facts = card(sample, classes, params)
+    per_split = params.features_per_split
+    if isinstance(per_split, int) and per_split > len(sample.features):
+        facts["notes"].append(f"train.features_per_split is {per_split}: all {len(sample.features)} features are tried")
+    facts["out_of_bag"] = out_of_bag(sample, trees, len(classes), params)
     if drops is not None:
-        written["importance"] = summary(sample.features, *drops)
-    return assemble(trees, written)
+        facts["importance"] = summary(sample.features, *drops)
+    return assemble(trees, facts)
 
 
 TRAIN_SAMPLE = Computation(name="sample", version=3)

@@ -15,7 +15,7 @@ from tolerances import FLOAT32_RTOL, FLOAT64_UNIT
 
 from fwclass.errors import ConfigError
 from fwclass.simulate.city import build_scene
-from fwclass.simulate.flight import StripPlan, fire, measured, pose
+from fwclass.simulate.flight import StripPlan, fire, measure_pose, pose
 from fwclass.simulate.scene import WATER, in_gap, terrain
 from fwclass.simulate.stage import SimulateParams, plan_strips, simulate_strip, write_trajectory
 from fwclass.units import METRES_PER_NS
@@ -324,7 +324,7 @@ def test_trajectory_is_the_measured_path(params: SimulateParams, tmp_path: Path)
     plan = _strips(params)[1]
     mine = rows[rows["strip"] == plan.name]
     when = mine["gps_time"] - plan.first_time
-    at = measured(params, plan, pose(params, plan, when), when)
+    at = measure_pose(params, plan, pose(params, plan, when), when)
     # coordinates are written to the millimetre
     np.testing.assert_allclose(mine["y"], at.y + params.origin_y, atol=0.0006)
     assert np.all(np.abs(mine["heading"] - 180.0) < 5.0)

@@ -64,7 +64,7 @@ from fwclass.street.frames import Track
 from fwclass.street.params import StreetParams, StreetSceneParams
 from fwclass.street.ring import with_features
 from fwclass.street.simulate import simulate_frames
-from fwclass.train.baselines.trees import paired
+from fwclass.train.baselines.trees import pair_children
 from fwclass.train.importance import drops
 from fwclass.train.params import TrainParams
 from fwclass.train.sample import Sample
@@ -260,7 +260,7 @@ def work_tree_of_many_values(_: Path) -> Any:
 
 
 def work_paired_nodes(_: Path) -> Any:
-    return paired(np.array([1, -1, 3, -1, -1]), np.array([2, -1, 4, -1, -1]))
+    return pair_children(np.array([1, -1, 3, -1, -1]), np.array([2, -1, 4, -1, -1]))
 
 
 def work_decompose(_: Path) -> Any:

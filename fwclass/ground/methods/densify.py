@@ -41,10 +41,10 @@ class Limits(NamedTuple):
 def densify(
     mesh: Mesh,
     z: NDArray[np.float64],
-    done: NDArray[np.bool_],
+    inserted: NDArray[np.bool_],
     stand_ins: int,
     limits: Limits,
-    asked: NDArray[np.bool_] | None = None,
+    candidates: NDArray[np.bool_] | None = None,
 ) -> int:
     """Add points to `mesh` until none may join; the number of rounds that it took.
 
@@ -52,10 +52,10 @@ def densify(
     ----------
     mesh : over all points, with some of them in it and all others inside its hull; is added to.
     z : (n,) heights [mm]; the last `stand_ins` are of points that are none, and follow their neighbours.
-    done : (n,) points that are in the mesh; is added to.
-    asked : (n,) only these may join; None: all.
+    inserted : (n,) points that are in the mesh; is added to.
+    candidates : (n,) only these may join; None: all.
     """
-    busy = done.copy() if asked is None else done | ~asked
+    busy = inserted.copy() if candidates is None else inserted | ~candidates
     where = np.zeros(len(z), np.int32)
     best = np.full(len(mesh.changed), -1, np.int32)
     score = np.empty(len(mesh.changed))
@@ -66,15 +66,15 @@ def densify(
     while _round(*mesh, z, where, busy, *limits, best, score):
         _follow(*mesh, z, len(z) - stand_ins)
         rounds += 1
-    done |= busy if asked is None else busy & asked
+    inserted |= busy if candidates is None else busy & candidates
     return rounds
 
 
 @kernel
-def _enter(x, y, vertex, twin, changed, state, where, done):  # type: ignore[no-untyped-def]
+def _enter(x, y, vertex, twin, changed, state, where, inserted):  # type: ignore[no-untyped-def]
     t = state[1]
     for i in range(len(where)):
-        if not done[i]:
+        if not inserted[i]:
             t = locate(x, y, vertex, twin, x[i], y[i], t)
             where[i] = t
 
@@ -141,7 +141,7 @@ def _joins(x, y, vertex, twin, z, t, east, north, p, distance, sine, steep):  # 
 
 
 @kernel
-def _round(x, y, vertex, twin, changed, state, z, where, done, distance, sine, spacing, steep, best, score):  # type: ignore[no-untyped-def]
+def _round(x, y, vertex, twin, changed, state, z, where, inserted, distance, sine, spacing, steep, best, score):  # type: ignore[no-untyped-def]
     """Insert, for every altered triangle, the point at the lowest angle of those that may join; their number."""
     touched = np.empty(state[0], np.int32)
     count = 0
@@ -149,7 +149,7 @@ def _round(x, y, vertex, twin, changed, state, z, where, done, distance, sine, s
     closed = False
     east = north = 0.0
     for i in range(len(where)):
-        if done[i] or changed[where[i]] != state[2]:
+        if inserted[i] or changed[where[i]] != state[2]:
             continue
         t = locate(x, y, vertex, twin, x[i], y[i], where[i])
         where[i] = t
@@ -174,7 +174,7 @@ def _round(x, y, vertex, twin, changed, state, z, where, done, distance, sine, s
         i = best[t]
         best[t] = -1
         insert_one(x, y, vertex, twin, changed, state, i, t)
-        done[i] = True
+        inserted[i] = True
     return count
 
 

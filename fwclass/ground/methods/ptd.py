@@ -90,23 +90,23 @@ def _densify(
     mesh = empty_mesh(np.r_[px, bx], np.r_[py, by])
     insert_all(mesh, np.arange(len(px), len(heights)))
     insert_all(mesh, seeds)
-    done = np.zeros(len(heights), bool)
-    done[seeds] = done[len(px) :] = True
-    steps = list(_coarse_to_fine(cloud, len(bx), params, section))
+    inserted = np.zeros(len(heights), bool)
+    inserted[seeds] = inserted[len(px) :] = True
+    candidates = list(_coarse_to_fine(cloud, len(bx), params, section))
     first, then = _passes(params)
-    for asked in steps:
-        densify(mesh, heights, done, len(bx), first, asked)
-    for asked in steps:
-        densify(mesh, heights, done, len(bx), _by_slope(then, first, mesh, heights, len(px), params), asked)
+    for step in candidates:
+        densify(mesh, heights, inserted, len(bx), first, step)
+    for step in candidates:
+        densify(mesh, heights, inserted, len(bx), _by_slope(then, first, mesh, heights, len(px), params), step)
     return Tin(mesh, heights * QUANTUM, origin)
 
 
 def _coarse_to_fine(cloud: Cloud, stand_ins: int, params: PtdParams, section: str) -> Iterator[NDArray[np.bool_]]:
     """The points that may join: the lowest of cells, first of those up to `res`, last of those of `cell`."""
     for k in range(max(int(math.log2((params.res or 1.0) / params.cell)), 0), -1, -1):
-        asked = np.zeros(len(cloud.z) + stand_ins, bool)
-        asked[lowest_of_cells(cloud, params.cell * 2**k, f"{section}.cell")] = True
-        yield asked
+        lowest = np.zeros(len(cloud.z) + stand_ins, bool)
+        lowest[lowest_of_cells(cloud, params.cell * 2**k, f"{section}.cell")] = True
+        yield lowest
 
 
 def _passes(params: PtdParams) -> tuple[Limits, Limits]:

@@ -60,16 +60,16 @@ def restore_edges(
     near = np.lexsort((dx, dy, square))
     near = near[(square[near] > 0) & (square[near] <= reach * reach)]
     offsets = np.ascontiguousarray(dy[near]), np.ascontiguousarray(dx[near])
-    last, asked = ground, np.isfinite(points.z) & ~ground
+    last, open_cells = ground, np.isfinite(points.z) & ~ground
     for _ in range(rounds):
         out = last.copy()
-        _restore(*points, last, asked, *offsets, cell, tolerance, share, out)
+        _restore(*points, last, open_cells, *offsets, cell, tolerance, share, out)
         changed = out != last
         last = out
         if not changed.any():
             break
         # only near what has changed can the answer be another one
-        asked = np.isfinite(points.z) & ~out & _near(changed, reach)
+        open_cells = np.isfinite(points.z) & ~out & _near(changed, reach)
     return last
 
 

@@ -28,7 +28,7 @@ def fill_gaps(surface: NDArray[np.float64], corner: tuple[int, int] = (0, 0)) ->
     row, col = corner
     # two rows become one wherever they lie, or they would stay two for ever across the global raster's origin
     odd_row, odd_col = (p % 2 if n > 2 else 0 for p, n in zip(corner, surface.shape, strict=True))
-    coarse = fill_gaps(_halved(surface, odd_row, odd_col), (row // 2, col // 2))
+    coarse = fill_gaps(_halve(surface, odd_row, odd_col), (row // 2, col // 2))
     out = np.where(known, surface, 0.0)
     _start_from(coarse, known, odd_row, odd_col, out)
     _relax(known, SWEEPS, OVERRELAXATION, out)
@@ -36,7 +36,7 @@ def fill_gaps(surface: NDArray[np.float64], corner: tuple[int, int] = (0, 0)) ->
 
 
 @kernel
-def _halved(surface, odd_row, odd_col):  # type: ignore[no-untyped-def]
+def _halve(surface, odd_row, odd_col):  # type: ignore[no-untyped-def]
     """Mean of the known cells of every 2 × 2, NaN where there is none; an odd first row or column is alone."""
     nrows, ncols = surface.shape
     out = np.full(((nrows + odd_row + 1) // 2, (ncols + odd_col + 1) // 2), np.nan)

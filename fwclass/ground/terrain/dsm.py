@@ -63,7 +63,7 @@ def _near(surface, steps):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _enclosed(near, steps, r, c):  # type: ignore[no-untyped-def]
+def _is_enclosed(near, steps, r, c):  # type: ignore[no-untyped-def]
     """True where all cells within a step are near a value; those beyond the array are not."""
     for k in range(len(steps)):
         i, j = r + steps[k, 0], c + steps[k, 1]
@@ -78,7 +78,7 @@ def _bridge(surface, near, steps, most, out):  # type: ignore[no-untyped-def]
     around = np.empty((2 * most + 1) ** 2)
     for r in range(nrows):
         for c in range(ncols):
-            if not np.isnan(surface[r, c]) or not near[r, c] or not _enclosed(near, steps, r, c):
+            if not np.isnan(surface[r, c]) or not near[r, c] or not _is_enclosed(near, steps, r, c):
                 continue
             n = 0
             for reach in range(1, most + 1):

@@ -21,20 +21,20 @@ TIES = 8
 Points = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
-def nearest_height(ground: Points, asked: Points, window: Window, max_gap: float) -> NDArray[np.float64]:
-    """z of the points `asked` minus z of the ground point that is nearest in plan [m].
+def nearest_height(ground: Points, places: Points, window: Window, max_gap: float) -> NDArray[np.float64]:
+    """z of the points `places` minus z of the ground point that is nearest in plan [m].
 
     Among ground points at one distance (to the millimetre) the lowest counts.
 
     Parameters
     ----------
     ground : x, y, z [m] of ground points inside `window`, in any order.
-    asked : x, y, z [m] of points in cells whose middle is within `max_gap` [m] of that of a cell with a ground
+    places : x, y, z [m] of points in cells whose middle is within `max_gap` [m] of that of a cell with a ground
         point; NaN further away.
     """
     mm = whole_millimetres(window.cell, "cell")
     gx, gy = millimetres(ground[0]) - window.col * mm, millimetres(ground[1]) - window.row * mm
-    px, py = millimetres(asked[0]) - window.col * mm, millimetres(asked[1]) - window.row * mm
+    px, py = millimetres(places[0]) - window.col * mm, millimetres(places[1]) - window.row * mm
     order, start = sort_by_cell((gy // mm) * window.ncols + gx // mm, window.nrows * window.ncols)
     # a ground point is anywhere in its cell, and so is the point that asks
     rings = math.ceil(max_gap / window.cell + math.sqrt(2.0)) + 1
@@ -46,7 +46,7 @@ def nearest_height(ground: Points, asked: Points, window: Window, max_gap: float
         for first in range(0, len(px), AT_A_TIME):
             part = slice(first, first + AT_A_TIME)
             _nearest(gx, gy, gz, start, window.ncols, window.nrows, mm, rings, px[part], py[part], floor[part])
-    return asked[2] - floor
+    return places[2] - floor
 
 
 def _among_crowds(

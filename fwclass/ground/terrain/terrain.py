@@ -110,19 +110,19 @@ def terrain(
     support = _support(distance, params.max_gap)
     rows = np.flatnonzero(inside)
     has = _in_cells(x[rows], y[rows], support[core.within(outer)] != BEYOND, core)
-    asked = _rows_of(x, y, z, rows[has])
+    places = _rows_of(x, y, z, rows[has])
     work, circle = _needed_ground(distance, core, outer, params)
     echoes = _rows_of(x, y, z, np.flatnonzero(used & work.box.contains(x, y)))
     if knots is not None:
         echoes = _with_knots(echoes, knots, Window.covering(work.box, params.thin))
-    floor, dtm, continued = _surface(echoes, asked, core, work, circle, params)
+    floor, dtm, continued = _surface(echoes, places, core, work, circle, params)
     dtm[support[work.within(outer)] == BEYOND] = np.nan
-    above = asked[2] - floor
+    above = places[2] - floor
     if params.height == "nearest":
-        above = nearest_height(_rows_of(x, y, z, np.flatnonzero(used)), asked, outer, params.max_gap)
+        above = nearest_height(_rows_of(x, y, z, np.flatnonzero(used)), places, outer, params.max_gap)
         above[used[rows[has]]] = 0.0
     elif params.height == "raster":
-        above = asked[2] - bilinear(dtm, work, *asked[:2])
+        above = places[2] - bilinear(dtm, work, *places[:2])
     height = np.full(len(rows), np.nan, np.float32)
     height[has] = above
     top = highest(cells[~noise[near]], z[near & ~noise], outer)
@@ -203,9 +203,9 @@ def _needed_ground(
 
 
 def _surface(
-    ground: Points, asked: Points, core: Window, window: Window, circle: float, params: TerrainParams
+    ground: Points, places: Points, core: Window, window: Window, circle: float, params: TerrainParams
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Terrain [m] at the points `asked`, which lie in `core`, and at the middle of every cell of `window`; the cells
+    """Terrain [m] at the points `places`, which lie in `core`, and at the middle of every cell of `window`; the cells
     that only the membrane reaches.
 
     Off the triangles the raster has the mean of a cell's ground points, and where there are none a membrane. Points
@@ -219,10 +219,10 @@ def _surface(
     known = facet_raster(facets, window)
     known = np.where(np.isnan(known), means, known)
     raster = _continue_gaps(known, window, params.max_gap)
-    floor = facet_heights(facets, core, *asked[:2])
+    floor = facet_heights(facets, core, *places[:2])
     for heights in (known, raster):
         off = np.isnan(floor)
-        floor[off] = bilinear(heights, window, asked[0][off], asked[1][off])
+        floor[off] = bilinear(heights, window, places[0][off], places[1][off])
     return floor, raster, np.isnan(known)
 
 

@@ -193,12 +193,12 @@ def _machines(facts: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def _times(one: Mapping[str, Any]) -> dict[str, str]:
+def _times(times: Mapping[str, Any]) -> dict[str, str]:
     return {
-        "train": seconds_of(one["train"]),
-        "test": seconds_of(one["test"]),
-        "train_rows": number(one["train_rows"]),
-        "test_rows": number(one["test_rows"]),
+        "train": seconds_of(times["train"]),
+        "test": seconds_of(times["test"]),
+        "train_rows": number(times["train_rows"]),
+        "test_rows": number(times["test_rows"]),
     }
 
 

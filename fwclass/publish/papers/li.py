@@ -62,32 +62,32 @@ def _percent(value: float | None, digits: int = 2) -> str:
     return "–" if value is None else f"{100 * value:.{digits}f} %"
 
 
-def _radius(one: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
+def _radius(result: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
     shown: dict[str, Any] = {
-        "radius": f"{one['radius']:g}",
-        "chosen": one["radius"] == facts["best"],
-        "lost": _percent(one["lost"], 1),
-        "ms": f"{one['frame_ms']:.2f}",
-        "vectors": one["vectors"] or "–",
+        "radius": f"{result['radius']:g}",
+        "chosen": result["radius"] == facts["best"],
+        "lost": _percent(result["lost"], 1),
+        "ms": f"{result['frame_ms']:.2f}",
+        "vectors": result["vectors"] or "–",
     }
     for split in SPLITS:
-        ends = one[split]["error_interval"]
-        shown[split] = {k: f"{100 * one[split][k]:.2f}" for k in ("error", "detection", "false_alarm")}
+        ends = result[split]["error_interval"]
+        shown[split] = {k: f"{100 * result[split][k]:.2f}" for k in ("error", "detection", "false_alarm")}
         shown[split]["span"] = f"{100 * ends[0]:.2f}–{100 * ends[1]:.2f}" if ends else ""
-        shown[split]["kappa"] = f"{one[split]['kappa']:.3f}"
-        shown[split]["confusion"] = one[split]["confusion"]
+        shown[split]["kappa"] = f"{result[split]['kappa']:.3f}"
+        shown[split]["confusion"] = result[split]["confusion"]
     return shown
 
 
-def _single(one: Mapping[str, Any]) -> dict[str, Any]:
-    ends = one["interval"]
+def _single(result: Mapping[str, Any]) -> dict[str, Any]:
+    ends = result["interval"]
     return {
-        "name": SIGNS[_base(one["name"])],
-        **{k: f"{100 * one[k]:.1f}" for k in ("error", "detection", "false_alarm")},
+        "name": SIGNS[_base(result["name"])],
+        **{k: f"{100 * result[k]:.1f}" for k in ("error", "detection", "false_alarm")},
         "span": f"{100 * ends[0]:.1f}–{100 * ends[1]:.1f}" if ends else "",
-        "kappa": f"{one['kappa']:.3f}",
-        "crown": f"{one['means'][0]:.3g}",
-        "other": f"{one['means'][1]:.3g}",
+        "kappa": f"{result['kappa']:.3f}",
+        "crown": f"{result['means'][0]:.3g}",
+        "other": f"{result['means'][1]:.3g}",
     }
 
 

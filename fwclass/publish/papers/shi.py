@@ -57,13 +57,13 @@ def _base(name: str) -> str:
     return head if end.isdigit() else name
 
 
-def _scene(one: Mapping[str, Any], classes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    xmin, ymin, edge = one["place"]
+def _scene(scene: Mapping[str, Any], classes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    xmin, ymin, edge = scene["place"]
     return {
-        "uri": data_uri(draw_scene(one["echoes"], one["place"], classes)),
+        "uri": data_uri(draw_scene(scene["echoes"], scene["place"], classes)),
         "place": f"{xmin:.0f} E, {ymin:.0f} N, {edge:g} m",
-        "echoes": number(len(one["echoes"]["x"])),
-        "boundary": number(int(one["echoes"]["boundary"].sum())),
+        "echoes": number(len(scene["echoes"]["x"])),
+        "boundary": number(int(scene["echoes"]["boundary"].sum())),
     }
 
 

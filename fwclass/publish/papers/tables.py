@@ -15,7 +15,7 @@ MINUS = "\u2212"
 
 
 def seconds_of(value: float | None) -> str:
-    """Seconds with the digits that count."""
+    """Seconds as text, with as many decimals as count."""
     if value is None:
         return "–"
     return f"{value:.0f} s" if value >= 100 else f"{value:.1f} s" if value >= 1 else f"{value:.2f} s"
@@ -36,7 +36,7 @@ def ours(result: Mapping[str, Any]) -> dict[str, str]:
 def matrices(
     result: Mapping[str, Any], classes: Sequence[Mapping[str, Any]], printed: Sequence[Sequence[int]] | None
 ) -> dict[str, Any]:
-    """Our confusion matrix, and the paper's in the same dress; the paper's classes are in the order of ours."""
+    """Our confusion matrix, and the paper's in the same form; the paper's classes are in the order of ours."""
     names = [str(n) for n in result["classes"]]
     return {
         "ours": matrix_of(result, classes),
@@ -85,7 +85,7 @@ def signed_points(value: float, digits: int = 2) -> str:
 
 
 def rows_table(rows: Mapping[str, Sequence[int]]) -> list[tuple[str, str, str]]:
-    """(class, training rows, test echoes)."""
+    """Rows of the table of samples: (class, training rows, test echoes)."""
     return [(name, number(a), number(b)) for name, (a, b) in rows.items()]
 
 

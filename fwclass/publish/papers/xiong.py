@@ -126,15 +126,15 @@ def _strategy(key: str, result: Mapping[str, Any], facts: Mapping[str, Any]) -> 
     }
 
 
-def _difference(key: str, one: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
+def _difference(key: str, comparison: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
     first, second = key.split("/")
     printed = facts["printed"]["strategies"]
     return {
         "first": printed[first]["title"],
         "second": printed[second]["title"],
-        **difference(one),
-        "blocks": one["blocks"],
-        "caution": one.get("caution"),
+        **difference(comparison),
+        "blocks": comparison["blocks"],
+        "caution": comparison.get("caution"),
         "paper": f"{printed[first]['overall'] - printed[second]['overall']:+.1f}",
     }
 

@@ -15,7 +15,7 @@ from fwclass.assess.intervals import caution, difference, intervals
 from fwclass.assess.stage import figures
 from fwclass.conf import Config
 from fwclass.errors import ConfigError
-from fwclass.graph.areas import tested
+from fwclass.graph.areas import rows_to_test
 from fwclass.graph.assess import GROUND
 from fwclass.graph.layout import Layout, needs_of
 from fwclass.graph.learn import SAMPLE
@@ -145,7 +145,7 @@ def count_layers(
     """Confusion of both layers in every square of `edge` [m], over all test echoes and over those at the boundary."""
     table = inputs.rows(tile.key, _COLUMNS)
     index = class_index(table["reference"], classes)
-    rows = np.flatnonzero(tested(table, train, test, gap) & (index >= 0))
+    rows = np.flatnonzero(rows_to_test(table, train, test, gap) & (index >= 0))
     of_code = np.zeros(256, np.int64)
     of_code[[c.code for c in classes]] = np.arange(len(classes))
     mm, n = whole_millimetres(edge, "papers.block"), len(classes)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fwclass.assess.intervals import FIGURES, difference, intervals, scores
 from fwclass.classify.shares import answer
 from fwclass.errors import InputError
-from fwclass.graph.areas import tested
+from fwclass.graph.areas import rows_to_test
 from fwclass.graph.learn import SAMPLE
 from fwclass.graph.machine_search import spatial
 from fwclass.grid import Box, Tile, millimetres, whole_millimetres
@@ -83,7 +83,7 @@ def draw_test_echoes(
     index = class_index(table["reference"], classes)
     key = canonical_key(table)
     sampled = hash_keys(seed, key) < np.uint64(min(share * 2.0**64, 2.0**64 - 2048))
-    rows = np.flatnonzero(tested(table, train, test, gap) & (index >= 0) & sampled)
+    rows = np.flatnonzero(rows_to_test(table, train, test, gap) & (index >= 0) & sampled)
     arrays: dict[str, NDArray] = {
         "X": sample_matrix(table.take(rows), names, tile.key),
         "y": index[rows].astype(np.uint8),

@@ -23,7 +23,7 @@ def beyond(threshold: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 @kernel
-def paired(left, right):  # type: ignore[no-untyped-def]
+def pair_children(left, right):  # type: ignore[no-untyped-def]
     """(order, child): nodes from the root downwards with the two children of a node side by side, and for every node in
     that order the place of its left child, 0 in a leaf. `left` is negative in a leaf."""
     order, child = np.zeros(len(left), np.int64), np.zeros(len(left), np.uint32)
@@ -42,7 +42,7 @@ def voting_tree(tree: Any, classes: NDArray[np.int64]) -> tuple[NDArray, NDArray
 
     `classes`: which class every column of the tree's values is.
     """
-    order, child = paired(tree.children_left.astype(np.int64), tree.children_right.astype(np.int64))
+    order, child = pair_children(tree.children_left.astype(np.int64), tree.children_right.astype(np.int64))
     leaf = tree.children_left[order] < 0
     shares = tree.value[order, 0, :]
     feature = np.where(leaf, LEAF, tree.feature[order]).astype(np.uint16)
@@ -56,7 +56,7 @@ def boosted_tree(nodes: NDArray[np.void]) -> dict[str, NDArray]:
     """The arrays of `Boosted` of the nodes [n] of a fitted ``HistGradientBoosting`` tree."""
     leaf = nodes["is_leaf"].astype(bool)
     left = np.where(leaf, -1, nodes["left"].astype(np.int64))
-    order, child = paired(left, nodes["right"].astype(np.int64))
+    order, child = pair_children(left, nodes["right"].astype(np.int64))
     nodes, leaf = nodes[order], leaf[order]
     return {
         "feature": np.where(leaf, LEAF, nodes["feature_idx"]).astype(np.uint16),
