@@ -294,15 +294,15 @@ def test_after_compile_a_run_compiles_nothing(tmp_path: Path) -> None:
 
 READ_ALL = """
 from fwclass import compiling
-from fwclass.operate.ahead import _type, listed
+from fwclass.operate.ahead import _type, listed_kernels
 from numba.core.runtime import rtsys
 from numba.core.registry import cpu_target
-for kernel, types in listed():
+for kernel, types in listed_kernels():
     compiled = kernel.compiled()
     assert compiled._cache.load_overload(tuple(map(_type, types)), cpu_target.target_context) is not None, kernel
 import sys
 assert 'numba.np.arraymath' not in sys.modules
-print(len(listed()))
+print(len(listed_kernels()))
 """
 
 

@@ -62,7 +62,7 @@ def pack(
 def unpack(
     parts: Iterable[tuple[NDArray[np.int64], NDArray[np.int64]]], names: Sequence[str], classes: int
 ) -> dict[str, NDArray[np.int64]]:
-    """The sum of `pack` histograms of the columns `names`, each (classes, BINS)."""
+    """The sum of histograms that `pack` gave, of the columns `names`, each (classes, BINS)."""
     total = np.zeros(len(names) * classes * BINS, np.int64)
     for places, counts in parts:
         total[places] += counts

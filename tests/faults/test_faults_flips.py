@@ -95,7 +95,7 @@ def test_what_was_made_of_a_flipped_bit_goes_with_it(survey, copy, clean, monkey
         runner, _ = walk(survey, copy, *CHANGED)
     assert not runner.failures
     verified = verify(Store(copy, read_only=True))
-    after = {s for s, _ in verified.made_from}
+    after = {s for s, _ in verified.descendants}
     assert {"publish-tile" if stage != "terrain" else "publish-rasters"} <= after and "index" not in after
     repaired(copy)
     walk(survey, copy, *CHANGED)

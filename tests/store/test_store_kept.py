@@ -39,7 +39,7 @@ def test_whatever_was_asked_before_the_answer_is_that_of_the_file(tmp_path, seed
         groups = np.flatnonzero(r.random(6) < 0.4).tolist()
         equal(kept.read_kept(path, names, groups), read_table(path, names, groups))
         held = sum(v.nbytes for v in kept._columns.values())
-        assert kept._held == held <= kept.MOST
+        assert kept._bytes == held <= kept.MOST
     box = Box(20.0, 0.0, 40.0, 1.0)
     assert kept.groups_touching(paths[0], box) == row_groups(paths[0], box) != list(range(6))
 

@@ -44,7 +44,7 @@ class Damage:
 
 @dataclass(frozen=True)
 class Verification:
-    """What is not as it was written: `parts`; `descendants` them, and from those; `delivered` files of `generation`."""
+    """What is not as it was written: `parts`; `descendants` made from them; `delivered` files of `generation`."""
 
     parts: tuple[Damage, ...]
     descendants: tuple[Name, ...]
