@@ -14,7 +14,7 @@ from fwclass.errors import InputError
 from fwclass.graph.file_digests import Digests
 from fwclass.graph.files import box_text, find_files
 from fwclass.graph.layout import PolygonFile
-from fwclass.graph.stage import Made, Plan, Stage, StageInputs
+from fwclass.graph.stage import Result, Plan, Stage, StageInputs
 from fwclass.graph.water import source_of
 from fwclass.grid import Box, TileGrid
 from fwclass.quality.check_points import facts_of, ground_heights
@@ -93,7 +93,7 @@ def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> Point
     return x, y, cloud.z, code
 
 
-def compare_heights(here: StageInputs, reach: float, own_crs: str | None, crs: str | None) -> Made:
+def compare_heights(here: StageInputs, reach: float, own_crs: str | None, crs: str | None) -> Result:
     """The ground at every check point [m], and how far its nearest ground echo is [m]."""
     x, y, z, code = read_check_points(here.file(), own_crs, crs)
     height, near = np.full(len(x), np.nan), np.full(len(x), np.nan)
