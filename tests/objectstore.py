@@ -140,7 +140,8 @@ class Server:
         address = json.loads(self.read(url)["current.json"])["address"]
         there = self.read(url / address)
         kinds = ("laz", "parquet", "rasters", "model")
-        return {n: hashlib.sha256(data).hexdigest() for n, data in there.items() if n.split("/")[0] in kinds}
+        shown = (n for n in there if n.split("/")[0] in kinds or ("/" not in n and n.endswith(".gpkg")))
+        return {n: hashlib.sha256(there[n]).hexdigest() for n in shown}
 
     def remove(self, url: Url) -> None:
         bucket, _, key = url.removeprefix("s3://").partition("/")
