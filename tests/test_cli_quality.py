@@ -178,3 +178,45 @@ def test_thresholds_end_with_exit_code_4(survey: Path, made: tuple[Path, dict[st
     missed = name != "max_noise"
     assert told.returncode == (4 if missed else 0) and (f"quality.{name}" in told.stderr) == missed
     assert "computed" not in told.stderr and "Traceback" not in told.stderr  # they change no part
+
+
+def write_area(path: Path, *boxes: tuple[float, float, float, float]) -> None:
+    """GeoJSON in the survey's own system."""
+    features = [
+        {
+            "type": "Feature",
+            "properties": {},
+            "geometry": {"type": "Polygon", "coordinates": [[[a, b], [c, b], [c, d], [a, d], [a, b]]]},
+        }
+        for a, b, c, d in boxes
+    ]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+
+
+AREA = ("--set", "quality.area.file=area.geojson", "--set", "quality.area.crs=EPSG:32633")
+
+
+def test_an_area_that_was_to_be_flown_has_its_gaps(survey: Path, made: tuple[Path, dict[str, Any]]) -> None:
+    """40 m x 20 m of it lie west of all lines, and a lake of 800 m² in it; its halves overlap."""
+    west = (499_960.0, 5_400_100.0, 500_060.0, 5_400_120.0)
+    east = (500_050.0, 5_400_090.0, 500_100.0, 5_400_150.0)
+    write_area(survey / "area.geojson", west, east)
+    outs = [survey / "area", survey / "area_again"]
+    facts = [run(survey, out, *AREA, *more) for out, more in zip(outs, ((), ("--set", "tile.size=64")), strict=True)]
+    covered = facts[0]["coverage"]
+    assert covered["area"] == pytest.approx(100 * 20 + 50 * 60 - 10 * 20, abs=60)
+    assert covered["gaps"] == 2 and [g["area"] for g in covered["largest"]] == pytest.approx([800, 800], abs=50)
+    assert covered["share"] == pytest.approx(1 - 1600 / 4800, abs=0.02)
+    assert pyogrio.read_info(outs[0] / "quality.gpkg", layer="gaps")["features"] == 2
+    assert "coverage" in (outs[0] / "quality.html").read_text()
+    assert {**facts[0], "coverage": None} == made[1], "nothing else is another"
+    for name in ("quality.json", "quality.gpkg", "quality.html"):
+        assert (outs[0] / name).read_bytes() == (outs[1] / name).read_bytes(), name
+    run(survey, outs[0], *AREA, "--set", "quality.min_coverage=0.6")
+    run(survey, outs[0], *AREA, "--set", "quality.min_coverage=0.7", expect=4)
+
+
+def test_an_area_elsewhere_is_refused(survey: Path, tmp_path: Path) -> None:
+    write_area(survey / "area.geojson", (600_000.0, 5_400_100.0, 600_060.0, 5_400_120.0))
+    ended = fwclass("run", survey / "s.yaml", "--out", tmp_path / "run", *WORDS, *AREA)
+    assert ended.returncode == 1 and "no area that was to be flown lies in the survey" in ended.stderr, ended.stderr

@@ -57,8 +57,8 @@ class Survey:
     `standard_time`: all GPS times are adjusted standard time; `trajectory` is (file, digests); `polygons` are the
     reference's files of polygons; `quantities`: what amplitudes and widths are, by name of the file; `echo_labels`:
     the reference's labels by echo; `corrections`: what corrects labels of any kind, `water`: what is
-    flattened, `breaklines`: what the terrain passes through, `check_points`: what heights are held against, all None
-    for nothing.
+    flattened, `breaklines`: what the terrain passes through, `check_points`: what heights are held against, `area`:
+    what was to be flown, all None for nothing.
     """
 
     strips: tuple[Strip, ...]
@@ -73,6 +73,7 @@ class Survey:
     water: PolygonFile | None = None
     breaklines: PolygonFile | None = None
     check_points: PolygonFile | None = None
+    area: PolygonFile | None = None
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,13 @@ from pyproj import CRS
 from fwclass import __version__
 from fwclass.formats.wkb import point_wkb
 from fwclass.graph.check_points import CHECK_POINTS, FILE, has_check_points
+from fwclass.graph.coverage import area_coverage, read_area
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Result, Stage, StageInputs
+from fwclass.graph.water import source_of
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole
@@ -31,7 +33,7 @@ from fwclass.quality.density import Density
 from fwclass.quality.params import THRESHOLDS, QualityParams
 from fwclass.quality.pieces import Pieces, strips_of
 from fwclass.quality.strips import Comparison, largest_differences, numbers_of, strip_remarks, strips_by
-from fwclass.quality.voids import LISTED, EmptyCells, void_facts
+from fwclass.quality.voids import LISTED, EmptyCells, Void, void_facts
 from fwclass.run.inputs import PartInputs
 from fwclass.store.arrays import write_arrays
 from fwclass.store.atomic import write_json
@@ -88,9 +90,10 @@ def deliver_quality(
     files: Mapping[str, str],
     block: float,
     places: Mapping[str, tuple[float, float, float, float]],
+    area_source: Mapping[str, Any] | None,
 ) -> Result:
     """The survey's quality as JSON and rasters. `files`: names by number; `block`: edge of the blocks [m]; `places`:
-    bounds [m] of the sites."""
+    bounds [m] of the sites; `area_source`: layer and system of the area that was to be flown, None without one."""
     # matplotlib is slow to load, and only the page needs it
     from fwclass.publish.quality_page import render_quality
 
@@ -111,10 +114,13 @@ def deliver_quality(
     density_facts = density.facts()
     least = (params.void_spacings * (density_facts["spacing"] or 0.0)) ** 2
     voids = sorted((v for one in empty for v in one.voids(least)), key=lambda v: (-v.area, v.box.bounds))
-    layers, checked = list[Layer](), None
-    if voids:
-        areas = np.array([v.area for v in voids[:LISTED]])
-        layers.append(Layer("voids", box_wkb([v.box for v in voids[:LISTED]]), {"area_m2": areas}))
+    layers, checked, covered, gaps = list[Layer](), None, None, list[Void]()
+    if area_source is not None:
+        covered, gaps = area_coverage(counted, read_area(here.file(), crs, **area_source), least)
+    for name, boxes in (("voids", voids), ("gaps", gaps)):
+        if boxes:
+            areas = np.array([v.area for v in boxes[:LISTED]])
+            layers.append(Layer(name, box_wkb([v.box for v in boxes[:LISTED]]), {"area_m2": areas}))
     if here.parts(CHECK_POINTS):
         points = here.inputs.arrays(CHECK_POINTS, "all", FILE)[0]
         layers.append(Layer("check_points", point_wkb(points["x"], points["y"]), compared_points(points)))
@@ -131,6 +137,7 @@ def deliver_quality(
         "density": density_facts,
         "voids": void_facts(voids, least, density_facts["area"]),
         "strips": strips,
+        "coverage": covered,
         "check_points": checked,
         "remarks": [
             *(["all echoes are noise"] if not echoes else []),
@@ -229,7 +236,7 @@ MEASURE_QUALITY = Stage(
     quality_of_block,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"params": plan.config.quality},
-    silent=THRESHOLDS | {"strips", "check_points"},
+    silent=THRESHOLDS | {"strips", "check_points", "area"},
     reads=READS,
     halo=0.0,
 )
@@ -247,6 +254,7 @@ DELIVER_QUALITY = Stage(
         "files": {str(s.number): s.path.stem for s in plan.survey.strips},
         "block": plan.config.terrain.block,
         "places": {site.name: site.box.bounds for site in sites(plan.layout)},
+        "area_source": {"layer": area.layer, "own_crs": area.crs} if (area := plan.survey.area) else None,
     },
     silent=NO_BYTE - {"figure_pixels"} | THRESHOLDS | {"file"},
     after=(MEASURE_QUALITY.name, CHECK_POINTS),
@@ -254,5 +262,6 @@ DELIVER_QUALITY = Stage(
         *((MEASURE_QUALITY.name, b.key) for b in plan.layout.blocks(plan.config.terrain.block)),
         *([(CHECK_POINTS, "all")] if has_check_points(plan) else []),
     ],
+    source=lambda plan, part: source_of(plan.survey.area),
     where="deliver",
 )

@@ -19,6 +19,7 @@ from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.grid import Box
 from fwclass.label.corrections import reference_codes
 from fwclass.label.values import codes_of
+from fwclass.quality.params import AreaParams
 from fwclass.read.polygons import (
     check_field,
     open_polygons,
@@ -84,7 +85,7 @@ def water_polygons(
     config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None, box: Box
 ) -> PolygonFile | None:
     """The file of the water that is flattened; `InputError` where none of it lies in the survey's `box` [m]."""
-    return _file_of_terrain("water", config.water, config, directory, digests, crs, user_crs, box)
+    return _file_of_shapes("water", config.water, config, directory, digests, crs, user_crs, box)
 
 
 def breakline_file(
@@ -92,12 +93,22 @@ def breakline_file(
 ) -> PolygonFile | None:
     """The file of the breaklines; `InputError` for lines without heights, and where none lies in the survey's `box`
     [m]."""
-    return _file_of_terrain("breaklines", config.breaklines, config, directory, digests, crs, user_crs, box)
+    return _file_of_shapes("breaklines", config.breaklines, config, directory, digests, crs, user_crs, box)
 
 
-def _file_of_terrain(
-    section: Literal["water", "breaklines"],
-    section_params: WaterParams | BreaklineParams,
+def area_file(
+    config: Config, directory: Path | Url, digests: Digests, crs: str | None, user_crs: CRS | None, box: Box
+) -> PolygonFile | None:
+    """The file of the area that was to be flown; `InputError` where none of it lies in the survey's `box` [m]."""
+    return _file_of_shapes("quality.area", config.quality.area, config, directory, digests, crs, user_crs, box)
+
+
+_WHAT = {"water": "water", "breaklines": "breakline", "quality.area": "area that was to be flown"}
+
+
+def _file_of_shapes(
+    section: Literal["water", "breaklines", "quality.area"],
+    section_params: WaterParams | BreaklineParams | AreaParams,
     config: Config,
     directory: Path | Url,
     digests: Digests,
@@ -116,15 +127,15 @@ def _file_of_terrain(
     path = local(places[0])
     opened = open_polygons(path, section_params.layer, f"{section}.layer")
     system = source_crs(opened, user_crs, survey, f"--set {section}.crs=EPSG:<code>")
-    shapes = read_polygons(opened, None)[1] if section == "water" else read_lines(opened)[0]
+    shapes = read_lines(opened)[0] if section == "breaklines" else read_polygons(opened, None)[1]
     if system is not None and survey is not None:
         shapes, _ = reproject(shapes, system, survey, path)
     a, b = edges(shapes.x, shapes.y, shapes.ring_start)
     low, high = np.array(box.bounds[:2]), np.array(box.bounds[2:])
     near = ((np.maximum(a, b) >= low) & (np.minimum(a, b) <= high)).all(axis=1).any()
-    if not (shares_area(box, a, b) if section == "water" and len(a) else near):
+    if not (shares_area(box, a, b) if section != "breaklines" and len(a) else near):
         raise InputError(
-            f"no {'water lies' if section == 'water' else 'breakline lies'} in the survey",
+            f"no {_WHAT[section]} lies in the survey",
             where=path,
             expected=f"shapes that meet {box_text(box)}",
             got=f"{shapes.parts} shapes",

@@ -22,6 +22,7 @@ from fwclass.graph.files import box_text, find_files, joint_bounds
 from fwclass.graph.layout import Strip, Survey
 from fwclass.graph.numbering import numbers
 from fwclass.graph.reference import (
+    area_file,
     breakline_file,
     reference_clouds,
     reference_corrections,
@@ -171,10 +172,12 @@ def gather(config: Config, runner: Runner) -> Survey:
     breaklines = breakline_file(config, directory, digests, crs, of_lines, box)
     of_points = given_crs(config.quality.check_points.crs, "quality.check_points.crs")
     check_points = check_point_file(config, directory, digests, crs, of_points, box)
+    of_area = given_crs(config.quality.area.crs, "quality.area.crs")
+    area = area_file(config, directory, digests, crs, of_area, box)
     corrections = reference_corrections(config, directory, digests, runner.store.where)
     digests.save()
     quantities = {s.path.name: quantities_of(_here(p, s)) for p, s in zip(places, opened, strict=True) if s.n_records}
-    more_files = {"water": water, "breaklines": breaklines, "check_points": check_points}
+    more_files = {"water": water, "breaklines": breaklines, "check_points": check_points, "area": area}
     return Survey(strips, clouds, crs, standard, trajectory, polygons, quantities, by_echo, corrections, **more_files)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from fwclass.errors import InputError
+from fwclass.formats.wkb import Shapes
 from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Window, millimetres
@@ -91,9 +93,7 @@ def water_read(
 ) -> Result:
     """Polygons of water in whole millimetres of the survey's system, and places every `step` [m] along their shores."""
     path = here.file()
-    shapes = read_polygons(open_polygons(path, layer), None)[1]
-    if own_crs is not None and crs is not None:
-        shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
+    shapes = read_shapes(path, crs, layer, own_crs)
     features = np.zeros(1 + int(shapes.feature.max(initial=0)), np.int16)
     polygons = Polygons.of(shapes, features, features, path)
     if polygons.parts > MOST:
@@ -108,6 +108,14 @@ def water_read(
     arrays = {"shore_x": line.x, "shore_y": line.y, "body": line.body, "stretch": line.stretch}
     write_arrays(here.directory / FILE, {**polygons.arrays(), **arrays, "feature": shapes.feature})
     return {"bodies": polygons.parts, "invalid": shapes.invalid}
+
+
+def read_shapes(path: Path, crs: str | None, layer: str, own_crs: str | None) -> Shapes:
+    """Polygons of a file in the survey's system `crs`; `own_crs`: theirs (both WKT, None where nothing is moved)."""
+    shapes = read_polygons(open_polygons(path, layer), None)[1]
+    if own_crs is not None and crs is not None:
+        shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
+    return shapes
 
 
 def _line(arrays: Mapping[str, NDArray]) -> Shoreline:

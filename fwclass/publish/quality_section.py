@@ -79,6 +79,15 @@ def _rows(summary: Mapping[str, Any], density: Mapping[str, Any], strips: Mappin
         ]
     if strips["apart"]:
         rows.append(("further apart", f"{number(strips['apart'])} pairs, taken for two surfaces"))
+    covered = summary.get("coverage")
+    if covered is not None:
+        text = (
+            f"{_share(covered['share'])} of {number(covered['area'])} m²" if covered["area"] else "no cell lies in it"
+        )
+        if covered["gaps"]:
+            gaps = "one gap of" if covered["gaps"] == 1 else f"{number(covered['gaps'])} gaps, the largest"
+            text += f"; {gaps} {number(covered['largest'][0]['area'])} m²"
+        rows.append(("the area's coverage", text))
     return [*rows, *_check_rows(summary.get("check_points"))]
 
 

@@ -11,17 +11,19 @@ from fwclass.quality.params import QualityParams
 
 def judge_quality(summary: Mapping[str, Any], params: QualityParams) -> None:
     """`QualityError` naming the first figure of ``quality.json`` that misses its threshold, or that has no value."""
-    density, strips = summary["density"], summary["strips"]
+    density, strips, covered = summary["density"], summary["strips"], _of(summary["coverage"], "share")
     least = (
         ("min_density", "echoes per m²", density["echoes"], params.min_density),
         ("min_pulse_density", "pulses per m²", density["pulses"], params.min_pulse_density),
+        ("min_coverage", "the share of the area that is covered", covered, params.min_coverage),
     )
     largest = max((v["area"] for v in summary["voids"]["largest"]), default=0.0)
+    rmse = _of(_of(summary["check_points"], "all"), "rmse")
     most = (
         ("max_void", "the largest void [m²]", largest, params.max_void),
         ("max_dz", "the root mean square difference of strips [m]", strips["rms"], params.max_dz),
         ("max_noise", "the share of noise", summary["noise_share"], params.max_noise),
-        ("max_rmse_z", "the root mean square difference from check points [m]", _rmse(summary), params.max_rmse_z),
+        ("max_rmse_z", "the root mean square difference from check points [m]", rmse, params.max_rmse_z),
     )
     for sign, words, bounds in ((1, "at least", least), (-1, "at most", most)):
         for setting, what, value, bound in bounds:
@@ -35,6 +37,5 @@ def judge_quality(summary: Mapping[str, Any], params: QualityParams) -> None:
                 )
 
 
-def _rmse(summary: Mapping[str, Any]) -> float | None:
-    figures = (summary["check_points"] or {}).get("all")
-    return figures["rmse"] if figures else None
+def _of(facts: Mapping[str, Any] | None, name: str) -> Any:
+    return None if facts is None else facts[name]

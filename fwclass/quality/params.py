@@ -47,6 +47,21 @@ class CheckPointParams(Params):
     reach: float = Field(gt=0, le=100)
 
 
+class AreaParams(Params):
+    """The area that was to be flown.
+
+    Attributes
+    ----------
+    file : polygons (GeoParquet, GeoPackage, GeoJSON, Shapefile), relative to `survey.directory`; null for none.
+    layer : of the file, where it has several.
+    crs : system of the polygons, instead of the one that the file names.
+    """
+
+    file: str | None
+    layer: str | None
+    crs: str | None
+
+
 class QualityParams(Params):
     """What is measured of a survey's quality.
 
@@ -59,10 +74,12 @@ class QualityParams(Params):
     line_gap : a strip by time ends where there is no echo for one to two times this [s].
     planes : where strips are compared.
     check_points : what heights are held against.
+    area : what was to be covered.
     min_density, min_pulse_density : echoes and pulses per m², at least; None asks for nothing, here and below.
     max_void : area of the largest void, at most [m²].
     max_dz : root mean square difference of strips, at most [m].
     max_noise : share of the echoes, at most.
+    min_coverage : share of the area without its gaps, at least.
     max_rmse_z : root mean square difference from the check points, at most [m].
     """
 
@@ -72,13 +89,17 @@ class QualityParams(Params):
     line_gap: float = Field(ge=0.1, le=100)
     planes: PlaneParams
     check_points: CheckPointParams
+    area: AreaParams
     min_density: float | None = Field(gt=0)
     min_pulse_density: float | None = Field(gt=0)
     max_void: float | None = Field(ge=0)
     max_dz: float | None = Field(gt=0)
     max_noise: float | None = Field(ge=0, le=1)
+    min_coverage: float | None = Field(ge=0, le=1)
     max_rmse_z: float | None = Field(gt=0)
 
 
-THRESHOLDS = frozenset({"min_density", "min_pulse_density", "max_void", "max_dz", "max_noise", "max_rmse_z"})
+THRESHOLDS = frozenset(
+    {"min_density", "min_pulse_density", "max_void", "max_dz", "max_noise", "min_coverage", "max_rmse_z"}
+)
 """They judge figures, and change none."""

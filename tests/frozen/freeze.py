@@ -34,7 +34,7 @@ FILES = {  # name: arguments of a command on one file, with its output
     "features": ["features", "{out}/ground.laz", "{out}/features.parquet", "--skip-missing"],
     "classify": ["classify", STRIP, "--model", "demo/model", "{out}/classified.laz"],
 }
-CHANGING = ("report.html", "report.json", "run.json")
+CHANGING = ("report.html", "report.json", "run.json", "fan2013.html", "fan2013.json")
 """Files with times and version numbers of libraries in them."""
 
 

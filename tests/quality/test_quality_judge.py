@@ -17,6 +17,7 @@ MADE: dict[str, Any] = {
     "strips": {"rms": 0.06},
     "noise_share": 0.001,
     "check_points": {"all": {"rmse": 0.08}},
+    "coverage": {"share": 0.97},
 }
 
 
@@ -29,6 +30,7 @@ MADE: dict[str, Any] = {
         ("max_void", 40.0, 39.0),
         ("max_noise", 0.001, 0.0),
         ("max_rmse_z", 0.08, 0.079),
+        ("min_coverage", 0.97, 0.98),
     ],
 )
 def test_each_threshold_judges_its_own_figure(base: dict[str, Any], name: str, met: float, missed: float) -> None:
@@ -45,6 +47,7 @@ def test_what_nobody_knows_meets_no_threshold(base: dict[str, Any]) -> None:
         "strips": {"rms": None},
         "noise_share": None,
         "check_points": None,
+        "coverage": None,
     }
     with pytest.raises(QualityError, match="nothing tells the root mean square difference"):
         judge_quality(unknown, QualityParams(**{**base["quality"], "max_dz": 0.1}))
