@@ -14,7 +14,7 @@ from fwclass.classes import MOST_LETTERS, ClassDef
 from fwclass.classify.params import ClassifyParams
 from fwclass.conf.planning import PlanSection
 from fwclass.conf.schedule import ScheduleSection
-from fwclass.conf.sets import feature_set, listed_once
+from fwclass.conf.sets import Selection, feature_set, listed_once
 from fwclass.contours.params import ContourParams
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams, PulseParams, SampleParams, StackParams
 from fwclass.errors import visible
@@ -324,6 +324,12 @@ class Config:
         if not isinstance(asked, str):
             return listed_once(asked, f"{self.path}: survey.features")
         return feature_set(asked, self.path.parent, f"{self.path}: survey.features").features
+
+    @property
+    def selection(self) -> Selection | None:
+        """How the features were chosen, where their set's file tells."""
+        asked = self.survey.features
+        return feature_set(asked, self.path.parent).selection if isinstance(asked, str) else None
 
     @property
     def simulated(self) -> bool:

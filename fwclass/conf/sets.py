@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fwclass.conf.files import conf_directory, read
 from fwclass.errors import ConfigError, nearest
@@ -21,8 +21,29 @@ class EachSection(BaseModel):
     scales: tuple[str, ...]
 
 
+class SelectionStep(BaseModel):
+    """A set of `size` features, and how accurate a forest with it was in the folds (0 to 1, mean and spread)."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    size: int = Field(ge=0, le=100_000)
+    accuracy: float = Field(ge=0, le=1)
+    accuracy_std: float | None = Field(ge=0, le=1)
+
+
+class Selection(BaseModel):
+    """What `fwclass select` wrote about how a set was found; it changes nothing."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+
+    method: str = Field(max_length=100)
+    pick: str = Field(max_length=100)
+    survey: str = Field(max_length=1000)
+    steps: tuple[SelectionStep, ...] = Field(min_length=2, max_length=10_000)
+
+
 class _File(BaseModel):
-    """`selection` is what `fwclass select` wrote about how the set was found; it changes nothing."""
+    """What a feature set's file holds."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -35,12 +56,13 @@ class _File(BaseModel):
 
 @dataclass(frozen=True)
 class FeatureSet:
-    """`features`: names in order, each once."""
+    """`features`: names in order, each once; `selection`: how they were chosen, where the file tells."""
 
     name: str
     about: str
     source: str
     features: tuple[str, ...]
+    selection: Selection | None = None
 
 
 def shipped_sets() -> tuple[str, ...]:
@@ -79,7 +101,14 @@ def _read(path: Path) -> FeatureSet:
     names = [*file.features, *(f"{b}_{s}" for each in file.each for s in each.scales for b in each.bases)]
     if not names:
         raise ConfigError("a feature set without features", where=path, do="list some under `features:`")
-    return FeatureSet(path.stem, file.about, file.source, listed_once(names, path))
+    return FeatureSet(path.stem, file.about, file.source, listed_once(names, path), _selection(file.selection))
+
+
+def _selection(written: dict[str, object] | None) -> Selection | None:
+    try:
+        return None if written is None else Selection.model_validate(written)
+    except ValidationError:
+        return None  # of another version, or by hand: it is shown, and decides nothing
 
 
 def listed_once(names: Sequence[str], where: object) -> tuple[str, ...]:

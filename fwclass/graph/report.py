@@ -83,6 +83,7 @@ def write_report(
         "accuracy": (accuracy := _accuracy(runner, config)),
         "model": {"path": config.survey.model, "features": list(names)},
         "training": _training(runner, names),
+        "selection": selected.model_dump() if (selected := config.selection) else None,
         "place": place_of(
             (tiles := receipts_of_run(runner, "publish-tile")),
             survey.crs,

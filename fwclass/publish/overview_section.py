@@ -161,6 +161,43 @@ def curve(levels: Sequence[Sequence[float]] | None) -> dict[str, Any] | None:
     return {"path": path, "low": percent(low), "rows": rows, "width": WIDTH, "height": HEIGHT}
 
 
+def selection_curve(selection: Mapping[str, Any] | None, chosen: int) -> dict[str, Any] | None:
+    """Accuracy over the number of features, as `fwclass select` tried them: a path, bars of the spread over the folds,
+    and the place of the set of `chosen` features."""
+    if not selection:
+        return None
+    steps = sorted(selection["steps"], key=lambda s: s["size"])
+    spread = [s["accuracy_std"] or 0.0 for s in steps]
+    low = min(s["accuracy"] - d for s, d in zip(steps, spread, strict=True))
+    high = max(s["accuracy"] + d for s, d in zip(steps, spread, strict=True))
+    most, rise = max(1, steps[-1]["size"]), max(high - low, 1e-3)
+
+    def x(step: Mapping[str, Any]) -> float:
+        return WIDTH * float(step["size"]) / most
+
+    def y(value: float) -> float:
+        return HEIGHT * (1.0 - (value - low) / rise)
+
+    path = "M" + " L".join(f"{x(s):.1f} {y(s['accuracy']):.1f}" for s in steps)
+    bars = " ".join(
+        f"M{x(s):.1f} {y(s['accuracy'] - d):.1f} V{y(s['accuracy'] + d):.1f}"
+        for s, d in zip(steps, spread, strict=True)
+    )
+    here = next((s for s in steps if s["size"] == chosen), None)
+    return {
+        "path": path,
+        "bars": bars,
+        "dot": (round(x(here), 1), round(y(here["accuracy"]), 1)) if here else None,
+        "low": percent(low),
+        "high": percent(high),
+        "most": most,
+        "chosen": chosen,
+        "what": f"{selection['method']}, {selection['pick']} set, on {selection['survey']}",
+        "width": WIDTH,
+        "height": HEIGHT,
+    }
+
+
 def importance(training: Mapping[str, Any] | None) -> dict[str, Any] | None:
     """The ten most important features with bars; the others by name."""
     values = (training or {}).get("importance")

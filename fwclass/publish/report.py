@@ -21,6 +21,7 @@ from fwclass.publish.overview_section import (
     importance,
     layers,
     next_steps,
+    selection_curve,
     sure_rows,
     survey_rows,
     verdict,
@@ -85,6 +86,7 @@ def render_report(report: Mapping[str, Any], figures: Mapping[str, bytes], path:
             "sure",
             "curve",
             "importance",
+            "selection",
             "waves",
             "next_steps",
             "sampling",
@@ -144,6 +146,7 @@ def _view(report: Mapping[str, Any], figures: Mapping[str, bytes]) -> dict[str, 
         "sure": sure_rows(report),
         "curve": curve(report.get("automation")),
         "importance": importance(report.get("training")),
+        "selection": selection_curve(report.get("selection"), len((report.get("model") or {}).get("features") or ())),
         "waves": waves(report.get("waves")),
         "maps": [
             {"title": n.replace("_", " ").capitalize(), "uri": data_uri(f)}

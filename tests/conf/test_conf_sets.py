@@ -87,3 +87,11 @@ def test_an_unknown_set_names_who_asked_and_the_nearest():
 def test_a_feature_listed_twice_is_refused_wherever_it_stands():
     with pytest.raises(ConfigError, match=r"listed twice[\s\S]*survey\.features[\s\S]*planarity_k20"):
         conf.load("demo", ("survey.features=[planarity_k20, zc, planarity_k20]",))
+
+
+@pytest.mark.parametrize(
+    "selection", ["{method: 1}", "{method: a, pick: b, survey: c, steps: [{size: -1}, {size: 2}]}"]
+)
+def test_a_selection_that_cannot_be_shown_is_none(tmp_path, selection):
+    (tmp_path / "s.yaml").write_text(f"features: [zc]\nselection: {selection}\n")
+    assert feature_set("s.yaml", tmp_path).selection is None

@@ -237,6 +237,20 @@ def test_notes_on_training_are_told(tmp_path: Path) -> None:
     assert "Out-of-bag accuracy 93.1 %" in said and "few samples of building" in said
 
 
+def test_the_curve_of_a_selection_is_drawn(tmp_path: Path) -> None:
+    report = full()
+    steps = [{"size": n, "accuracy": 0.8 + 0.02 * n, "accuracy_std": 0.01} for n in (1, 2, 4)]
+    report["selection"] = {"method": "forward", "pick": "best", "survey": "<b>town</b>", "steps": steps}
+    report["model"] = {"features": ["a", "b"]}
+    text, page = rendered(report, tmp_path)
+    assert "How many features are enough" in page.text and "The dot is this model: 2." in page.text
+    assert "89.0 %" in page.text and "81.0 %" in page.text and "<b>town</b>" not in text
+    report["model"] = {"features": ["a", "b", "c"]}
+    assert "The dot" not in rendered(report, tmp_path)[1].text, "another set than any on the curve"
+    report["selection"] = None
+    assert "How many features" not in rendered(report, tmp_path)[1].text
+
+
 def test_a_classifier_that_is_no_forest_has_its_name(tmp_path: Path) -> None:
     report = full()
     report["training"] |= {"trees": None, "method": "rbf-svm"}

@@ -88,6 +88,8 @@ def test_the_file_is_a_feature_set_of_the_same_bytes(survey, root, forwards, tmp
     for stage in ("select-trial", "select-sample", "select-training", "select-cost"):
         shutil.rmtree(root / "store" / stage)
     again = _chosen(survey, root, "forward", "tile.size=100")
+    selection = feature_set(str(path)).selection
+    assert [s.size for s in selection.steps] == [len(s["features"]) for s in forwards["steps"]]
     output.write(again, tmp_path / "again.yaml")
     assert (tmp_path / "again.yaml").read_bytes() == path.read_bytes()
     config = conf.load("demo", (f"survey.features={path}",))
