@@ -146,6 +146,8 @@ class BehindEchoes:
                 "own_low": _plain(medians[winner][0.05][k]),
                 "own_high": _plain(medians[winner][0.95][k]),
                 "others": _plain(medians[other][0.5][k]),
+                "others_low": _plain(medians[other][0.05][k]),
+                "others_high": _plain(medians[other][0.95][k]),
                 "effect": float(effects[k]),
             }
             for k in telling

@@ -17,7 +17,9 @@ from smallsurvey import deliver
 from fwclass import conf
 from fwclass.delivery.viewed import ViewedRun
 from fwclass.delivery.viewing import scenes_of
+from fwclass.graph.learn import survey_sample
 from fwclass.run.inputs import PartInputs
+from fwclass.store.models import load_model
 from fwclass.store.run_store import Store
 from fwclass.view.server import Server
 
@@ -83,6 +85,14 @@ def test_a_click_finds_the_echo_that_a_tree_finds(page: Driven, scene: ViewedRun
     assert picked >= 5 and page.run("fwclass.stats.pick") < 500
 
 
+SPANS = """(() => {
+  const span = document.querySelector('#why .span'), all = span.getBoundingClientRect();
+  const [bar, line] = ['div', 'i'].map((kind) => span.querySelector(kind).getBoundingClientRect());
+  return [bar.left, bar.right, line.left + 1].map((at) => (at - all.left) / all.width);
+})()"""
+"""Both ends of the first class's bar of the first feature, and the line, as shares of the space for them."""
+
+
 @pytest.mark.slow
 def test_the_waveform_and_the_votes_are_the_stores(page: Driven, scene: ViewedRun, run: Path) -> None:
     hit = None
@@ -107,6 +117,20 @@ def test_the_waveform_and_the_votes_are_the_stores(page: Driven, scene: ViewedRu
     assert why["shares"] == pytest.approx(shares)
     called = {c["name"]: c["code"] for c in scene.index()["classes"]}
     assert called[why["given"]] == values["classification"]
+    model = load_model(scene.delivery.path / "model")
+    sample, first = survey_sample(inputs, model.features), why["features"][0]
+    column = sample.X[:, model.features.index(first["name"])]
+    for name, side in ((why["given"], "own"), (why["other"], "others")):
+        rows = column[sample.y == [c.name for c in model.classes].index(name)]
+        ends = np.nanquantile(rows, (0.05, 0.5, 0.95))
+        assert [first[f"{side}_low"], first[side], first[f"{side}_high"]] == pytest.approx(ends.tolist(), rel=1e-6)
+    drawn = page.run(SPANS)
+    assert page.run("document.getElementById('panel').scrollWidth <= document.getElementById('panel').clientWidth")
+    ends = [first[n] for n in ("value", "own_low", "own_high", "others_low", "others_high") if first[n] is not None]
+    low, wide = min(ends), max(ends) - min(ends)
+    assert drawn[0] == pytest.approx((first["own_low"] - low) / wide, abs=0.03)
+    assert drawn[1] == pytest.approx((first["own_high"] - low) / wide, abs=0.05)
+    assert drawn[2] == pytest.approx((first["value"] - low) / wide, abs=0.03) and page.faults == []
 
 
 @pytest.mark.slow

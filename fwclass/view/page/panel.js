@@ -23,9 +23,32 @@ export function why(answer, colours) {
   }
   box.append(element('h2', 'votes'), shares);
   if (!answer.features?.length) return;
-  const t = element('table'); row(t, element('th', 'feature'), element('th', 'value'), element('th', `median of ${answer.given}`), element('th', `of ${answer.other}`), element('th', 'turns'));
-  for (const f of answer.features.slice(0, 10)) row(t, f.name, number(f.value), number(f.own), number(f.others), `${Math.round(100 * f.effect)} %`);
-  box.append(element('h2', 'why'), element('p', `The share of ${answer.given} that is lost where the feature has the median of ${answer.other}${answer.of}.`), t);
+  const t = element('table'); row(t, element('th', 'feature'), element('th', 'value'), element('th', '90 % of either class'), element('th', 'turns'));
+  for (const f of answer.features.slice(0, 10)) row(t, breakable(f.name), number(f.value), span(f, answer, colours), `${Math.round(100 * f.effect)} %`);
+  box.append(element('h2', 'why'), element('p', `The share of ${answer.given} that is lost where the feature has the median of ${answer.other}${answer.of}. Bars: where 90 % of ${answer.given} (above) and of ${answer.other} (below) lie${answer.of}; the line is this echo.`), t);
+}
+
+// A cell whose text may go on in the next line behind every `_`.
+function breakable(name) {
+  const cell = element('td');
+  name.split('_').forEach((word, i) => { if (i) cell.append('_', element('wbr')); cell.append(word); });
+  return cell;
+}
+
+// Two bars from the 5th to the 95th percentile of either class, and a line at the echo's own value.
+function span(f, answer, colours) {
+  const ends = [f.value, f.own_low, f.own_high, f.others_low, f.others_high].filter((v) => v !== null);
+  const low = Math.min(...ends), wide = Math.max(...ends) - low || 1, at = (v) => `${(100 * (v - low)) / wide}%`;
+  const cell = element('td'), bars = element('div', '', 'span');
+  for (const [a, b, name] of [[f.own_low, f.own_high, answer.given], [f.others_low, f.others_high, answer.other]]) {
+    const bar = element('div'); bar.hidden = a === null || b === null;
+    if (!bar.hidden) { bar.style.left = at(a); bar.style.width = `max(2px, ${(100 * (b - a)) / wide}%)`; bar.style.background = colours.get(name) || '#17697a'; }
+    bars.append(bar);
+  }
+  if (f.value !== null) { const line = element('i'); line.style.left = at(f.value); bars.append(line); }
+  cell.title = `${answer.given}: ${number(f.own_low)} to ${number(f.own_high)}, median ${number(f.own)}; ${answer.other}: ${number(f.others_low)} to ${number(f.others_high)}, median ${number(f.others)}`;
+  cell.append(bars);
+  return cell;
 }
 
 // Samples, fit, echoes, the vendor's returns; below, the residual in units of noise.
