@@ -31,6 +31,7 @@ SETS = click.option(
 @METHOD
 @PRESET
 @PARAM
+@click.option("--own-ground", is_flag=True, help="Heights count from class 2 of the file; no filter.")
 @click.option("--trajectory", type=PATH, help="Where the sensor flew (text or SBET): gives ranges and radiometry.")
 @click.option("--undulation", default=0.0, help="Metres to take from the trajectory's heights: the geoid's height.")
 @click.option("--skip-missing", is_flag=True, help="Leave out features that the file cannot give, instead of an error.")
@@ -43,8 +44,8 @@ def features(
     """Features of every echo of one file as GeoParquet; or, with --list, which features and sets there are.
 
     IN is LAS, LAZ, COPC, PulseWaves or text. Waveforms are decomposed first; without them, returns are echoes. The
-    ground, where heights above it are asked for, is what has class 2; with --method, --preset or --param it is looked
-    for.
+    ground, where heights above it are asked for, is looked for by a filter (--method, --preset, --param); class 2 of
+    the file, which may be a reference, is taken with --own-ground alone.
     """
     little_garbage()
     from fwclass.single_file.features.names import sorted_settings
@@ -57,6 +58,8 @@ def features(
         return
     if source is None or output is None:
         raise click.UsageError("IN and OUT.parquet are wanted, or --list")
+    if options["own_ground"] and (options["method"] or options["preset"] or options["assignments"]):
+        raise click.UsageError("--own-ground takes the file's ground: no filter is run")
     from fwclass.single_file.features.file import FeaturesJob, features_file
     from fwclass.single_file.features.listing import describe
     from fwclass.single_file.ground.steps import Steps

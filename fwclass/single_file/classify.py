@@ -248,7 +248,7 @@ def _echoes(job: ClassifyJob, model: Model, asked: Asked, tell: Tell) -> FileEch
         method = job.method
         if method is None and job.preset is None and not job.own_ground:
             method = conf.section("ground", job.settings).method
-        by = GroundChoice(method, job.preset, job.assignments)
+        by = GroundChoice(method, job.preset, job.assignments, job.own_ground)
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
         if "height_above_ground" in model.features and (note := ground_note(model, method)):
             notes = (note,)

@@ -133,7 +133,23 @@ def test_a_text_has_places_and_perhaps_classes(truth, tmp_path):
         with pytest.raises(ConfigError, match="cannot give"):
             features_file(FeaturesJob(source, output, listed=name, overwrite=True))
     with pytest.raises(InputError, match="no ground"):
-        features_file(FeaturesJob(source, output, listed="height_above_ground", overwrite=True))
+        features_file(FeaturesJob(source, output, listed="height_above_ground", own_ground=True, overwrite=True))
+    assert features_file(FeaturesJob(source, output, listed="height_above_ground", overwrite=True))["echoes"] == 500
+
+
+def test_classes_of_the_file_are_ground_only_when_asked(las, tmp_path):
+    """They may be a reference: features that know it would be learned from what they are to tell."""
+    names = "height_above_ground,height_std_k20"
+    moved = laspy.read(las)
+    moved.classification[:] = np.where(np.asarray(moved.classification) == 2, 6, 2)
+    moved.write(tmp_path / "other.las")
+    for source, own, same in (("other.las", False, True), ("other.las", True, False)):
+        paths = [
+            features_file(FeaturesJob(p, tmp_path / f"{p.stem}{own}.parquet", listed=names, own_ground=own))
+            for p in (las, tmp_path / source)
+        ]
+        one, two = (pq.read_table(p["output"])["height_above_ground"].to_numpy() for p in paths)
+        assert np.array_equal(one, two, equal_nan=True) == same
 
 
 @pytest.mark.parametrize(

@@ -143,26 +143,28 @@ def _check_metres(units: LinearUnits, crs: Any, path: Path) -> None:
 
 @dataclass(frozen=True)
 class GroundChoice:
-    """A ground filter; nothing named takes class 2 of the file. `optional`: without ground there are no heights."""
+    """A ground filter, that of the settings where nothing is named; or the file's `own` ground, class 2. `optional`:
+    without ground there are no heights."""
 
     method: str | None = None
     preset: str | None = None
     assignments: tuple[str, ...] = ()
+    own: bool = False
     optional: bool = False
 
 
 def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tuple[str, ...], tell: Tell) -> FileEchoes:
-    """`echoes` with `height_above_ground`: ground by a filter where one is named, else by class 2 of the file.
+    """`echoes` with `height_above_ground`: ground by a filter, or by class 2 of the file.
 
     Raises
     ------
     InputError
-        The file has no ground and no filter is named.
+        The file has no ground of its own.
     """
     table = echoes.table
     x, y, z = (table[a] for a in "xyz")
     sound = (table["fit_flags"] & IMPLAUSIBLE) == 0 if "fit_flags" in table else np.ones(table.rows, bool)
-    if by.method is not None or by.preset is not None or by.assignments:
+    if not by.own:
         params = ground_params(by.method, by.preset, by.assignments, _of_ground(settings))
         last = np.ones(table.rows, bool)
         if "number_of_echoes" in table:
@@ -193,7 +195,7 @@ def with_heights(echoes: FileEchoes, path: Path, by: GroundChoice, settings: tup
                 where=path,
                 expected="points of class 2",
                 got=f"classes {', '.join(map(str, np.unique(codes)))}" if "source_class" in table else "no classes",
-                do="let the ground be looked for (for example --method smrf), or leave height_above_ground out "
+                do="leave --own-ground out, so that the ground is looked for; or leave height_above_ground out "
                 "(--skip-missing)",
             )
     tell("terrain and heights")

@@ -57,7 +57,8 @@ class FeaturesJob:
     source, output : the files.
     named, listed : a feature set by name or file, or names with commas between; both None: the set `default`.
     settings : ``section.key=value`` of `SECTIONS`.
-    method, preset, assignments : a ground filter; all empty takes the ground of the file's classes.
+    method, preset, assignments : ground filter; without any that of the settings.
+    own_ground : heights count from class 2 of the file instead.
     trajectory, undulation : where the sensor flew, and metres to take from its heights.
     crs : coordinate system instead of the file's own, as text.
     skip_missing : features that the file cannot give are left out and told; else they are an error.
@@ -72,6 +73,7 @@ class FeaturesJob:
     method: str | None = None
     preset: str | None = None
     assignments: tuple[str, ...] = ()
+    own_ground: bool = False
     trajectory: Path | None = None
     undulation: float = 0.0
     crs: str | None = None
@@ -162,7 +164,7 @@ def _echoes(job: FeaturesJob, wanted: FeatureList, tell: Tell) -> FileEchoes:
     later = (*TERRAIN.writes, *(RADIOMETRY.writes if ranges(echoes, flight, job.settings) else ()))
     available(wanted, echoes.table, job.source, job.skip_missing, frozenset(later))
     if "height_above_ground" in wanted.names:
-        by = GroundChoice(job.method, job.preset, job.assignments, job.skip_missing)
+        by = GroundChoice(job.method, job.preset, job.assignments, job.own_ground, job.skip_missing)
         echoes = with_heights(echoes, job.source, by, job.settings, tell)
     if set(wanted.names) & set(RADIOMETRY.writes):
         echoes = with_radiometry(echoes, flight, job.settings)
@@ -224,7 +226,7 @@ SHORT = 12
 _WHY = {
     "width": "no echo widths (no waveforms, nor the extra byte `Pulse width`)",
     "gps_time": "no times that tell which returns are of one pulse",
-    "height_above_ground": "no ground (class 2, or --method)",
+    "height_above_ground": "no ground (class 2)",
     **dict.fromkeys(("echo_number", "number_of_echoes"), "no echo numbers (a text has none)"),
     **dict.fromkeys(
         RADIOMETRY.writes, "no ranges (--trajectory, or --set radiometry.platform_altitude=METRES; and beams)"
