@@ -6,6 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from fwclass.model import ClassifierMethod
 from fwclass.stage import Params
 
 FURTHEST = 100.0
@@ -28,7 +29,7 @@ class RefineParams(Params):
 
     between: tuple[str, ...]
     within: float = Field(gt=0, le=FURTHEST)
-    method: Literal["forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting"]
+    method: ClassifierMethod
     features: Literal["shares", "shares+coarse"]
     scales: tuple[Annotated[float, Field(ge=0.01, le=FURTHEST)], ...] = Field(min_length=1, max_length=50)
     rows: Literal["boundary", "anywhere"]

@@ -97,7 +97,8 @@ def _walk(config: Any, request: Any, root: Any, how: How, performance: Path | No
     from fwclass.assess.stage import judge
     from fwclass.graph import plausibility
     from fwclass.graph.drift import judge_drift
-    from fwclass.graph.report import REPORT, summary
+    from fwclass.graph.report import REPORT
+    from fwclass.graph.report_summary import summary
     from fwclass.operate.clean import clean
     from fwclass.quality.judge import judge_quality
     from workflows import workflow_of

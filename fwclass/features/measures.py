@@ -82,7 +82,7 @@ BASES = (*_COUNTS, *_HEIGHTS, *_RANKS, *_EIGEN, *_NORMAL, *_KINDS, *_VALUES)
 CODE = {base: code for code, base in enumerate(BASES)}
 """Number of every base that `measure` knows."""
 
-COUNT, DENSITY, FURTHEST, ECHO_RATIO = range(4)
+COUNT, DENSITY, FURTHEST, ECHO_RATIO = (CODE[base] for base in _COUNTS)
 (
     HEIGHT_RANGE,
     HEIGHT_STD,
@@ -92,8 +92,8 @@ COUNT, DENSITY, FURTHEST, ECHO_RATIO = range(4)
     ABOVE_MEAN,
     ABOVE_LOWEST,
     BELOW_HIGHEST,
-) = range(4, 12)
-ABOVE_RANK = 12
+) = (CODE[base] for base in _HEIGHTS)
+ABOVE_RANK = CODE[_RANKS[0]]
 (
     SHARE_1,
     SHARE_2,
@@ -107,10 +107,10 @@ ABOVE_RANK = 12
     OMNIVARIANCE,
     EIGENENTROPY,
     PLANE_STD,
-) = range(19, 31)
-VERTICALITY, INCLINATION, ROUGHNESS, PLANE_RANGE, NORMAL_X = range(31, 36)
-SINGLES, FIRSTS, BETWEENS, LASTS, EGI, EBI, EVI = range(38, 45)
-VALUES = 45
+) = (CODE[base] for base in _EIGEN)
+VERTICALITY, INCLINATION, ROUGHNESS, PLANE_RANGE, NORMAL_X = (CODE[base] for base in _NORMAL[:5])
+SINGLES, FIRSTS, BETWEENS, LASTS, EGI, EBI, EVI = (CODE[base] for base in _KINDS)
+VALUES = CODE[_VALUES[0]]
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a report tells beside accuracy: where and when a survey is, how sure the classes are, a few waveforms."""
+"""What a report tells of a delivery: where and when the survey is, and how sure the classes are."""
 
 from __future__ import annotations
 
@@ -10,17 +10,13 @@ import numpy as np
 from pyproj import CRS
 
 from fwclass.graph.outputs import DELIVER_TILE, TILE_ENDING, TILES
-from fwclass.graph.sources import waveforms_of
-from fwclass.run.inputs import PartInputs
 from fwclass.run.runner import Runner
 from fwclass.store.receipts import Receipt
 
 GPS_EPOCH, ADJUSTED, LEAP_SECONDS = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000, 18
-LEAST_SURE, WAVES = 5, 6
+LEAST_SURE = 5
 WORTH = 100
 """Echoes of a tile that is worth a look; one of three strays is not."""
-SHOWN_SAMPLES = 400
-"""Of a long waveform so many are drawn."""
 
 
 def receipts_of_run(runner: Runner, stage: str) -> list[Receipt]:
@@ -83,44 +79,3 @@ def sureness(tiles: Sequence[Receipt], classes: Sequence[Mapping[str, Any]]) -> 
         for key in least
     ]
     return {"classes": rows, "tiles": listed, "stage": DELIVER_TILE.name}
-
-
-def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInputs) -> list[dict[str, Any]]:
-    """A few pulses of the first chunk with waveforms, from simple ones to those with most echoes.
-
-    Returns
-    -------
-    dicts with ``strip, pulse``; ``start, spacing`` of the samples [ns]; ``samples`` [DN]; ``baseline`` [DN];
-    ``echoes``: (time [ns], amplitude [DN], width [ns]) each.
-    """
-    chunk = next((r.part for r in reads if r.meta.get("waveforms") and r.part in decomposed), None)
-    if chunk is None:
-        return []
-    waves = waveforms_of(chunk, inputs, returns=False)
-    columns = ("pulse", "time", "amplitude", "width", "baseline", "fit_flags")
-    echoes = inputs.table("decompose", chunk, columns)
-    fitted = np.flatnonzero(np.isfinite(echoes["time"]) & (echoes["fit_flags"] & 128 == 0))
-    known, counts = np.unique(echoes["pulse"][fitted], return_counts=True)
-    single = np.isin(known, waves.pulses["pulse"])
-    known, counts = known[single], counts[single]
-    order = np.lexsort((known, counts))
-    if not len(order):
-        return []
-    places = np.unique(np.linspace(0, len(order) - 1, WAVES).round().astype(int))
-    pulses = []
-    for pulse in known[order[places]].tolist():
-        row = int(np.searchsorted(waves.pulses["pulse"], pulse))
-        mine = fitted[echoes["pulse"][fitted] == pulse]
-        samples = waves.samples[waves.offsets[row] : waves.offsets[row + 1]][:SHOWN_SAMPLES]
-        pulses.append(
-            {
-                "strip": int(chunk.split("-")[0]),
-                "pulse": pulse,
-                "start": float(waves.pulses["segment_start"][row]),
-                "spacing": float(waves.pulses["sample_spacing"][row]),
-                "samples": samples.tolist(),
-                "baseline": round(float(echoes["baseline"][mine[0]]), 2),
-                "echoes": [[round(float(echoes[c][k]), 3) for c in ("time", "amplitude", "width")] for k in mine],
-            }
-        )
-    return pulses

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fwclass.classes import ClassDef, class_index, code_index
-from fwclass.model.base import FORMAT, LEAF, Model
+from fwclass.model.base import FORMAT, LEAF, ClassifierMethod, Model
 from fwclass.model.boosted import Boosted, scores_of
 from fwclass.model.forest import Forest, Tree, assemble
 from fwclass.model.machines import KernelMachine, LinearMachine, Machine, Preparation
@@ -17,6 +17,7 @@ __all__ = [
     "LEAF",
     "Boosted",
     "ClassDef",
+    "ClassifierMethod",
     "Forest",
     "KernelMachine",
     "LinearMachine",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from fwclass.errors import InputError, visible
 
 LEAF = 65535
 """Value of `feature` in a leaf; no model has so many features."""
+
+ClassifierMethod = Literal["forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting"]
+"""Classifiers that can be trained, by the name that ``train.method`` takes."""
 
 FORMAT = 2
 """Version of the layout of models; raised when it changes."""

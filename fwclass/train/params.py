@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from fwclass.model import ClassifierMethod
 from fwclass.stage import Params
 
 
@@ -26,7 +27,7 @@ class TrainParams(Params):
     importance_repeats : permutations of a feature and tree that the importance is measured by; 0 leaves it out.
     """
 
-    method: Literal["forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting"]
+    method: ClassifierMethod
     seed: int = Field(ge=0, lt=2**63)
     samples_per_class: int = Field(ge=1, le=100_000_000)
     trees: int = Field(ge=1, le=65535)

@@ -14,7 +14,7 @@ from runmaker import SETTINGS, walk
 from fwclass import conf
 from fwclass.errors import ConfigError, FwclassError, InputError
 from fwclass.graph.label import LABEL_BY_CLOUD, LABEL_BY_POLYGONS, LABEL_BY_SOURCE
-from fwclass.graph.report import summary
+from fwclass.graph.report_summary import summary
 from fwclass.graph.walk import deciding, tasks_of, until_tiles
 from fwclass.run.inputs import PartInputs
 from fwclass.run.local import Loop

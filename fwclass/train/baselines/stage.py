@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fwclass import __version__
 from fwclass.hashing import seed_for
-from fwclass.model import FORMAT, Boosted, ClassDef, KernelMachine, LinearMachine, Model, Preparation, assemble
+from fwclass.model import (
+    FORMAT,
+    Boosted,
+    ClassDef,
+    ClassifierMethod,
+    KernelMachine,
+    LinearMachine,
+    Model,
+    Preparation,
+    assemble,
+)
 from fwclass.model.ranges import RANGES, ranges_of
 from fwclass.train.baselines import fit
 from fwclass.train.baselines.params import CompareParams
@@ -21,8 +31,8 @@ from fwclass.train.sample import Sample, review
 from fwclass.train.trim import trim_rows
 from fwclass.train.weights import whole_weights
 
-METHODS = ("forest", "linear-svm", "rbf-svm", "sklearn-forest", "boosting")
-"""Classifiers, by the name that ``train.method`` takes."""
+METHODS: tuple[ClassifierMethod, ...] = get_args(ClassifierMethod)
+"""All of them, the forest first."""
 
 VERSION = 2
 """Raised whenever the same sample and parameters would give another model."""

@@ -1,0 +1,88 @@
+"""How good the classes of a run are, what they were learned from, and how good its ground is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fwclass.assess.stage import caution
+from fwclass.conf import Config
+from fwclass.graph.classify import OUTSIDE
+from fwclass.graph.drift import drift
+from fwclass.graph.report_facts import receipts_of_run
+from fwclass.model.ranges import RANGES
+from fwclass.run.runner import Runner
+
+
+def class_accuracy(runner: Runner, config: Config) -> dict[str, Any] | None:
+    """Figures of the classes on the test areas, and which these are; None where nothing was judged."""
+    receipt = next(iter(receipts_of_run(runner, "assess")), None)
+    if receipt is None or receipt.meta["accuracy"] is None:
+        return None
+    gap = config.areas.gap
+    area = "the listed test areas" if config.areas.test else "all echoes"
+    accuracy = dict(receipt.meta["accuracy"])
+    if accuracy.get("intervals"):
+        accuracy["intervals"] = {**accuracy["intervals"], "caution": caution(accuracy["intervals"]["blocks"])}
+    return {**accuracy, "area": f"{area} further than {gap:g} m from every training area"}
+
+
+def feature_distribution(runner: Runner) -> dict[str, Any] | None:
+    """Quantiles of every feature by class, and how many echoes have a value; None where nothing was judged."""
+    receipt = next(iter(receipts_of_run(runner, "assess")), None)
+    if receipt is None:
+        return None
+    distribution = receipt.meta["distribution"]
+    labels = [f"p{round(100 * s)}" for s in distribution["shares"]]
+    return {
+        feature: {
+            name: {**dict(zip(labels, row["quantiles"], strict=True)), "n": row["rows"] - row["without_value"]}
+            for name, row in by_class.items()
+        }
+        for feature, by_class in distribution["features"].items()
+    }
+
+
+def training_facts(runner: Runner, names: tuple[str, ...]) -> dict[str, Any] | None:
+    """What the classifier was trained on, and what training said; None where a model was given or nothing trained."""
+    receipt = next(iter(receipts_of_run(runner, "train")), None)
+    if receipt is None:
+        return None
+    card = receipt.meta["card"]
+    samples = {c["name"]: n for c, n in zip(card["classes"], card["samples"], strict=True)}
+    return {
+        "method": card.get("method", "forest"),
+        "samples": samples,
+        "trees": receipt.meta["trees"],
+        "features": list(names),
+        "out_of_bag": card.get("out_of_bag", {}).get("accuracy"),
+        "notes": card.get("notes", []),
+        "importance": card.get("importance"),
+    }
+
+
+def drift_of_run(runner: Runner) -> dict[str, Any] | None:
+    """How much lies outside of what the model has seen; None where nothing was classified, or it does not say."""
+    counts = [
+        r.meta[OUTSIDE] for stage in ("coarse", "classify") for r in receipts_of_run(runner, stage) if OUTSIDE in r.meta
+    ]
+    if not counts:
+        return None
+    cards = [r.meta["card"] for stage in ("train-coarse", "train") for r in receipts_of_run(runner, stage)]
+    return drift(cards[0] if cards else {RANGES: {}}, counts)
+
+
+def ground_facts(runner: Runner, config: Config) -> dict[str, Any]:
+    """The filter, what it found, and what cutting the survey into blocks changed."""
+    blocks = [r.meta for r in receipts_of_run(runner, "ground-filter")]
+    seams = next((r.meta for r in receipts_of_run(runner, "seams")), None)
+    judged = next((r.meta["ground"] for r in receipts_of_run(runner, "assess")), None)
+    return {
+        "method": config.ground.method,
+        "echoes": sum(m["rows"] for m in blocks),
+        "ground": sum(m["ground"] for m in blocks),
+        "noise": sum(m["noise"] for m in blocks),
+        "without_terrain": sum(r.meta["without_terrain"] for r in receipts_of_run(runner, "terrain")),
+        "block": config.ground.block,
+        "accuracy": judged,
+        "seams": dict(seams) if seams else None,
+    }

@@ -1,0 +1,97 @@
+"""What went into a run and what came out: files and their faults, counts, parts of every stage, delivered files."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any
+
+from fwclass.graph.catalogue import DELIVER_CATALOGUE, DELIVER_OVERVIEW, DELIVER_POLYGONS
+from fwclass.graph.contours import DELIVER_CONTOURS
+from fwclass.graph.layout import Survey
+from fwclass.graph.learn import TRAIN_FOREST
+from fwclass.graph.outputs import DELIVER_STRIP, DELIVER_TILE
+from fwclass.graph.quality import DELIVER_QUALITY
+from fwclass.graph.raster_outputs import DELIVER_RASTERS
+from fwclass.graph.report_facts import receipts_of_run
+from fwclass.graph.vectors import DELIVER_VECTORS
+from fwclass.run.runner import Runner, Tally
+
+DELIVERING = (
+    DELIVER_TILE,
+    DELIVER_STRIP,
+    DELIVER_RASTERS,
+    DELIVER_QUALITY,
+    DELIVER_OVERVIEW,
+    DELIVER_CATALOGUE,
+    DELIVER_POLYGONS,
+    DELIVER_CONTOURS,
+    DELIVER_VECTORS,
+    TRAIN_FOREST,
+)
+"""Stages whose files the report lists; a comparison classifier is trained under the name of the forest's stage."""
+
+
+def source_files(runner: Runner, survey: Survey) -> dict[str, Any]:
+    """The survey's files with what their index counted, and the faults of all of them."""
+    faults: Counter[str] = Counter()
+    for meta in _chunk_facts(runner):
+        faults.update(meta["faults"])
+    indexed = {r.part: r.meta for r in receipts_of_run(runner, "index")}
+    files = []
+    for strip in survey.strips:
+        meta = indexed.get(f"{strip.number:05d}", {})
+        facts = {n: meta.get(n) for n in ("points", "pulses", "point_format")}
+        files.append({"path": strip.path.name, "strip": strip.number, **facts})
+    return {"files": files, "faults": dict(sorted(faults.items()))}
+
+
+def echo_counts(runner: Runner) -> dict[str, int]:
+    """Pulses, returns and echoes of the run, from files to tiles."""
+    reads = _chunk_facts(runner)
+    tiles = receipts_of_run(runner, "tile")
+    return {
+        "pulses": sum(r.meta["pulses"] for r in receipts_of_run(runner, "index")),
+        "returns": sum(m["returns"] for m in reads),
+        "returns_without_packet": sum(r.meta["kept_returns"] for r in receipts_of_run(runner, "decompose")),
+        "returns_without_echo": sum(r.meta["returns_without_echo"] for r in receipts_of_run(runner, "decompose")),
+        "echoes_decomposed": sum(r.meta["echoes"] for r in receipts_of_run(runner, "decompose")),
+        "echoes_in_tiles": sum(r.meta["rows"] for r in tiles),
+        "tiles": len(tiles),
+    }
+
+
+def _chunk_facts(runner: Runner) -> list[Mapping[str, Any]]:
+    """What every chunk held: told by those that were read, and by those that were decomposed as they were read."""
+    return [r.meta for stage in ("read", "decompose") for r in receipts_of_run(runner, stage) if "returns" in r.meta]
+
+
+def stage_figures(runner: Runner, name: str, tally: Tally) -> dict[str, Any]:
+    """How many parts of a stage were made, skipped and failed, and what they took."""
+    receipts = receipts_of_run(runner, name)
+    return {
+        "name": name,
+        "parts": tally.parts,
+        "computed": tally.computed,
+        "skipped": tally.skipped,
+        "failed": tally.failed,
+        "seconds": round(sum(r.seconds for r in receipts), 3),
+        "peak_mib": max((r.peak_mib for r in receipts), default=0.0),
+        "rows": sum(int(r.meta.get("rows", 0)) for r in receipts),
+    }
+
+
+def delivered_files(runner: Runner) -> dict[str, list[str]]:
+    """Paths of the files that the run delivers, by kind."""
+    names = [n for stage in DELIVERING for r in receipts_of_run(runner, stage.name) for n in r.outputs]
+    kinds: dict[str, str | tuple[str, ...]] = {
+        "laz": "laz/",
+        "parquet": "parquet/",
+        "rasters": "rasters/",
+        "model": "model/",
+        "quality": "quality.",
+        "gis": ("survey.qgz", "tiles.gpkg"),
+        "contours": "contours.gpkg",
+        "vectors": ("vectors.gpkg", "vectors/"),
+    }
+    return {kind: sorted(n for n in names if n.startswith(prefix)) for kind, prefix in kinds.items()}

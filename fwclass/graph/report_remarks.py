@@ -1,0 +1,49 @@
+"""What a report remarks on: accuracy, crowded places, empty files, water, contour lines and vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from fwclass.conf import Config
+from fwclass.errors import visible
+from fwclass.features.dense import Crowd
+from fwclass.graph.accuracy_remarks import accuracy_remarks
+from fwclass.graph.contours import DELIVER_CONTOURS
+from fwclass.graph.report_facts import receipts_of_run
+from fwclass.graph.report_summary import SHOWN
+from fwclass.graph.vectors import DELIVER_VECTORS, vector_remarks
+from fwclass.graph.water import LEVELS
+from fwclass.run.runner import Runner
+
+
+def remarks_on_accuracy(
+    accuracy: Mapping[str, Any] | None, counted: Mapping[str, Any] | None, config: Config, names: tuple[str, ...]
+) -> list[str]:
+    """Remarks on the accuracy; none where there is none."""
+    if accuracy is None or counted is None:
+        return []
+    nearest = counted["gap"]["found"]
+    return accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest)
+
+
+def remarks_on_crowds(runner: Runner, config: Config) -> list[str]:
+    """That some places are too dense for all echoes of a neighbourhood to count."""
+    crowd = Crowd.of_parts(r.meta.get("dense") for r in receipts_of_run(runner, "features"))
+    return [crowd.text(config.features)] if crowd else []
+
+
+def remarks_on_empty_files(files: Mapping[str, Any]) -> list[str]:
+    """That source files have nothing in them."""
+    names = [visible(f["path"]) for f in files["files"] if f["points"] == 0 and not f["pulses"]]
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return [f"files without any point: {', '.join(names[:SHOWN])}{more}"] if names else []
+
+
+def remarks_of_parts(runner: Runner) -> list[str]:
+    """What the parts of water, contour lines and vectors say."""
+    stages = (LEVELS, DELIVER_CONTOURS.name)
+    remarks = [
+        line for stage in stages for receipt in receipts_of_run(runner, stage) for line in receipt.meta["remarks"]
+    ]
+    return [*remarks, *(line for r in receipts_of_run(runner, DELIVER_VECTORS.name) for line in vector_remarks(r.meta))]

@@ -1,0 +1,72 @@
+"""The last words of a run, for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fwclass.store.url import Url
+
+SOURCES = ("index", "read", "pulse", "places", "decompose", "split")
+"""Stages whose failed parts leave tiles without some of their echoes."""
+
+JUDGING = ("label", "confusion", "assess")
+"""Stages without which there is no accuracy."""
+
+SHOWN = 4
+"""Names that are told of a longer list."""
+
+
+def summary(report: Mapping[str, Any], root: Path | Url) -> str:
+    """The last words of a run, for the terminal; what it delivered lies below `root`."""
+    if "words" in report:  # of a workflow that has no echoes
+        return "\n".join([*report["words"], *(f"{'page':<11} {root / name}" for name in report["outputs"])])
+    counts = report["counts"]
+    decomposed, in_tiles = counts["echoes_decomposed"], counts["echoes_in_tiles"]
+    balance = "all of them in tiles" if decomposed == in_tiles else f"{in_tiles:,} of them in the tiles of this run"
+    lost = sorted({f["part"] for f in report["failed"] if f["stage"] in SOURCES})
+    if lost:
+        more = f" and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
+        balance += f", without those of chunks that failed: {', '.join(lost[:SHOWN])}{more}"
+    source = f"{counts['pulses']:,} pulses" if counts["pulses"] else f"{counts['returns']:,} returns"
+    rows = [f"echoes      {decomposed:,} from {source}, {balance} ({counts['tiles']} tiles)"]
+    if counts["returns_without_packet"]:
+        rows.append(
+            f"kept        {counts['returns_without_packet']:,} returns without a usable waveform packet, as echoes"
+        )
+    rows += [f"fault       {name}: {n:,}" for name, n in report["input"]["faults"].items()]
+    accuracy, model = report["accuracy"], report.get("model") or {}
+    if model.get("path"):
+        count = len(model["features"])
+        rows.append(f"classifier  {model['path']}, by its own {count} features; survey.features is not looked at")
+    if accuracy:
+        kappa = accuracy["kappa"]
+        rows.append(
+            f"accuracy    {100 * accuracy['overall_accuracy']:.1f} % overall"
+            + (f", kappa {kappa:.3f}" if kappa is not None else "")
+            + f" on {accuracy['area']}"
+        )
+    elif report["training"]:
+        none = "unknown: no labelled echo lies in a test area (areas.test, areas.gap)"
+        failed = any(f["stage"] in JUDGING for f in report["failed"])
+        lacking = "not assessed: parts of the assessment failed" if failed else none
+        rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")
+    rows += [f"remark      {text}" for text in report.get("remarks", ())]
+    rows += [f"{'label':<11} {text}" for text in (report.get("sampling") or {}).get("remarks", ())]
+    if report["water"]:
+        flat = sum(body["level_enough"] for body in report["water"])
+        rows.append(
+            f"water       {flat} of {len(report['water'])} polygons flattened, each with its level in report.json"
+        )
+    for kind, names in report["outputs"].items():
+        if kind == "contours":
+            rows += [f"{kind:<11} {root / name}" for name in names]
+        elif kind == "gis":
+            rows += [f"{'qgis':<11} {root / name}" for name in names if name.endswith(".qgz")]
+        elif kind == "quality":
+            rows += [f"{kind:<11} {root / name}" for name in names]
+        elif names:
+            rows.append(f"{kind:<11} {root / kind}  ({len(names)} files)")
+    rows.append(f"report      {root / 'report.html'}")
+    return "\n".join(rows)

@@ -1,0 +1,122 @@
+"""What a report tells of waveforms: the system's pulse, how plausible the echoes are, a few pulses to draw."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from fwclass.conf import Config
+from fwclass.decompose.plausible import add_counts
+from fwclass.graph.layout import Survey
+from fwclass.graph.plausibility import UNREADABLE, of_strip, receiver_facts, remarks
+from fwclass.graph.report_facts import receipts_of_run
+from fwclass.graph.sources import waveforms_of
+from fwclass.run.inputs import PartInputs
+from fwclass.run.runner import Runner
+from fwclass.store.receipts import Receipt
+
+WAVES = 6
+"""So many pulses are drawn."""
+
+SHOWN_SAMPLES = 400
+"""Of a long waveform so many are drawn."""
+
+
+def waveform_facts(runner: Runner, survey: Survey) -> dict[str, Any] | None:
+    """The system's pulse of every strip with waveforms, and how radiometry was calibrated."""
+    pulses = {r.part: r.meta for r in receipts_of_run(runner, "pulse") if r.meta["sampled"]}
+    calibration: dict[str, Any] | None = next(
+        (r.meta["calibration"] for r in receipts_of_run(runner, "calibrate")), None
+    )
+    balanced = {s["strip"]: s["gain"] for s in (calibration or {}).get("strips", ()) if s["error"] is not None}
+    strips = [
+        {"name": s.path.stem, **pulses[f"{s.number:05d}"], "gain": balanced.get(s.number)}
+        for s in survey.strips
+        if f"{s.number:05d}" in pulses
+    ]
+    if not strips:
+        return None
+    metas = [r.meta for r in receipts_of_run(runner, "radiometry")]
+    angles = [m["pointing_error"] for m in metas if m["pointing_error"] is not None]
+    return {
+        "strips": strips,
+        "calibration": calibration,
+        "without_range": sum(m["without_range"] for m in metas),
+        "pointing_error": max(angles, default=None),
+    }
+
+
+def plausibility_of_run(runner: Runner, survey: Survey, config: Config) -> dict[str, Any] | None:
+    """What the echoes of every strip with waveforms look like beside its returns; None without waveforms."""
+    noise = {r.part: r.meta for r in receipts_of_run(runner, "pulse") if r.meta["sampled"]}
+    places = {r.part: r.meta["places"] for r in receipts_of_run(runner, "places")}
+    counts: dict[str, list[dict[str, int]]] = {}
+    for receipt in receipts_of_run(runner, "decompose"):
+        counts.setdefault(receipt.part.split("-")[0], []).append(receipt.meta["plausibility"])
+    returns, pulses, faults = Counter[str](), Counter[str](), dict[str, Counter[str]]()
+    for receipt in receipts_of_run(runner, "read"):
+        part = receipt.part.split("-")[0]
+        returns[part] += receipt.meta["returns"]
+        pulses[part] += receipt.meta["waveforms"] + sum(receipt.meta["faults"].get(name, 0) for name in UNREADABLE)
+        faults.setdefault(part, Counter()).update(receipt.meta["faults"])
+    parts = [(s.path.stem, f"{s.number:05d}") for s in survey.strips]
+    strips = [
+        of_strip(
+            name,
+            returns[part],
+            add_counts(counts[part]),
+            receiver_facts(noise[part]),
+            places.get(part),
+            faults.get(part),
+            pulses[part],
+        )
+        for name, part in parts
+        if part in noise and part in counts
+    ]
+    if not strips:
+        return None
+    return {"strips": strips, "remarks": remarks(strips, config.decompose), "accepted": config.plausibility.accept}
+
+
+def some_waves(reads: Sequence[Receipt], decomposed: set[str], inputs: PartInputs) -> list[dict[str, Any]]:
+    """A few pulses of the first chunk with waveforms, from simple ones to those with most echoes.
+
+    Returns
+    -------
+    dicts with ``strip, pulse``; ``start, spacing`` of the samples [ns]; ``samples`` [DN]; ``baseline`` [DN];
+    ``echoes``: (time [ns], amplitude [DN], width [ns]) each.
+    """
+    chunk = next((r.part for r in reads if r.meta.get("waveforms") and r.part in decomposed), None)
+    if chunk is None:
+        return []
+    waves = waveforms_of(chunk, inputs, returns=False)
+    columns = ("pulse", "time", "amplitude", "width", "baseline", "fit_flags")
+    echoes = inputs.table("decompose", chunk, columns)
+    fitted = np.flatnonzero(np.isfinite(echoes["time"]) & (echoes["fit_flags"] & 128 == 0))
+    known, counts = np.unique(echoes["pulse"][fitted], return_counts=True)
+    single = np.isin(known, waves.pulses["pulse"])
+    known, counts = known[single], counts[single]
+    order = np.lexsort((known, counts))
+    if not len(order):
+        return []
+    places = np.unique(np.linspace(0, len(order) - 1, WAVES).round().astype(int))
+    pulses = []
+    for pulse in known[order[places]].tolist():
+        row = int(np.searchsorted(waves.pulses["pulse"], pulse))
+        mine = fitted[echoes["pulse"][fitted] == pulse]
+        samples = waves.samples[waves.offsets[row] : waves.offsets[row + 1]][:SHOWN_SAMPLES]
+        pulses.append(
+            {
+                "strip": int(chunk.split("-")[0]),
+                "pulse": pulse,
+                "start": float(waves.pulses["segment_start"][row]),
+                "spacing": float(waves.pulses["sample_spacing"][row]),
+                "samples": samples.tolist(),
+                "baseline": round(float(echoes["baseline"][mine[0]]), 2),
+                "echoes": [[round(float(echoes[c][k]), 3) for c in ("time", "amplitude", "width")] for k in mine],
+            }
+        )
+    return pulses
