@@ -41,6 +41,7 @@ def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
     lasmaker.write_las(place / "a.las", np.c_[X + x, Y + y, z], point_format=6, intensity=np.ones(len(x), int))
     gpkg(place / "wall.gpkg", "LineString Z", wkb(FOOT), wkb(CREST))
     gpkg(place / "flat.gpkg", "LineString", wkb([p[:2] for p in FOOT], 2))
+    gpkg(place / "endless.gpkg", "LineString Z", wkb([FOOT[0], (X + 40.0, 1e15, 200.0)]))
     gpkg(place / "far.gpkg", "LineString Z", wkb([(a + 5000, b, c) for a, b, c in FOOT]))
     path = place / "s.yaml"
     path.write_text('survey: {name: wall, sources: [a.las], crs: "EPSG:25832"}\n')
@@ -94,3 +95,8 @@ def test_heights_are_told_from_measures_in_every_dialect() -> None:
     for data in bad:
         with pytest.raises(InputError, match="breaklines"):
             lines([data], "here")
+
+
+def test_a_line_without_end_costs_no_memory(survey: Path, tmp_path: Path) -> None:
+    told = fwclass("run", survey, "--out", tmp_path / "r", *WORDS, "--set", "breaklines.file=endless.gpkg")
+    assert told.returncode == 3 and "lines are too long" in told.stderr and "Traceback" not in told.stderr

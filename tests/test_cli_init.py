@@ -138,3 +138,11 @@ def test_the_whole_survey_at_one_place_is_not_split():
     places = ClassPlaces()
     places.add(np.zeros(10), np.zeros(10), np.full(10, 2, np.uint8))
     assert best_split(places, [[2], [5]], Box(0, 0, 1, 1), 5.0) is None
+
+
+def test_places_far_apart_cost_no_memory():
+    places = ClassPlaces()
+    x, codes = np.tile([-1e17, 1e17], 1000), np.repeat([2, 6], 1000).astype(np.uint8)
+    places.add(x, np.zeros(len(x)), codes)
+    split = best_split(places, [(2,), (6,)], Box(-1e17, 0.0, 1e17, 1.0), 20.0)
+    assert split is not None and split.train.tolist() == split.test.tolist() == [500, 500]

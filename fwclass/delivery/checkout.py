@@ -28,6 +28,9 @@ PLACE = ("x", "y", "z")
 MOST_NOTE = 10_000_000
 """Bytes of a note that is read; one of ten thousand tiles has a tenth."""
 
+LATEST = 2**53
+"""Microseconds since 1970: in 2255."""
+
 
 @dataclass(frozen=True)
 class Note:
@@ -173,7 +176,9 @@ def read_note(directory: Path) -> Note:
             raise ValueError("text is wanted")
         for key in tiles:
             TileGrid(1.0).tile(key)  # they become names of files
-        return Note(**texts, tiles=dict(tiles), collected=tuple(int(t) for t in times))
+        if not all(type(t) is int and 0 <= t < LATEST for t in times):
+            raise ValueError("times are wanted")
+        return Note(**texts, tiles=dict(tiles), collected=tuple(times))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, ConfigError) as fault:
         raise InputError(
             "the note of a checkout cannot be read",

@@ -29,7 +29,9 @@ _IDENTITY = {"strip": 65_535, "pulse": 2**32 - 1, "echo_number": 255}
 """Whole numbers that tell an echo, and the largest of each."""
 _PLACE = ("x", "y", "z")
 MOST_ROWS = 20_000_000
-"""Rows of a file; 35 bytes of memory each."""
+"""Rows of a file; 120 bytes of memory each while they are read."""
+FREE_ROWS, ROWS_A_BYTE = 500_000, 2
+"""Rows of a file of any size, and further ones for each of its bytes; no true place is told in less than a byte."""
 MOST_BYTES = 1 << 31
 """Bytes of a file, and of its columns unpacked, as its footer says."""
 LONGEST_NAME = 100
@@ -208,11 +210,12 @@ def _check_counts(stream: Any, size: int, where: object) -> None:
     about = pq.read_metadata(stream)
     groups = [about.row_group(g) for g in range(about.num_row_groups)]
     unpacked = sum(g.total_byte_size for g in groups)  # of its columns Arrow may not be asked: damaged, they end it
-    if about.num_rows > MOST_ROWS or unpacked > 4 * MOST_BYTES or min([unpacked, *(g.num_rows for g in groups)]) < 0:
+    most = min(MOST_ROWS, FREE_ROWS + ROWS_A_BYTE * size)
+    if about.num_rows > most or unpacked > 4 * MOST_BYTES or min([unpacked, *(g.num_rows for g in groups)]) < 0:
         raise InputError(
             "there are too many labels in one file",
             where=where,
-            expected=f"at most {MOST_ROWS:,} rows",
+            expected=f"at most {most:,} rows in {size:,} bytes",
             got=f"{about.num_rows:,} rows of {unpacked:,} bytes",
             do="give several files, for example one a tile",
         )

@@ -29,6 +29,9 @@ SETTING = "quality.check_points"
 MOST = 100_000
 """Points of a file; a survey has some hundreds."""
 
+FAR = 1e9
+"""m; larger numbers are no coordinates."""
+
 SQUARE = 64.0
 """m, points in one square are held against the echoes around it together."""
 
@@ -71,12 +74,12 @@ def read_check_points(path: Path, own_crs: str | None, crs: str | None) -> Point
     cloud = read_text(path)
     if len(cloud.x) > MOST:
         raise InputError("too many check points", where=path, expected=f"at most {MOST:,}", got=f"{len(cloud.x):,}")
-    unknown = np.flatnonzero(~np.isfinite(np.stack(cloud.xyz)).all(axis=0))
+    unknown = np.flatnonzero(~(np.abs(np.stack(cloud.xyz)) <= FAR).all(axis=0))
     if len(unknown):
         raise InputError(
             "a check point lacks a coordinate",
             where=f"{path}: point {unknown[0] + 1}",
-            expected="x, y and z",
+            expected=f"x, y and z, at most {FAR:.0e}",
             do="complete it, or remove it",
         )
     x, y = cloud.x, cloud.y

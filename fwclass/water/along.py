@@ -5,6 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fwclass.errors import InputError
+
+MOST = 10_000_000
+"""Places along the lines of a file; every 0.5 m they are 5000 km."""
+
 
 def edges(ring_start: NDArray[np.int64], points: int) -> NDArray[np.int64]:
     """The points from which an edge leads to the next point of the same line; `ring_start`: points of every line."""
@@ -15,8 +20,20 @@ def edges(ring_start: NDArray[np.int64], points: int) -> NDArray[np.int64]:
 
 def divide(length: NDArray[np.float64], step: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Places at the beginning of every edge and `step` at most apart on it: the number of its edge, and the share of
-    its length that lies before the place."""
-    number = np.maximum(1, np.ceil(length / step)).astype(np.int64)
+    its length that lies before the place.
+
+    `InputError` where these are more than `MOST`.
+    """
+    whole = np.maximum(1, np.ceil(length / step))
+    if not whole.sum() <= MOST:
+        raise InputError(
+            "lines are too long",
+            where="water.file or breaklines.file",
+            expected=f"at most {MOST * step / 1000:,.0f} km, with a place every {step:g} m (terrain.thin)",
+            got=f"{length.sum() / 1000:.3g} km",
+            do="check the file and its coordinate system, or leave out what is outside the survey",
+        )
+    number = whole.astype(np.int64)
     edge = np.repeat(np.arange(len(length)), number)
     return edge, (np.arange(len(edge)) - np.repeat(np.cumsum(number) - number, number)) / number[edge]
 

@@ -86,7 +86,7 @@ def best_split(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Bo
     The most balanced one whose training side has a share within `SHARES`; None where no line leaves any class points
     on both sides.
     """
-    splits = [s for s in _splits(places, classes, bounds, gap) if (s.train > 0).any() and (s.test > 0).any()]
+    splits = (s for s in _splits(places, classes, bounds, gap) if (s.train > 0).any() and (s.test > 0).any())
     return max(splits, key=lambda s: (_two_sided(s), s.balance), default=None)
 
 
@@ -102,15 +102,19 @@ def _splits(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Box, 
     apart = int(np.ceil(gap / places.cell))
     total = max(1, int(counts.sum()))
     for axis in (0, 1):
-        first, last = int(cells[:, axis].min()), int(cells[:, axis].max()) + 1
-        along = np.zeros((last - first, counts.shape[1]), np.int64)
-        np.add.at(along, cells[:, axis] - first, counts)
+        lines, own = np.unique(cells[:, axis], return_inverse=True)
+        along = np.zeros((len(lines), counts.shape[1]), np.int64)
+        np.add.at(along, own.reshape(-1), counts)
         below = np.vstack([np.zeros_like(along[:1]), along.cumsum(axis=0)])
-        for cut in range(1, last - first):
-            low, high = below[cut], below[-1] - below[cut]
+        # between these a cut changes no count: files with places far apart cost no more than others
+        cuts = np.unique(np.concatenate([lines + 1, lines + 1 - apart, lines + 1 + apart]))
+        cuts = cuts[(cuts > lines[0]) & (cuts <= lines[-1])]
+        at, ahead, behind = (below[np.searchsorted(lines, cuts + shift)] for shift in (0, apart, -apart))
+        for cut, low, later, earlier in zip(cuts.tolist(), at, ahead, behind, strict=True):
+            high = below[-1] - low
             sides = (
-                (low, below[-1] - below[min(len(along), cut + apart)], None, (first + cut) * places.cell),
-                (high, below[max(0, cut - apart)], (first + cut) * places.cell, None),
+                (low, below[-1] - later, None, cut * places.cell),
+                (high, earlier, cut * places.cell, None),
             )
             for train, test, begin, end in sides:
                 if SHARES[0] <= train.sum() / total <= SHARES[1]:
