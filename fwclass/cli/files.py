@@ -132,8 +132,9 @@ def decompose(
 def assess(reference: Path, prediction: Path, codes: str | None, ground: bool, as_json: bool) -> None:
     """Confusion matrix and figures of a classified cloud against a reference cloud.
 
-    Both are LAS, LAZ, COPC, or text with a label: class codes, or 0 ground and 1 object. Or two directories of assessed
-    runs: what the second gains over the first, with intervals.
+    Both are LAS, LAZ, COPC, or text with a label: class codes, or 0 ground and 1 object; or quoted patterns
+    ('tiles/*.laz'), whose files of one name are compared. Or two directories of assessed runs: what the second gains
+    over the first, with intervals.
     """
     if reference.is_dir() and prediction.is_dir():
         _assess_runs(reference, prediction, as_json)

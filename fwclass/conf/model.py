@@ -138,8 +138,12 @@ class TrajectorySection(Section):
     undulation: float
 
 
+EVERYWHERE = (-1e8, -1e8, 1e8, 1e8)
+"""m, the box that ``areas.train: all`` stands for: no projected coordinate lies beyond it."""
+
+
 class AreasSection(Section):
-    """Where to train and where to test, boxes [xmin, ymin, xmax, ymax) [m].
+    """Where to train and where to test, boxes [xmin, ymin, xmax, ymax) [m]; `train` may be ``all``.
 
     `test` empty: all that lies further than `gap` from every training box. `gap` also keeps listed test boxes apart.
     """
@@ -148,8 +152,24 @@ class AreasSection(Section):
     test: tuple[tuple[float, float, float, float], ...]
     gap: float = Field(ge=0, le=1_000_000)
 
+    @field_validator("train", mode="before")
+    @classmethod
+    def _all(cls, train: Any) -> Any:
+        return (EVERYWHERE,) if train == "all" else train
+
+    @property
+    def trains_everywhere(self) -> bool:
+        """Whether every labelled echo trains, so that none is left to test on."""
+        return self.train == (EVERYWHERE,)
+
     def boxes(self, name: Literal["train", "test"]) -> tuple[Box, ...]:
+        """Training or test areas."""
         return tuple(Box(*b) for b in getattr(self, name))
+
+    def shown(self, box: Box) -> dict[str, list[list[float]]]:
+        """Bounds of the areas by kind, for maps and layers of a survey that lies in `box`."""
+        train = (box,) if self.trains_everywhere else self.boxes("train")
+        return {"train": [list(b.bounds) for b in train], "test": [list(b.bounds) for b in self.boxes("test")]}
 
 
 class RunSection(Section):

@@ -185,7 +185,7 @@ def _shared_arguments(plan: Plan) -> dict[str, Any]:
 
 
 def _areas(plan: Plan) -> dict[str, list[list[float]]]:
-    return {kind: [list(b.bounds) for b in plan.config.areas.boxes(kind)] for kind in ("train", "test")}
+    return plan.config.areas.shown(plan.layout.box)
 
 
 def _parts_listed(plan: Plan, part: object) -> list[tuple[str, str]]:

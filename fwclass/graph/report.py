@@ -120,7 +120,7 @@ def write_report(
         "ground": ground_facts(runner, config),
         "water": [body for r in receipts_of_run(runner, LEVELS) for body in r.meta["bodies"]],
         "quality": next((r.meta["quality"] for r in receipts_of_run(runner, "publish-quality")), None),
-        "areas": {k: [list(b.bounds) for b in config.areas.boxes(k)] for k in ("train", "test")},
+        "areas": config.areas.shown(layout.box),
         "outputs": delivered_files(runner),
         "lost_workers": [
             {"stage": o.stage, "part": o.part, "status": o.status, "causes": list(o.lost)}

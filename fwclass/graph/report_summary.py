@@ -48,7 +48,9 @@ def summary(report: Mapping[str, Any], root: Path | Url) -> str:
             + f" on {accuracy['area']}"
         )
     elif report["training"]:
-        none = "unknown: no labelled echo lies in a test area (areas.test, areas.gap)"
+        none = (
+            "unknown: no labelled echo lies in a test area (areas.test, areas.gap; with areas.train: all none is left)"
+        )
         failed = any(f["stage"] in JUDGING for f in report["failed"])
         lacking = "not assessed: parts of the assessment failed" if failed else none
         rows.append(f"accuracy    {lacking if report['whole'] else 'not assessed: not all of the survey is made'}")

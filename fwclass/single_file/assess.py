@@ -76,12 +76,25 @@ def parse_classes(text: str) -> tuple[ClassDef, ...]:
 def assess_files(reference: Path, prediction: Path, codes: str | None, ground: bool = False) -> dict[str, Any]:
     """Figures of `prediction` against `reference`: point by point, or by nearest point within `label.max_distance`.
 
-    Both are LAS, LAZ, COPC or text with labels. Without `codes` every code that the reference uses is a class (0 is
+    Both are LAS, LAZ, COPC or text with labels, or patterns of such (``tiles/*.laz``), whose files of one name are
+    compared and counted together. Without `codes` every code that the reference uses is a class (0 is
     "never classified"). With `ground` there are two classes, ground (2) and all other codes; whatever the prediction
     does not call ground is other. ``left_out`` counts reference points of codes that no class has, by code.
     """
     if ground and codes is not None:
         raise ConfigError("--ground has its own classes", where="--map", got=codes, do="leave out --map or --ground")
+    some = [_codes_of_pair(*pair) for pair in _pairs_of_files(reference, prediction)]
+    wanted, answered = (np.concatenate([pair[k] for pair in some]) for k in (0, 1))
+    unmatched = sum(pair[2] for pair in some)
+    classes, answered = _classes(wanted, answered, codes, ground)
+    names = [c.name for c in classes]
+    plain = figures(confusion(wanted, answered, classes), names, unclassified(wanted, answered, classes))
+    left_out = _left_out(wanted, classes)
+    return {**plain, "matched": len(wanted), "unmatched": unmatched, "left_out": left_out}
+
+
+def _codes_of_pair(reference: Path, prediction: Path) -> tuple[NDArray[np.uint8], NDArray[np.uint8], int]:
+    """Codes of the reference's points that have a predicted one, those predicted, and how many points have none."""
     truth, answer = _cloud(reference), _cloud(prediction)
     rows = pairs(_places(truth), _places(answer), conf.section("label").max_distance)
     known = rows >= 0
@@ -91,12 +104,34 @@ def assess_files(reference: Path, prediction: Path, codes: str | None, ground: b
             where=f"{reference}, {prediction}",
             do="check that they show the same place in the same coordinate system",
         )
-    wanted, answered = truth["source_class"][known], answer["source_class"][rows[known]]
-    classes, answered = _classes(wanted, answered, codes, ground)
-    names = [c.name for c in classes]
-    plain = figures(confusion(wanted, answered, classes), names, unclassified(wanted, answered, classes))
-    left_out = _left_out(wanted, classes)
-    return {**plain, "matched": int(known.sum()), "unmatched": int((~known).sum()), "left_out": left_out}
+    return truth["source_class"][known], answer["source_class"][rows[known]], int((~known).sum())
+
+
+def _pairs_of_files(reference: Path, prediction: Path) -> list[tuple[Path, Path]]:
+    """The files of two patterns, by their names without ending; one file each, whatever their names."""
+    some, others = ({p.name.split(".")[0]: p for p in _files(pattern)} for pattern in (reference, prediction))
+    if len(some) == len(others) == 1:
+        return list(zip(some.values(), others.values(), strict=True))
+    alone = sorted(some.keys() ^ others.keys())
+    if alone:
+        raise InputError(
+            "a file has no partner of its name",
+            where=f"{reference}, {prediction}",
+            expected="as many predictions as references, of the same names",
+            got=", ".join(alone[:3]) + (f" and {len(alone) - 3} more" if len(alone) > 3 else ""),
+            do="give patterns that match the same names",
+        )
+    return [(some[name], others[name]) for name in sorted(some)]
+
+
+def _files(pattern: Path) -> list[Path]:
+    """The file of that name, or the files whose names match."""
+    if pattern.exists() or not any(c in pattern.name for c in "*?["):
+        return [pattern]
+    files = sorted(p for p in pattern.parent.glob(pattern.name) if p.is_file())
+    if not files:
+        raise InputError("no file matches", where=pattern, do="check the pattern, and quote it for the shell")
+    return files
 
 
 def _left_out(codes: NDArray[np.uint8], classes: tuple[ClassDef, ...]) -> dict[str, int]:

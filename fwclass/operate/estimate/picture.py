@@ -7,6 +7,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
+from fwclass.grid import Box
 from fwclass.operate.estimate.spread import Spread
 from fwclass.operate.estimate.whole import Plan
 from fwclass.publish.drawing import INK, View, draw, frame, legend, outline, png
@@ -34,7 +35,8 @@ def plan_picture(plan: Plan) -> bytes:
     image[there] = np.array(STEPS, np.uint8)[np.searchsorted(edges, drawn.T[there], side="right")]
     figure, axes = frame(view)
     draw(axes, image, view)
-    areas = {k: [b.bounds for b in plan.config.areas.boxes(k)] for k in ("train", "test")}
+    west, south = col * tiles.size, row * tiles.size
+    areas = plan.config.areas.shown(Box(west, south, west + shape[0] * tiles.size, south + shape[1] * tiles.size))
     handles: list[Patch | Line2D] = [
         Patch(facecolor=tuple(c / 255 for c in STEPS[k]), edgecolor=INK, linewidth=0.4, label=_range(edges, k))
         for k in range(len(edges) + 1)

@@ -1,0 +1,59 @@
+"""`fwclass assess` of several files, and `areas.train: all`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import lasmaker
+import numpy as np
+import pyogrio
+import pytest
+from commandline import fwclass
+from smallsurvey import CONFIG, small_survey
+
+
+@pytest.fixture
+def tiles(tmp_path: Path) -> Path:
+    """``ref/a.las`` and ``ref/b.las`` with predictions that err on a tenth and a half of the points."""
+    rng = np.random.default_rng(0)
+    for name, wrong in (("a", 0.1), ("b", 0.5)):
+        xyz = np.c_[500_000 + rng.uniform(0, 20, (1000, 2)) + 100 * (name == "b"), np.full(1000, 5.0)]
+        truth = rng.choice([2, 5], 1000)
+        answer = np.where(np.arange(1000) < 1000 * wrong, 7 - truth, truth)
+        for place, classes in (("ref", truth), ("out", answer)):
+            (tmp_path / place).mkdir(exist_ok=True)
+            lasmaker.write_las(tmp_path / place / f"{name}.las", xyz, point_format=6, classification=classes)
+    return tmp_path
+
+
+def test_files_of_one_name_are_counted_together(tiles: Path) -> None:
+    one = json.loads(fwclass("assess", tiles / "ref/a.las", tiles / "out/a.las", "--json").stdout)
+    both = json.loads(fwclass("assess", tiles / "ref/*.las", tiles / "out/*.las", "--json").stdout)
+    assert one["overall_accuracy"] == pytest.approx(0.9) and both["overall_accuracy"] == pytest.approx(0.7)
+    assert both["matched"] == 2000 and both["unmatched"] == 0
+
+
+@pytest.mark.parametrize(
+    ("reference", "prediction", "words"),
+    [("ref/*.las", "out/a.las", "no partner"), ("ref/*.laz", "out/*.las", "no file matches"), ("x.las", "y", "x.las")],
+)
+def test_what_does_not_fit_is_said(tiles: Path, reference: str, prediction: str, words: str) -> None:
+    ended = fwclass("assess", tiles / reference, tiles / prediction)
+    assert ended.returncode == 1 and words in ended.stderr and "Traceback" not in ended.stderr, ended.stderr
+
+
+def test_all_may_train(tmp_path: Path) -> None:
+    path = small_survey(tmp_path)
+    path.write_text(CONFIG.replace("[[500000, 5400000, 500030, 5400040]]", "all"))
+    ended = fwclass("run", path, "--out", tmp_path / "run", "--workers", "0")
+    assert ended.returncode == 0 and "with areas.train: all none is left" in ended.stderr, ended.stdout + ended.stderr
+    report = json.loads((tmp_path / "run" / "report.json").read_text())
+    assert sum(report["training"]["samples"].values()) == 6000 and not report["accuracy"]
+    bounds = pyogrio.read_info(tmp_path / "run" / "tiles.gpkg", layer="areas")["total_bounds"]
+    assert bounds[0] > 499_999 and bounds[2] < 500_081, "the survey, not the world"
+    plan = fwclass("plan", path, "--out", tmp_path / "plan", "--json")
+    assert plan.returncode == 0, plan.stderr
+    path.write_text(path.read_text().replace("train: all", "train: all, test: [[500040, 5400000, 500060, 5400040]]"))
+    ended = fwclass("run", path, "--out", tmp_path / "other", "--workers", "0")
+    assert ended.returncode == 2 and "nothing is left to test on" in ended.stderr
