@@ -57,3 +57,19 @@ def test_all_may_train(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("train: all", "train: all, test: [[500040, 5400000, 500060, 5400040]]"))
     ended = fwclass("run", path, "--out", tmp_path / "other", "--workers", "0")
     assert ended.returncode == 2 and "nothing is left to test on" in ended.stderr
+
+
+def test_a_figure_of_a_given_model_is_told_as_that(tmp_path: Path) -> None:
+    """Where it learned is not known here: of its own training places it would be far too good."""
+    path = small_survey(tmp_path)
+    trained = fwclass("train", path, "--model", tmp_path / "new/place", "--no-assess", "--out", tmp_path / "t")
+    assert trained.returncode == 0, trained.stderr
+    given = ("--set", f"survey.model={tmp_path / 'new/place'}", "--workers", "0")
+    whole = fwclass("run", path, "--out", tmp_path / "a", *given, "--set", "areas.train=[]")
+    assert "on all echoes, by a model that was given" in whole.stderr and "every training area" not in whole.stderr
+    assert "The model was given, and nothing here tells where it learned" in whole.stderr
+    assert "test on 20 squares or more" not in whole.stderr, "there are 128"
+    few = fwclass("run", path, "--out", tmp_path / "b", *given, "--set", "areas.train=[]", "--set", "assess.block=40")
+    assert "test on 20 squares or more" in few.stderr, "as of a model that is trained here"
+    known = fwclass("run", path, "--out", tmp_path / "c", *given)
+    assert "further than 1 m from every training area" in known.stderr and "nothing here tells" not in known.stderr

@@ -223,7 +223,7 @@ def test_train_refuses_before_it_works(tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "letter.txt").write_text("dear")
     save_model(tmp_path / "old", stump(("intensity",)))
-    for target, more in (("full", ("--overwrite",)), ("old", ()), ("no/where", ())):
+    for target, more in (("full", ("--overwrite",)), ("old", ()), ("full/letter.txt/x", ())):
         made = call("train", "demo", "--model", tmp_path / target, "--out", tmp_path / "run", *more)
         assert isinstance(made.exception, ConfigError), target
     for words in (("--model", tmp_path / "x", "--method", "oracle"), ("--compare", "forest,oracle")):

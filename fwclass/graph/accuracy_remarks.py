@@ -11,6 +11,11 @@ from fwclass.assess.remarks import Extent, remarks
 from fwclass.conf import Config
 from fwclass.features.params import Asked, is_feature
 
+OF_A_GIVEN_MODEL = (
+    "The model was given, and nothing here tells where it learned: if it was in this survey, the figure is too good: "
+    "name those places in areas.train, and they are not tested."
+)
+
 
 def accuracy_remarks(
     accuracy: Mapping[str, Any],
@@ -28,4 +33,5 @@ def accuracy_remarks(
     scored = int(np.sum(accuracy["confusion"])) + int(np.sum(accuracy.get("unclassified") or 0))
     apart = None if config.survey.model else max(config.areas.gap, nearest or 0.0)
     reach = Asked.of(n for n in names if is_feature(n)).reach(config.features)
-    return remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
+    sentences = remarks(accuracy, Extent(echoes, scored, others or {}, apart, reach), config.assess)
+    return sentences if config.survey.model is None or config.areas.train else [*sentences, OF_A_GIVEN_MODEL]

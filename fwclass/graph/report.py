@@ -71,16 +71,16 @@ def write_report(
         *(receipts_of_run(runner, s) for s in (LABELS, SAMPLES, "label", "polygons", CORRECTIONS)),
         whole_run=runner.whole,
     )
-    accuracy = class_accuracy(runner, config)
-    on_accuracy = remarks_on_accuracy(accuracy, counted, config, names)
-    if accuracy is not None and counted is not None:
+    accuracy, counts = class_accuracy(runner, config), echo_counts(runner)
+    on_accuracy = remarks_on_accuracy(accuracy, counted, counts["echoes_in_tiles"], config, names)
+    if accuracy is not None:
         accuracy["remarks"] = on_accuracy
     drifted, plausible = drift_of_run(runner), plausibility_of_run(runner, survey, config)
     report = {
         "survey": config.survey.name,
         "fwclass": __version__,
         "input": files,
-        "counts": echo_counts(runner),
+        "counts": counts,
         "stages": [stage_figures(runner, name, tally) for name, tally in runner.tallies.items()],
         "graph": list(graph),
         "classes": classes,

@@ -18,12 +18,15 @@ def class_accuracy(runner: Runner, config: Config) -> dict[str, Any] | None:
     receipt = next(iter(receipts_of_run(runner, "assess")), None)
     if receipt is None or receipt.meta["accuracy"] is None:
         return None
-    gap = config.areas.gap
     area = "the listed test areas" if config.areas.test else "all echoes"
+    if config.survey.model is not None and not config.areas.train:
+        area += ", by a model that was given"
+    else:
+        area += f" further than {config.areas.gap:g} m from every training area"
     accuracy = dict(receipt.meta["accuracy"])
     if accuracy.get("intervals"):
         accuracy["intervals"] = {**accuracy["intervals"], "caution": caution(accuracy["intervals"]["blocks"])}
-    return {**accuracy, "area": f"{area} further than {gap:g} m from every training area"}
+    return {**accuracy, "area": area}
 
 
 def feature_distribution(runner: Runner) -> dict[str, Any] | None:

@@ -18,11 +18,18 @@ from fwclass.run.runner import Runner
 
 
 def remarks_on_accuracy(
-    accuracy: Mapping[str, Any] | None, counted: Mapping[str, Any] | None, config: Config, names: tuple[str, ...]
+    accuracy: Mapping[str, Any] | None,
+    counted: Mapping[str, Any] | None,
+    echoes: int,
+    config: Config,
+    names: tuple[str, ...],
 ) -> list[str]:
-    """Remarks on the accuracy; none where there is none."""
-    if accuracy is None or counted is None:
+    """Remarks on the accuracy; none where there is none. `counted`: labels, which only a run that trains counts;
+    `echoes` of the whole survey."""
+    if accuracy is None:
         return []
+    if counted is None:
+        return accuracy_remarks(accuracy, config, names, echoes, {}, None)
     nearest = counted["gap"]["found"]
     return accuracy_remarks(accuracy, config, names, counted["echoes"], counted["other_codes"], nearest)
 

@@ -14,13 +14,14 @@ from fwclass.store.models import CARD, load_model
 
 def check_target(target: Path, overwrite: bool) -> None:
     """`ConfigError` if no model may be written to `target`."""
-    if not target.parent.is_dir() or not os.access(target.parent, os.W_OK):
+    parent = next(p for p in target.absolute().parents if p.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK):
         raise ConfigError(
             "the model's directory cannot be made",
             where=target,
-            expected="an existing directory to make it in",
-            got=target.parent,
-            do="make it first",
+            expected="a directory that may be written to",
+            got=parent,
+            do="choose another place",
         )
     if not target.exists():
         return
@@ -35,6 +36,7 @@ def check_target(target: Path, overwrite: bool) -> None:
 def deliver(source: Path, target: Path, overwrite: bool) -> None:
     """Copy the model in `source` to `target`: written beside, flushed, checked, renamed."""
     check_target(target, overwrite)
+    target.parent.mkdir(parents=True, exist_ok=True)
     beside = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     old = target.with_name(f".{target.name}.{uuid.uuid4().hex}")
     try:
