@@ -112,10 +112,7 @@ def _splits(places: ClassPlaces, classes: Sequence[Sequence[int]], bounds: Box, 
         at, ahead, behind = (below[np.searchsorted(lines, cuts + shift)] for shift in (0, apart, -apart))
         for cut, low, later, earlier in zip(cuts.tolist(), at, ahead, behind, strict=True):
             high = below[-1] - low
-            sides = (
-                (low, below[-1] - later, None, cut * places.cell),
-                (high, earlier, cut * places.cell, None),
-            )
+            sides = ((low, below[-1] - later, None, cut * places.cell), (high, earlier, cut * places.cell, None))
             for train, test, begin, end in sides:
                 if SHARES[0] <= train.sum() / total <= SHARES[1]:
                     yield Split(_side(bounds, axis, begin, end), gap, train, test)
