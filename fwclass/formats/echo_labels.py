@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError, nearest, visible
-from fwclass.formats.parquet_footer import values_in
+from fwclass.formats.parquet_footer import check_unpacked, values_in
 from fwclass.lazy_module import LazyModule
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ MOST_ROWS = 20_000_000
 """Rows of a file; 120 bytes of memory each while they are read."""
 FREE_ROWS, ROWS_A_BYTE = 500_000, 2
 """Rows of a file of any size, and further ones for each of its bytes; no true place is told in less than a byte."""
+EACH = 200
+"""Bytes that one of a file unpacks to, at most."""
 MOST_BYTES = 1 << 31
 """Bytes of a file, and of its columns unpacked, as its footer says."""
 LONGEST_NAME = 100
@@ -206,6 +208,7 @@ def _check_counts(stream: Any, size: int, where: object) -> None:
             got=f"{size:,} bytes, {values:,} values",
             do="give several files, for example one a tile",
         )
+    check_unpacked(stream, size, EACH)
     stream.seek(0)
     about = pq.read_metadata(stream)
     groups = [about.row_group(g) for g in range(about.num_row_groups)]

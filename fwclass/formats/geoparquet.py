@@ -11,18 +11,26 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from fwclass.errors import InputError
+from fwclass.formats.parquet_footer import SPARE, check_unpacked
 from fwclass.formats.vector import Header
 from fwclass.lazy_module import LazyModule
 from fwclass.paths import open_regular
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.compute as pc
     import pyarrow.parquet as pq
 else:
-    pa, pq = LazyModule("pyarrow"), LazyModule("pyarrow.parquet")
+    pa, pc, pq = LazyModule("pyarrow"), LazyModule("pyarrow.compute"), LazyModule("pyarrow.parquet")
 
 _CODE = re.compile(r"[A-Za-z]+:[A-Za-z0-9]+")
 """Authority and code."""
+
+EACH = 200
+"""Bytes that one of a file unpacks to, at most."""
+
+ROW = 100
+"""Bytes that a feature takes beside what it holds."""
 
 WITHOUT_CRS = "OGC:CRS84"
 """What a column that does not speak of its CRS is in (GeoParquet 1.1)."""
@@ -73,18 +81,36 @@ def rows(path: Path, geometry: str, field: str | None) -> tuple[list[Any], list[
 
 def column(path: Path, name: str) -> list[Any]:
     """Values of one column, in the file's order."""
-    with _opened(path) as file:
+    with _opened(path, name) as file:
         try:
-            return list(file.read([name]).column(name).to_pylist())
-        except (pa.ArrowException, OSError, UnicodeDecodeError) as fault:
+            found = file.read([name]).column(name)
+            _check_size(found, SPARE + EACH * path.stat().st_size)
+            return [value for chunk in found.chunks for value in _plain(chunk).to_pylist()]
+        except (pa.ArrowException, OSError, UnicodeDecodeError, ValueError) as fault:
             raise _foreign(path, str(fault)) from fault
 
 
-def _opened(path: Path) -> Any:
+def _check_size(found: Any, most: int) -> None:
+    """`ValueError` for values that take more than `most` bytes, written out."""
+    total = ROW * len(found)
+    for chunk in found.chunks:
+        if pa.types.is_dictionary(chunk.type):
+            total += pc.sum(pc.binary_length(chunk.dictionary).cast(pa.int64()).take(chunk.indices)).as_py() or 0
+    if total > most:
+        raise ValueError(f"values that take more than {most:,} bytes")
+
+
+def _plain(chunk: Any) -> Any:
+    return chunk.dictionary_decode() if pa.types.is_dictionary(chunk.type) else chunk
+
+
+def _opened(path: Path, name: str | None = None) -> Any:
+    """The file; texts and bytes of the column `name` are read as often as they are written."""
     try:
-        open_regular(path).close()  # Arrow would wait for a pipe
-        return pq.ParquetFile(path)
-    except (pa.ArrowException, OSError) as fault:
+        with open_regular(path) as stream:  # Arrow would wait for a pipe
+            check_unpacked(stream, path.stat().st_size, EACH)
+        return pq.ParquetFile(path, read_dictionary=[name] if name else None)
+    except (pa.ArrowException, OSError, ValueError) as fault:
         raise _foreign(path, str(fault).splitlines()[0]) from fault
 
 

@@ -1,8 +1,8 @@
-"""How many values a Parquet file says it holds, from the bytes of its footer.
+"""How much a Parquet file holds, from the bytes of its footer and of its pages' headers.
 
-Arrow may not be asked: of a column whose description is damaged it ends the process. The footer is a struct in Thrift's
-compact protocol (parquet.thrift): FileMetaData.row_groups (4) > RowGroup.columns (1) > ColumnChunk.meta_data (3) >
-ColumnMetaData.num_values (5).
+Arrow may not be asked: of a column whose description is damaged it ends the process, and of a page it takes the memory
+that its header asks for. Both are structs in Thrift's compact protocol (parquet.thrift): FileMetaData.row_groups (4) >
+RowGroup.columns (1) > ColumnChunk.meta_data (3), and before every page its PageHeader.
 """
 
 from __future__ import annotations
@@ -19,7 +19,19 @@ MOST = 256 << 20
 DEEPEST = 32
 """Structs and lists within each other."""
 
-_WANTED = (4, 1, 3, 5)
+SPARE, PAGE = 64 << 20, 256
+"""Bytes that a file of any size may unpack to, and that a page counts beyond its own."""
+
+_WANTED = (4, 1, 3)
+_VALUES, _PACKED, _PAGES, _DICTIONARY = 5, 7, 9, 11
+"""Of ColumnMetaData: num_values, total_compressed_size, data_page_offset, dictionary_page_offset."""
+
+_UNPACKED_PAGE, _PACKED_PAGE = 2, 3
+"""Of PageHeader: uncompressed_page_size, compressed_page_size."""
+
+_HEAD = 1 << 14, 1 << 24
+"""Bytes that are looked at for a page's header, at first, and at last: Arrow reads no longer one."""
+
 _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(1, 13)
 
 
@@ -29,32 +41,83 @@ def count_values(path: Path) -> int:
         return values_in(stream, stream.seek(0, os.SEEK_END))
 
 
+def check_file(path: Path, each: int) -> None:
+    """As `check_unpacked`."""
+    with path.open("rb") as stream:
+        check_unpacked(stream, stream.seek(0, os.SEEK_END), each)
+
+
 def values_in(stream: BinaryIO, size: int) -> int:
     """As `count_values`, of an open file of `size` bytes."""
+    counts = [chunk.get(_VALUES, 0) for chunk in _chunks(stream, size)]
+    if any(n < 0 for n in counts):
+        raise ValueError("a negative number of values")
+    return sum(counts)
+
+
+def check_unpacked(stream: BinaryIO, size: int, each: int) -> None:
+    """`ValueError` where the pages of all columns unpack to more than `SPARE` and `each` bytes for one of the file."""
+    most = total = SPARE + each * size
+    for chunk in _chunks(stream, size):
+        pages, dictionary = chunk.get(_PAGES, 0), chunk.get(_DICTIONARY, 0)
+        at = dictionary if 0 < dictionary < pages else pages
+        end = min(at + chunk.get(_PACKED, 0), size)
+        while chunk.get(_VALUES) and 0 <= at < end and total >= 0:
+            header, length = _page(stream, at)
+            packed = header.get(_PACKED_PAGE, 0)
+            total -= max(0, header.get(_UNPACKED_PAGE, 0)) + PAGE
+            at += length + packed if packed >= 0 else size
+    if total < 0:
+        raise ValueError(f"{size:,} bytes that unpack to more than {most:,}")
+
+
+def _chunks(stream: BinaryIO, size: int) -> list[dict[int, int]]:
+    """The numbers that describe each column of each row group."""
     stream.seek(max(0, size - 8))
     tail = stream.read(8)
     length = struct.unpack("<I", tail[:4])[0] if len(tail) == 8 else 0
     if tail[4:] != b"PAR1" or not 0 < length <= min(size - 8, MOST):
         raise ValueError("no footer at its end")
     stream.seek(size - 8 - length)
-    footer = _Footer(stream.read(length))
+    footer = _Thrift(stream.read(length))
     try:
-        counts = list(footer.struct(_WANTED, 0))
+        return list(footer.struct(_WANTED, 0))
     except IndexError:
         raise ValueError("a footer that is cut short") from None
-    if any(n < 0 for n in counts):
-        raise ValueError("a negative number of values")
-    return sum(counts)
 
 
-class _Footer:
-    """Walks once over the bytes; numbers at the end of a path of fields are given, the rest is passed over."""
+def _page(stream: BinaryIO, at: int) -> tuple[dict[int, int], int]:
+    """The numbers of the page's header that begins there, and its length."""
+    for most in _HEAD:
+        stream.seek(at)
+        header = _Thrift(stream.read(most))
+        try:
+            return header.numbers(0), header.at
+        except (IndexError, ValueError) as fault:
+            damage = fault
+    raise ValueError("a page without a header") from damage
+
+
+class _Thrift:
+    """Walks once over the bytes, and is `at` one of them; of structs at the end of a path of fields the numbers are
+    given, the rest is passed over."""
 
     def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
+        self._data, self.at = data, 0
 
-    def struct(self, wanted: tuple[int, ...], depth: int) -> Iterator[int]:
-        """The numbers at `wanted`, field by field, from a struct that begins here."""
+    def numbers(self, depth: int) -> dict[int, int]:
+        """The numbers of a struct that begins here, by field."""
+        number, found = 0, {}
+        while head := self._byte():
+            number = number + (head >> 4) if head >> 4 else self._signed()
+            if head & 15 in (_I16, _I32, _I64):
+                found[number] = self._signed()
+            else:
+                list(self._value(head & 15, (), False, depth))
+        return found
+
+    def struct(self, wanted: tuple[int, ...], depth: int) -> Iterator[dict[int, int]]:
+        """Those of the structs at `wanted`, field by field, from a struct that begins here."""
         number = 0
         while head := self._byte():
             number = number + (head >> 4) if head >> 4 else self._signed()
@@ -64,13 +127,13 @@ class _Footer:
             else:
                 yield from self._value(kind, (), False, depth)
 
-    def _value(self, kind: int, wanted: tuple[int, ...], is_wanted: bool, depth: int) -> Iterator[int]:
+    def _value(self, kind: int, wanted: tuple[int, ...], is_wanted: bool, depth: int) -> Iterator[dict[int, int]]:
         if depth > DEEPEST:
             raise ValueError("a footer of too many structs within each other")
         if kind in (_I16, _I32, _I64):
-            value = self._signed()
-            if is_wanted and not wanted:
-                yield value
+            self._signed()
+        elif kind == _STRUCT and is_wanted and not wanted:
+            yield self.numbers(depth + 1)
         elif kind == _STRUCT:
             yield from self.struct(wanted, depth + 1)
         elif kind in (_LIST, _SET):
@@ -84,7 +147,7 @@ class _Footer:
         elif kind not in (_TRUE, _FALSE):
             raise ValueError("a footer of unknown kinds")
 
-    def _list(self, wanted: tuple[int, ...], is_wanted: bool, depth: int) -> Iterator[int]:
+    def _list(self, wanted: tuple[int, ...], is_wanted: bool, depth: int) -> Iterator[dict[int, int]]:
         head = self._byte()
         count = head >> 4 if head >> 4 < 15 else self._number()
         kind = head & 15
@@ -102,13 +165,13 @@ class _Footer:
                 list(self._value(kind, (), False, depth + 1))
 
     def _byte(self) -> int:
-        self._at += 1
-        return self._data[self._at - 1]
+        self.at += 1
+        return self._data[self.at - 1]
 
     def _skip(self, count: int) -> None:
-        if count > len(self._data) - self._at:
+        if count > len(self._data) - self.at:
             raise ValueError("a footer that is cut short")
-        self._at += count
+        self.at += count
 
     def _number(self) -> int:
         value = shift = 0

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.parquet_footer import count_values
+from fwclass.formats.parquet_footer import check_file, count_values
 from fwclass.read.beam_source import LONGEST, BeamRows, Layout, Ragged
 from fwclass.read.raw_columns import (
     LISTS,
@@ -29,6 +29,9 @@ from fwclass.read.raw_columns import (
 MAGIC = b"PAR1"
 BLOCK = 2_000
 """Rows that are held at a time."""
+
+EACH = 2000
+"""Bytes that one of a file unpacks to, at most."""
 
 FEWEST_BYTES = 1 / 2000
 """A number takes at least so many bytes of a file, on average: samples of a receiver cannot be packed closer."""
@@ -101,6 +104,7 @@ def open_raw_parquet(path: Path) -> tuple[ParquetLayout, Settings]:
             schema, footer = file.schema_arrow, file.metadata
             rows = [footer.row_group(g).num_rows for g in range(footer.num_row_groups)]
         values = count_values(path)
+        check_file(path, EACH)
     except (pa.ArrowException, OSError, ValueError) as fault:
         raise _damaged(path, fault) from None
     metadata = {k.decode("utf-8", "replace"): v.decode("utf-8", "replace") for k, v in (schema.metadata or {}).items()}

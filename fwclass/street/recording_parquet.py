@@ -12,12 +12,15 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fwclass.errors import InputError
-from fwclass.formats.parquet_footer import count_values
+from fwclass.formats.parquet_footer import check_file, count_values
 from fwclass.street.frames import Frame, Scan
 from fwclass.street.recording_columns import COLUMNS, LISTS, MOST_BEAMS, NUMBERS, check_columns, frame_of, settings_of
 
 BLOCK = 64
 """Frames that are held at a time."""
+
+EACH = 2000
+"""Bytes that one of a file unpacks to, at most."""
 
 FEWEST_BYTES = 1 / 2000
 """A number takes at least so many bytes of a file, on average."""
@@ -38,6 +41,7 @@ class ParquetRecording:
                 schema, meta = file.schema_arrow, file.metadata
                 rows = [meta.row_group(g).num_rows for g in range(meta.num_row_groups)]
             values = count_values(path)
+            check_file(path, EACH)
         except (pa.ArrowException, OSError, ValueError) as fault:
             raise damage_error(path, fault) from None
         check_columns(schema.names, path)

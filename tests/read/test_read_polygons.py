@@ -203,3 +203,19 @@ def test_info_tells_what_is_wrong(tmp_path):
     found = info(written(made, tmp_path / "a.gpkg"))
     assert any("survey.reference.crs" in f for f in found["faults"])
     assert any("1 features without a polygon" in f for f in found["faults"])
+
+
+@pytest.mark.parametrize("dictionary", [False, True])
+def test_geoparquet_unpacks_to_no_more_than_its_bytes_allow(dictionary, tmp_path):
+    """A page of 100 MB in some kilobytes, and one shape of 2 MB that a thousand features have."""
+    shape = bytes(2 << 20 if dictionary else 100 << 20)
+    about = {"version": "1.1.0", "primary_column": "g", "columns": {"g": {"encoding": "WKB", "crs": "EPSG:25832"}}}
+    shapes = pa.DictionaryArray.from_arrays(np.zeros(1000 if dictionary else 1, np.int32), pa.array([shape]))
+    table = pa.table({"g": shapes if dictionary else pa.array([shape])})
+    words = {"compression": "zstd", "use_dictionary": dictionary, "store_schema": False}
+    with pq.ParquetWriter(tmp_path / "a.parquet", table.schema, **words) as file:
+        file.write_table(table)
+        file.add_key_value_metadata({"geo": json.dumps(about)})
+    assert (tmp_path / "a.parquet").stat().st_size < 20_000
+    with pytest.raises(InputError, match=r"unpack to more|take more than"):
+        read_polygons(open_polygons(tmp_path / "a.parquet"), None)
