@@ -15,7 +15,7 @@ from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.corrections import CORRECTIONS, corrected_training_rows, corrections_here, corrections_of, reach_here
 from fwclass.graph.fine_layer import fine_layer
 from fwclass.graph.machine_search import MACHINE_SEARCH, gather_trials, judge, searches, spatial, trials
-from fwclass.graph.model_fit import computed
+from fwclass.graph.model_fit import feature_parameters
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.graph.thin import sampled_columns
 from fwclass.grid import Box, millimetres
@@ -232,9 +232,9 @@ def growing(plan: Plan) -> Mapping[str, Any]:
 
 
 def parameters_of(plan: Plan, names: tuple[str, ...]) -> Mapping[str, Any]:
-    """What the values of the features `names` depend on (`computed`)."""
+    """What the values of the features `names` depend on (`feature_parameters`)."""
     config = plan.config
-    return computed(names, config.features, config.ground.method, plan.layout.quantities)
+    return feature_parameters(names, config.features, config.ground.method, plan.layout.quantities)
 
 
 def _feature_settings(plan: Plan) -> Mapping[str, Any]:

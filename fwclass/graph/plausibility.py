@@ -50,7 +50,7 @@ def receiver_facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     return {name: meta[name] for name in (*UNKNOWN.noise.facts, "channels")}
 
 
-def of_strip(
+def strip_plausibility(
     name: str,
     returns: int,
     counts: Mapping[str, int],
@@ -82,7 +82,7 @@ def of_strip(
 
 
 def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
-    """What is worth telling of `of_strip`s, in words; one line for each kind, whatever the number of strips."""
+    """What is worth telling of strips (`strip_plausibility`): one line for each kind, whatever their number."""
     lines = []
     if some := [s for s in strips if s["implausible"] > RARE * s["fitted"]]:
         n = {key: sum(s[key] for s in some) for key in ("implausible", "fitted", "below", "weak")}

@@ -46,7 +46,7 @@ FACTS, PAGE, POLYGONS = "quality.json", "quality.html", "quality.gpkg"
 PIECES = tuple(Pieces.__dataclass_fields__)
 
 
-def quality_of_block(here: StageInputs, params: QualityParams) -> Result:
+def measure_quality(here: StageInputs, params: QualityParams) -> Result:
     """Counts by cell, pieces of strips and pairs of planes of one block."""
     box = here.tile.box
     quality = block_quality(here.inputs.inside(box, here.tile_size, here.columns, here.present), box, params)
@@ -233,7 +233,7 @@ MEASURE_QUALITY = Stage(
     1,
     "block",
     "echo",
-    quality_of_block,
+    measure_quality,
     edge=lambda plan: plan.config.terrain.block,
     arguments=lambda plan: {"params": plan.config.quality},
     silent=THRESHOLDS | {"strips", "check_points", "area"},

@@ -22,14 +22,14 @@ def quantities_by_feature(names: Iterable[str], quantities: Quantities) -> By:
     """For a model's card: the quantity that every one of its features is made of; features of neither are left out."""
     by_feature: By = {}
     for name in names:
-        kind = depends(name)
+        kind = quantity_of_feature(name)
         if kind:
             quantity = str(getattr(quantities, kind))
             by_feature[name] = {"of": kind, "quantity": quantity, "unit": UNITS[quantity]}
     return by_feature
 
 
-def depends(name: str) -> str:
+def quantity_of_feature(name: str) -> str:
     """``amplitude``, ``width`` or "": what a feature or column is made of."""
     reads = Asked.of([name]).reads if is_feature(name) else (name,)
     if any(column in _AMPLITUDE for column in reads):
@@ -37,11 +37,11 @@ def depends(name: str) -> str:
     return "width" if any(column in _WIDTH for column in reads) else ""
 
 
-def joint(files: Mapping[str, Quantities], names: Iterable[str], where: object) -> Quantities:
+def joint_quantities(files: Mapping[str, Quantities], names: Iterable[str], where: object) -> Quantities:
     """What the amplitudes and widths of a survey's files are; `ConfigError` where amplitudes differ and one of the
     features `names` is made of them. Where none is, those of the first file."""
     first, quantities = next(iter(files.items()))
-    hang = [n for n in names if depends(n) == "amplitude"]
+    hang = [n for n in names if quantity_of_feature(n) == "amplitude"]
     other = next((f for f, q in files.items() if q.amplitude != quantities.amplitude), None)
     if hang and other is not None:
         raise ConfigError(
@@ -62,7 +62,7 @@ def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], wher
     """
     learned: Any = card.get("computed", {}).get("quantities")
     if not isinstance(learned, Mapping):
-        hang = [n for n in card["features"] if depends(n)]
+        hang = [n for n in card["features"] if quantity_of_feature(n)]
         if not hang or not files:
             return []
         kinds = sorted({WORDS[q.amplitude] for q in files.values()})

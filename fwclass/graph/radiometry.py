@@ -87,7 +87,7 @@ def flown_by(plan: Plan, receipts: Mapping[Name, Receipt]) -> Flown:
     return known
 
 
-def pointing(here: StageInputs, params: RadiometryParams) -> Result:
+def check_trajectories(here: StageInputs, params: RadiometryParams) -> Result:
     """Refuses a trajectory that the beams of some tiles do not come from."""
     echoes = Table.concat([here.inputs.table("tile", key, _POINTING) for key in here.parts("tile")])
     flights = here.parts("trajectory")
@@ -216,7 +216,7 @@ CHECK_POINTING = Stage(
     1,
     "survey",
     "part",
-    pointing,
+    check_trajectories,
     when=lambda plan: bool(plan.config.survey.trajectory.files) if plan.tiled is None else plan.pointing,
     arguments=_params,
     after=("tile", "trajectory"),

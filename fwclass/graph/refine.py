@@ -196,7 +196,7 @@ def fit_layer(
     return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
 
 
-def both_answered(
+def classify_refined(
     here: StageInputs,
     layer: FineLayer,
     names: tuple[str, ...],
@@ -355,7 +355,7 @@ CLASSIFY_REFINED = Stage(
     CLASSIFY.version,
     "tile",
     "echo",
-    both_answered,
+    classify_refined,
     when=_has,
     arguments=lambda plan: {
         "layer": _layer(plan),

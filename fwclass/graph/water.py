@@ -88,7 +88,7 @@ def water_of(here: StageInputs) -> Water | None:
     return Water(Polygons.from_arrays(arrays), arrays["level"], (arrays["knot_x"], arrays["knot_y"], arrays["knot_z"]))
 
 
-def water_read(
+def read_water(
     here: StageInputs, crs: str | None, layer: str, own_crs: str | None, step: float, stretch: float
 ) -> Result:
     """Polygons of water in whole millimetres of the survey's system, and places every `step` [m] along their shores."""
@@ -122,7 +122,7 @@ def _line(arrays: Mapping[str, NDArray]) -> Shoreline:
     return Shoreline(arrays["shore_x"], arrays["shore_y"], arrays["body"], arrays["stretch"])
 
 
-def shore_measured(here: StageInputs, reach: float) -> Result:
+def measure_shore(here: StageInputs, reach: float) -> Result:
     """Ground echoes of a tile within `reach` [m] of a shore: which place of it is nearest, and their heights; and how
     many of those further inside lie at which height, by body."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
@@ -138,7 +138,7 @@ def shore_measured(here: StageInputs, reach: float) -> Result:
     return {"echoes": len(rows), "inside": len(inside)}
 
 
-def water_levelled(here: StageInputs, params: WaterParams) -> Result:
+def level_water(here: StageInputs, params: WaterParams) -> Result:
     """The level of every body of water, those that are level with their shores, and what a user should know."""
     arrays = here.inputs.arrays(WATER, "all", FILE)[0]
     tiles = [here.inputs.arrays(SHORE, key, FILE)[0] for key in here.parts(SHORE)]
@@ -240,7 +240,7 @@ READ_WATER = Stage(
     1,
     "survey",
     "part",
-    water_read,
+    read_water,
     when=_is_wanted,
     arguments=lambda plan: {
         **read_as(plan.survey.water, plan.survey.crs),
@@ -254,7 +254,7 @@ MEASURE_SHORE = Stage(
     1,
     "tile",
     "echo",
-    shore_measured,
+    measure_shore,
     when=_is_wanted,
     arguments=lambda plan: {"reach": plan.config.water.shore},
     own=("x", "y", "z", "ground", "noise"),
@@ -266,7 +266,7 @@ LEVEL_WATER = Stage(
     1,
     "survey",
     "part",
-    water_levelled,
+    level_water,
     when=_is_wanted,
     arguments=lambda plan: {"params": plan.config.water},
     silent=frozenset({"file", "layer", "crs", "shore", "stretch"}),  # what is read tells them

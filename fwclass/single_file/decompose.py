@@ -17,7 +17,7 @@ from fwclass.errors import ConfigError, InputError, visible
 from fwclass.features.params import NORMAL, FeaturesParams
 from fwclass.features.stage import features
 from fwclass.formats.flat import refuse_source, refuse_unless_flat
-from fwclass.graph.plausibility import of_strip, remarks
+from fwclass.graph.plausibility import remarks, strip_plausibility
 from fwclass.graph.survey import given_crs
 from fwclass.grid import Tile
 from fwclass.publish.laz import without_reflectance, write_tile_laz
@@ -107,7 +107,7 @@ def decompose_file(
     write_tile_laz(shown, output, system, params["publish"], standard_time=opened.standard_gps_time)
     near, judged = (
         fit.vendor_tolerance,
-        of_strip(source.stem, opened.n_points, counts, noise, places, faults, opened.n_records),
+        strip_plausibility(source.stem, opened.n_points, counts, noise, places, faults, opened.n_records),
     )
     lone = judged["returns_without_echo"]
     read_from = f"{opened.n_points:,} returns" if opened.n_points else f"{pulses:,} pulses"

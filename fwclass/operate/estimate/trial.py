@@ -110,7 +110,7 @@ def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str
     return tuple(glob.escape(str(p)) for p in near or files)
 
 
-def trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
+def run_trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
     """Run the `count` tiles with most echoes of those that are whole; return their keys, the fullest first."""
     config: Config = job.config
     plan = until_tiles(deciding(config), runner)

@@ -19,7 +19,7 @@ from fwclass.graph.areas import within
 from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
 from fwclass.graph.stage import Plan
 from fwclass.graph.stages import check_features
-from fwclass.graph.walk import until_labels, until_tiles
+from fwclass.graph.walk import tasks_until_labels, until_tiles
 from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, class_index, sample_matrix
 from fwclass.publish.selectplot import draw_rates
@@ -32,7 +32,7 @@ from fwclass.select.params import SelectParams
 from fwclass.select.score import Names, Trial, as_good, score
 from fwclass.stage import Chunk
 from fwclass.store.atomic import digest_of
-from fwclass.study.select.cost import computed, microseconds
+from fwclass.study.select.cost import computed_names, microseconds
 from fwclass.study.select.trials import predict
 from fwclass.thin.follow import index_of_followed
 from fwclass.thin.params import ThinParams
@@ -75,7 +75,7 @@ def rate_tasks(layout: Layout, names: Names) -> list[Task]:
 def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
     """How long features take for a share of a tile's echoes, at every rate."""
     config = layout.config
-    names = computed(names)
+    names = computed_names(names)
     asked = Asked.of(names)
     halo = asked.halo(config.features)
     columns = layout.columns(asked.reads)
@@ -199,7 +199,7 @@ def thinning(config: Config, runner: Runner, names: Names) -> dict[str, Any]:
     config = replace(config, thin=config.thin.model_copy(update={"rate": 1.0}))  # all features are there then
     check_features(config, names, "survey.features or --candidates")
     plan = until_tiles(Plan(config, names, names), runner)
-    return measure_rates(config, runner, plan.layout, names, until_labels(plan))
+    return measure_rates(config, runner, plan.layout, names, tasks_until_labels(plan))
 
 
 def measure_rates(
