@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fwclass.classes import STANDARD, ClassDef, standard_name
 from fwclass.classify.kept import Kept
+from fwclass.errors import first_few
 from fwclass.graph.stage import Plan, StageInputs
 
 UNNAMED = frozenset({0, 1})
@@ -85,5 +86,5 @@ def class_remarks(
 
 def _listing(by_code: Mapping[int, int]) -> str:
     most = sorted(by_code, key=lambda c: (-by_code[c], c))
-    words = [f"{f'{c} {STANDARD[c]}' if c in STANDARD else standard_name(c)}: {by_code[c]:,}" for c in most[:SHOWN]]
-    return ", ".join(words) + (f" and {len(most) - SHOWN} more" if len(most) > SHOWN else "")
+    words = [f"{f'{c} {STANDARD[c]}' if c in STANDARD else standard_name(c)}: {by_code[c]:,}" for c in most]
+    return first_few(words, SHOWN)

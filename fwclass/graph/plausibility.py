@@ -9,7 +9,7 @@ from typing import Any
 from fwclass.decompose.params import DecomposeParams, PlausibilityParams
 from fwclass.decompose.plausible import UNKNOWN
 from fwclass.decompose.system_pulse import disagree
-from fwclass.errors import QualityError
+from fwclass.errors import QualityError, first_few
 from fwclass.read import beam_source, pls_waves
 from fwclass.units import METRES_PER_NS
 
@@ -241,8 +241,7 @@ def judge(strips: Iterable[Mapping[str, Any]], params: PlausibilityParams) -> No
 
 
 def _names(strips: Sequence[Mapping[str, Any]]) -> str:
-    names = [str(s["name"]) for s in strips]
-    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+    return first_few([str(s["name"]) for s in strips], NAMED)
 
 
 def _percent(share: float) -> str:

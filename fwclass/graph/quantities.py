@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from fwclass.errors import ConfigError
+from fwclass.errors import ConfigError, first_few
 from fwclass.features.params import Asked, is_feature
 from fwclass.radiometry.stage import RADIOMETRY
 from fwclass.read.quantities import FITTED, READ, UNITS, WORDS, Quantities
@@ -45,7 +45,7 @@ def joint_quantities(files: Mapping[str, Quantities], names: Iterable[str], wher
     other = next((f for f, q in files.items() if q.amplitude != quantities.amplitude), None)
     if hang and other is not None:
         raise ConfigError(
-            f"the files have different kinds of amplitudes, and {_few(hang)} would mix them",
+            f"the files have different kinds of amplitudes, and {first_few(hang, _LISTED)} would mix them",
             where=where,
             expected="one kind in all files",
             got=f"{first}: {WORDS[quantities.amplitude]}; {other}: {WORDS[files[other].amplitude]}",
@@ -67,8 +67,8 @@ def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], wher
             return []
         kinds = sorted({WORDS[q.amplitude] for q in files.values()})
         return [
-            f"the model's card does not say which quantity {_few(hang)} {_are(hang)} made of; here amplitudes are "
-            f"{' and '.join(kinds)}: train it again to be sure"
+            f"the model's card does not say which quantity {first_few(hang, _LISTED)} {_are(hang)} made of; "
+            f"here amplitudes are {' and '.join(kinds)}: train it again to be sure"
         ]
     notes = []
     for kind in ("amplitude", "width"):
@@ -85,15 +85,11 @@ def check_learned(card: Mapping[str, Any], files: Mapping[str, Quantities], wher
             raise ConfigError(
                 f"the model learned from another {'amplitude' if kind == 'amplitude' else 'echo width'}",
                 where=where,
-                expected=f"{WORDS.get(theirs, theirs)}, which {_few(other)} {_are(other)} made of",
+                expected=f"{WORDS.get(theirs, theirs)}, which {first_few(other, _LISTED)} {_are(other)} made of",
                 got=f"{name}: {WORDS[got]}",
                 do="use a model that was trained on such data, or train one without these features",
             )
     return list(dict.fromkeys(notes))
-
-
-def _few(names: list[str]) -> str:
-    return ", ".join(names[:_LISTED]) + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
 
 
 def _are(names: list[str]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from fwclass.errors import InputError
+from fwclass.errors import InputError, first_few
 from fwclass.formats.wkb import Shapes
 from fwclass.graph.layout import FileDigests, PolygonFile
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -179,7 +179,9 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
     pairs = list(zip(facts, bodies, strict=True))
     sloping = [t for t, b in pairs if b.lowest is not None and t["highest"] - t["lowest"] > params.most_spread]
     if sloping:
-        some = _listing([f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], "; ")
+        some = first_few(
+            [f"feature {t['feature']} {t['lowest']:.2f} to {t['highest']:.2f} m" for t in sloping], NAMED, "; "
+        )
         lines.append(
             f"{len(sloping)} {all_of} are not flattened: the level differs by more than "
             f"water.most_spread ({params.most_spread:g} m) from place to place, as of a river: {some}. Cut them into "
@@ -199,21 +201,16 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
             words = [f"feature {t['feature']} {t['inside_level']:.2f}, shore {t['shore_level']:.2f} m" for t in some_of]
             lines.append(
                 f"{len(some_of)} {all_of}: ground echoes in them lie {'below' if kept else 'above'} the shore by more "
-                f"than water.most_spread ({params.most_spread:g} m), {does}: {_listing(words, '; ')}. Are the polygons "
-                "in their place?"
+                f"than water.most_spread ({params.most_spread:g} m), {does}: {first_few(words, NAMED, '; ')}. "
+                "Are the polygons in their place?"
             )
     few = [str(t["feature"]) for t, b in pairs if b.level is None]
     if few:
         lines.append(
             f"{len(few)} {all_of} are not flattened: fewer than {params.least} ground echoes lie in them or within "
-            f"{params.shore:g} m of their shores (features {_listing(few, ', ')})"
+            f"{params.shore:g} m of their shores (features {first_few(few, NAMED)})"
         )
     return lines
-
-
-def _listing(words: Sequence[str], between: str) -> str:
-    more = f" and {len(words) - NAMED} more" if len(words) > NAMED else ""
-    return between.join(words[:NAMED]) + more
 
 
 def _is_wanted(plan: Plan) -> bool:
