@@ -16,7 +16,7 @@ from fwclass.classify.stage import CLASSIFY, classify, count_filled
 from fwclass.conf.model import AreasSection
 from fwclass.errors import InputError
 from fwclass.features.params import Asked, FeaturesParams
-from fwclass.features.stage import FEATURES, features
+from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import IDENTITY_AND_PLACE, training_tiles, within
 from fwclass.graph.classify import classes_written, codes_of, given_model, model_at, outside_facts, own_model
 from fwclass.graph.corrections import CORRECTIONS, corrections_here
@@ -276,7 +276,7 @@ ANSWER_COARSE = Stage(
 )
 DRAW_BOUNDARY = Stage(
     DRAWN,
-    1000 * FEATURES.version + TRAIN_SAMPLE.version,
+    1000 * FEATURE_COMPUTATION.version + TRAIN_SAMPLE.version,
     "tile",
     "echo",
     draw_fine_tile,
@@ -338,7 +338,7 @@ TRAIN_FINE = Stage(
 )
 WIDEN_BOUNDARY = Stage(
     REFINE.name,
-    1000 * FEATURES.version + REFINE.version,
+    1000 * FEATURE_COMPUTATION.version + REFINE.version,
     "tile",
     "echo",
     widen_features,

@@ -27,12 +27,12 @@ from workflows.classification import classification
 
 @dataclass(frozen=True)
 class Trial:
-    """A survey cut down.
+    """A survey cut down to what a dry run needs.
 
     Attributes
     ----------
-    config : of it; everything but the files is as in the whole survey.
-    boxes : of the fullest tiles by the headers [m].
+    config : its configuration, the whole survey's with fewer files.
+    boxes : the fullest tiles by the headers [m].
     left : bounds of the files left out [m]: a tile near one of them is not whole.
     files : sources that remain.
     """

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fwclass.features.params import Asked, FeaturesParams, is_feature
-from fwclass.features.stage import FEATURES, features
+from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.layout import Layout, needs_of, plain
 from fwclass.grid import Tile
 from fwclass.run.inputs import PartInputs
@@ -61,7 +61,7 @@ def costs(runner: Runner, layout: Layout, tile: Tile, sets: Sequence[Names]) -> 
         config.select.timing_echoes,
     )
     name = digest_of(plain(config.select) | params)[:16]
-    task = Task(COST, name, FEATURES.version, params, work, needs=needs_of(columns, present))
+    task = Task(COST, name, FEATURE_COMPUTATION.version, params, work, needs=needs_of(columns, present))
     meta = require_all(runner, [task])[task.name].meta
     by_set = dict(zip(wanted, meta["microseconds"], strict=True))
     return {s: by_set[computed_names(s)] for s in sets}

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fwclass.conf import Config
 from fwclass.features.params import Asked
-from fwclass.features.stage import FEATURES, features
+from fwclass.features.stage import FEATURE_COMPUTATION, features
 from fwclass.graph.areas import within
 from fwclass.graph.layout import Layout, needs_of, plain, plain_classes
 from fwclass.graph.stage import Plan
@@ -82,7 +82,9 @@ def cost_task(layout: Layout, tile: Tile, names: Names) -> Task:
     present = layout.around(tile.box.grown(halo), layout.keys)
     params = {**config.features.model_dump(mode="json"), "select": plain(config.select), "names": list(names)}
     work = partial(_time_rates, tile, halo, columns, present, names, config.features, config.select)
-    return Task(RATE_COST, digest_of(params)[:16], FEATURES.version, params, work, needs=needs_of(columns, present))
+    return Task(
+        RATE_COST, digest_of(params)[:16], FEATURE_COMPUTATION.version, params, work, needs=needs_of(columns, present)
+    )
 
 
 def _time_rates(
