@@ -78,7 +78,7 @@ def given_model(config: Config) -> tuple[Location, str] | None:
     return place, model_digest(path)
 
 
-def deciding(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
+def plan_with_features(config: Config, stages: Iterable[Stage] = STAGES) -> Plan:
     """A plan that knows the features that decide, and the model that is given; `ConfigError` for what is no feature."""
     config = with_classes(config)
     model = given_model(config)

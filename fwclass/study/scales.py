@@ -19,7 +19,7 @@ from fwclass.graph.learn import load_sample
 from fwclass.graph.machine_search import spatial
 from fwclass.graph.refine import MERGED, fit_layer
 from fwclass.graph.stages import LEARNING
-from fwclass.graph.walk import deciding, tasks_of, tasks_until_labels, until_tiles
+from fwclass.graph.walk import plan_with_features, tasks_of, tasks_until_labels, until_tiles
 from fwclass.model import ClassDef
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
@@ -54,7 +54,7 @@ def scale_selection(config: Config, runner: Runner, pick: str = "best") -> dict[
             where=f"{config.path}: classify.refine.between",
             do='--set "classify.refine.between=[building, vegetation]"',
         )
-    plan = until_tiles(deciding(config), runner)
+    plan = until_tiles(plan_with_features(config), runner)
     receipts = require_all(runner, ancestors(tasks_until_labels(plan) + tasks_of(plan, LEARNING), [(MERGED, "all")]))
     layer = fine_layer(plan)
     if layer is None:

@@ -13,7 +13,7 @@ from fwclass.errors import ConfigError, InputError
 from fwclass.graph.files import find_files, joint_bounds
 from fwclass.graph.stages import STAGES
 from fwclass.graph.survey import directory_of
-from fwclass.graph.walk import deciding, until_report, until_tiles
+from fwclass.graph.walk import plan_with_features, until_report, until_tiles
 from fwclass.graph.workflow import after_tiles
 from fwclass.grid import Box
 from fwclass.operate.estimate.amounts import plan_of
@@ -113,7 +113,7 @@ def _clouds(config: Config, directory: Path, wanted: Sequence[Box]) -> tuple[str
 def run_trial(job: Trial, runner: Runner, count: int, halo: float) -> tuple[str, ...]:
     """Run the `count` tiles with most echoes of those that are whole; return their keys, the fullest first."""
     config: Config = job.config
-    plan = until_tiles(deciding(config), runner)
+    plan = until_tiles(plan_with_features(config), runner)
     tiles = plan.layout.tiles
     whole = whole_tiles([t.key for t in tiles], [t.box for t in tiles], job.left, halo)
     if not whole:

@@ -22,7 +22,7 @@ from fwclass.graph.stages import check_features
 from fwclass.graph.walk import tasks_until_labels, until_tiles
 from fwclass.grid import Box, Tile
 from fwclass.model import ClassDef, class_index, sample_matrix
-from fwclass.publish.selectplot import draw_rates
+from fwclass.publish.selection_curves import draw_rates
 from fwclass.run.inputs import PartInputs
 from fwclass.run.part import Task
 from fwclass.run.runner import Runner, ancestors, require_all
