@@ -13,7 +13,7 @@ from fwclass.classify.kept import Kept, with_kept
 from fwclass.classify.stage import CLASSIFY, classify, count_filled, probability_columns
 from fwclass.errors import InputError
 from fwclass.graph.fine_layer import fine_layer
-from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping, source_of
+from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument, source_of
 from fwclass.graph.layout import FileDigests
 from fwclass.graph.learn import MODEL
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
@@ -125,7 +125,7 @@ def codes_of(table: Table) -> dict[str, int]:
 def _arguments(plan: Plan) -> Mapping[str, Any]:
     shares = plan.config.classify.probabilities
     arguments = {"names": plan.names, "probabilities": shares, "model": plan.model[1] if plan.model else None}
-    return {**arguments, **keeping(plan)}
+    return {**arguments, **kept_argument(plan)}
 
 
 def own_model(plan: Plan, part: Any) -> tuple[Name, ...]:

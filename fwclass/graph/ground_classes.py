@@ -12,7 +12,7 @@ from fwclass.classify.stage import CLASSIFY
 from fwclass.conf import Config
 from fwclass.conf.model import ClassSection, ReferenceSection
 from fwclass.graph.classify import codes_of
-from fwclass.graph.kept import deciding_column, keeping
+from fwclass.graph.kept import deciding_column, kept_argument
 from fwclass.graph.stage import Result, Stage, StageInputs
 from fwclass.schema import Table
 
@@ -64,7 +64,7 @@ CLASSIFY_GROUND = Stage(
     "echo",
     classify_by_ground,
     when=lambda plan: not plan.names,  # a classifier decides by some features
-    arguments=keeping,
+    arguments=kept_argument,
     own=lambda plan: ("ground", "noise", "height_above_ground", *deciding_column(plan)),
     writes=CLASSIFY.writes,
 )

@@ -22,7 +22,7 @@ SHOWN = 6
 NO_SOURCE = np.empty(0, np.uint8)
 
 
-def keeping(plan: Plan) -> Mapping[str, Any]:
+def kept_argument(plan: Plan) -> Mapping[str, Any]:
     """Which echoes stay as they are, for a stage that classifies; nothing where all are classified."""
     kept = Kept.of(plan.config.classify)
     return {"kept": kept} if kept else {}

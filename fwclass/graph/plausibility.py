@@ -81,7 +81,7 @@ def strip_plausibility(
     }
 
 
-def remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
+def plausibility_remarks(strips: Sequence[Mapping[str, Any]], params: DecomposeParams) -> list[str]:
     """What is worth telling of strips (`strip_plausibility`): one line for each kind, whatever their number."""
     lines = []
     if some := [s for s in strips if s["implausible"] > RARE * s["fitted"]]:

@@ -22,7 +22,7 @@ from fwclass.graph.classify import classes_written, codes_of, given_model, model
 from fwclass.graph.corrections import CORRECTIONS, corrections_here
 from fwclass.graph.features import tile_table
 from fwclass.graph.fine_layer import FineLayer, fine_layer
-from fwclass.graph.kept import NO_SOURCE, deciding_column, keeping
+from fwclass.graph.kept import NO_SOURCE, deciding_column, kept_argument
 from fwclass.graph.learn import (
     MODEL,
     NOT_OF_THE_SAMPLE,
@@ -33,12 +33,12 @@ from fwclass.graph.learn import (
     load_sample,
     parameters_of,
     places,
-    stamp,
-    taught_here,
+    taught_argument,
     taught_rows,
     trains,
+    with_feature_parameters,
 )
-from fwclass.graph.machine_search import spatial
+from fwclass.graph.machine_search import folds_of_squares
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.model import ClassDef, TwoLayer, sample_matrix
 from fwclass.model.ranges import RangeCounter
@@ -170,7 +170,7 @@ def train_fine(
     fine: Any = fit_layer(sample, params, compare, classes, block, gap)
     if without:
         fine.card["notes"].append(f"no training row has a value of {', '.join(without)}: left out")
-    fine = stamp(fine, computed)
+    fine = with_feature_parameters(fine, computed)
     card = {k: v for k, v in coarse.card.items() if k not in ("kind", "digest", "preparation")}
     both = TwoLayer(coarse, fine, {**card, "kind": TwoLayer.kind, "refine": refine.model_dump(mode="json")})
     both.check("a newly trained model")
@@ -191,7 +191,7 @@ def fit_layer(
 ) -> Any:
     """A classifier of any kind, by ``train.method``."""
     if params.method != "forest":
-        return train_other(sample, params, compare, classes, params.method, spatial(block, gap))
+        return train_other(sample, params, compare, classes, params.method, folds_of_squares(block, gap))
     review(sample, classes)
     return train(sample, grow_trees(sample, classes, 0, params.trees, params), params, classes)
 
@@ -289,7 +289,7 @@ DRAW_BOUNDARY = Stage(
         "classes": _pair(plan),
         **_drawing_arguments(plan),
     },
-    each=taught_here,
+    each=taught_argument,
     silent=NOT_OF_THE_SAMPLE | {"also"},
     reads=_wide_reads,
     own=lambda plan: (
@@ -362,7 +362,7 @@ CLASSIFY_REFINED = Stage(
         "names": plan.names,
         "probabilities": plan.config.classify.probabilities,
         "model": plan.model[1] if plan.model else None,
-        **keeping(plan),
+        **kept_argument(plan),
     },
     own=lambda plan: (
         *deciding_column(plan),

@@ -11,7 +11,7 @@ from plsmaker import OUTGOING, Descriptor, Pulse, Sampling, write_pls
 
 from fwclass import conf
 from fwclass.decompose.plausible import COUNTS
-from fwclass.graph.plausibility import remarks, strip_plausibility
+from fwclass.graph.plausibility import plausibility_remarks, strip_plausibility
 from fwclass.single_file.decompose import decompose_file
 
 FLUCTUATES = 0x8FFFFFFF
@@ -129,7 +129,7 @@ def test_the_report_names_the_strips():
         )
         for k in range(5)
     ]
-    (line,) = remarks(strips, conf.section("decompose"))
+    (line,) = plausibility_remarks(strips, conf.section("decompose"))
     assert (
         "+1.70 ns (0.25 m)" in line
         and "from 1.20 at 20 DN to 1.90 at 110 DN" in line
