@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pyproj import CRS
 
+from fwclass.graph.shape_files import read_as, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
-from fwclass.graph.water import Points, read_as, source_of
+from fwclass.graph.water import Points
 from fwclass.grid import Box, quantise
 from fwclass.read.polygons import open_polygons, read_lines, reproject
 from fwclass.run.part import Name

@@ -33,7 +33,7 @@ def deciding_column(plan: Plan) -> tuple[str, ...]:
     return ("source_class",) if Kept.of(plan.config.classify) else ()
 
 
-def source_of(here: StageInputs, kept: Kept | None) -> NDArray[np.uint8]:
+def source_classes(here: StageInputs, kept: Kept | None) -> NDArray[np.uint8]:
     """The class of the source of every echo of the tile, where any stays."""
     return here.own_rows()["source_class"] if kept else NO_SOURCE
 

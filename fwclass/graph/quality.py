@@ -17,9 +17,9 @@ from fwclass.graph.coverage import area_coverage, read_area
 from fwclass.graph.outputs import NO_BYTE, crs_of
 from fwclass.graph.raster_outputs import check_cells
 from fwclass.graph.rasters import Mosaic, stripes, write_rasters
+from fwclass.graph.shape_files import source_of
 from fwclass.graph.sites import WHOLE, sites
 from fwclass.graph.stage import Result, Stage, StageInputs
-from fwclass.graph.water import source_of
 from fwclass.grid import Box, Tile, TileGrid, Window
 from fwclass.publish.cog import STRIPE, cog
 from fwclass.publish.files import whole

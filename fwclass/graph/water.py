@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
 from fwclass.errors import InputError, first_few
-from fwclass.formats.wkb import Shapes
-from fwclass.graph.layout import FileDigests, PolygonFile
+from fwclass.graph.shape_files import read_as, read_shapes, source_of
 from fwclass.graph.stage import Plan, Result, Stage, StageInputs
 from fwclass.grid import Box, Window, millimetres
 from fwclass.label.polygons import Polygons, owners
-from fwclass.read.polygons import open_polygons, read_polygons, reproject
 from fwclass.run.part import Name
 from fwclass.store.arrays import write_arrays
-from fwclass.store.remote_file import Location
 from fwclass.water.level import Body, level_of
 from fwclass.water.params import WaterParams
 from fwclass.water.shore import Shoreline, nearest_shore, shoreline
@@ -108,14 +103,6 @@ def read_water(
     arrays = {"shore_x": line.x, "shore_y": line.y, "body": line.body, "stretch": line.stretch}
     write_arrays(here.directory / FILE, {**polygons.arrays(), **arrays, "feature": shapes.feature})
     return {"bodies": polygons.parts, "invalid": shapes.invalid}
-
-
-def read_shapes(path: Path, crs: str | None, layer: str, own_crs: str | None) -> Shapes:
-    """Polygons of a file in the survey's system `crs`; `own_crs`: theirs (both WKT, None where nothing is moved)."""
-    shapes = read_polygons(open_polygons(path, layer), None)[1]
-    if own_crs is not None and crs is not None:
-        shapes, _ = reproject(shapes, CRS.from_wkt(own_crs), CRS.from_wkt(crs), path)
-    return shapes
 
 
 def _line(arrays: Mapping[str, NDArray]) -> Shoreline:
@@ -215,16 +202,6 @@ def _remarks(facts: Sequence[Mapping[str, Any]], bodies: Sequence[Body], params:
 
 def _is_wanted(plan: Plan) -> bool:
     return plan.config.water.file is not None
-
-
-def read_as(file: PolygonFile | None, crs: str | None) -> dict[str, Any]:
-    """The survey's system, and the layer and the system that a file of shapes is read in."""
-    return {"crs": crs, "layer": file.layer if file else "", "own_crs": file.crs if file else None}
-
-
-def source_of(file: PolygonFile | None) -> tuple[Location, FileDigests] | None:
-    """A file of shapes as the source of its part."""
-    return (file.path, file.digests) if file else None
 
 
 def levels_needed(plan: Plan) -> list[Name]:
